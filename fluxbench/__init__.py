@@ -16,22 +16,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from orchestrator.api import Measurements as Measurements
+    from orchestrator.api import add as add
+    from orchestrator.api import compare as compare
+    from orchestrator.api import compare_runs as compare_runs
+    from orchestrator.api import diagnose as diagnose
+    from orchestrator.api import estimate as estimate
+    from orchestrator.api import explain as explain
+    from orchestrator.api import export as export
+    from orchestrator.api import map_of as map_of
+    from orchestrator.api import one_thread as one_thread
+    from orchestrator.api import open as open
+    from orchestrator.api import remove as remove
+    from orchestrator.api import run as run
     from orchestrator.config import load_motor as load_motor
     from orchestrator.config import load_procedure as load_procedure
     from orchestrator.engine import TerminalOperator as TerminalOperator
-    from orchestrator.workbench import Measurements as Measurements
-    from orchestrator.workbench import add as add
-    from orchestrator.workbench import compare as compare
-    from orchestrator.workbench import compare_runs as compare_runs
-    from orchestrator.workbench import diagnose as diagnose
-    from orchestrator.workbench import estimate as estimate
-    from orchestrator.workbench import explain as explain
-    from orchestrator.workbench import export as export
-    from orchestrator.workbench import map_of as map_of
-    from orchestrator.workbench import one_thread as one_thread
-    from orchestrator.workbench import open as open
-    from orchestrator.workbench import remove as remove
-    from orchestrator.workbench import run as run
     from plugins.drives.simulated import simulate as simulate
     from protocols import FluxbenchError as FluxbenchError
     from protocols import Motor as Motor
@@ -40,25 +40,25 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "FluxbenchError": "protocols",
-    "Measurements": "orchestrator.workbench",
+    "Measurements": "orchestrator.api",
     "Motor": "protocols",
     "MotorModel": "protocols",
     "Procedure": "protocols",
     "TerminalOperator": "orchestrator.engine",
-    "add": "orchestrator.workbench",
-    "compare": "orchestrator.workbench",
-    "compare_runs": "orchestrator.workbench",
-    "diagnose": "orchestrator.workbench",
-    "estimate": "orchestrator.workbench",
-    "explain": "orchestrator.workbench",
-    "export": "orchestrator.workbench",
+    "add": "orchestrator.api",
+    "compare": "orchestrator.api",
+    "compare_runs": "orchestrator.api",
+    "diagnose": "orchestrator.api",
+    "estimate": "orchestrator.api",
+    "explain": "orchestrator.api",
+    "export": "orchestrator.api",
     "load_motor": "orchestrator.config",
     "load_procedure": "orchestrator.config",
-    "map_of": "orchestrator.workbench",
-    "one_thread": "orchestrator.workbench",
-    "open": "orchestrator.workbench",
-    "remove": "orchestrator.workbench",
-    "run": "orchestrator.workbench",
+    "map_of": "orchestrator.api",
+    "one_thread": "orchestrator.api",
+    "open": "orchestrator.api",
+    "remove": "orchestrator.api",
+    "run": "orchestrator.api",
     "simulate": "plugins.drives.simulated",
 }
 

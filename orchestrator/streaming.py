@@ -18,7 +18,7 @@ from functools import partial
 from types import FrameType
 from typing import TypeVar
 
-from orchestrator.presentation.sentences import cut, visible
+from orchestrator.formatting.sentences import cut, visible
 from protocols import Message, SamplesCaptured, Stream
 
 T = TypeVar("T")

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 
 def simulate(procedure: dict[str, Any], place: str) -> None:
     """Run a procedure on its simulated drive into a new directory, and leave nothing there that knows the truth."""
+    from orchestrator.api import run
     from orchestrator.runs import private_directory
-    from orchestrator.workbench import run
 
     out = Path(place)
     for old in (out, private_directory(out)):  # of a worker that died over it

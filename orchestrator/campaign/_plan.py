@@ -14,12 +14,12 @@ from pydantic import Field, ValidationError
 
 from orchestrator._document import parse_document
 from orchestrator._validation import first_problem
+from orchestrator.api import as_overrides
 from orchestrator.config import check_plan, load_procedure, make_plan
 from orchestrator.engine import connected_drive
 from orchestrator.fleet import Plan
+from orchestrator.formatting.names import plain
 from orchestrator.plain_files import read_text
-from orchestrator.presentation.names import plain
-from orchestrator.workbench import as_overrides
 from protocols import DriveChoice, InputError, Procedure, Strict
 from protocols.fleet import FleetStep, HiddenEffect
 

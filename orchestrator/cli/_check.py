@@ -1,4 +1,4 @@
-"""`fluxbench check`: what a procedure would do, without doing it."""
+"""`fluxbench check`: a dry run of a procedure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.config import Plan, PlanSummary, StageRow, check_plan, make_plan, read_procedure
 from orchestrator.engine import UsedPlugins, connected_drive, host_gap
-from orchestrator.presentation.quantities import duration, number, quantity
+from orchestrator.formatting.quantities import duration, number, quantity
 from orchestrator.stages import parse_stages
 from orchestrator.time_constants import plan_notes
 from protocols import Capabilities, Drive
@@ -28,9 +28,9 @@ def check(
     as_json: bool,
     rehearsal: RehearsalOptions | None = None,
 ) -> int:
-    """Plan, hold the plan against limits and the drive's capabilities, print what would happen.
+    """Plan a procedure, check the plan against limits and the drive's capabilities, and print its summary.
 
-    With `rehearsal`: and what a diagnosis of it would be able to tell; as JSON, that alone.
+    With `rehearsal`, print the isolability of effects as well; as JSON, that alone.
     """
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     procedure = loaded.procedure
@@ -40,7 +40,7 @@ def check(
     with loaded.naming_its_places(), connected_drive(procedure, private=None) as (connected, capabilities):
         plan = make_plan(procedure, capabilities)
         summary = check_plan(plan, capabilities)
-        summary = summary.model_copy(update={"notes": (*summary.notes, *_heart_notes(connected, capabilities))})
+        summary = summary.model_copy(update={"notes": (*summary.notes, *_heartbeat_notes(connected, capabilities))})
         summary = summary.model_copy(update={"notes": (*summary.notes, *plan_notes(plan, capabilities))})
         report = None if rehearsal is None else rehearsal.outlook(plan, capabilities)
     if as_json and report is not None:
@@ -56,23 +56,24 @@ def check(
     return 0
 
 
-def _heart_notes(drive: Drive, says: Capabilities) -> list[str]:
-    """Whether this host, as busy as it is, keeps the dead man of a real drive from tripping."""
-    if says.simulated or says.watchdog_s is None:
+def _heartbeat_notes(drive: Drive, capabilities: Capabilities) -> list[str]:
+    """Whether this host, as busy as it is, keeps the watchdog of a real drive from tripping."""
+    watchdog_s = capabilities.watchdog_s
+    if capabilities.simulated or watchdog_s is None:
         return []
     gap = host_gap(drive)
-    told = (
+    note = (
         f"heartbeats come from {gap.who} which was late by {1e3 * gap.worst_s:.2g} ms at most in a second: "
-        f"a watchdog of {gap.keeps_s:.2g} s or more is kept"
+        f"a watchdog of {gap.keeps_s:.2g} s or more does not trip"
     )
-    if says.watchdog_s >= gap.keeps_s:
-        return [f"{told}; the drive's is {says.watchdog_s:g} s"]
-    return [f"{told}, and the drive's {says.watchdog_s:g} s may trip: have less run beside it, or make it longer"]
+    if watchdog_s >= gap.keeps_s:
+        return [f"{note}; the drive's is {watchdog_s:g} s"]
+    return [f"{note}, and the drive's {watchdog_s:g} s may: close other programs, or make it longer"]
 
 
 @dataclass(frozen=True)
 class RehearsalOptions:
-    """What a plan is rehearsed with.
+    """Options of a plan's rehearsal.
 
     Attributes
     ----------
@@ -88,19 +89,19 @@ class RehearsalOptions:
     noise_a: float | None = None
 
     def machine(self, plan: Plan, drive: Capabilities) -> Machine:
-        """The machine that it is rehearsed on."""
+        """The machine of the rehearsal."""
+        from orchestrator.api import chosen_model
         from orchestrator.experiment_design.machine import Machine
-        from orchestrator.experiment_design.rehearsal import as_measured
-        from orchestrator.workbench import chosen_model
+        from orchestrator.experiment_design.rehearsal import machine_of
 
         nameplate = Machine.of(plan.procedure.motor, plan.procedure.name)
         model = chosen_model(self.model)
-        return nameplate if model is None else as_measured(nameplate, plan, drive, model)
+        return nameplate if model is None else machine_of(nameplate, plan, drive, model)
 
     def outlook(self, plan: Plan, drive: Capabilities) -> IsolabilityReport:
-        """What the plan would tell."""
+        """The isolability of effects by the plan."""
+        from orchestrator.api import chosen_effects
         from orchestrator.experiment_design.outlook import outlook
-        from orchestrator.workbench import chosen_effects
 
         effects = chosen_effects(self.effects or ())
         return outlook(plan, drive, self.machine(plan, drive), effects, noise_a=self.noise_a)

@@ -1,4 +1,4 @@
-"""`fluxbench run` and `fluxbench resume`: from words to a crew, and from a result to an exit code."""
+"""`fluxbench run` and `fluxbench resume`: from options to a run, and from its result to an exit code."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from orchestrator.api import as_overrides, run_directory
 from orchestrator.cli._output import complain, give_up_broken_output, say_document, say_notes
 from orchestrator.config import read_procedure
 from orchestrator.engine import (
@@ -25,26 +26,25 @@ from orchestrator.engine import (
     resume_run,
     start_run,
 )
-from orchestrator.workbench import as_overrides, run_directory
 from protocols import FluxbenchError
 
 
 @dataclass(frozen=True)
 class Audience:
-    """Who follows a run, and how it is told to them."""
+    """Options of a run's output, and of the operator's presence."""
 
     unattended: str | None = None
-    """Words by which the procedure's own answers count on a real drive."""
+    """The confirmation with which the procedure's own answers count on a real drive."""
     quiet: bool = False
     as_json: bool = False
     log: str = "text"
-    """text, or json: one object a line."""
+    """text, or json: one object per line."""
     view: bool = False
-    """In the viewer, live."""
+    """Whether the viewer opens and follows the run."""
     streams: tuple[str, ...] = ()
-    """Others that listen as well."""
+    """Names of additional streams."""
     remote: str | None = None
-    """What another program is to the person who answers through it."""
+    """Name of the program through which the operator answers."""
 
     @property
     def console_mode(self) -> str:
@@ -78,10 +78,10 @@ def run(
 ) -> int:
     """Commission into a new directory; returns the exit code.
 
-    What `about` has goes over the procedure's own section of that name.
+    The values of `about` override those of the procedure's own section of that name.
     """
-    said = as_overrides({f"about.{name}": value for name, value in (about or {}).items() if value not in (None, [])})
-    loaded = read_procedure(source, overrides=[*overrides, *said], drive=drive, motor=motor)
+    about = {f"about.{name}": value for name, value in (about or {}).items() if value not in (None, [])}
+    loaded = read_procedure(source, overrides=[*overrides, *as_overrides(about)], drive=drive, motor=motor)
     path = run_directory(loaded.procedure.name, out)
     if audience.console_mode == "auto":
         say_notes(loaded.readings)
@@ -91,19 +91,19 @@ def run(
 
 def run_further(source: Path, rounds: int, audience: Audience) -> int:
     """Measure the experiment that a run's diagnosis proposes, and diagnose again."""
-    from orchestrator.cli._further import stages_to_go_on_with
+    from orchestrator.cli._further import next_stages
 
-    path, stages = stages_to_go_on_with(source, rounds)
+    path, stages = next_stages(source, rounds)
     return _with_crew(lambda crew: extend_run(path, stages, crew), audience)
 
 
 def resume(path: Path, audience: Audience) -> int:
-    """Go on with an interrupted run; energises only on the operator's word."""
+    """Continue an interrupted run; energises only after the operator's confirmation."""
     return _with_crew(lambda crew: resume_run(path, crew), audience)
 
 
 def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> int:
-    # A viewer's library would write its own words to the terminal; what matters of them is in the streams' tally.
+    # A viewer's library would write log lines to the terminal; the streams' tally has the relevant ones.
     os.environ.setdefault("RUST_LOG", "off")
     operator = _operator(audience)
     with ExitStack() as stack:
@@ -116,7 +116,7 @@ def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> i
         _warn("; ".join(troubles))
     report = result.path / "report.html"
     if audience.console_mode == "auto" and report.is_file():
-        _tell(f"report: {report}")
+        _print(f"report: {report}")
     code = _exit_code(result, troubles, audience.as_json)
     give_up_broken_output()
     return code
@@ -135,24 +135,29 @@ def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int
         import json
 
         estimates = {} if outcome.estimates is None else outcome.estimates.model_dump(mode="json")
-        found = {"run": str(result.path), "outcome": outcome.ending, "reason": outcome.reason, "estimates": estimates}
-        _tell(json.dumps(found, indent=2))
+        document = {
+            "run": str(result.path),
+            "outcome": outcome.ending,
+            "reason": outcome.reason,
+            "estimates": estimates,
+        }
+        _print(json.dumps(document, indent=2))
     if outcome.error is None:
         if outcome.reason == NOTHING_LEFT and not as_json:
-            _tell(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute anew")
+            _print(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute again")
         return 0
     if not isinstance(outcome.error, FluxbenchError):
-        raise outcome.error  # a defect: its traceback is wanted, now that the drive is safe
-    goes_on = f"`fluxbench resume {result.path}` goes on at the first point not done"
-    _warn("; ".join([f"{outcome.ending}: {outcome.reason}", goes_on, *troubles]))
+        raise outcome.error  # a defect: show its traceback, now that the drive is safe
+    resume_hint = f"`fluxbench resume {result.path}` continues at the first unmeasured point"
+    _warn("; ".join([f"{outcome.ending}: {outcome.reason}", resume_hint, *troubles]))
     return max(outcome.error.exit_code, 3)
 
 
 def _warn(line: str) -> None:
-    with suppress(OSError):  # the terminal is gone, and with it the reader
+    with suppress(OSError):  # the terminal is gone
         complain(line)
 
 
-def _tell(text: str) -> None:
-    with suppress(OSError):  # the terminal is gone, and with it the reader
+def _print(text: str) -> None:
+    with suppress(OSError):  # the terminal is gone
         say_document(text)

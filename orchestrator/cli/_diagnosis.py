@@ -1,4 +1,4 @@
-"""`fluxbench compare`, `diagnose`, `add` and `remove`: where the model fails, and what is missing in it."""
+"""`fluxbench compare`, `diagnose`, `add` and `remove`: the model's errors, and the effects that it lacks."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orchestrator import workbench
+from orchestrator import api
 from orchestrator.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
-from orchestrator.presentation.benefits import BENEFITS, benefit_line
-from orchestrator.presentation.explaining import accuracy_sentences
-from orchestrator.presentation.names import plain, slots
-from orchestrator.presentation.quantities import number, quantity
-from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_notes, share_rows
-from orchestrator.presentation.sentences import columns, text_table
-from orchestrator.presentation.waiting import Waiting
+from orchestrator.formatting.benefits import BENEFITS, benefit_line
+from orchestrator.formatting.explaining import accuracy_sentences
+from orchestrator.formatting.names import plain, slots
+from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.results import ladder_rows, parameter_rows, resistance, share_notes, share_rows
+from orchestrator.formatting.sentences import columns, text_table
+from orchestrator.formatting.waiting import Waiting
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
 
 if TYPE_CHECKING:
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 
 def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
-    """Hold the model against the measurements."""
+    """Compare the model with the measurements."""
     with prompt_interrupt():
-        report = workbench.compare(path, model=model, effects=effects or (), out=out)
+        report = api.compare(path, model=model, effects=effects or (), out=out)
     if as_json:
         say_document(report.model_dump_json(indent=2))
     else:
@@ -45,18 +45,18 @@ def diagnose(
     as_json: bool,
     priors: Path | None = None,
 ) -> int:
-    """Name what the model lacks; `material` as per cent of the rated flux, and of the excitation's voltage.
+    """Name the effects that the model lacks; `material` in % of the rated flux, and of the excitation's voltage.
 
-    Ctrl-C ends the search: what was found so far is reported, and the exit code is 130.
+    Ctrl-C ends the search: the result so far is reported, and the exit code is 130.
     """
     waiting, interruption = _waiting(as_json), Interruption()
 
-    def show(found: InterimResult) -> None:
+    def show(interim: InterimResult) -> None:
         interruption.has_result = True
-        waiting.keep(found.sentence)
+        waiting.keep(interim.sentence)
 
     with prompt_interrupt(interruption):
-        kept = workbench.diagnose(
+        kept = api.diagnose(
             path,
             model=model or "saturated",
             effects=effects or (),
@@ -77,7 +77,7 @@ def diagnose(
         _print_diagnosis(kept.report, kept.words)
         if kept.estimates is not None:
             _print_map(kept.estimates, (out or path) / "results")
-    return 130 if interruption.asked else 0
+    return 130 if interruption.requested else 0
 
 
 def add(
@@ -86,23 +86,23 @@ def add(
     """Refit with these effects."""
     with prompt_interrupt():
         tell = _waiting(as_json).keep
-        report = workbench.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
+        report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
-    _say_refit(report, path, as_json)
+    _print_refit(report, path, as_json)
     return 0
 
 
 def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Refit without this effect."""
     with prompt_interrupt():
-        report = workbench.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
+        report = api.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
         refresh_report(path, out)
-    _say_refit(report, path, as_json)
+    _print_refit(report, path, as_json)
     return 0
 
 
 def _waiting(as_json: bool) -> Waiting:
-    """What is said meanwhile: on standard error at a terminal, and where standard output is one JSON object."""
+    """The progress display: on standard error at a terminal, and where standard output is one JSON object."""
     return Waiting(kept=sys.stderr if as_json else sys.stdout)
 
 
@@ -125,13 +125,13 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     if report.convention is None:
         _print_ladder(report)
     heads = ("of its typical size", "of the error", "probability", "material")
-    for head, effects in (("cause", report.effects), ("also there, and in the model", report.minor)):
+    for head, effects in (("cause", report.effects), ("below materiality, and in the model", report.minor)):
         if effects:
             say_table((head, *heads), share_rows(effects))
     say_notes(share_notes(report))
     traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
     if traces:
-        say(f"traces, below what deserves a name: {', '.join(traces)}")
+        say(f"detected, but too small to be named: {', '.join(traces)}")
     say(*accuracy_sentences(report))
     say_notes(report.notes)
     if report.next_experiment is not None:
@@ -140,16 +140,16 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
 
 
 def _print_map(estimates: EstimationReport, folder: Path) -> None:
-    """R_s and the map that the diagnosis leaves, or why it leaves none to be relied on."""
+    """Print R_s and the map of the diagnosis, or why the map is not reliable."""
     if estimates.usable and estimates.resistance is not None:
         say(f"R_s {resistance(estimates.resistance)}, flux map usable: {folder / estimates.files['flux_map']}")
         say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
         return
-    why = next((r.text for r in estimates.remarks), "none could be made")
-    say(f"flux map: NOT TO BE RELIED ON: {why}")
+    why = next((r.text for r in estimates.remarks), "no estimator succeeded")
+    say(f"flux map: NOT RELIABLE: {why}")
 
 
-def _say_refit(report: AddReport, path: Path, as_json: bool) -> None:
+def _print_refit(report: AddReport, path: Path, as_json: bool) -> None:
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return

@@ -1,34 +1,34 @@
-"""`fluxbench explain`: why a diagnosis says what it says, and what its search tried."""
+"""`fluxbench explain`: the reasons of a diagnosis, and the steps of its search."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator import workbench
+from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_wide_table
-from orchestrator.presentation.explaining import BASIS_HEAD, SEARCH_HEAD, basis_rows, search_rows
-from orchestrator.presentation.names import VERDICTS, plain
+from orchestrator.formatting.explaining import BASIS_HEAD, SEARCH_HEAD, basis_rows, search_rows
+from orchestrator.formatting.names import VERDICTS, plain
 from protocols import Explanation
 
 
 def explain(path: Path, as_json: bool) -> int:
-    """Print the reasons of the verdict, the search, and what each named effect rests on."""
-    found = workbench.explain(path)
+    """Print the reasons of the verdict, the search, and the evidence for each named effect."""
+    explanation = api.explain(path)
     if as_json:
-        say_document(found.model_dump_json(indent=2))
+        say_document(explanation.model_dump_json(indent=2))
     else:
-        _print(found)
+        _print(explanation)
     return 0
 
 
-def _print(found: Explanation) -> None:
-    say(f"{found.recording}: {plain(found.verdict)}, {VERDICTS[found.verdict].meaning}")
-    say(*(f"  {reason.sentence}" for reason in found.reasons))
-    if not found.reasons:
+def _print(explanation: Explanation) -> None:
+    say(f"{explanation.recording}: {plain(explanation.verdict)}, {VERDICTS[explanation.verdict].meaning}")
+    say(*(f"  {reason.sentence}" for reason in explanation.reasons))
+    if not explanation.reasons:
         say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")
-    if found.search:
-        say("", "what the search tried (chi2 per degree of freedom, before → after):")
-        say_wide_table(SEARCH_HEAD, search_rows(found.search))
-    if found.effects:
-        say("what each named effect rests on:")
-        say_wide_table(BASIS_HEAD, basis_rows(found.effects))
+    if explanation.search:
+        say("", "steps of the search (chi2 per degree of freedom, before → after):")
+        say_wide_table(SEARCH_HEAD, search_rows(explanation.search))
+    if explanation.effects:
+        say("evidence for each named effect:")
+        say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))

@@ -1,9 +1,9 @@
 """Commands that belong to plugins: entry points of the group ``fluxbench.commands``, loaded when they are called.
 
-Such an entry point names a callable that takes the words after the command's name and returns an exit code; what it
-raises is explained as any other command's error is. One that energises says so by a true attribute `energises`: signals
-then end it from the first line on, until its run handles them itself. The list of commands says of it what the first
-line of its module's docstring says; that is read, not imported.
+Such an entry point names a callable that takes the arguments after the command's name and returns an exit code; its
+errors are reported like any other command's. A true attribute `energises` marks a command that energises: signals then
+end it from the first line on, until its run handles them itself. The list of commands shows the first line of its
+module's docstring, which is parsed, not imported.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from orchestrator._entry_points import entries_of
 GROUP = "fluxbench.commands"
 
 
-def with_plugin_commands(app: typer.Typer, words: Sequence[str] = ()) -> typer.Typer:
+def with_plugin_commands(app: typer.Typer, arguments: Sequence[str] = ()) -> typer.Typer:
     """The application with one command more for each entry point; none of them is imported.
 
-    Where the first of the words names a command, that one alone: to describe all the others takes longer than some run.
+    Where the first argument names a command, with that one alone: describing all takes longer than some commands run.
     """
-    whole, named = copy.copy(app), next(iter(words), "")
+    whole, named = copy.copy(app), next(iter(arguments), "")
     entries = sorted(entries_of(GROUP), key=lambda entry: entry.name)
     foreign = [entry for entry in entries if entry.name == named]
     own = [] if foreign else [command for command in app.registered_commands if command.name == named]
@@ -53,12 +53,12 @@ def summary_of(entry: EntryPoint) -> str:
     """
     source = _source_of(entry.module)
     try:
-        told = ast.get_docstring(ast.parse(source.read_bytes())) if source is not None else None
+        docstring = ast.get_docstring(ast.parse(source.read_bytes())) if source is not None else None
     except (OSError, SyntaxError, ValueError):
-        told = None  # the command itself says what is wrong with it
-    if not told:
+        docstring = None  # the command itself reports the error
+    if not docstring:
         return f"A plugin's, from {entry.dist.name if entry.dist else '?'}."
-    line = re.sub(r"^[^`:]*`+fluxbench [^`]*`+: *", "", told.splitlines()[0])
+    line = re.sub(r"^[^`:]*`+fluxbench [^`]*`+: *", "", docstring.splitlines()[0])
     return line[:1].upper() + line[1:]
 
 
@@ -82,7 +82,7 @@ def _command(entry: EntryPoint) -> Callable[[typer.Context], int]:
         try:
             command = entry.load()
         except Exception as error:
-            # An import runs foreign code: it may raise anything, and what it raises is said, not hidden.
+            # An import runs foreign code, which may raise anything; the error is reported, not hidden.
             problem = f"does not load: {type(error).__name__}: {error}"
             raise PluginError("commands", entry.name, problem) from error
         settle = context.find_root().obj

@@ -1,4 +1,4 @@
-"""`fluxbench run --from RUN`: measure what the diagnosis of a finished run asks for, and diagnose again."""
+"""`fluxbench run --from RUN`: measure the experiment that a finished run's diagnosis proposes, and diagnose again."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from orchestrator.cli._output import say_document, stage_as_yaml
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.experiment_design.proposal import next_experiment
-from orchestrator.presentation.names import plain
+from orchestrator.formatting.names import plain
 from orchestrator.registry import PluginKind, make_plugins
 from orchestrator.runs import RunDirectory, is_run, open_any
 from orchestrator.stages import parse_stages, proposing_stage
@@ -23,20 +23,20 @@ from protocols import (
 DIAGNOSIS = Path("results") / "diagnosis.json"
 
 
-def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[StageEntry, ...]]:
-    """The run to go on with, and what to append to it.
+def next_stages(source: Path, rounds: int) -> tuple[Path, tuple[StageEntry, ...]]:
+    """The run to continue, and the stages to append to it.
 
     Parameters
     ----------
     source : Path
         A finished run, or the diagnosis in its results.
     rounds : int
-        Most experiments that may follow, this one included.
+        Maximum number of experiments, this one included.
 
     Raises
     ------
     InputError
-        There is nothing to decide, or the recording is nobody's run: then the stage is printed for a procedure.
+        No experiment is proposed, or the recording is no run: then the stage is printed for a procedure.
     """
     path = source.parent.parent if source.is_file() and source.name == DIAGNOSIS.name else source
     report = _newest_report(path)
@@ -46,7 +46,7 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[StageEn
     experiment = report.next_experiment.stage
     if not is_run(path):
         say_document(stage_as_yaml(experiment))
-        problem = "missing: nobody knows the drive that this recording is from; put the stage above in a procedure"
+        problem = "missing: the drive of this recording is unknown; put the stage above in a procedure"
         raise RecordingError(str(path), "run.json", problem)
     procedure = RunDirectory.open(path).procedure()
     more = proposing_stage(parse_stages(procedure)).going_on(experiment, procedure, rounds)
@@ -54,7 +54,7 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[StageEn
 
 
 def _newest_report(path: Path) -> DiagnosisReport:
-    """The diagnosis of all that was measured: as it was kept, else made now."""
+    """The diagnosis of the whole recording: the stored one if it is current, else a new one."""
     report = _kept_report(path) or _journalled_report(path)
     if report is not None:
         return report
@@ -74,13 +74,13 @@ def _kept_report(path: Path) -> DiagnosisReport | None:
 
 
 def _journalled_report(path: Path) -> DiagnosisReport | None:
-    """What the run itself said last, unless something was measured after it."""
+    """The run's own last diagnosis, unless something was measured after it."""
     if not is_run(path):
         return None
-    found: DiagnosisReport | None = None
+    report: DiagnosisReport | None = None
     for entry in RunDirectory.open(path).journal.read():
         if isinstance(entry.message, Diagnosed):
-            found = entry.message.report
+            report = entry.message.report
         elif isinstance(entry.message, PointDone):
-            found = None
-    return found
+            report = None
+    return report

@@ -1,4 +1,4 @@
-"""`fluxbench plugins`, `procedures`, `effects` and `schema`: what there is."""
+"""`fluxbench plugins`, `procedures`, `effects` and `schema`: lists and file formats."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from protocols import (
 
 
 def plugins(as_json: bool) -> int:
-    """List every installed plugin; one that does not load is said to be broken, and why."""
+    """List every installed plugin; one that does not load is shown as broken, with the error."""
     rows = [_row(kind, info.name) | info.model_dump(mode="json") for kind in PluginKind for info in installed(kind)]
     if as_json:
         say_document(json.dumps(rows, indent=2))
@@ -69,11 +69,11 @@ def effects(as_json: bool) -> int:
 
 def _list(summaries: Mapping[str, str], as_json: bool) -> None:
     if as_json:
-        say_document(json.dumps([{"name": name, "summary": told} for name, told in summaries.items()], indent=2))
+        say_document(json.dumps([{"name": name, "summary": text} for name, text in summaries.items()], indent=2))
         return
     widest = max(map(len, summaries), default=0)
-    for name, told in summaries.items():
-        say(f"{name:<{widest}}  {told}")
+    for name, text in summaries.items():
+        say(f"{name:<{widest}}  {text}")
 
 
 def schema(name: str, plugin: str | None, as_table: bool) -> int:
@@ -84,7 +84,7 @@ def schema(name: str, plugin: str | None, as_table: bool) -> int:
         raise InputError("schema", name, "expected a drive's name after `drive`, and nothing after the others")
     model = _model(name) if plugin is None else load_plugin(PluginKind.DRIVES, plugin).Options
     if as_table:
-        from orchestrator.presentation.options import options_table
+        from orchestrator.formatting.options import options_table
 
         say_document(options_table(model))
     else:

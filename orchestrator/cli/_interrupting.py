@@ -1,4 +1,4 @@
-"""Ctrl-C while something is computed: exit code 130, with the result so far where there is one, else at once."""
+"""Ctrl-C during a computation: exit code 130, with the result so far where there is one, else at once."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from protocols import RunInterrupted
 
 @dataclass
 class Interruption:
-    """Whether somebody pressed Ctrl-C, and whether there is something by then that the block can still report."""
+    """Whether the user pressed Ctrl-C, and whether the block has a result to report by then."""
 
     has_result: bool = False
-    asked: bool = False
+    requested: bool = False
 
 
 @contextmanager
 def prompt_interrupt(interruption: Interruption | None = None, grace_s: float = 0.6) -> Iterator[None]:
     """While the block lasts, SIGINT ends it, and the process where the block does not end soon.
 
-    For blocks that leave nothing half written, from the main thread. Where SIGINT is ignored it stays so. The grace is
-    for what is under way to end by itself: an evaluation takes some 20 ms, a plugin's may take for ever. A block that
-    has a result takes its time to report it; SIGINT once more ends the process.
+    For blocks that leave nothing half written, from the main thread. Where SIGINT is ignored it stays so. Within the
+    grace period the current evaluation may end by itself: it takes some 20 ms, a plugin's may take for ever. A block
+    that has a result may take longer to report it; a second SIGINT ends the process.
 
     Parameters
     ----------
     interruption : Interruption, optional
-        By which the block says that it has a result, and is told that it was interrupted.
+        In it the block marks that it has a result, and reads that it was interrupted.
 
     Raises
     ------
@@ -45,17 +45,17 @@ def prompt_interrupt(interruption: Interruption | None = None, grace_s: float = 
     state = interruption or Interruption()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if state.asked:
-            _leave()
-        state.asked = True
+        if state.requested:
+            _exit()
+        state.requested = True
         if state.has_result:
-            os.write(2, b"fluxbench: ending early, with what was found so far (Ctrl-C again ends at once)\n")
+            os.write(2, b"fluxbench: ending early with the result so far (Ctrl-C again ends at once)\n")
         else:
             signal.setitimer(signal.ITIMER_REAL, grace_s)
         raise KeyboardInterrupt
 
     def overdue(number: int, frame: FrameType | None) -> None:
-        _leave()
+        _exit()
 
     before = signal.signal(signal.SIGALRM, overdue)
     signal.signal(signal.SIGINT, stop)
@@ -63,7 +63,7 @@ def prompt_interrupt(interruption: Interruption | None = None, grace_s: float = 
     try:
         yield
     except KeyboardInterrupt:
-        # On the way out there is nothing more to interrupt: who asks twice gets the same line and code.
+        # On the way out there is nothing more to interrupt: a second Ctrl-C gives the same line and code.
         after = signal.SIG_IGN
         raise RunInterrupted("interrupted") from None
     finally:
@@ -72,6 +72,6 @@ def prompt_interrupt(interruption: Interruption | None = None, grace_s: float = 
         signal.signal(signal.SIGALRM, before)
 
 
-def _leave() -> NoReturn:
+def _exit() -> NoReturn:
     os.write(2, b"fluxbench: interrupted\n")
     os._exit(130)

@@ -1,4 +1,4 @@
-"""`fluxbench check --isolability`: what a procedure will be able to tell, as two tables and what to add."""
+"""`fluxbench check --isolability`: the effects that a procedure detects and separates, and stages to add."""
 
 from __future__ import annotations
 
@@ -6,17 +6,16 @@ from textwrap import wrap
 
 from orchestrator.cli._output import say, say_table, stage_as_yaml
 from orchestrator.experiment_design.outlook import IsolabilityReport
-from orchestrator.presentation.quantities import quantity
-from orchestrator.presentation.sentences import columns, listed
+from orchestrator.formatting.quantities import quantity
+from orchestrator.formatting.sentences import columns, listed
 
-_TOO_LARGE = 0.995
-"""Sizes that print as 100 % and more are dashes: such an effect is not found, or not told apart, at a typical size."""
+_MAX_PRINTED_SIZE = 0.995
+"""Larger sizes print as dashes: such an effect is not detected, or not separated, at its typical size."""
 
 
 def say_isolability(report: IsolabilityReport) -> None:
-    """Print what a plan will be able to tell."""
-    least = f"what it would find with {quantity(report.noise_a, 'A')} of noise"
-    say("", f"{least} in each phase's reading:")
+    """Print the isolability of a plan's effects."""
+    say("", f"detection with {quantity(report.noise_a, 'A')} of noise in each phase's reading:")
     numbers = {effect.name: str(k) for k, effect in enumerate(report.effects, 1)}
     rows = [
         (
@@ -28,14 +27,14 @@ def say_isolability(report: IsolabilityReport) -> None:
         )
         for e in report.effects
     ]
-    say_table(("effect", "typical", "found from", "in %", "among all, in %"), rows)
-    say("", "told apart from, in % of their typical size; -- only where they are larger than that:")
+    say_table(("effect", "typical", "detected from", "in %", "among all, in %"), rows)
+    say("", "separated from, in % of their typical size; -- where a larger size is needed:")
     say(*columns(_matrix(report, numbers), numbers=True))
-    _say_what_to_do(report)
+    _print_additions(report)
 
 
 def _matrix(report: IsolabilityReport, numbers: dict[str, str]) -> list[list[str]]:
-    """The lower half; the matrix is symmetric."""
+    """The lower half of the symmetric matrix."""
     names = list(numbers)
     head = ["".ljust(3), "".join(n.rjust(3) for n in list(numbers.values())[:-1])]
     rows = []
@@ -46,21 +45,21 @@ def _matrix(report: IsolabilityReport, numbers: dict[str, str]) -> list[list[str
 
 
 def _percent(size: float | None) -> str:
-    return "--" if size is None or size >= _TOO_LARGE else f"{100.0 * size:.0f}"
+    return "--" if size is None or size >= _MAX_PRINTED_SIZE else f"{100.0 * size:.0f}"
 
 
-def _say_what_to_do(report: IsolabilityReport) -> None:
+def _print_additions(report: IsolabilityReport) -> None:
     if report.additions:
         say("", "to add, as stages of the procedure:")
     for addition in report.additions:
         what = f"{addition.minutes:.2g} min: {', '.join(map(_question, addition.settles))}"
         say(*wrap(what, 96, initial_indent="  # ", subsequent_indent="  # "), stage_as_yaml(addition.stage))
     if report.open:
-        say("", "open at typical sizes, whatever stage is added:")
+        say("", "undecided at typical sizes, whatever stage is added:")
     for one in report.open:
-        what = f"{one.effects[0]} is not found" if len(one.effects) == 1 else "{} or {}".format(*one.effects)
-        say(f"  {what}" + (f" (it takes {listed(one.needs)})" if one.needs else ""))
+        what = f"{one.effects[0]} is not detected" if len(one.effects) == 1 else "{} or {}".format(*one.effects)
+        say(f"  {what}" + (f" (needs {listed(one.needs)})" if one.needs else ""))
 
 
 def _question(question: tuple[str, ...]) -> str:
-    return f"{question[0]} is found" if len(question) == 1 else "{} or {}".format(*question)
+    return f"{question[0]} is detected" if len(question) == 1 else "{} or {}".format(*question)

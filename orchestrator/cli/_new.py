@@ -1,4 +1,4 @@
-"""`fluxbench new`: a package for a plugin of one's own."""
+"""`fluxbench new`: a package for a new plugin."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orchestrator.scaffolding import write_package
 
 
 def new(kind: str, name: str, out: Path | None, as_json: bool = False) -> int:
-    """Write the package and say what to do with it."""
+    """Write the package and print the next steps."""
     folder = out if out is not None else Path(f"fluxbench-{name.replace('_', '-')}")
     written = [str(path) for path in write_package(kind, name, folder)]
     if as_json:

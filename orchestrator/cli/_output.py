@@ -1,4 +1,4 @@
-"""Standard output: text as its encoding can take it, and what to do when it can no longer be written."""
+"""Standard output: text for its encoding, and recovery when it can no longer be written."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from orchestrator.presentation.sentences import can_print, cut, for_output, text_table, visible
+from orchestrator.formatting.sentences import can_print, cut, for_output, text_table, visible
 
 _FILE_WIDTH = 180
 """Characters of a line of a table that goes to a file or another program."""
@@ -23,9 +23,9 @@ def say(*lines: str) -> None:
 
 
 def announce(path: Path, as_json: bool) -> None:
-    """Print at once what is read, before anything that takes its time, as an import does.
+    """Print the path being read before slow imports begin.
 
-    On standard error where standard output is one JSON object. Of what is not there an error tells.
+    On standard error where standard output is one JSON object. A missing path gives an error later.
     """
     if path.exists():
         where = sys.stderr if as_json else sys.stdout
@@ -37,13 +37,13 @@ def say_document(text: str) -> None:
     print(visible(text))
 
 
-def complain(line: str, choices: Sequence[str] = (), most: int = 50) -> None:
-    """What is wrong, as one line on standard error; what could be meant instead in lines below it."""
-    below = [f"  {choice}" for choice in choices[:most]]
-    if len(choices) > most:
-        below.append(f"  ... and {len(choices) - most} more")
-    for told in (f"fluxbench: {' '.join(line.split())}", *below):
-        print(for_output(cut(told), sys.stderr), file=sys.stderr)
+def complain(line: str, choices: Sequence[str] = (), max_choices: int = 50) -> None:
+    """Print an error as one line on standard error, and possible choices in the lines below it."""
+    below = [f"  {choice}" for choice in choices[:max_choices]]
+    if len(choices) > max_choices:
+        below.append(f"  ... and {len(choices) - max_choices} more")
+    for text in (f"fluxbench: {' '.join(line.split())}", *below):
+        print(for_output(cut(text), sys.stderr), file=sys.stderr)
 
 
 def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -72,12 +72,12 @@ def say_wide_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def say_notes(notes: Iterable[str]) -> None:
-    """Print what a result says beside its numbers."""
+    """Print notes on a result."""
     say(*(f"note: {note}" for note in notes))
 
 
 def stage_as_yaml(stage: Mapping[str, Any]) -> str:
-    """A stage as it stands in a procedure's `stages`, ready to paste."""
+    """A stage in the form of a procedure's `stages`, ready to paste."""
     import yaml
 
     lines = yaml.safe_dump([dict(stage)], sort_keys=False, default_flow_style=None, width=100).splitlines()
@@ -85,7 +85,7 @@ def stage_as_yaml(stage: Mapping[str, Any]) -> str:
 
 
 def give_up_broken_output() -> None:
-    """Flush standard output; where that fails, let what is left in it go, so that nothing complains at the end."""
+    """Flush standard output; where that fails, discard its buffer, so that no error appears at the end."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""A run's report after something was found out anew: written again, where it has one that is older."""
+"""A run's report after new results: written again where the run has an older one."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from protocols import FluxbenchError, StreamSetup
 
 REPORT, PAGE = "report", "report.html"
 SOURCES = ("run.json", "journal.jsonl", "model.json", "results/*")
-"""What the page is made from; a recording.json that says something else is in all results."""
+"""Sources of the page; changes of recording.json show in all results."""
 
 
 def has_report(directory: Path) -> bool:
-    """Whether there is a page."""
+    """Whether the run has a report."""
     return (directory / PAGE).is_file()
 
 
 def refresh_report(directory: Path, out: Path | None) -> None:
-    """Have the stream `report` write its page again; what keeps it from that is said, and fails nothing.
+    """Have the stream `report` write its page again; an error is printed, and fails nothing.
 
-    Nothing to do where there is no page yet, the results went elsewhere (`out`), or the page is as new as all that it
-    is made from.
+    It does nothing where there is no page yet, the results went elsewhere (`out`), or the page is newer than its
+    sources.
     """
     page = directory / PAGE
     if out is not None or not page.is_file() or not _is_older(page, directory):

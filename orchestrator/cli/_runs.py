@@ -1,4 +1,4 @@
-"""`fluxbench runs`: the runs below a folder, what they are of and how they ended; searched by words."""
+"""`fluxbench runs`: the runs below a folder with their motors and outcomes, filtered by words."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.cli._output import complain, say, say_document
-from orchestrator.presentation.sentences import text_table
+from orchestrator.formatting.sentences import text_table
 from orchestrator.runs import run_rows
 from protocols import InputError
 
 
 def runs(folder: Path, words: Sequence[str], as_json: bool) -> int:
-    """List the runs in which all words are found, the newest last; what cannot be read is said and passed over."""
+    """List the runs that contain all words, the newest last; unreadable runs are reported and skipped."""
     if not folder.is_dir():
         raise InputError(str(folder), "", "no such folder")
-    found = sorted((row for row in run_rows(folder, complain) if _has(row, words)), key=lambda row: row["created"])
+    rows = sorted((row for row in run_rows(folder, complain) if _has(row, words)), key=lambda row: row["created"])
     if as_json:
-        say_document(json.dumps(found, indent=2))
-    elif found:
+        say_document(json.dumps(rows, indent=2))
+    elif rows:
         columns = ("run", "created", "motor", "serial", "operator", "outcome", "tags", "notes")
-        say(text_table(columns, [tuple(row[name] for name in columns) for row in found], numbers=False))
+        say(text_table(columns, [tuple(row[name] for name in columns) for row in rows], numbers=False))
     else:
         say(f"no run below {folder}" + (f" has the words {' '.join(words)}" if words else ""))
     return 0

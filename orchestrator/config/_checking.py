@@ -9,7 +9,7 @@ from orchestrator.config._loads import Load, load_of
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.config._requirements import Requirements
 from orchestrator.config._slips import nameplate_doubts
-from orchestrator.presentation.quantities import quantity
+from orchestrator.formatting.quantities import quantity
 from orchestrator.stages import NOMINAL_SAMPLING_HZ
 from protocols import Capabilities, CapabilityError, Motor, Point, Strict
 

@@ -260,7 +260,7 @@ def _diagnosed(
     model, without, poll, tell, criteria = asked.model, asked.without, asked.poll, asked.tell, asked.criteria
     require_known(without, asked.effects)
     tell("does the recording keep its manifest's conventions?")
-    checked = check_recording(recording, (criteria or Criteria()).conventions, poll)
+    checked = check_recording(recording, poll)
     if checked.convention is not None:
         seconds = time.monotonic() - began
         report = convention_report(recording.manifest.name, checked.convention, criteria or Criteria(), seconds)

@@ -83,7 +83,7 @@ def open_for_refit(
     the nameplate's are the next.
     """
     tell("does the recording keep its manifest's conventions?")
-    checked = check_recording(recording, Criteria().conventions)
+    checked = check_recording(recording)
     tell("the recording's noise")
     setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(model), tell=tell), model)
     return replace(setup, remarks=(*checked.all_remarks, *setup.remarks))

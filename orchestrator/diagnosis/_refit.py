@@ -25,8 +25,8 @@ from orchestrator.diagnosis.selection.shares import rated_flux_wb, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.sentences import listed
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.sentences import listed
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
 from protocols import (
     AddReport,

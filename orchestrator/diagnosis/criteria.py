@@ -7,7 +7,6 @@ All other constants stand beside the code that uses them.
 from __future__ import annotations
 
 from orchestrator.experiment_design.criteria import DesignCriteria, RehearsalCriteria
-from orchestrator.recording_checks.criteria import ConventionCriteria
 from orchestrator.thresholds import threshold as _is
 from protocols import Strict
 
@@ -138,6 +137,5 @@ class Criteria(Strict):
     materiality: MaterialityCriteria = MaterialityCriteria()
     verdict: VerdictCriteria = VerdictCriteria()
     uncertainty: UncertaintyCriteria = UncertaintyCriteria()
-    conventions: ConventionCriteria = ConventionCriteria()
     design: DesignCriteria = DesignCriteria()
     rehearsal: RehearsalCriteria = RehearsalCriteria()

@@ -9,7 +9,7 @@ from typing import Protocol
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._remote import RemoteOperator
-from orchestrator.presentation.sentences import cut, visible
+from orchestrator.formatting.sentences import cut, visible
 from protocols import InputError, OperatorAnswered, OperatorAsked, RunAborted
 
 WORDS = "I have made the bench safe"

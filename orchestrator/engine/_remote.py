@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from orchestrator.engine._interrupts import Interrupts
-from orchestrator.presentation.sentences import shown
+from orchestrator.formatting.sentences import shown
 
 LONGEST_LINE = 1 << 16
 LOOK_S = 0.2

@@ -9,8 +9,8 @@ from tempfile import TemporaryDirectory
 from pydantic import ValidationError
 
 from orchestrator.estimation.flux_map_file import save_flux_map
+from orchestrator.formatting.sentences import visible
 from orchestrator.plain_files import read_bytes
-from orchestrator.presentation.sentences import visible
 from orchestrator.recording import replace_file
 from protocols import EstimationReport, FluxMap, RecordingError, StorageError
 

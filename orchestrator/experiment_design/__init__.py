@@ -1,1 +1,1 @@
-"""What to measure next: the stage that parts two effects, and how well it would, by the fitted model's prediction."""
+"""Design of experiments: the stage or procedure that separates effects, and how well, by the model's prediction."""

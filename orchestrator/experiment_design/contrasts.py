@@ -31,15 +31,15 @@ FEW_POINTS: tuple[tuple[float, float], ...] = ((0, 0), (0.5, 0), (0, 0.5), (-0.5
 AXIS_POINTS: tuple[tuple[float, float], ...] = ((-1, 0), (-0.5, 0), (0.5, 0), (0, 0.5), (0, 1))
 """Points, in parts of the current, that show the ripple along both axes."""
 SAMPLES_PER_PERIOD: float = 20.0
-"""Samples in a period of an injected wave, where there was none yet."""
+"""Samples in a period of an injected wave, where the recording has no injection."""
 
 Stage = dict[str, Any]
-"""Of a procedure, as it is written there."""
+"""A stage in a procedure's form."""
 
 
 @dataclass(frozen=True)
 class Bench:
-    """What stages are scaled from: the machine, the drive, and the injection that a recording shows.
+    """The quantities that stages are scaled from: of the machine, the drive, and a recording's injection.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class Bench:
         Peak.
     pwm_hz, sampling_hz : float
     injection_hz, injection_v : float
-        Of the injection there was, else of a likely one.
+        Of the recording's injection, else of a usual one.
     design : DesignCriteria
     """
 
@@ -60,7 +60,7 @@ class Bench:
 
     @classmethod
     def of(cls, setup: DiagnosisSetup) -> Bench:
-        """Of a recording."""
+        """The bench of a recording."""
         prepared, design = setup.prepared, setup.prepared.criteria.design
         fs = prepared.manifest.drive.sampling_frequency_hz
         frequency = fs / SAMPLES_PER_PERIOD
@@ -74,34 +74,34 @@ class Bench:
         return cls(setup.current_a, pwm, fs, frequency, volts, design)
 
     def holds(self, points: Iterable[tuple[float, float]], **more: Any) -> Stage:
-        """Direct currents held at points in parts of the current."""
-        asked = {"kind": "resistance", "points_a": self._points(points)}
-        return {**asked, "settle_s": SETTLE_S, "duration_s": HOLD_S, **more}
+        """A stage of direct currents held at points in parts of the current."""
+        stage = {"kind": "resistance", "points_a": self._points(points)}
+        return {**stage, "settle_s": SETTLE_S, "duration_s": HOLD_S, **more}
 
     def injections(self, points: Iterable[tuple[float, float]], frequency: float, *amplitudes: float) -> Stage:
-        """Ripple at points, a frequency and amplitudes in parts of the current and of the injection there was."""
+        """A stage of injections at points in parts of the current, relative to the bench's frequency and amplitude."""
         return {
             "kind": "injection",
             "points_a": self._points(points),
-            "amplitudes_v": [tidy(amplitude * self.injection_v) for amplitude in amplitudes],
+            "amplitudes_v": [round_for_people(amplitude * self.injection_v) for amplitude in amplitudes],
             "frequency_hz": frequency * self.injection_hz,
             "settle_s": SETTLE_S,
             "duration_s": INJECTION_S,
         }
 
     def _points(self, points: Iterable[tuple[float, float]]) -> list[list[float]]:
-        return [[tidy(d * self.current_a), tidy(q * self.current_a)] for d, q in points]
+        return [[round_for_people(d * self.current_a), round_for_people(q * self.current_a)] for d, q in points]
 
 
 def minutes(stage: Stage) -> float:
-    """How long a stage of the catalogue takes."""
+    """Duration of a stage of the catalogue [min]."""
     points = len(stage.get("points_a", [0]))
     repeated = len(stage.get("amplitudes_v", [0])) * len(stage.get("pwm_frequencies_hz", [0]))
     return float(points * repeated * (stage["duration_s"] + stage.get("settle_s", 0.0)) / 60.0)
 
 
-def tidy(value: float) -> float:
-    """Three digits, and no negative zero: a person reads these."""
+def round_for_people(value: float) -> float:
+    """The value with three digits, and without a negative zero."""
     return float(f"{value:.3g}") + 0.0 if abs(value) > 1e-9 else 0.0
 
 
@@ -121,7 +121,7 @@ def _ring(bench: Bench) -> list[Stage]:
 
 
 def _other_frequencies(bench: Bench) -> list[Stage]:
-    # Twice the frequency asks for twice the voltage to swing the flux as far, and for samples to see its edges.
+    # Twice the frequency takes twice the voltage for the same swing of the flux, and enough samples for its edges.
     few, faster = FEW_POINTS, 8.0 * bench.injection_hz <= bench.sampling_hz
     return [bench.injections(few, 0.5, 0.5), *([bench.injections(few, 2.0, 1.0)] if faster else [])]
 
@@ -138,5 +138,5 @@ STAGES: Mapping[Contrast, Callable[[Bench], list[Stage]]] = {
     Contrast.OPERATING_POINTS: lambda bench: [bench.injections(AXIS_POINTS, 1.0, 1.0)],
     Contrast.SECOND_ANGLE: lambda bench: [],
 }
-"""Stages that measure each contrast, each by itself, those that take little time first; none where an operator has to
-do more than a stage can ask for."""
+"""Stages that measure each contrast, each by itself, short ones first; none where an operator has to act in a way that
+no stage can request."""

@@ -7,14 +7,14 @@ from protocols import Strict
 
 
 class DesignCriteria(Strict):
-    """From when on a stage is proposed."""
+    """Thresholds for proposing a stage."""
 
     least_separation: float = threshold(25.0, "1", "theory")
     """chi2 that a stage has to be predicted to separate before it is worth an operator's time: five sigma."""
 
 
 class RehearsalCriteria(Strict):
-    """What a plan has to achieve, and how much of it is rehearsed before it is measured."""
+    """Thresholds for a plan, and the part of it that is rehearsed before it is measured."""
 
     rehearsed_samples: int = threshold(300_000, "1", "budget")
     """Samples of injection that are rehearsed; longer plans are thinned as long recordings are."""

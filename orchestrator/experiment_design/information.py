@@ -1,12 +1,12 @@
-"""What equations say of every effect of a library, in one normal matrix of all that is unknown; decides nothing.
+"""The information of a plan on every effect of a library, in one normal matrix of all unknowns; decides nothing.
 
-Unknown are R_s, the map's coefficients, and of each effect its amplitudes (the secant to its typical size, where it is
-not there) and its forms, shapes and refinements (the slope there, where it is as large as is typical). With prior
-precisions P on the diagonal, what is left of some columns when others follow is a Schur complement,
+Unknown are R_s, the map's coefficients, and of each effect its amplitudes (the secant from zero to its typical size)
+and its forms, shapes and refinements (the slope at its typical size). With prior precisions P on the diagonal, the
+information on parameters t when f are nuisance parameters is a Schur complement,
 
     M_t|f = N_tt - N_tf (N_ff + P_ff)^-1 N_ft
 
-An effect of another shape is another column, too far away for a slope; columns in several shapes span those between.
+A different shape of an effect is a column of its own, too far away for a slope; several columns span those between.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class EffectColumns:
-    """What the matrix has of an effect, and where.
+    """The columns of an effect in the normal matrix.
 
     Attributes
     ----------
     there : Active
-        At its typical size and shape.
+        The effect at its typical size and shape.
     shapes : tuple of Active
-        Absent, in its typical shape and in others.
+        The effect absent, in its typical shape and in others.
     amplitudes, forms, others : array of int
-        Places of its amplitudes and forms in the typical shape, and of its amplitudes in others.
+        Indices of its amplitudes and forms in the typical shape, and of its amplitudes in others.
     """
 
     there: Active
@@ -51,7 +51,7 @@ class EffectColumns:
 
     @classmethod
     def of(cls, candidate: Candidate, first: int, shapes: Sequence[float]) -> EffectColumns:
-        """With places from the `first` on; shapes at coordinates of their prior."""
+        """Columns from the index `first` on; shapes in standard deviations of their prior."""
         absent = candidate.absent()
         sizes = {n: candidate.named(n).typical for n in candidate.amplitudes}
         shape = candidate.of_role(ParameterRole.SHAPE)[:1]
@@ -84,7 +84,7 @@ _FORMS = (ParameterRole.SHAPE, ParameterRole.REFINEMENT)
 
 @dataclass(frozen=True)
 class Information:
-    """What a plan says of its unknowns.
+    """The information of a plan on its unknowns.
 
     Attributes
     ----------
@@ -92,11 +92,11 @@ class Information:
         Columns of R_s and the map.
     effects : dict of str to EffectColumns
     pieces : array, shape (pieces, n, n)
-        Normal matrix of each piece of a rehearsal, as often as it stands for its like.
+        Normal matrix of each piece of a rehearsal, times its weight.
     prior : array, shape (n, n)
-        Precisions: of the map's roughness, and one for each coordinate of an effect.
+        Precisions: of the map's roughness, and one for each standardised value of an effect.
     stages : tuple of int
-        Place in the plan of each piece's stage.
+        Index in the plan of each piece's stage.
     """
 
     machine: int
@@ -114,12 +114,12 @@ class Information:
         """Normal matrix of the whole plan, without the prior."""
         return np.asarray(self.pieces.sum(axis=0))
 
-    def left(self, normal: Array, effect: str, *others: Places) -> Array:
-        """Normal matrix of an effect's amplitudes, its shape typical, when R_s, the map and others follow them."""
+    def marginal(self, normal: Array, effect: str, *others: Places) -> Array:
+        """Normal matrix of an effect's amplitudes in its typical shape, with R_s, the map and others as nuisances."""
         target = self.effects[effect].amplitudes
-        follow = np.concatenate([np.arange(self.machine), *others])
-        inner = normal[np.ix_(follow, follow)] + self.prior[np.ix_(follow, follow)]
-        across = normal[np.ix_(follow, target)]
+        nuisance = np.concatenate([np.arange(self.machine), *others])
+        inner = normal[np.ix_(nuisance, nuisance)] + self.prior[np.ix_(nuisance, nuisance)]
+        across = normal[np.ix_(nuisance, target)]
         rest = normal[np.ix_(target, target)] - across.T @ np.linalg.solve(inner, across)
         return np.asarray(0.5 * (rest + rest.T))
 
@@ -127,7 +127,7 @@ class Information:
 def information(
     rehearsal: Rehearsal, library: Sequence[Candidate], of_stages: Collection[int] | None = None
 ) -> Information:
-    """All that a rehearsed plan, or some stages of it, say of a library's effects."""
+    """The information of a rehearsed plan, or of some of its stages, on a library's effects."""
     model, whole = rehearsal.model, rehearsal.setup.fitter
     use = [k for k, stage in enumerate(rehearsal.stages) if of_stages is None or stage in of_stages]
     prepared = replace(whole.prepared, pieces=tuple(whole.prepared.pieces[k] for k in use))
@@ -138,8 +138,8 @@ def information(
         effects[candidate.name] = columns = EffectColumns.of(candidate, end, ALTERNATIVE_SHAPES)
         end += len(columns.all)
     frame = fitter.frame(model)
-    made = {k: one for kept in frame.batches for k, one in batch_information(rehearsal, effects.values(), kept)}
-    pieces = [rehearsal.weights[at] * made[k] for k, at in enumerate(use)]
+    normals = {k: one for batch in frame.batches for k, one in batch_information(rehearsal, effects.values(), batch)}
+    pieces = [rehearsal.weights[at] * normals[k] for k, at in enumerate(use)]
     prior = np.eye(pieces[0].shape[0])
     prior[0, 0] = 0.0
     prior[1:machine, 1:machine] = model.space.prior.T @ model.space.prior
@@ -149,7 +149,7 @@ def information(
 def batch_information(
     rehearsal: Rehearsal, effects: Collection[EffectColumns], frame: BatchFrame
 ) -> Iterator[tuple[int, Array]]:
-    """Normal matrix of each segment of a batch, with its place among the rehearsed ones."""
+    """Normal matrix of each segment of a batch, with its index among the rehearsed ones."""
     model, equations = rehearsal.model, rehearsal.setup.fitter.equations
     amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.there.candidate.amplitudes]
     whole = equations.rows(equations.at(model, frame), amplitudes)

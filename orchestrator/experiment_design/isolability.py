@@ -1,12 +1,12 @@
-"""What a plan will tell, before it is measured: sizes from which effects are found, and told from each other.
+"""Isolability of a plan before it is measured: sizes from which effects are detected, and separated from each other.
 
-With M of an effect's amplitudes when R_s and the map follow (`information`), an effect s times as large as is typical,
-x, is found where its log evidence, 1/2 s^2 x'M(M + 1)^-1 M x - 1/2 log det(1 + M), reaches what a diagnosis asks for,
-and told from another where that one, in whatever shape, leaves chi2 of it:
+With M of an effect's amplitudes with R_s and the map as nuisances (`information`), an effect of s times its typical
+size x is detected where its log evidence, 1/2 s^2 x'M(M + 1)^-1 M x - 1/2 log det(1 + M), reaches the diagnosis'
+threshold. It is separated from another effect where that one, in whatever shape, leaves enough chi2 unexplained:
 
     s^2 x'M_a|b x  >=  five sigma
 
-Of two effects the one that is worse told decides: the matrix is symmetric.
+Of two effects the larger size decides: the matrix is symmetric.
 """
 
 from __future__ import annotations
@@ -26,33 +26,33 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Isolability:
-    """Sizes, as parts of what is typical of an effect; infinite where no size will do.
+    """Sizes, as parts of an effect's typical size; infinite where no size suffices.
 
     Attributes
     ----------
     names : tuple of str
-    found : dict of str to float
-        From which an effect is found where it is alone, ...
+    detection : dict of str to float
+        Size from which an effect is detected where it is alone.
     among_all : dict of str to float
-        ... and where every other effect may be there as well.
-    parted : dict of (str, str) to float
-        From which two effects are told apart, the pair in the order of `names`.
+        Size from which it is detected where every other effect may be present as well.
+    separation : dict of (str, str) to float
+        Size from which two effects are separated, the pair in the order of `names`.
     """
 
     names: tuple[str, ...]
-    found: dict[str, float]
+    detection: dict[str, float]
     among_all: dict[str, float]
-    parted: dict[tuple[str, str], float]
+    separation: dict[tuple[str, str], float]
 
     def beyond(self, size: float) -> list[tuple[str, ...]]:
-        """Effects (a,) that are not found at a size, and pairs (a, b) of found ones that are not told apart."""
-        lost = [name for name in self.names if self.found[name] > size]
-        seen = (p for p, s in self.parted.items() if s > size and not set(p) & set(lost))
-        return [*((name,) for name in lost), *seen]
+        """Effects (a,) that are not detected at a size, and pairs (a, b) of detected ones that are not separated."""
+        undetected = [name for name in self.names if self.detection[name] > size]
+        pairs = (p for p, s in self.separation.items() if s > size and not set(p) & set(undetected))
+        return [*((name,) for name in undetected), *pairs]
 
 
 def isolability(known: Information, normal: Array, criteria: Criteria) -> Isolability:
-    """Of all that `normal` was summed over.
+    """Isolability by the pieces that `normal` is the sum of.
 
     Parameters
     ----------
@@ -60,39 +60,40 @@ def isolability(known: Information, normal: Array, criteria: Criteria) -> Isolab
         Without the prior.
     """
     names = tuple(known.effects)
-    found = {name: found_from(known, normal, name, (), criteria) for name in names}
-    told = {(a, b): told_from(known, normal, a, b, criteria) for a in names for b in names if a != b}
+    detection = {name: detection_size(known, normal, name, (), criteria) for name in names}
+    one_way = {(a, b): separation_size(known, normal, a, b, criteria) for a in names for b in names if a != b}
     among = {}
     for name in names:
         others = [other for other in names if other != name]
-        all_there = found_from(known, normal, name, others, criteria)
-        among[name] = max(all_there, *(told[name, other] for other in others)) if others else all_there
-    return Isolability(names, found, among, {(a, b): max(told[a, b], told[b, a]) for a, b in combinations(names, 2)})
+        with_all = detection_size(known, normal, name, others, criteria)
+        among[name] = max(with_all, *(one_way[name, other] for other in others)) if others else with_all
+    separation = {(a, b): max(one_way[a, b], one_way[b, a]) for a, b in combinations(names, 2)}
+    return Isolability(names, detection, among, separation)
 
 
-def answer(known: Information, normal: Array, question: Sequence[str], criteria: Criteria) -> float:
-    """Size from which an effect (a,) is found, or a pair (a, b) told apart."""
+def required_size(known: Information, normal: Array, question: Sequence[str], criteria: Criteria) -> float:
+    """Size from which an effect (a,) is detected, or a pair (a, b) separated."""
     if len(question) == 1:
-        return found_from(known, normal, question[0], (), criteria)
+        return detection_size(known, normal, question[0], (), criteria)
     a, b = question
-    return max(told_from(known, normal, a, b, criteria), told_from(known, normal, b, a, criteria))
+    return max(separation_size(known, normal, a, b, criteria), separation_size(known, normal, b, a, criteria))
 
 
-def found_from(known: Information, normal: Array, name: str, others: Sequence[str], criteria: Criteria) -> float:
-    """Size from which an effect is worth its log evidence, other effects following as large as is typical of them."""
-    left = known.left(normal, name, *(known.effects[other].in_typical_shape for other in others))
+def detection_size(known: Information, normal: Array, name: str, others: Sequence[str], criteria: Criteria) -> float:
+    """Size from which an effect reaches the log evidence, with other effects of typical size as nuisances."""
+    m = known.marginal(normal, name, *(known.effects[other].in_typical_shape for other in others))
     x, limits = known.effects[name].typical, criteria.selection
-    gain = float(x @ left @ np.linalg.solve(left + np.eye(len(x)), left @ x))
-    asked = 2.0 * limits.log_evidence + float(np.linalg.slogdet(left + np.eye(len(x)))[1])
-    return max(LEAST_EFFECT_SIZE, _size(asked, gain))
+    gain = float(x @ m @ np.linalg.solve(m + np.eye(len(x)), m @ x))
+    threshold = 2.0 * limits.log_evidence + float(np.linalg.slogdet(m + np.eye(len(x)))[1])
+    return max(LEAST_EFFECT_SIZE, _size(threshold, gain))
 
 
-def told_from(known: Information, normal: Array, name: str, other: str, criteria: Criteria) -> float:
-    """Size from which an effect is told from another one that stands in for it, in whatever shape does it best."""
-    x, left = known.effects[name].typical, known.left(normal, name, known.effects[other].all)
-    return max(LEAST_EFFECT_SIZE, _size(criteria.design.least_separation, float(x @ left @ x)))
+def separation_size(known: Information, normal: Array, name: str, other: str, criteria: Criteria) -> float:
+    """Size from which an effect is separated from another one that imitates it, in the shape that does so best."""
+    x, m = known.effects[name].typical, known.marginal(normal, name, known.effects[other].all)
+    return max(LEAST_EFFECT_SIZE, _size(criteria.design.least_separation, float(x @ m @ x)))
 
 
-def _size(asked: float, of_typical: float) -> float:
-    """Where a square law that is `of_typical` at one reaches what is asked."""
-    return math.sqrt(asked / of_typical) if of_typical > 1e-6 * asked else math.inf
+def _size(threshold: float, at_one: float) -> float:
+    """Argument at which a square law of value `at_one` at one reaches the threshold; infinite if at none."""
+    return math.sqrt(threshold / at_one) if at_one > 1e-6 * threshold else math.inf

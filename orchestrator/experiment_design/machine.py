@@ -1,4 +1,4 @@
-"""What a plan is rehearsed on: the currents that an excitation asks for, and the voltages that they take."""
+"""The machine that a plan is rehearsed on: currents of an excitation, and the voltages that they take."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from protocols import Excitation, GatesOff, Hold, Motor, ProcedureError, Spin, T
 
 @dataclass(frozen=True)
 class Machine:
-    """What a plan is rehearsed on.
+    """The machine that a plan is rehearsed on.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Machine:
 
     @classmethod
     def of(cls, motor: Motor, procedure: str) -> Machine:
-        """By its nameplate; raises `ProcedureError` where that lacks resistance or inductance."""
+        """The machine of a nameplate; raises `ProcedureError` where that lacks resistance or inductance."""
         for name in ("stator_resistance_ohm", "d_inductance_h"):
             if getattr(motor, name) is None:
                 raise ProcedureError(procedure, f"motor.{name}", "missing: a plan is rehearsed by it")
@@ -45,18 +45,18 @@ class Machine:
         return np.asarray(i_dq * np.array([l_d, self.motor.q_inductance_h or l_d]))
 
     def ripple(self, i_dq: Array, swing_wb: Array) -> Array:
-        """The current (n, 2) that swings the flux by so much (n, 2) about an operating point (2,)."""
+        """The current (n, 2) that swings the flux by `swing_wb` (n, 2) about an operating point (2,)."""
         step = 1e-3 * max(float(np.abs(i_dq).max()), self.motor.rated_current_a or 1.0)
         ahead, behind = (self.flux(i_dq + side * step * np.eye(2)) for side in (0.5, -0.5))
         return np.asarray(i_dq + swing_wb @ np.linalg.inv((ahead - behind) / step))
 
     def voltage(self, i_dq: Array, fs: float) -> Array:
-        """What takes a current (n + 1, 2) from each sample to the next, shape (n, 2) [V]."""
+        """Voltage (n, 2) that takes a current (n + 1, 2) from each sample to the next [V]."""
         return np.asarray(0.5 * self.r_s * (i_dq[1:] + i_dq[:-1]) + np.diff(self.flux(i_dq), axis=0) * fs)
 
 
 def current_of(excitation: Excitation, machine: Machine, t: Array) -> Array:
-    """The current that an excitation asks for at times t (n,), in the believed rotor frame, shape (n, 2) [A]."""
+    """The current of an excitation at times t (n,), in the manifest's rotor frame, shape (n, 2) [A]."""
     i_dq = np.tile(np.array(excitation.start_dq_a), (len(t), 1))
     if isinstance(excitation, Hold | GatesOff | Spin):
         return i_dq
@@ -78,7 +78,7 @@ def current_of(excitation: Excitation, machine: Machine, t: Array) -> Array:
 
 
 def _triangles(e: VoltageSteps, machine: Machine, t: Array) -> Array:
-    """The current of steps of voltage, as a motor that does not saturate has it, shape (n, 2) [A]."""
+    """The current of steps of voltage in a motor that does not saturate, shape (n, 2) [A]."""
     out = np.zeros((len(t), 2))
     for axis, (volts, turn_a) in enumerate(((e.voltage_d_v, e.turn_d_a), (e.voltage_q_v, e.turn_q_a))):
         if volts:

@@ -1,4 +1,4 @@
-"""The answer to what a plan will be able to tell, in an engineer's units, and what to add to it. Decides nothing."""
+"""A report on the effects that a plan will detect and separate, in an engineer's units, and on stages to add."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from protocols import Capabilities, Contrast, Effect, Strict
 
 
 class EffectOutlook(Strict):
-    """How well one effect will be seen. Sizes are parts of the typical one; None: no size will do."""
+    """Detection of one effect. Sizes are parts of the typical one; None: no size suffices."""
 
     name: str
     parameter: str
-    """The first of its amplitudes, ..."""
+    """The first of its amplitudes."""
     unit: str
     typical: float
-    """... its typical value for this machine, ..."""
+    """That parameter's typical value for this machine."""
     least: float | None
-    """... and the one from which it is found."""
+    """Its value from which the effect is detected."""
     found_from: float | None
-    """Size, where it is alone."""
+    """Size from which the effect is detected, where it is alone."""
     among_all_from: float | None
-    """Size, where every other effect may be there as well."""
+    """Size from which it is detected, where every other effect may be present as well."""
 
 
 class PairOutlook(Strict):
-    """How well two effects will be told apart."""
+    """Separation of two effects."""
 
     effects: tuple[str, str]
     parted_from: float | None
-    """Size, as a part of what is typical; of the one that is told worse. None: no size will do."""
+    """Size from which both are separated, as a part of the typical one. None: no size suffices."""
 
 
 class AdditionOutlook(Strict):
@@ -56,30 +56,30 @@ class AdditionOutlook(Strict):
     stage: dict[str, Any]
     minutes: float
     settles: tuple[tuple[str, ...], ...]
-    """Effects that are found with it, and pairs that are told apart, at their typical size."""
+    """Effects that it makes detectable, and pairs that it separates, at their typical size."""
 
 
 class OpenOutlook(Strict):
-    """An effect that is not found at its typical size, or a pair that is not told apart, whatever stage is added."""
+    """An effect not detected at its typical size, or a pair not separated, whatever stage is added."""
 
     effects: tuple[str, ...]
     needs: tuple[str, ...]
-    """Contrasts that the plan lacks and that both say they need."""
+    """Contrasts that both effects declare as needed and that the plan lacks."""
 
 
 class IsolabilityReport(Strict):
-    """What a plan will be able to tell, before it is measured."""
+    """Isolability of a plan's effects, before it is measured."""
 
     procedure: str
     noise_a: float
-    """Standard deviation of a phase current's reading that it was rehearsed with."""
+    """Standard deviation of a phase current's reading in the rehearsal."""
     effects: tuple[EffectOutlook, ...]
     pairs: tuple[PairOutlook, ...]
     additions: tuple[AdditionOutlook, ...]
     open: tuple[OpenOutlook, ...]
 
     def parted_from(self, first: str, second: str) -> float | None:
-        """Of a pair, in either order."""
+        """Size from which a pair, in either order, is separated."""
         return next(p.parted_from for p in self.pairs if {first, second} == set(p.effects))
 
 
@@ -92,7 +92,7 @@ def outlook(
     noise_a: float | None = None,
     criteria: Criteria | None = None,
 ) -> IsolabilityReport:
-    """Rehearse a plan, and say which effects it will find and tell apart.
+    """Rehearse a plan, and report the effects that it will detect and separate.
 
     Parameters
     ----------
@@ -107,29 +107,29 @@ def outlook(
     Raises
     ------
     InputError
-        Where the plan holds nothing that can be diagnosed, or an effect cannot be fitted.
+        Where nothing in the plan can be diagnosed, or an effect cannot be fitted.
     """
     criteria = criteria or Criteria()
     rehearsal = rehearse(plan, drive, machine, noise_a, criteria)
     every = scaled_library(effects, rehearsal.setup.prepared.manifest)
     library = those_that_can_show(every, [p.signals for p in rehearsal.setup.prepared.pieces])
     known = information(rehearsal, library)
-    told = isolability(known, known.total, criteria)
-    more = additions(rehearsal, drive, machine, library, known, told)
+    result = isolability(known, known.total, criteria)
+    more = additions(rehearsal, drive, machine, library, known, result)
     settled = {question for addition in more for question in addition.settles}
-    left = [question for question in told.beyond(criteria.rehearsal.parted_size) if question not in settled]
+    unsettled = [question for question in result.beyond(criteria.rehearsal.parted_size) if question not in settled]
     return IsolabilityReport(
         procedure=plan.procedure.name,
         noise_a=rehearsal.noise_a,
-        effects=tuple(_outlook_of(candidate, told) for candidate in library),
-        pairs=tuple(PairOutlook(effects=pair, parted_from=_known(size)) for pair, size in told.parted.items()),
+        effects=tuple(_outlook_of(candidate, result) for candidate in library),
+        pairs=tuple(PairOutlook(effects=pair, parted_from=_finite(size)) for pair, size in result.separation.items()),
         additions=tuple(AdditionOutlook(stage=a.stage, minutes=a.minutes, settles=a.settles) for a in more),
-        open=tuple(OpenOutlook(effects=q, needs=_needs(rehearsal, library, q)) for q in left),
+        open=tuple(OpenOutlook(effects=q, needs=_needs(rehearsal, library, q)) for q in unsettled),
     )
 
 
-def _outlook_of(candidate: Candidate, told: Isolability) -> EffectOutlook:
-    p, size = candidate.named(candidate.amplitudes[0]), told.found[candidate.name]
+def _outlook_of(candidate: Candidate, result: Isolability) -> EffectOutlook:
+    p, size = candidate.named(candidate.amplitudes[0]), result.detection[candidate.name]
     least = value_at(p, size * typical_coordinate(p)) if math.isfinite(size) else None
     return EffectOutlook(
         name=candidate.name,
@@ -137,17 +137,17 @@ def _outlook_of(candidate: Candidate, told: Isolability) -> EffectOutlook:
         unit=p.unit,
         typical=p.typical,
         least=least,
-        found_from=_known(size),
-        among_all_from=_known(told.among_all[candidate.name]),
+        found_from=_finite(size),
+        among_all_from=_finite(result.among_all[candidate.name]),
     )
 
 
-def _known(size: float) -> float | None:
+def _finite(size: float) -> float | None:
     return size if math.isfinite(size) else None
 
 
 def _needs(rehearsal: Rehearsal, library: Sequence[Candidate], question: tuple[str, ...]) -> tuple[str, ...]:
-    """What they say themselves that it takes, where this plan has none of it."""
+    """The contrasts that the effects declare as needed and that this plan lacks."""
     effects = [candidate.effect for candidate in library if candidate.name in question]
     wanted: tuple[Contrast, ...] = parted_by(effects[0], effects[-1])
     return tuple(CONTRASTS[c].text for c in wanted if not holds(rehearsal.setup.prepared, c))

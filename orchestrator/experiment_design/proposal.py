@@ -1,8 +1,8 @@
-"""Which experiment tells two effects apart, as a stage that a procedure takes as it is; measures nothing.
+"""The experiment that separates two effects, as a stage for a procedure; measures nothing.
 
-Every stage of the catalogue of contrasts is judged by what the fitted model predicts that it would separate, in chi2 a
-minute: for any two effects alike, whoever wrote them. Where that is little for all of them, the contrast that both
-effects say they need has the word.
+Every stage of the catalogue of contrasts is rated by the separation that the fitted model predicts, in chi2 per minute,
+for built-in and third-party effects alike. Where no stage separates enough, the contrast that both effects declare as
+needed decides.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from orchestrator.diagnosis.selection.contrasts import holds
 from orchestrator.diagnosis.selection.identifiability import parted_by
 from orchestrator.diagnosis.selection.scoring import linear_view, score
 from orchestrator.experiment_design.contrasts import STAGES, Bench, Stage, minutes
-from orchestrator.experiment_design.separation import rivals, separation
+from orchestrator.experiment_design.separation import confounded_pair, separation
 from protocols import NextExperiment
 
 
 def next_experiment(
     setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate], first: str, second: str
 ) -> NextExperiment | None:
-    """The experiment for a pair of effects; None where no stage of a procedure can part them.
+    """The experiment for a pair of effects; None where no stage of a procedure can separate them.
 
     Parameters
     ----------
     setup : DiagnosisSetup
     fit : Fit
-        The model, with the first effect in it or not.
+        A fit, with or without the first effect.
     library : sequence of Candidate
-        Holds both.
+        Contains both effects.
     first, second : str
         Names of the effects.
     """
@@ -45,13 +45,13 @@ def next_experiment(
 
 
 def catalogue(setup: DiagnosisSetup) -> list[Stage]:
-    """What can be measured on any drive that has measured the recording, cheap stages first."""
+    """Stages that the drive of the recording can measure, short ones first."""
     bench = Bench.of(setup)
     return [stage for stages in STAGES.values() for stage in stages(bench)]
 
 
 def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Active:
-    """An effect that is not in the model, as large as it would be there to first order."""
+    """An effect that is not in the model, with the amplitude that it would have there to first order."""
     active = candidate.absent()
     estimate = score(linear_view(setup.fitter, fit, [candidate]))[0]
     for name, x in zip(candidate.amplitudes, estimate.coordinates, strict=True):
@@ -60,17 +60,17 @@ def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Active:
 
 
 def _predicted(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> Stage | None:
-    """The stage of most separation a minute; None where none is predicted to be worth it."""
-    pair = rivals(setup, fit, first, second)
+    """The stage of most separation per minute; None where none separates enough."""
+    pair = confounded_pair(setup, fit, first, second)
     if pair is None:
         return None
     gains = [(separation(setup, pair, stage), stage) for stage in catalogue(setup)]
     least = setup.prepared.criteria.design.least_separation
-    worth = [(gain / minutes(stage), stage) for gain, stage in gains if math.isfinite(gain) and gain > least]
-    return max(worth, key=lambda item: item[0])[1] if worth else None
+    sufficient = [(gain / minutes(stage), stage) for gain, stage in gains if math.isfinite(gain) and gain > least]
+    return max(sufficient, key=lambda item: item[0])[1] if sufficient else None
 
 
 def _needed(setup: DiagnosisSetup, first: Candidate, second: Candidate) -> Stage | None:
-    """The first stage of what both effects need and the recording lacks."""
+    """The first stage for a contrast that both effects need and the recording lacks."""
     lacking = [c for c in parted_by(first.effect, second.effect) if not holds(setup.prepared, c)]
     return next((stage for contrast in lacking for stage in STAGES[contrast](Bench.of(setup))), None)

@@ -1,9 +1,9 @@
-"""A plan rehearsed: the currents that it asks for, and the voltages that a model of the machine takes for them.
+"""A plan's rehearsal: its currents, and the voltages that they take in a model of the machine.
 
     v_k = R_s (i_k + i_k+1) / 2 + (psi(i_k+1) - psi(i_k)) / Ts
 
-There is no noise in these signals and no effect. They are cut into equations as a recording's are; what the
-sensors' noise would make of them is in their covariance.
+These signals contain neither noise nor effects. They are cut into equations like a recording's; the sensors' noise
+enters through the equations' covariance.
 """
 
 from __future__ import annotations
@@ -49,16 +49,16 @@ from protocols import (
 )
 
 NOISE_OF_RATED_CURRENT: float = 0.002
-"""Noise of a reading over the rated current, where it is not given: a step of a 12-bit converter of four times it."""
+"""Default noise of a reading over the rated current: the step of a 12-bit converter with four times its range."""
 REHEARSED_HOLD_S: float = 2.0
-"""Part of a hold that is rehearsed [s]; the rest of it is the same."""
+"""Part of a hold that is rehearsed [s]; the rest is identical."""
 
 
 @dataclass(frozen=True)
 class RehearsedRecording:
-    """A plan as the recording that it would leave: a `RecordingReader` that makes waveforms when it is asked for them.
+    """A plan's recording in advance: a `RecordingReader` that computes waveforms when they are loaded.
 
-    Of what repeats itself, periods, turns and holds, only the beginning is made, and turns are short ones.
+    Of repeated periods, turns and holds only the beginning is computed, and turns are short.
     """
 
     manifest: Manifest
@@ -72,7 +72,7 @@ class RehearsedRecording:
     def load(self, segment: Segment) -> Capture:
         fs = self.manifest.drive.sampling_frequency_hz
         excitation = self.excitations[segment.id]
-        samples = self._made(excitation, segment.samples, fs)
+        samples = self._samples(excitation, segment.samples, fs)
         i_dq = current_of(excitation, self.machine, np.arange(samples + 1) / fs)
         off = isinstance(excitation, GatesOff)
         v_dq = np.zeros((samples, 2)) if off else self.machine.voltage(i_dq, fs)
@@ -85,7 +85,7 @@ class RehearsedRecording:
             v_dc=np.full(samples, self.manifest.drive.dc_bus_voltage_v),
         )
 
-    def _made(self, excitation: Excitation, samples: int, fs: float) -> int:
+    def _samples(self, excitation: Excitation, samples: int, fs: float) -> int:
         if isinstance(excitation, Trapezoid):
             return min(samples, round(excitation.period_s * fs) + 1)
         if isinstance(excitation, Injection):
@@ -102,11 +102,11 @@ class Rehearsal:
     ----------
     plan : Plan
     setup : DiagnosisSetup
-        As of a recording of it.
+        Like that of a recording of the plan.
     model : Model
-        The machine, with a free map about it and without effects.
+        The machine, with a free map and without effects.
     weights : tuple of float
-        How often each piece stands for its like; 0 where it is held out of fits.
+        Number of segments that each piece represents; 0 where it is held out of fits.
     noise_a : float
         Standard deviation of a phase current's reading.
     """
@@ -119,7 +119,7 @@ class Rehearsal:
 
     @property
     def stages(self) -> list[int]:
-        """Place in the plan of each piece's stage."""
+        """Index in the plan of each piece's stage."""
         index = {point.id: point.stage_index for point in self.plan.points}
         return [index[piece.segment.id] for piece in self.setup.prepared.pieces]
 
@@ -127,7 +127,7 @@ class Rehearsal:
 def rehearse(
     plan: Plan, drive: Capabilities, machine: Machine, noise_a: float | None = None, criteria: Criteria | None = None
 ) -> Rehearsal:
-    """Make a plan's equations.
+    """A plan's equations.
 
     Parameters
     ----------
@@ -157,8 +157,8 @@ def rehearse(
     return Rehearsal(plan, setup, replace(model, r_s=machine.r_s), _weights(plan, setup), noise_a)
 
 
-def as_measured(nameplate: Machine, plan: Plan, drive: Capabilities, model: FluxMap | MotorModel | str) -> Machine:
-    """A machine whose flux map is known already, and with a whole model R_s too.
+def machine_of(nameplate: Machine, plan: Plan, drive: Capabilities, model: FluxMap | MotorModel | str) -> Machine:
+    """A machine with a known flux map, and with the R_s of a complete motor model.
 
     Raises
     ------
@@ -203,7 +203,7 @@ def _recording(plan: Plan, drive: Capabilities, machine: Machine, criteria: Crit
 
 
 def _with_short_turns(excitation: Excitation) -> Excitation:
-    """An injection that turns as fast as its windows allow: in the same time it tells the same, turn by turn."""
+    """An injection that turns as fast as its windows allow: its information per time stays the same."""
     if not isinstance(excitation, Injection) or not excitation.rotation_hz:
         return excitation
     periods = TEST_FUNCTIONS_PER_TURN * LEAST_PERIODS_PER_TEST_FUNCTION
@@ -224,15 +224,15 @@ def _segment(point: PlannedPoint, excitation: Excitation, start_s: float, fs: fl
 
 
 def _weights(plan: Plan, setup: DiagnosisSetup) -> tuple[float, ...]:
-    """The time that a stage would capture, over that of its pieces that were rehearsed."""
+    """Captured time of a stage over the time of its rehearsed pieces, for each piece."""
     stage_of = {point.id: point.stage_index for point in plan.points}
-    captured, made = defaultdict[int, float](float), defaultdict[int, float](float)
+    captured, rehearsed = defaultdict[int, float](float), defaultdict[int, float](float)
     for point in plan.points:
         captured[point.stage_index] += 0.0 if point.spare else point.captured_s
     for piece in setup.prepared.pieces:
         s = piece.signals
-        made[stage_of[piece.segment.id]] += len(s.v_dc) / s.sampling_frequency_hz
+        rehearsed[stage_of[piece.segment.id]] += len(s.v_dc) / s.sampling_frequency_hz
     return tuple(
-        0.0 if piece.held_out else captured[stage_of[piece.segment.id]] / made[stage_of[piece.segment.id]]
+        0.0 if piece.held_out else captured[stage_of[piece.segment.id]] / rehearsed[stage_of[piece.segment.id]]
         for piece in setup.prepared.pieces
     )

@@ -1,12 +1,12 @@
-"""What a stage that nobody has measured yet would tell of two effects: predicted by the fitted model, decides nothing.
+"""The separation of two effects by a stage before it is measured, as the fitted model predicts it; decides nothing.
 
-One effect, as it was fitted, makes an error a in the whitened equations of a stage; its rival is refitted to that,
-together with R_s, the map and everything else that is free, to first order. What it cannot imitate is the separation,
+The fitted effect causes an error a in the whitened equations of a stage. The other effect is refitted to that error,
+together with R_s, the map and all other free parameters, to first order. The remainder is the separation,
 
     chi2 = min over x of |a - W x|^2 + priors,
 
-of what there is and of what there would be with the stage. Currents of the stage are taken as given: steady, or the
-ripple that the map's inductance makes of the injected voltage. Sensor noise is the recording's.
+without and with the stage. The currents of the stage are given: steady, or the ripple that the map's inductance and
+the injected voltage determine. Sensor noise is the recording's.
 """
 
 from __future__ import annotations
@@ -31,29 +31,29 @@ from orchestrator.numerics.types import Array
 from protocols import Injection, LossHistory, ParameterRole, Segment, SegmentStage, Signals
 
 MAX_SEGMENTS: int = 36
-"""Segments of the recording, evenly spread, that predict: present knowledge is not needed to the last digit."""
+"""Segments of the recording, evenly spread, that enter a prediction: it needs no more precision."""
 PLANNED_HOLD_S: float = 0.2
-"""Length of a predicted hold [s]: a part stands for the whole of what stays the same."""
+"""Length of a predicted hold [s]: the remainder is identical."""
 PLANNED_TURN_S: float = 0.1
 """Length of a predicted turn of an injected direction [s]."""
 
 
 @dataclass(frozen=True)
-class Rivals:
-    """Two effects that do equally well in a recording.
+class ConfoundedPair:
+    """Two effects that explain a recording equally well.
 
     Attributes
     ----------
     model : Model
-        With the second in the place of the first, as strong as it takes to imitate it.
+        With the second effect in place of the first, at the amplitude that imitates it.
     absent : Active
-        The first, its amplitudes neutral and its shape as fitted.
+        The first effect, its amplitudes neutral and its shape as fitted.
     coordinates : array
-        Of the first's amplitudes.
+        Standardised values of the first effect's amplitudes.
     known : array
         Normal matrix of all columns over the recording.
     answering : dict
-        Of columns of the recording's fit, the effects that answer to them; of others all are asked.
+        The effects that respond to each column of the recording's fit; to other columns all respond.
     """
 
     model: Model
@@ -62,27 +62,27 @@ class Rivals:
     known: Array
     answering: Mapping[ColumnName, frozenset[str]]
 
-    def asked_of(self, columns: Sequence[tuple[Active, str]]) -> list[frozenset[str] | None]:
-        """The effects that are asked of each column; None for all."""
+    def responding(self, columns: Sequence[tuple[Active, str]]) -> list[frozenset[str] | None]:
+        """The effects that respond to each column; None for all."""
         return [self.answering.get((active.name, name)) for active, name in columns]
 
 
-def rivals(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> Rivals | None:
-    """Two effects made comparable, the first as it is given; None where the second cannot imitate it.
+def confounded_pair(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> ConfoundedPair | None:
+    """The first effect and the second one fitted to imitate it; None where it cannot.
 
-    In the model the first may be, but the second is not to be.
+    The model may contain the first effect, but not the second.
     """
     model = fit.model
     if second.name in model.names:
         return None
-    # The second takes the first's place, and may answer as the first did.
+    # The second takes the first's place, and may respond where the first did.
     answering = {column: effects | {second.name} for column, effects in fit.answers.of.items()}
     neutral = {n: first.candidate.named(n).neutral for n in first.candidate.amplitudes}
     absent = Active(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
     coordinates = np.array([first.coordinate(n) for n in first.candidate.amplitudes])
     others = model.with_active([a for a in model.active if a.name != first.name])
     fitter = _part_of(setup)
-    trial = Rivals(others, absent, coordinates, np.zeros((0, 0)), answering)
+    trial = ConfoundedPair(others, absent, coordinates, np.zeros((0, 0)), answering)
     rival = second.absent()
     normal = _normal(fitter, trial, fitter.prepared.pieces, [(rival, n) for n in second.amplitudes])
     amplitudes = _imitation(normal, len(coordinates), len(second.amplitudes), coordinates)
@@ -95,12 +95,12 @@ def rivals(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) ->
     return replace(both, known=_normal(fitter, both, fitter.prepared.pieces))
 
 
-def separation(setup: DiagnosisSetup, pair: Rivals, stage: dict[str, Any]) -> float:
-    """By how much chi2 between the two grows when the stage is measured."""
+def separation(setup: DiagnosisSetup, pair: ConfoundedPair, stage: dict[str, Any]) -> float:
+    """Growth of chi2 between the two effects when the stage is measured."""
     more = np.zeros_like(pair.known)
     for piece, weight in planned_pieces(setup, pair.model, stage):
         more += weight * _normal(setup.fitter, pair, [piece], with_prior=False)
-    return _left(pair.known + more, pair.coordinates) - _left(pair.known, pair.coordinates)
+    return _remaining_chi2(pair.known + more, pair.coordinates) - _remaining_chi2(pair.known, pair.coordinates)
 
 
 def _part_of(setup: DiagnosisSetup) -> Fitter:
@@ -112,23 +112,23 @@ def _part_of(setup: DiagnosisSetup) -> Fitter:
 
 def _normal(
     fitter: Fitter,
-    pair: Rivals,
+    pair: ConfoundedPair,
     pieces: Sequence[SegmentSignals],
     more: Sequence[tuple[Active, str]] = (),
     *,
     with_prior: bool = True,
 ) -> Array:
-    """W^T W of R_s, the map, what is free in the model, `more`, and the first effect's amplitudes, which come last."""
+    """W^T W of R_s, the map, the model's free parameters, `more`, and last the first effect's amplitudes."""
     space, model = pair.model.space, pair.model
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
-    asked = pair.asked_of(wanted)
+    responding = pair.responding(wanted)
     equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb, fitter.prepared.criteria)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
     for batch in in_batches(pieces)[1]:
         state = equations.renewed(model, batch, None)
-        for made, kept in zip(equations.rows(state, wanted, asked), state.frame.pieces, strict=True):
-            rows = np.column_stack([made.white[:, 1], kept.white_basis, made.white[:, 2:]])
+        for rows_of, kept in zip(equations.rows(state, wanted, responding), state.frame.pieces, strict=True):
+            rows = np.column_stack([rows_of.white[:, 1], kept.white_basis, rows_of.white[:, 2:]])
             total += rows.T @ rows
     if with_prior:
         total[1:width, 1:width] += space.prior.T @ space.prior
@@ -138,12 +138,12 @@ def _normal(
 
 
 def _imitation(normal: Array, imitated: int, rival: int, coordinates: Array) -> Array:
-    """The rival's amplitudes that come nearest to the first effect."""
+    """The second effect's amplitudes that come nearest to the first effect."""
     inner, across = normal[:-imitated, :-imitated], normal[:-imitated, -imitated:]
     return np.asarray(np.linalg.solve(inner, across @ coordinates)[-rival:])
 
 
-def _left(normal: Array, coordinates: Array) -> float:
+def _remaining_chi2(normal: Array, coordinates: Array) -> float:
     imitated = len(coordinates)
     inner, across = normal[:-imitated, :-imitated], normal[:-imitated, -imitated:]
     rest = normal[-imitated:, -imitated:] - across.T @ np.linalg.solve(inner, across)
@@ -151,7 +151,7 @@ def _left(normal: Array, coordinates: Array) -> float:
 
 
 def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -> list[tuple[SegmentSignals, float]]:
-    """The segments that a stage would make, and how often each stands for its like."""
+    """The segments of a stage, each with the number of segments that it represents."""
     kind, lasting = SegmentStage(stage["kind"]), float(stage["duration_s"])
     fs = setup.prepared.manifest.drive.sampling_frequency_hz
     still = np.zeros((round(PLANNED_HOLD_S * fs), 2))
@@ -171,7 +171,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
         else:
             f, turn_s = stage["frequency_hz"], PLANNED_TURN_S
             for volts in stage["amplitudes_v"]:
-                asked = Injection(
+                injection = Injection(
                     target_d_a=point[0],
                     target_q_a=point[1],
                     settle_s=1.0,
@@ -180,7 +180,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
                     frequency_hz=f,
                     rotation_hz=1.0 / turn_s,
                 )
-                swinging = current_of(asked, machine, np.arange(round(turn_s * fs) + 1) / fs)
+                swinging = current_of(injection, machine, np.arange(round(turn_s * fs) + 1) / fs)
                 current, voltage = swinging[:-1], machine.voltage(swinging, fs)
                 settings = {"frequency_hz": f, "rotation_hz": 1.0 / turn_s, "amplitude_v": volts}
                 planned.append((_piece(setup, model, kind, settings, current, voltage, lasting), lasting / turn_s))
@@ -196,9 +196,9 @@ def _piece(
     voltage: Array,
     lasting_s: float,
 ) -> SegmentSignals | None:
-    """A segment after the last one of the recording, in the frame of that one, as it is in the middle of its time.
+    """A segment after the last one of the recording, in that one's frame, with the heat of the middle of its time.
 
-    None where there are too few readings in it to tell anything.
+    None where it has too few readings for a window.
     """
     last = setup.prepared.pieces[-1]
     s, angle = last.signals, last.segment.rotor_angle_rad
@@ -223,7 +223,7 @@ def _piece(
         resistance_ohm=np.ones(n),
         i_m_ab=i_ab,
         heat_j=np.full(n, float(s.heat_j[-1]) + 0.5 * lasting_s * power),
-        losses=s.losses and _lasting(s.losses, end, lasting_s, power),
+        losses=s.losses and _extended_losses(s.losses, end, lasting_s, power),
         motor=s.motor,
         drive=s.drive,
         bridge_on=kind is not SegmentStage.GATES_OFF,
@@ -237,8 +237,8 @@ def _piece(
     )
 
 
-def _lasting(losses: LossHistory, begin_s: float, lasting_s: float, power_w: float) -> LossHistory:
-    """The loss so far, and what a planned segment adds to it."""
+def _extended_losses(losses: LossHistory, begin_s: float, lasting_s: float, power_w: float) -> LossHistory:
+    """The loss history with a planned segment added."""
     begin = max(begin_s, float(losses.time_s[-1]))
     time = np.append(losses.time_s, [begin, begin + lasting_s])
     return LossHistory(time_s=time, power_w=np.append(losses.power_w, [power_w, 0.0]))

@@ -1,4 +1,4 @@
-"""Points as stages of a procedure: those that are alike but for their current become one stage. Measures nothing."""
+"""Points as stages of a procedure: points that differ in their current alone become one stage. Measures nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _COMMON = {"kind", "rotor_angle_rad", "pwm_frequency_hz", "control"}
 
 
 def stages_of(points: Sequence[tuple[PlannedPoint, int]], control: CurrentControl) -> list[Stage]:
-    """The stages that measure each point so many times, in the points' order.
+    """The stages that measure each point its number of times, in the points' order.
 
     Parameters
     ----------
@@ -31,9 +31,9 @@ def stages_of(points: Sequence[tuple[PlannedPoint, int]], control: CurrentContro
 
 
 def _stage(point: PlannedPoint, times: int, control: CurrentControl) -> tuple[Stage, tuple[str, Any]]:
-    """A stage without its points, and the point as that stage has it."""
+    """A stage without its points, and the point as an item of that stage."""
     e, more = point.excitation, Stage()
-    asked = e.model_dump(mode="json", exclude=_COMMON)
+    settings = e.model_dump(mode="json", exclude=_COMMON)
     if point.settings.get("anchor"):
         more["anchor"] = True
     if e.control != control:
@@ -41,14 +41,14 @@ def _stage(point: PlannedPoint, times: int, control: CurrentControl) -> tuple[St
     if isinstance(e, GatesOff):
         return {"kind": "gates_off", "duration_s": times * e.duration_s}, ("points", None)
     if isinstance(e, Trapezoid):
-        axis, held = asked.pop("swept_axis"), asked.pop("held_a")
-        return {"kind": "classical", "axes": [axis], **asked, "periods": times * e.periods, **more}, ("held_a", held)
-    asked["duration_s"] = times * e.duration_s
+        axis, held = settings.pop("swept_axis"), settings.pop("held_a")
+        return {"kind": "classical", "axes": [axis], **settings, "periods": times * e.periods, **more}, ("held_a", held)
+    settings["duration_s"] = times * e.duration_s
     if isinstance(e, Hold):
-        target = [asked.pop("current_d_a"), asked.pop("current_q_a")]
+        target = [settings.pop("current_d_a"), settings.pop("current_q_a")]
         if e.pwm_frequency_hz is not None:
             more["pwm_frequencies_hz"] = [e.pwm_frequency_hz]
-        return {"kind": "resistance", **asked, **more}, ("points_a", target)
-    target = [asked.pop("target_d_a"), asked.pop("target_q_a")]
-    asked["amplitudes_v"] = [asked.pop("amplitude_v")]
-    return {"kind": "injection", **asked, **more}, ("points_a", target)
+        return {"kind": "resistance", **settings, **more}, ("points_a", target)
+    target = [settings.pop("target_d_a"), settings.pop("target_q_a")]
+    settings["amplitudes_v"] = [settings.pop("amplitude_v")]
+    return {"kind": "injection", **settings, **more}, ("points_a", target)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from orchestrator.presentation.sentences import one_line
+from orchestrator.formatting.sentences import one_line
 from protocols import Strict
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from orchestrator.presentation.quantities import duration
+from orchestrator.formatting.quantities import duration
 
 
 class Progress:

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.comparison import RunSaid
 from orchestrator.estimation import RECOMMENDED_MAP, load_estimates, load_flux_map
 from orchestrator.recording import Recording
 from orchestrator.runs import RunDirectory, is_run
-from orchestrator.side_by_side import RunSaid
 from protocols import About, CompareReport, DiagnosisReport, FoundEffect
 from protocols.fleet import FleetEffect, FleetSetPoint
 

@@ -144,18 +144,18 @@ def _estimate(recording: Any, out: Path) -> None:
 
 
 def _compare(recording: Any) -> dict[str, Any]:
+    from orchestrator.api import chosen_effects
     from orchestrator.diagnosis import compare_recording
     from orchestrator.fleet._rows import compared
-    from orchestrator.workbench import chosen_effects
 
     return compared(compare_recording(recording, chosen_effects(), model="saturated"))
 
 
 def _diagnose(recording: Any, out: Path) -> dict[str, Any]:
+    from orchestrator.api import chosen_effects
     from orchestrator.diagnosis import diagnose_and_keep
     from orchestrator.experiment_design.proposal import next_experiment
     from orchestrator.fleet._rows import diagnosed
-    from orchestrator.workbench import chosen_effects
 
     return diagnosed(diagnose_and_keep(recording, chosen_effects(), propose=next_experiment, out=out)[0].report)
 

@@ -1,4 +1,4 @@
-"""What a fleet's table tells: distributions, outliers, drift, batches, control limits, pairs. Draws nothing."""
+"""Statistics of a fleet's table: distributions, outliers, drift, batches, control limits, pairs. Draws nothing."""
 
 from orchestrator.fleet_statistics._limits import read_limits, require_known
 from orchestrator.fleet_statistics._pairs import WITHIN

@@ -1,4 +1,4 @@
-"""A fleet against limits of somebody's own file: each recording passes, fails, or cannot be told."""
+"""A fleet compared with a user's file of limits: each recording passes, fails or remains undecided."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pydantic import ValidationError
 from orchestrator._document import parse_document
 from orchestrator._validation import first_problem, nearest, suggestion
 from orchestrator.fleet_statistics._table import Column, FleetTable
+from orchestrator.formatting.quantities import measured, quantity
 from orchestrator.numerics.process_control import capability, share_beyond
 from orchestrator.plain_files import read_text
-from orchestrator.presentation.quantities import measured, quantity
 from protocols import InputError
 from protocols.fleet_report import (
     CapabilityIndex,
@@ -24,7 +24,7 @@ from protocols.fleet_report import (
     NotPassed,
 )
 
-_WORSE: tuple[Judgement, ...] = ("pass", "unsure", "not_measured", "fail")
+_SEVERITY: tuple[Judgement, ...] = ("pass", "unsure", "not_measured", "fail")
 
 
 def read_limits(path: Path) -> FleetLimits:
@@ -50,47 +50,47 @@ def read_limits(path: Path) -> FleetLimits:
 
 
 def require_known(limits: FleetLimits, place: str, table: FleetTable, effects: Iterable[str] = ()) -> None:
-    """Raise `InputError` where a limit is of something that neither table nor library has.
+    """Raise `InputError` where a limit names a quantity that neither table nor library has.
 
     Parameters
     ----------
     place : str
-        Where the limits were written.
+        The file of the limits.
     effects : iterable of str
-        ``effect.parameter`` of those that could have been found.
+        ``effect.parameter`` of the library's effects.
     """
     known = {*table.columns, *effects}
     for name in limits.quantities:
-        if name not in known:  # all that the library has would be a long line
+        if name not in known:  # the library's names would make a long line
             near = nearest(name, sorted(known))
-            told = f"did you mean {near!r}?" if near is not None else suggestion(name, table.columns)
-            raise InputError(place, f"quantities.{name}", f"unknown quantity; {told}")
+            hint = f"did you mean {near!r}?" if near is not None else suggestion(name, table.columns)
+            raise InputError(place, f"quantities.{name}", f"unknown quantity; {hint}")
 
 
-def judged(table: FleetTable, limits: FleetLimits) -> FleetJudgement:
-    """Every recording with results against the limits; what could not be measured did not pass."""
-    counts: dict[Judgement, int] = dict.fromkeys(_WORSE, 0)
-    others = []
+def judge(table: FleetTable, limits: FleetLimits) -> FleetJudgement:
+    """Every recording with results against the limits; one that could not be measured does not pass."""
+    counts: dict[Judgement, int] = dict.fromkeys(_SEVERITY, 0)
+    not_passed = []
     for k, recording in enumerate(table.recordings):
-        said = list(_said(table, limits, k))
-        worst: Judgement = max((judgement for judgement, _ in said), key=_WORSE.index, default="pass")
+        checks = list(_checks(table, limits, k))
+        worst: Judgement = max((judgement for judgement, _ in checks), key=_SEVERITY.index, default="pass")
         counts[worst] += 1
         if worst != "pass":
-            reasons = tuple(text for judgement, text in said if judgement != "pass")
-            others.append(NotPassed(recording=recording, judgement=worst, reasons=reasons))
-    others.sort(key=lambda one: -_WORSE.index(one.judgement))
+            reasons = tuple(text for judgement, text in checks if judgement != "pass")
+            not_passed.append(NotPassed(recording=recording, judgement=worst, reasons=reasons))
+    not_passed.sort(key=lambda recording: -_SEVERITY.index(recording.judgement))
     return FleetJudgement(
         limits=limits,
         passed=counts["pass"],
         failed=counts["fail"],
         unsure=counts["unsure"],
         not_measured=counts["not_measured"],
-        others=tuple(others),
+        others=tuple(not_passed),
     )
 
 
 def capability_of(column: Column, limit: FleetLimit) -> CapabilityIndex | None:
-    """How far inside its limits a quantity is as a whole; None where no recording has it."""
+    """The process capability of a quantity; None where no recording has it."""
     values = column.values[column.known]
     if not len(values):
         return None
@@ -109,9 +109,9 @@ def capability_of(column: Column, limit: FleetLimit) -> CapabilityIndex | None:
     )
 
 
-def _said(table: FleetTable, limits: FleetLimits, k: int) -> Iterator[tuple[Judgement, str]]:
+def _checks(table: FleetTable, limits: FleetLimits, k: int) -> Iterator[tuple[Judgement, str]]:
     for name, limit in limits.quantities.items():
-        yield _of_value(table, name, limit, k, limits.guard)
+        yield _check_value(table, name, limit, k, limits.guard)
     if limits.verdicts is not None:
         verdict = table.verdicts[k]
         if verdict is None:
@@ -119,32 +119,31 @@ def _said(table: FleetTable, limits: FleetLimits, k: int) -> Iterator[tuple[Judg
         elif verdict not in limits.verdicts:
             yield "fail", f"verdict {verdict}"
     if limits.usable and table.usable[k] is not True:
-        told: tuple[Judgement, str] = ("fail", "map not to be relied on")
-        yield told if table.usable[k] is False else ("not_measured", "no map")
+        yield ("fail", "map not reliable") if table.usable[k] is False else ("not_measured", "no map")
 
 
-def _of_value(table: FleetTable, name: str, limit: FleetLimit, k: int, guard: bool) -> tuple[Judgement, str]:
+def _check_value(table: FleetTable, name: str, limit: FleetLimit, k: int, guard: bool) -> tuple[Judgement, str]:
     column = table.columns.get(name)
     if column is None or not column.known[k]:
-        looked = table.verdicts[k] is not None if column is None else column.is_effect and column.asked[k]
+        observable = table.verdicts[k] is not None if column is None else column.is_effect and column.observable[k]
         label = name if column is None else column.label
-        if not looked:
+        if not observable:
             return "not_measured", f"{label} not measured"
-        # Looked for and not found: it is not there, which limits need not allow.
+        # An effect that was searched for and not found has size zero, which limits need not allow.
         return ("fail", f"{label} not found") if _beyond(0.0, 0.0, limit) else ("pass", "")
     value = float(column.values[k])
     low, high = (float(column.low[k]), float(column.high[k])) if guard else (value, value)
     low, high = (low, high) if np.isfinite([low, high]).all() else (value, value)
-    worst: Judgement = "fail" if _beyond(low, high, limit, wholly=True) else "pass"
+    worst: Judgement = "fail" if _beyond(low, high, limit, entirely=True) else "pass"
     if worst == "pass" and _beyond(low, high, limit):
         worst = "unsure"
-    told = measured(value, low, high, column.unit) if high > low else quantity(value, column.unit, 4)
+    text = measured(value, low, high, column.unit) if high > low else quantity(value, column.unit, 4)
     ends = [f"below {quantity(limit.low, column.unit, 4)}" if limit.low is not None and low < limit.low else ""]
     ends.append(f"above {quantity(limit.high, column.unit, 4)}" if limit.high is not None and high > limit.high else "")
-    return worst, f"{column.label} {told} {'may be ' * (worst == 'unsure')}{' and '.join(filter(None, ends))}"
+    return worst, f"{column.label} {text} {'may be ' * (worst == 'unsure')}{' and '.join(filter(None, ends))}"
 
 
-def _beyond(low: float, high: float, limit: FleetLimit, wholly: bool = False) -> bool:
-    """Whether an interval leaves the limits, in part or altogether."""
-    nearest, furthest = (high, low) if wholly else (low, high)
-    return (limit.low is not None and nearest < limit.low) or (limit.high is not None and furthest > limit.high)
+def _beyond(low: float, high: float, limit: FleetLimit, entirely: bool = False) -> bool:
+    """Whether an interval leaves the limits, in part or entirely."""
+    lower, upper = (high, low) if entirely else (low, high)
+    return (limit.low is not None and lower < limit.low) or (limit.high is not None and upper > limit.high)

@@ -1,4 +1,4 @@
-"""Motors measured twice: what changed on each beyond its own intervals, and what on all of them together."""
+"""Motors measured twice: changes of each beyond its own intervals, and changes of all of them together."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ WITHIN = "pairs"
 
 
 def pairs(after: FleetTable, before: FleetTable | None, criteria: FleetCriteria) -> FleetPairs:
-    """Motors of two tables, each its latest recording; or of one, first against last.
+    """Changes between two tables, by each motor's latest recording, or from first to last recording in one table.
 
     Parameters
     ----------
     before : FleetTable, optional
-        ``after`` itself where it is left out.
+        Defaults to ``after``.
 
     Raises
     ------
@@ -38,14 +38,14 @@ def pairs(after: FleetTable, before: FleetTable | None, criteria: FleetCriteria)
         raise InputError(against.place, "serial", f"no serial number is measured twice with {after.place}")
     rows = (np.array([first[serial] for serial in both]), np.array([last[serial] for serial in both]))
     names = [name for name in after.columns if name in against.columns]
-    found = [_Paired.of(against.columns[name], after.columns[name], rows) for name in names]
-    wanted = [one for one in found if one.column.of_motor or one.column.is_effect]
+    quantities = [_Paired.of(against.columns[name], after.columns[name], rows) for name in names]
+    compared = [q for q in quantities if q.column.of_motor or q.column.is_effect]
     return FleetPairs(
         against=WITHIN if before is None else before.place,
         count=len(both),
         unpaired=len({*first, *last}) - len(both),
-        quantities=_over_all(wanted, criteria),
-        changes=_of_each(wanted, both, criteria),
+        quantities=_shifts(compared, criteria),
+        changes=_changes(compared, both, criteria),
     )
 
 
@@ -58,30 +58,31 @@ class _Paired:
     after: Array
     half_width: Array
     """Of the difference's 95 % interval; NaN where one of the two has none."""
-    came: Array
-    """1 of an effect that came, -1 of one that went, both surely; 0 of all else."""
+    appeared: Array
+    """1 where an effect appeared, -1 where one disappeared, both beyond its interval; 0 elsewhere."""
 
     @classmethod
     def of(cls, before: Column, after: Column, rows: tuple[Array, Array]) -> _Paired:
         first, last = rows[0].astype(int), rows[1].astype(int)
         widths = np.hypot(0.5 * (before.high - before.low)[first], 0.5 * (after.high - after.low)[last])
         sure = [(c.low > 0.0) | (c.high < 0.0) for c in (before, after)]
-        came = (after.known & sure[1])[last] & ~before.known[first] & before.asked[first] & after.is_effect
-        went = (before.known & sure[0])[first] & ~after.known[last] & after.asked[last] & after.is_effect
-        return cls(after, before.values[first], after.values[last], widths, came.astype(float) - went.astype(float))
+        appeared = (after.known & sure[1])[last] & ~before.known[first] & before.observable[first] & after.is_effect
+        disappeared = (before.known & sure[0])[first] & ~after.known[last] & after.observable[last] & after.is_effect
+        sign = appeared.astype(float) - disappeared.astype(float)
+        return cls(after, before.values[first], after.values[last], widths, sign)
 
     @property
     def difference(self) -> Array:
         return self.after - self.before
 
 
-def _over_all(found: Sequence[_Paired], criteria: FleetCriteria) -> tuple[PairedQuantity, ...]:
+def _shifts(compared: Sequence[_Paired], criteria: FleetCriteria) -> tuple[PairedQuantity, ...]:
     shifts: list[tuple[_Paired, int, Estimate]] = []
-    for one in found:
+    for one in compared:
         known = one.difference[np.isfinite(one.difference)]
-        if len(known) >= criteria.least_values:
+        if len(known) >= criteria.min_values:
             shifts.append((one, len(known), paired_shift(known)))
-    weighed = holm(np.array([estimate.chance for *_, estimate in shifts]))
+    adjusted = holm(np.array([estimate.chance for *_, estimate in shifts]))
     return tuple(
         PairedQuantity(
             name=one.column.name,
@@ -92,24 +93,24 @@ def _over_all(found: Sequence[_Paired], criteria: FleetCriteria) -> tuple[Paired
             low=estimate.low,
             high=estimate.high,
             chance=estimate.chance,
-            significant=bool(p < criteria.chance),
+            significant=bool(p < criteria.max_false_alarm),
         )
-        for (one, count, estimate), p in zip(shifts, weighed, strict=True)
+        for (one, count, estimate), p in zip(shifts, adjusted, strict=True)
     )
 
 
-def _of_each(found: Sequence[_Paired], serials: Sequence[str], criteria: FleetCriteria) -> tuple[PairChange, ...]:
+def _changes(compared: Sequence[_Paired], serials: Sequence[str], criteria: FleetCriteria) -> tuple[PairChange, ...]:
     from scipy.stats import norm
 
-    if not found:
+    if not compared:
         return ()
-    sigmas = np.stack([np.abs(one.difference) / (one.half_width / norm.ppf(0.975)) for one in found])
-    weighed = holm(2.0 * norm.sf(sigmas).ravel()).reshape(sigmas.shape)
-    told = []
-    for place, one in enumerate(found):
-        for k in map(int, np.flatnonzero((weighed[place] < criteria.chance) | (one.came != 0.0))):
+    sigmas = np.stack([np.abs(one.difference) / (one.half_width / norm.ppf(0.975)) for one in compared])
+    adjusted = holm(2.0 * norm.sf(sigmas).ravel()).reshape(sigmas.shape)
+    changes = []
+    for place, one in enumerate(compared):
+        for k in map(int, np.flatnonzero((adjusted[place] < criteria.max_false_alarm) | (one.appeared != 0.0))):
             half = one.half_width[k]
-            told.append(
+            changes.append(
                 PairChange(
                     serial=serials[k],
                     quantity=one.column.name,
@@ -123,7 +124,7 @@ def _of_each(found: Sequence[_Paired], serials: Sequence[str], criteria: FleetCr
                     significant=True,
                 )
             )
-    return tuple(sorted(told, key=lambda change: change.serial))
+    return tuple(sorted(changes, key=lambda change: change.serial))
 
 
 def _by_serial(table: FleetTable, latest: bool = True) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""What a fleet's next motor lets expect: how often each effect is there and how large, R_s, L_d and L_q."""
+"""Priors for a fleet's next motor: frequency and size of each effect, R_s, L_d and L_q."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from protocols.fleet_priors import EffectPrior, FleetPriors, NormalPrior
 
 
 def priors_of(table: FleetTable, motor: str | None = None, criteria: FleetCriteria | None = None) -> FleetPriors:
-    """What motors of one kind have in common.
+    """Distributions over motors of one kind.
 
-    An effect is there as often as Laplace's rule says, (found + 1) / (diagnosed + 2); of recordings in which something
-    unknown remains neither that nor any size is taken. Values far out are left out: a fault is no property of the kind.
+    An effect's probability follows Laplace's rule, (found + 1) / (diagnosed + 2). Recordings with an unexplained
+    residual contribute neither frequencies nor sizes. Values far out are excluded: a fault is no property of the kind.
 
     Parameters
     ----------
@@ -29,32 +29,31 @@ def priors_of(table: FleetTable, motor: str | None = None, criteria: FleetCriter
     Raises
     ------
     InputError
-        Where it has several and none is chosen, or too few recordings.
+        Where the table has several and none is chosen, or too few recordings.
     """
     criteria = criteria or FleetCriteria()
     table = _of_kind(table, motor)
-    explained = np.array([verdict in criteria.explained for verdict in table.verdicts], dtype=bool)
-    asked = int(explained.sum())
-    if asked < criteria.least_values:
-        told = (
-            f"{asked} diagnosed and explained recordings of one kind of motor; expected {criteria.least_values} or more"
-        )
-        raise InputError(table.place, "verdict", told)
-    sound = table.of_rows(explained)
+    explained = np.array([verdict in criteria.explained_verdicts for verdict in table.verdicts], dtype=bool)
+    count = int(explained.sum())
+    if count < criteria.min_values:
+        problem = f"{count} diagnosed and explained recordings of one kind of motor; expected {criteria.min_values}"
+        raise InputError(table.place, "verdict", f"{problem} or more")
+    explained_table = table.of_rows(explained)
     effects: dict[str, EffectPrior] = {}
-    for name in dict.fromkeys(c.name.partition(".")[0] for c in sound.columns.values() if c.is_effect):
-        columns = [c for c in sound.columns.values() if c.is_effect and c.name.startswith(f"{name}.")]
-        found = int(np.any([c.known for c in columns], axis=0).sum())
+    for name in dict.fromkeys(c.name.partition(".")[0] for c in explained_table.columns.values() if c.is_effect):
+        columns = [c for c in explained_table.columns.values() if c.is_effect and c.name.startswith(f"{name}.")]
+        present = int(np.any([c.known for c in columns], axis=0).sum())
         sizes = {c.name.partition(".")[2]: prior for c in columns if (prior := _normal(c, criteria)) is not None}
-        if found:
-            effects[name] = EffectPrior(probability=(found + 1) / (asked + 2), found=found, asked=asked, sizes=sizes)
+        if present:
+            probability = (present + 1) / (count + 2)
+            effects[name] = EffectPrior(probability=probability, found=present, asked=count, sizes=sizes)
     r_s, l_d, l_q = (_normal(table.columns[name], criteria) for name in ("R_s_ohm", "L_d_h", "L_q_h"))
     kind = next((name for name in table.motors if name is not None), None)
     return FleetPriors(
         motor=kind,
         table=table.place,
         recordings=len(table),
-        diagnosed=asked,
+        diagnosed=count,
         resistance=r_s,
         d_inductance=l_d,
         q_inductance=l_q,
@@ -72,13 +71,13 @@ def _of_kind(table: FleetTable, motor: str | None) -> FleetTable:
 
 
 def _normal(column: Column, criteria: FleetCriteria) -> NormalPrior | None:
-    """The population behind a quantity; None of too few values, or of values that are all the same."""
+    """The population behind a quantity; None where values are too few or all the same."""
     values, errors = column.values[column.known], np.nan_to_num(column.deviations[column.known])
-    if len(values) < criteria.least_values:
+    if len(values) < criteria.min_values:
         return None
     off = np.abs(values - np.median(values))
-    inside = off <= criteria.far_out * np.hypot(spread(values), errors)
-    if inside.sum() < criteria.least_values or not np.ptp(values[inside]) > 0.0:
+    inside = off <= criteria.max_robust_sigmas * np.hypot(spread(values), errors)
+    if inside.sum() < criteria.min_values or not np.ptp(values[inside]) > 0.0:
         return None
-    found = population(values[inside], errors[inside])
-    return NormalPrior(mean=found.mean, std=found.std, unit=column.unit, recordings=int(inside.sum()))
+    estimate = population(values[inside], errors[inside])
+    return NormalPrior(mean=estimate.mean, std=estimate.std, unit=column.unit, recordings=int(inside.sum()))

@@ -1,16 +1,16 @@
-"""A fleet's report as rows of text, the head first: alike in a terminal, on the page and in the viewer."""
+"""A fleet's report as rows of text, the head first, for terminal, page and viewer."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from orchestrator.presentation.names import parameter_words, plain
-from orchestrator.presentation.quantities import UNKNOWN, number, percent, quantity, value_and_error, value_and_interval
+from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.quantities import UNKNOWN, number, percent, quantity, value_and_error, value_and_interval
 from protocols.fleet_priors import FleetPriors
 from protocols.fleet_report import FleetJudgement, FleetPairs, FleetQuantity, FleetRecording, FleetReport
 
 Rows = list[tuple[str, ...]]
-_SAID = {"fail": "fails", "unsure": "cannot be told", "not_measured": "not measured", "pass": "passes"}
+_JUDGEMENTS = {"fail": "fails", "unsure": "undecided", "not_measured": "not measured", "pass": "passes"}
 
 
 def distribution_rows(report: FleetReport) -> Rows:
@@ -20,7 +20,7 @@ def distribution_rows(report: FleetReport) -> Rows:
 
 
 def course_rows(report: FleetReport) -> Rows:
-    """What each quantity does over time."""
+    """Drift and control chart of each quantity."""
     head = ("quantity", "a day", "95 %", "drifts", "chart beyond its limits", "first")
     rows = []
     for one in report.quantities:
@@ -37,9 +37,9 @@ def course_rows(report: FleetReport) -> Rows:
 
 
 def batch_rows(report: FleetReport) -> Rows:
-    """Each batch against all others, the surest first."""
-    head = ("batch", "quantity", "recordings", "median", "off the others by", "95 %", "shifted")
-    found = sorted(((b.chance, b, one) for one in report.quantities for b in one.batches), key=lambda row: row[0])
+    """Each batch against all others, the most significant first."""
+    head = ("batch", "quantity", "recordings", "median", "difference to the others", "95 %", "shifted")
+    batches = sorted(((b.chance, b, one) for one in report.quantities for b in one.batches), key=lambda row: row[0])
     rows = [
         (
             b.batch,
@@ -49,13 +49,13 @@ def batch_rows(report: FleetReport) -> Rows:
             *value_and_interval(b.shift, b.low, b.high, one.unit),
             _yes(b.shifted),
         )
-        for _, b, one in found
+        for _, b, one in batches
     ]
     return [head, *rows] if rows else []
 
 
 def outlier_rows(report: FleetReport) -> Rows:
-    """Who is unlike the others, and by what."""
+    """Outlying recordings and the quantities that make them so."""
     head = ("recording", "batch", "distance", "limit", "by")
     rows = [
         (
@@ -71,77 +71,77 @@ def outlier_rows(report: FleetReport) -> Rows:
 
 
 def capability_rows(report: FleetReport) -> Rows:
-    """Each limited quantity as a whole."""
+    """Process capability of each quantity with limits."""
     head = ("quantity", "low", "high", "Cpk", "95 %", "beyond", "share of all, 95 %")
     rows = []
     for one in report.quantities:
-        if (found := one.capability) is None:
+        if (index := one.capability) is None:
             continue
-        interval = "" if found.cpk_low is None else f"{number(found.cpk_low, 3)} to {number(found.cpk_high, 3)}"
-        share = f"{number(100.0 * found.beyond_low, 2)} to {percent(100.0 * found.beyond_high)}"
-        limits = (quantity(found.low, one.unit, 4), quantity(found.high, one.unit, 4))
-        rows.append((one.label, *limits, number(found.cpk, 3), interval, f"{found.beyond} of {one.count}", share))
+        interval = "" if index.cpk_low is None else f"{number(index.cpk_low, 3)} to {number(index.cpk_high, 3)}"
+        share = f"{number(100.0 * index.beyond_low, 2)} to {percent(100.0 * index.beyond_high)}"
+        limits = (quantity(index.low, one.unit, 4), quantity(index.high, one.unit, 4))
+        rows.append((one.label, *limits, number(index.cpk, 3), interval, f"{index.beyond} of {one.count}", share))
     return [head, *rows] if rows else []
 
 
-def judgement_rows(found: FleetJudgement) -> Rows:
-    """What did not pass."""
+def judgement_rows(judgement: FleetJudgement) -> Rows:
+    """The recordings that did not pass, and why."""
     head = ("recording", "", "why")
-    return [head, *((name_of(o.recording), _SAID[o.judgement], "; ".join(o.reasons)) for o in found.others)]
+    return [head, *((name_of(o.recording), _JUDGEMENTS[o.judgement], "; ".join(o.reasons)) for o in judgement.others)]
 
 
-def pair_rows(found: FleetPairs) -> Rows:
-    """What changed over all pairs."""
-    head = ("quantity", "pairs", "after less before", "95 %", "changed")
+def pair_rows(pairs: FleetPairs) -> Rows:
+    """Changes over all pairs."""
+    head = ("quantity", "pairs", "after minus before", "95 %", "changed")
     rows = [
         (q.label, str(q.count), *value_and_interval(q.shift, q.low, q.high, q.unit), _yes(q.significant))
-        for q in found.quantities
+        for q in pairs.quantities
     ]
     return [head, *rows] if rows else []
 
 
-def change_rows(found: FleetPairs) -> Rows:
-    """What changed on which motor."""
+def change_rows(pairs: FleetPairs) -> Rows:
+    """Changes of each motor."""
     head = ("motor", "quantity", "before", "after", "difference", "95 %")
     rows = []
-    for one in found.changes:
+    for one in pairs.changes:
         if one.difference is None:
-            told = ("came" if one.before is None else "went", "")
+            change = ("appeared" if one.before is None else "disappeared", "")
         else:
-            told = value_and_interval(one.difference, one.low, one.high, one.unit)
+            change = value_and_interval(one.difference, one.low, one.high, one.unit)
         ends = (quantity(one.before, one.unit, 4), quantity(one.after, one.unit, 4))
-        rows.append((f"serial {one.serial}", one.label, *ends, *told))
+        rows.append((f"serial {one.serial}", one.label, *ends, *change))
     return [head, *rows] if rows else []
 
 
 def count_rows(report: FleetReport) -> Rows:
-    """Verdicts, and why there are none."""
+    """Numbers of verdicts and of failures."""
     rows = [(plain(one.what), str(one.count)) for one in report.verdicts]
     rows += [(f"failed: {one.what}", str(one.count)) for one in report.failures]
     return [("verdict", "recordings"), *rows]
 
 
-def prior_rows(found: FleetPriors) -> Rows:
-    """What the next motor lets expect."""
+def prior_rows(priors: FleetPriors) -> Rows:
+    """Priors for the next motor."""
     head = ("quantity", "in", "probability", "mean", "between motors", "recordings")
     rows = [
         (label, "", "", *value_and_error(prior.mean, prior.std, prior.unit), str(prior.recordings))
-        for label, prior in (("R_s", found.resistance), ("L_d", found.d_inductance), ("L_q", found.q_inductance))
+        for label, prior in (("R_s", priors.resistance), ("L_d", priors.d_inductance), ("L_q", priors.q_inductance))
         if prior is not None
     ]
-    for name, effect in found.effects.items():
+    for name, effect in priors.effects.items():
         share, probability = f"{effect.found} of {effect.asked}", number(effect.probability, 3)
         for parameter, prior in effect.sizes.items():
-            told = value_and_error(prior.mean, prior.std, prior.unit)
+            size = value_and_error(prior.mean, prior.std, prior.unit)
             label = f"{plain(name)}: {parameter_words(parameter)}"
-            rows.append((label, share, probability, *told, str(prior.recordings)))
+            rows.append((label, share, probability, *size, str(prior.recordings)))
     return [head, *rows]
 
 
 SECTIONS: dict[str, Callable[[FleetReport], Rows]] = {
     "Distributions": distribution_rows,
     "Limits": capability_rows,
-    "Unlike the others": outlier_rows,
+    "Outliers": outlier_rows,
     "Batches": batch_rows,
     "Over time": course_rows,
 }
@@ -149,7 +149,7 @@ SECTIONS: dict[str, Callable[[FleetReport], Rows]] = {
 
 
 def name_of(recording: FleetRecording) -> str:
-    """A recording as people call it: by the motor's serial number, else by its name or place."""
+    """A recording's name for people: the motor's serial number, else its name or place."""
     return f"serial {recording.serial}" if recording.serial else recording.name or recording.source
 
 
@@ -170,5 +170,5 @@ def _distribution(one: FleetQuantity) -> tuple[str, ...]:
     )
 
 
-def _yes(told: bool) -> str:
-    return "yes" if told else "no"
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"

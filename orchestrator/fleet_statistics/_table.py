@@ -1,4 +1,4 @@
-"""A fleet's table as arrays: which recordings, and their quantities with intervals. Judges nothing."""
+"""A fleet's table as arrays: the recordings, and their quantities with intervals. Judges nothing."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orchestrator.fleet_statistics._types import as_written
+from orchestrator.fleet_statistics._validation import validate_types
+from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.numerics.types import Array, Mask
-from orchestrator.presentation.names import parameter_words, plain
 from protocols import InputError
 from protocols.fleet import arrow_schema
 from protocols.fleet_report import FleetRecording
@@ -35,7 +35,7 @@ _PLAIN = {
 }
 """Columns that are numbers: symbol and unit."""
 _OF_THE_MEASUREMENT = ("temperature_c", "chi2", "error_mv")
-"""What tells more of the measurement than of the motor."""
+"""Columns that describe the measurement rather than the motor."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ class Column:
     name, label, unit : str
     values, low, high : array, shape (n,)
         With 95 % intervals; NaN where it was not measured, or an interval is not known.
-    asked : array of bool, shape (n,)
-        Where it would be, were it there: an effect in diagnosed recordings.
+    observable : array of bool, shape (n,)
+        Where the quantity was searched for: an effect in diagnosed recordings.
     is_effect : bool
     of_motor : bool
         Whether it belongs to the motor rather than to the measurement, and follows from no other quantity.
@@ -60,7 +60,7 @@ class Column:
     values: Array
     low: Array
     high: Array
-    asked: Mask
+    observable: Mask
     is_effect: bool = False
     of_motor: bool = True
 
@@ -76,12 +76,12 @@ class Column:
 
     def of_rows(self, rows: Mask) -> Column:
         """Some of the recordings alone."""
-        parts = {name: getattr(self, name)[rows] for name in ("values", "low", "high", "asked")}
+        parts = {name: getattr(self, name)[rows] for name in ("values", "low", "high", "observable")}
         return replace(self, **parts)
 
     @property
     def deviations(self) -> Array:
-        """Of each value by its own interval; NaN where it has none."""
+        """Standard deviation of each value by its own interval; NaN where it has none."""
         return np.asarray((self.high - self.low) / _interval_width(), dtype=np.float64)
 
 
@@ -101,7 +101,7 @@ class FleetTable:
     usable : sequence of (bool or None)
     columns : mapping of Column
     failures : sequence of str
-        What went wrong with the others.
+        The errors of the other recordings.
     """
 
     place: str
@@ -141,8 +141,8 @@ def read_fleet(place: str) -> FleetTable:
 
 
 def fleet_of(table: pa.Table, place: str) -> FleetTable:
-    """The same of a table in memory; of several rows of one source the one with most results, then the last."""
-    table = as_written(table, place)
+    """The fleet of a table in memory; of several rows of one source the one with most results, then the last."""
+    table = validate_types(table, place)
     if not table.num_rows:
         raise InputError(place, "", "holds no recording")
     table = table.take(_of_each_source(table))
@@ -172,17 +172,16 @@ def _read(place: str) -> pa.Table:
         raise InputError(place, "", "no such table")
     names = arrow_schema().names
     try:
-        found = ds.dataset(str(path), format="parquet", exclude_invalid_files=path.is_dir())
-        return found.to_table(columns=[name for name in names if name in found.schema.names])
+        dataset = ds.dataset(str(path), format="parquet", exclude_invalid_files=path.is_dir())
+        return dataset.to_table(columns=[name for name in names if name in dataset.schema.names])
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(place, "", f"cannot be read as Parquet: {str(error).splitlines()[0][:160]}") from None
 
 
 def _of_each_source(table: pa.Table) -> list[int]:
     """The row of each source with the most results, then the last."""
-    told = ("R_s_ohm", "L_d_h", "verdict")
     counts = np.zeros(table.num_rows, dtype=int)
-    for name in told:
+    for name in ("R_s_ohm", "L_d_h", "verdict"):
         counts += table.column(name).is_valid().to_numpy(zero_copy_only=False)
     counts += 10 * table.column("failed").is_null().to_numpy(zero_copy_only=False)
     best: dict[str, int] = {}
@@ -199,7 +198,7 @@ def _columns(table: pa.Table) -> Iterator[Column]:
     for name, (label, unit) in _PLAIN.items():
         own = name == "R_s_ohm"
         low, high = (numbers["R_s_low_ohm"], numbers["R_s_high_ohm"]) if own else (nothing, nothing)
-        # With temperatures, it is the resistance at one of them that belongs to the motor.
+        # With temperatures, only the resistance at a reference temperature is a property of the motor.
         motors = name not in (*_OF_THE_MEASUREMENT, "saliency") and not (own and _is_referred(numbers))
         yield Column(name, label, unit, numbers[name], low, high, every, of_motor=motors)
         if own and _is_referred(numbers):
@@ -236,14 +235,14 @@ def _effects(table: pa.Table) -> Iterator[Column]:
 
 def _set_points(table: pa.Table) -> Iterator[Column]:
     """Fluxes at the currents that most recordings have."""
-    asked, parents, items = _flattened(table, "set_points")
+    mapped, parents, items = _flattened(table, "set_points")
     if not len(items):
         return
     currents = np.column_stack([_floats(items.field(name)) for name in ("i_d_a", "i_q_a")])
     nothing = np.full(table.num_rows, np.nan)
     for place in np.unique(currents, axis=0):
         here = (currents == place).all(axis=1)
-        if 2 * int(here.sum()) < int(asked.sum()) or not place.any():
+        if 2 * int(here.sum()) < int(mapped.sum()) or not place.any():
             continue
         for axis in "dq":
             values = nothing.copy()
@@ -256,7 +255,7 @@ def _set_points(table: pa.Table) -> Iterator[Column]:
                 values,
                 nothing,
                 nothing,
-                asked,
+                mapped,
                 of_motor=False,
             )
 
@@ -269,9 +268,9 @@ def _flattened(table: pa.Table, name: str) -> tuple[Mask, Array, Any]:
     column = chunked.combine_chunks() if chunked.num_chunks != 1 else chunked.chunk(0)
     if isinstance(column, pa.ChunkedArray):
         column = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], type=column.type)
-    there = column.is_valid().to_numpy(zero_copy_only=False)
+    valid = column.is_valid().to_numpy(zero_copy_only=False)
     parents = column.value_parent_indices().to_numpy(zero_copy_only=False)
-    return np.asarray(there, dtype=bool), parents, column.flatten()
+    return np.asarray(valid, dtype=bool), parents, column.flatten()
 
 
 def _numbers(table: pa.Table, name: str) -> Array:

@@ -16,8 +16,8 @@ from pydantic import Field
 
 from orchestrator.flux_maps._checks import Symmetry
 from orchestrator.flux_maps._surface import MapSurface
+from orchestrator.formatting.quantities import plural, quantity, vector
 from orchestrator.numerics.types import Array, Mask
-from orchestrator.presentation.quantities import plural, quantity, vector
 from protocols import Remark, Strict
 
 Use = Literal["mtpa", "observer", "sensorless", "simulation", "inverse"]

@@ -11,8 +11,8 @@ import numpy as np
 from orchestrator.flux_maps._audit import MapAudit
 from orchestrator.flux_maps._checks import curl, least_inductances, unevenness
 from orchestrator.flux_maps._surface import MapSurface
-from orchestrator.presentation.colours import D_AXIS, MODEL, Q_AXIS, VERMILION
-from orchestrator.presentation.drawing import STYLE, bare, current_plane, empty_figure, name_axes, signed_scale
+from orchestrator.formatting.colours import D_AXIS, MODEL, Q_AXIS, VERMILION
+from orchestrator.formatting.drawing import STYLE, bare, current_plane, empty_figure, name_axes, signed_scale
 from orchestrator.recording import replace_file
 from protocols import FluxMap, InputError
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator._validation import nearest
+from orchestrator.formatting.sentences import one_line
 from orchestrator.memory import require_memory
-from orchestrator.presentation.sentences import one_line
 from protocols import InputError
 
 Numbers = NDArray[np.float64]

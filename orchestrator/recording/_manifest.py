@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.presentation.sentences import visible
+from orchestrator.formatting.sentences import visible
 from orchestrator.recording._files import replace_file
 from orchestrator.recording._json import read_json
 from protocols import Manifest

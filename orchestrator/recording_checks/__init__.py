@@ -1,4 +1,4 @@
-"""What manifest or logger may have wrong, tried before any physics: it would pass for some effect or other."""
+"""Checks of manifest and logging, made before any physics: a wrong convention would be taken for an effect."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from orchestrator.recording_checks.channels import (
     require_response,
 )
 from orchestrator.recording_checks.correction import CorrectedRecording
-from orchestrator.recording_checks.criteria import ConventionCriteria
 from orchestrator.recording_checks.nameplate import nameplate_remarks
 from orchestrator.recording_checks.responses import Responses
 from orchestrator.recording_checks.rows import broken_rows
@@ -25,7 +24,6 @@ from orchestrator.recording_checks.time_base import delay, sampling_rate
 from protocols import Convention, RecordingReader, Remark
 
 __all__ = [
-    "ConventionCriteria",
     "CorrectedRecording",
     "RecordingCheck",
     "check_recording",
@@ -34,29 +32,29 @@ __all__ = [
 ]
 
 HYPOTHESES: tuple[Callable[[Responses], Convention | None], ...] = (
-    lambda seen: dead_channel(seen.survey),
-    lambda seen: broken_rows(seen.survey),
-    lambda seen: clipped(seen.survey),
+    lambda responses: dead_channel(responses.survey),
+    lambda responses: broken_rows(responses.survey),
+    lambda responses: clipped(responses.survey),
     sampling_rate,
     against_set_points,
     without_set_points,
     delay,
     quarter_turn,
-    lambda seen: bus_spikes(seen.survey),
+    lambda responses: bus_spikes(responses.survey),
 )
-"""In this order: what is not in the file at all, what spoils every other look at it, and the rest."""
+"""Their order: missing channels first, then errors that invalidate every later check, then the rest."""
 
 
 @dataclass(frozen=True)
 class RecordingCheck:
-    """What a recording says of manifest and logging.
+    """The result of a check of manifest and logging.
 
     Attributes
     ----------
     convention : Convention or None
-        The first one that the readings themselves prove wrong; None where they prove none.
+        The first convention that the readings prove wrong; None where they prove none.
     remarks : tuple of Remark
-        What the readings do not prove: R and L that are not the nameplate's.
+        Doubts that the readings cannot prove: R and L that differ from the nameplate's.
     """
 
     convention: Convention | None
@@ -64,48 +62,44 @@ class RecordingCheck:
 
     @property
     def all_remarks(self) -> tuple[Remark, ...]:
-        """The convention as a remark first, for what goes on all the same."""
+        """The convention as a remark first, for callers that go on all the same."""
         return self.remarks if self.convention is None else (convention_remark(self.convention), *self.remarks)
 
 
-def check_recording(
-    recording: RecordingReader, criteria: ConventionCriteria | None = None, poll: Callable[[], None] = lambda: None
-) -> RecordingCheck:
-    """The convention that the readings prove wrong, and remarks on what they do not prove.
+def check_recording(recording: RecordingReader, poll: Callable[[], None] = lambda: None) -> RecordingCheck:
+    """The convention that the readings prove wrong, and remarks on doubts that they cannot prove.
 
-    What `poll` raises ends the search; it is called with each segment and each hypothesis.
+    `poll` is called with each segment and each hypothesis; an exception that it raises ends the search.
 
     Raises
     ------
     RecordingError
-        Where the manifest has numbers that cannot be meant, or a capture is not what it says.
+        Where the manifest has impossible numbers, or a capture differs from the manifest.
     NotMeasuredError
-        Where what stands in the place of the current is noise, or where the drive has lost its current on the way.
+        Where the current's column is noise, or where the drive has lost its current on the way.
     """
     SoundRecording(recording)
-    seen = Responses(survey(recording, criteria or ConventionCriteria(), poll))
-    require_response(seen.survey)
-    require_held(seen.survey)
+    responses = Responses(survey(recording, poll))
+    require_response(responses.survey)
+    require_held(responses.survey)
     for hypothesis in HYPOTHESES:
         poll()
-        found = hypothesis(seen)
-        if found is not None:
-            return RecordingCheck(found)
-    return RecordingCheck(None, nameplate_remarks(seen))
+        convention = hypothesis(responses)
+        if convention is not None:
+            return RecordingCheck(convention)
+    return RecordingCheck(None, nameplate_remarks(responses))
 
 
-def find_convention(
-    recording: RecordingReader, criteria: ConventionCriteria | None = None, poll: Callable[[], None] = lambda: None
-) -> Convention | None:
-    """The convention alone of `check_recording`, which see."""
-    return check_recording(recording, criteria, poll).convention
+def find_convention(recording: RecordingReader, poll: Callable[[], None] = lambda: None) -> Convention | None:
+    """The convention alone of `check_recording`."""
+    return check_recording(recording, poll).convention
 
 
 def convention_remark(convention: Convention) -> Remark:
-    """A wrong convention as a remark, for what goes on all the same."""
+    """A wrong convention as a remark, for callers that go on all the same."""
     return Remark.of(
         "convention",
-        "{what}, by what was captured ({evidence}): {correction}",
+        "{what}, by the captured readings ({evidence}): {correction}",
         kind=convention.kind,
         what=convention.what,
         evidence=convention.evidence,

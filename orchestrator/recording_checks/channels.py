@@ -1,4 +1,4 @@
-"""Channels of the logger that show nothing, or only a part: noise for a current, a dead phase, readings cut off."""
+"""Faulty channels of the logger: noise in place of a current, a dead phase, clipped readings, spikes of the bus."""
 
 from __future__ import annotations
 
@@ -10,102 +10,132 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
-from orchestrator.recording_checks.criteria import ConventionCriteria
-from orchestrator.recording_checks.responses import shares
-from orchestrator.recording_checks.survey import Sighting, Survey, Vectors, parts
+from orchestrator.recording_checks.responses import explained_shares
+from orchestrator.recording_checks.survey import (
+    MAX_MATCH_ERROR,
+    MIN_MISMATCH_ERROR,
+    MIN_SAMPLES,
+    MIN_SEGMENTS,
+    SegmentReadings,
+    Survey,
+    Vectors,
+    parts,
+)
 from orchestrator.recording_checks.vector_maps import AXES, PHASES
 from protocols import Convention, ManifestCorrection, NotMeasuredError, SegmentStage
 
 _CHANNELS = ("alpha", "beta", *PHASES)
 
+MIN_LOST_CURRENT_FRACTION = 0.5
+"""Deviation from the set-point, relative to the largest one, where the drive has lost its current."""
+MIN_VOLTAGE_LIMIT_FRACTION = 0.8
+"""Part of the largest voltage of a bus, V_dc / sqrt 3, that a drive which has lost its current gives."""
+MAX_LINE_WIDTH_FRACTION = 0.02
+"""Width of a line of readings, relative to its length, that one channel alone can draw."""
+MAX_EXPLAINED_SHARE_DEAD = 0.05
+"""Share of a channel's steps that the voltage explains, below which it shows no motor's current."""
+MIN_EXPLAINED_SHARE_LIVE = 0.3
+"""Share of a channel's steps that the voltage explains, above which it shows a motor's current."""
+MIN_CLIPPED_SHARE = 0.002
+"""Part of moving readings that lie exactly at their limit where they are clipped."""
+MIN_CLIPPED_TO_STRIP_RATIO = 0.2
+"""Readings that stay at their limit, over all in the strip below it: the tail of any noise has next to none."""
+STRIP_WIDTH_FRACTION = 0.02
+"""Width of that strip, relative to the limit."""
+MIN_BUS_SPIKE_FRACTION = 0.5
+"""Step of single readings of the bus, relative to it, that its capacitors cannot make within a sample."""
+MAX_BUS_SPIKE_SHARE = 0.02
+"""Part of the readings up to which outlying ones are spikes; with more, the bus itself has moved."""
+MIN_BRIDGE_LIMIT_FRACTION = 0.45
+"""Voltage, in bus voltages, from which on it may be the bridge that ends it: 1/2 to 2/3, as it is modulated."""
+
 
 def require_response(survey: Survey) -> None:
-    """Refuse what stands in the place of a current and has nothing to do with the voltage.
+    """Refuse readings of a current that do not depend on the voltage.
 
     Raises
     ------
     NotMeasuredError
-        Where the voltage was moved and the readings show none of it, at rest or under injection.
+        Where the voltage varied and the readings do not follow it, neither at rest nor under injection.
     """
-    limits = survey.criteria
     seen = [*survey.holds, *survey.injections]
-    if len(seen) < limits.looked_at_segments:
+    if len(seen) < MIN_SEGMENTS:
         return
     i, v = (np.array([getattr(s, name) for s in seen]) for name in ("mean_i", "mean_v"))
-    told = shares(survey.injections)
+    shares = explained_shares(survey.injections)
     moving = max((float(np.std(s.v)) for s in survey.injections), default=0.0)
-    if moving == 0.0 or told is None or max(told) > limits.silent:
+    if moving == 0.0 or shares is None or max(shares) > MAX_EXPLAINED_SHARE_DEAD:
         return
     size = float(np.linalg.norm(i) * np.linalg.norm(v))
-    if size > 0.0 and max(abs(np.vdot(i, v)), abs(np.sum(i * v))) > limits.speaking * size:
+    if size > 0.0 and max(abs(np.vdot(i, v)), abs(np.sum(i * v))) > MIN_EXPLAINED_SHARE_LIVE * size:
         return
-    problem = "the readings show nothing of the voltage, neither at rest nor under injection: noise, and no current"
+    problem = "the current readings do not follow the voltage, neither at rest nor under injection: they are noise"
     raise NotMeasuredError(survey.manifest.name, "i_alpha, i_beta", problem)
 
 
 def require_held(survey: Survey) -> None:
-    """Refuse what was captured after the drive had lost its current.
+    """Refuse captures made after the drive had lost its current.
 
     Raises
     ------
     NotMeasuredError
-        Where most segments have the current that was asked for, and others are far from it.
+        Where most segments have the current of their set-point, and others are far from it.
     """
-    limits, most_v = survey.criteria, survey.manifest.drive.dc_bus_voltage_v / math.sqrt(3.0)
+    max_v = survey.manifest.drive.dc_bus_voltage_v / math.sqrt(3.0)
     seen = [(s, point) for s in (*survey.holds, *survey.injections) if (point := s.set_point) is not None]
-    reach = max((abs(point) for _, point in seen), default=0.0)
-    held = [s for s, point in seen if abs(s.mean_i - point) < limits.alike * reach]
+    max_current = max((abs(point) for _, point in seen), default=0.0)
+    held = [s for s, point in seen if abs(s.mean_i - point) < MAX_MATCH_ERROR * max_current]
     lost = [
         (s, point)
         for s, point in seen
-        if abs(s.mean_i - point) > limits.lost * reach and abs(s.mean_v) > limits.at_its_limit * most_v
+        if abs(s.mean_i - point) > MIN_LOST_CURRENT_FRACTION * max_current
+        and abs(s.mean_v) > MIN_VOLTAGE_LIMIT_FRACTION * max_v
     ]
     if not lost or 2 * len(held) < len(seen):
         return
     first, point = min(lost, key=lambda pair: pair[0].segment.start_s)
     problem = (
-        f"{abs(first.mean_i):.3g} A, {abs(first.mean_i - point):.3g} A from the {abs(point):.3g} A that were asked "
-        f"for, at all the voltage there is, and so in {len(lost)} of {len(seen)} segments that were looked at: "
+        f"{abs(first.mean_i):.3g} A, {abs(first.mean_i - point):.3g} A from the set-point of {abs(point):.3g} A, at "
+        f"the voltage limit, as in {len(lost)} of the {len(seen)} segments examined: "
         "the drive had lost its current there; leave them out"
     )
     raise NotMeasuredError(survey.manifest.name, f"{first.segment.id}: i_alpha, i_beta", problem)
 
 
 def dead_channel(survey: Survey) -> Convention | None:
-    """One phase, or one of alpha and beta, that shows no current though there must be one."""
-    limits = survey.criteria
+    """A dead sensor of one phase, or of alpha or beta: it shows no current though there must be one."""
     columns = [s.phases for s in survey.seen if s.phases is not None]
     if columns:
         phases = np.concatenate(columns)
         swing, total = np.ptp(phases, axis=0), float(np.ptp(phases.sum(axis=1)))
         # Where a phase is at rest because nothing flows in it, the other two are each other's negative.
-        if swing.min() < limits.flat * swing.max() < total:
+        if swing.min() < MAX_LINE_WIDTH_FRACTION * swing.max() < total:
             return _dead(f"phase {PHASES[int(np.argmin(swing))]}", "its column is constant in every segment")
     seen = survey.injections or survey.seen
-    if sum(len(s.i) for s in seen) < limits.least_looked_at or not _moves_both_ways(seen, limits):
+    if sum(len(s.i) for s in seen) < MIN_SAMPLES or not _moves_both_ways(seen):
         return None
     width, direction = _line(np.concatenate([s.i for s in seen])) or (1.0, 0.0)
-    if width < limits.flat:
+    if width < MAX_LINE_WIDTH_FRACTION:
         across = np.exp(1j * (direction + np.pi / 2.0))
-        apart = [abs(np.imag(across * np.conj(axis))) for axis in AXES]
-        nearest = int(np.argmin(apart))
-        name = f"phase {PHASES[nearest]}" if apart[nearest] < limits.unlike else "i_beta"
+        distances = [abs(np.imag(across * np.conj(axis))) for axis in AXES]
+        nearest = int(np.argmin(distances))
+        name = f"phase {PHASES[nearest]}" if distances[nearest] < MIN_MISMATCH_ERROR else "i_beta"
         return _dead(name, "all readings lie on one line, while the voltage has both directions")
-    told = shares(survey.injections)
-    if told is not None and min(told) < limits.silent and max(told) > limits.speaking:
-        name, least, most = "i_alpha" if told[0] < told[1] else "i_beta", 100.0 * min(told), 100.0 * max(told)
-        return _dead(name, f"the voltage explains {least:.0f} % of its steps, and {most:.0f} % of the other's")
+    shares = explained_shares(survey.injections)
+    if shares is not None and min(shares) < MAX_EXPLAINED_SHARE_DEAD and max(shares) > MIN_EXPLAINED_SHARE_LIVE:
+        name, low, high = "i_alpha" if shares[0] < shares[1] else "i_beta", 100.0 * min(shares), 100.0 * max(shares)
+        return _dead(name, f"the voltage explains {low:.0f} % of its steps, and {high:.0f} % of the other's")
     return None
 
 
-def _moves_both_ways(seen: Sequence[Sighting], limits: ConventionCriteria) -> bool:
-    """Whether the voltage goes in both directions, so that a motor's current does.
+def _moves_both_ways(seen: Sequence[SegmentReadings]) -> bool:
+    """Whether the voltage spans the plane, so that a motor's current does too.
 
-    Of a hold the mean counts: what its voltage does beside that is a controller's answer to noise.
+    Of a hold the mean counts: the rest of its voltage is the controller's reaction to noise.
     """
     holds = SegmentStage.RESISTANCE
     line = _line(np.concatenate([np.array([s.mean_v]) if s.segment.stage is holds else s.ripple_v for s in seen]))
-    return line is not None and line[0] > limits.speaking
+    return line is not None and line[0] > MIN_EXPLAINED_SHARE_LIVE
 
 
 def _dead(name: str, evidence: str) -> Convention:
@@ -113,7 +143,9 @@ def _dead(name: str, evidence: str) -> Convention:
         kind="dead_channel",
         what=f"the current of {name} looks dead" if name.startswith("phase") else f"{name} looks dead",
         evidence=evidence,
-        correction=ManifestCorrection(text=f"measure again with {name} connected; three sensors could spare one"),
+        correction=ManifestCorrection(
+            text=f"measure again with {name} connected; with three sensors the other two suffice"
+        ),
     )
 
 
@@ -127,70 +159,67 @@ def _line(z: Vectors) -> tuple[float, float] | None:
 
 
 def clipped(survey: Survey) -> Convention | None:
-    """Readings or commands that stand at one and the same limit where they should move."""
-    limits = survey.criteria
+    """Clipped readings or commands: they repeat one and the same limit where they should move."""
     for field, unit, name in (("i", "A", "currents"), ("v", "V", "voltages")):
-        for channel, at, share in _piled(survey, field):
-            # A bridge has a limit of its own, and what it commands there is true.
+        for channel, at, share in _clipped_channels(survey, field):
+            # A bridge has a limit of its own, and its commands there are true.
             if field == "v" and (
-                _as_asked(survey) or at > limits.bridge_limit * survey.manifest.drive.dc_bus_voltage_v
+                _amplitude_as_set(survey) or at > MIN_BRIDGE_LIMIT_FRACTION * survey.manifest.drive.dc_bus_voltage_v
             ):
                 continue
             return Convention(
                 kind=f"clipped_{name}",
                 what=f"the {name} look clipped at {at:.4g} {unit}",
-                evidence=f"{100 * share:.2g} % of the moving readings of {channel} stand at exactly this limit",
+                evidence=f"{100 * share:.2g} % of the moving readings of {channel} are exactly at this limit",
                 correction=ManifestCorrection(text=f"record again with a wider range of the {name}, or smaller {name}"),
             )
     return None
 
 
 def bus_spikes(survey: Survey) -> Convention | None:
-    """Single readings of the bus voltage that the capacitors of no bus can follow."""
-    limits = survey.criteria
-    found = [(int(np.count_nonzero(_spikes(s.v_dc, limits))), s) for s in survey.seen]
-    count = sum(number for number, _ in found)
+    """Single readings of the bus voltage that differ more than the bus capacitors allow."""
+    counts = [(int(np.count_nonzero(_spikes(s.v_dc))), s) for s in survey.seen]
+    count = sum(number for number, _ in counts)
     if not count:
         return None
-    worst = max(found, key=lambda one: one[0])[1]
-    at = int(np.argmax(_spikes(worst.v_dc, limits)))
+    worst = max(counts, key=lambda pair: pair[0])[1]
+    at = int(np.argmax(_spikes(worst.v_dc)))
     typical = float(np.median(worst.v_dc))
-    told = f"{worst.segment.id}: sample {at}: {worst.v_dc[at]:.4g} V between readings of {typical:.4g} V"
+    evidence = f"{worst.segment.id}: sample {at}: {worst.v_dc[at]:.4g} V between readings of {typical:.4g} V"
     return Convention(
         kind="bus_spikes",
         what=f"{count} readings of v_dc look like spikes",
-        evidence=told,
+        evidence=evidence,
         correction=ManifestCorrection(text="measure the bus anew, or give its nominal voltage in every row"),
     )
 
 
-def _spikes(v_dc: NDArray[np.floating[Any]], limits: ConventionCriteria) -> NDArray[np.bool_]:
-    """Which readings are far from the rest; none where they are more than a few, for then the bus itself has moved."""
+def _spikes(v_dc: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    """Mask of readings far from the median; all False where they are many, because then the bus itself has moved."""
     typical = float(np.median(v_dc))
-    far: NDArray[np.bool_] = np.abs(v_dc - typical) > limits.bus_spike * abs(typical)
-    return far if np.count_nonzero(far) < limits.flat * len(far) else np.zeros_like(far)
+    far: NDArray[np.bool_] = np.abs(v_dc - typical) > MIN_BUS_SPIKE_FRACTION * abs(typical)
+    return far if np.count_nonzero(far) < MAX_BUS_SPIKE_SHARE * len(far) else np.zeros_like(far)
 
 
-def _piled(survey: Survey, field: str) -> Iterator[tuple[str, float, float]]:
-    """Channels that pile up at both ends: name, limit, share of the readings."""
-    limits = survey.criteria
+def _clipped_channels(survey: Survey, field: str) -> Iterator[tuple[str, float, float]]:
+    """Channels with many readings at both ends of their range: name, limit, share of the readings."""
     for channel, x in _moving(survey, field).items():
         most = float(np.abs(x).max(initial=0.0))
         if most == 0.0:
             continue
         size = np.abs(x)
         at_limit = size >= most * (1.0 - 1e-6)
-        below = int(np.count_nonzero(size >= most * (1.0 - limits.strip)) - np.count_nonzero(at_limit))
+        below = int(np.count_nonzero(size >= most * (1.0 - STRIP_WIDTH_FRACTION)) - np.count_nonzero(at_limit))
         both = min(np.count_nonzero(at_limit & (x > 0.0)), np.count_nonzero(at_limit & (x < 0.0)))
-        # What is cut off is flat; a peak is one reading.
+        # Clipped readings repeat; a peak is one reading.
         flat = int(np.count_nonzero(at_limit[1:] & at_limit[:-1]))
         share = np.count_nonzero(at_limit) / len(x)
-        if both and share > limits.least_piled and flat > limits.piled_up * max(below, 1):
+        if both and share > MIN_CLIPPED_SHARE and flat > MIN_CLIPPED_TO_STRIP_RATIO * max(below, 1):
             yield channel, most, share
 
 
 def _moving(survey: Survey, field: str) -> dict[str, Array]:
-    """alpha, beta and the phases of the injections, whose readings never rest."""
+    """alpha, beta and the phases of the injections, whose readings always move."""
     seen = [getattr(s, field) for s in survey.injections]
     if not seen:
         return {}
@@ -198,11 +227,11 @@ def _moving(survey: Survey, field: str) -> dict[str, Array]:
     return {name: np.real(z * np.conj(axis)) for name, axis in zip(_CHANNELS, (1.0, 1j, *AXES), strict=True)}
 
 
-def _as_asked(survey: Survey) -> bool:
-    """Whether the injected amplitude is the one that was asked for, so that nothing was cut off."""
+def _amplitude_as_set(survey: Survey) -> bool:
+    """Whether the injected amplitude equals its set-point, so that nothing was clipped."""
     ratios = [
-        float(np.sqrt(np.mean(np.abs(s.ripple_v) ** 2))) / asked
+        float(np.sqrt(np.mean(np.abs(s.ripple_v) ** 2))) / amplitude
         for s in survey.injections
-        if (asked := s.asked("amplitude_v")) and s.segment.settings.get("waveform") != "sine"
+        if (amplitude := s.setting("amplitude_v")) and s.segment.settings.get("waveform") != "sine"
     ]
-    return bool(ratios) and min(ratios) > 1.0 - survey.criteria.alike
+    return bool(ratios) and min(ratios) > 1.0 - MAX_MATCH_ERROR

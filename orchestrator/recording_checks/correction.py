@@ -1,4 +1,4 @@
-"""A convention's correction at work: the recording as it would be, in memory. Nothing on the disk changes."""
+"""A recording with a convention's correction applied in memory. Nothing on the disk changes."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from protocols import Capture, Manifest, ManifestCorrection, Motor, RealArray, R
 
 
 class CorrectedRecording:
-    """A `protocols.RecordingReader` with a correction applied to what another one hands out.
+    """A `protocols.RecordingReader` that corrects the manifest and the captures of another one.
 
     Parameters
     ----------
     recording : RecordingReader
     correction : ManifestCorrection
-        One that names its field; any other leaves all as it is.
+        A correction without a field changes nothing.
     """
 
     def __init__(self, recording: RecordingReader, correction: ManifestCorrection) -> None:
@@ -35,7 +35,7 @@ class CorrectedRecording:
 
     def load(self, segment: Segment) -> Capture:
         """The segment's waveforms, corrected."""
-        # The file is found by the segment that it was written for.
+        # The file belongs to the original segment.
         own = next(s for s in self._recording.manifest.segments if s.id == segment.id)
         capture = self._recording.load(own)
         change: dict[str, object] = {"sampling_frequency_hz": self._manifest.drive.sampling_frequency_hz}
@@ -58,7 +58,7 @@ def _turn(correction: ManifestCorrection) -> Callable[[RealArray], RealArray]:
 
 
 def _corrected(manifest: Manifest, correction: ManifestCorrection) -> tuple[Manifest, int]:
-    """The manifest, and by how many rows the voltage's column comes earlier: no delay is below none."""
+    """The manifest, and the rows by which the voltage's column moves: a delay cannot be negative."""
     drive, factor, add = manifest.drive, correction.factor or 1.0, correction.add or 0.0
     if correction.field == "sampling_frequency_hz":
         drive = drive.model_copy(update={"sampling_frequency_hz": factor * drive.sampling_frequency_hz})

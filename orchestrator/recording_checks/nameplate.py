@@ -1,8 +1,8 @@
-"""R and L beside the nameplate's. A wrong nameplate and a wrong scale of the readings look alike: both are said.
+"""R and L compared with the nameplate. A wrong nameplate and a wrong scale of the readings look alike: both are named.
 
 A gain g on the currents divides R = v / i and L = v / (di/dt) by g alike, and one on the voltages multiplies both; so
-does a nameplate that is written line to line. No recording separates these: an ohmmeter does, or whoever knows how the
-log and the nameplate came about. Factors that differ for R and L are no gain's.
+does a nameplate that is written line to line. No recording separates these: an ohmmeter does, or knowledge of how the
+log and the nameplate were made. A gain cannot cause different factors for R and L.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from orchestrator.recording_checks.criteria import ConventionCriteria
 from orchestrator.recording_checks.responses import Responses
 from orchestrator.recording_checks.set_points import Match, current_match, voltage_match
+from orchestrator.recording_checks.survey import MAX_MATCH_ERROR
 from orchestrator.recording_checks.vector_maps import CURRENT_SCALES
 from protocols import Remark
 
@@ -20,38 +20,48 @@ NAMEPLATE_SCALES: Sequence[tuple[float, str]] = (
     (1.0 / 2.0, "values from line to line, two phases in series"),
     (2.0 / 3.0, "values of one phase in series with the other two in parallel"),
     (1.0 / 3.0, "values of a phase in delta"),
-    (3.0 / 2.0, "2/3 of a phase's values, a Clarke factor in whatever measured them"),
+    (3.0 / 2.0, "2/3 of a phase's values, a Clarke factor of the instrument"),
     (2.0, "half the values of a phase"),
     (10.0, "a decimal point"),
     (0.1, "a decimal point"),
 )
-"""True R and L per phase of the star over those that are written, and what is written then."""
+"""True R and L per phase of the star over the written ones, and what the written ones are then."""
+MAX_NAMEPLATE_DEVIATION = 0.2
+"""Relative difference to the nameplate's R and L that tolerance, temperature and saturation make."""
+MIN_RESISTIVE_SHARE = 0.3
+"""Part of the voltage at rest that R_s i has to make for a comparison of R_s: below, inverter losses dominate."""
+MIN_SCALE_RATIO = 1.35
+"""Ratio to the nameplate, of R and L alike, that a tolerance cannot make."""
+MAX_RESISTANCE_RATIO = 1.7
+"""Ratio to the nameplate's R that 100 K of copper (0.39 %/K) and a tolerance of 20 % make."""
+MAX_INDUCTANCE_RATIO = 2.5
+"""Ratio to the nameplate's L that iron makes which saturates by 60 %."""
 
 
-def nameplate_remarks(seen: Responses) -> tuple[Remark, ...]:
-    """What R and L say beside the nameplate's, with the evidence that separates its being wrong from the readings'.
+def nameplate_remarks(responses: Responses) -> tuple[Remark, ...]:
+    """Remarks on R and L that differ from the nameplate's, with the measurement that decides which is wrong.
 
-    None where R and L agree with it as far as tolerance, temperature and saturation go, or where one is not known.
+    Empty where they agree within tolerance, temperature and saturation, or where one is not known.
     """
-    r_ratio, l_ratio, limits = seen.resistance_ratio, seen.inductance_ratio, seen.survey.criteria
-    if r_ratio is None or l_ratio is None or seen.resistive_part < limits.least_resistive:
+    r_ratio, l_ratio = responses.resistance_ratio, responses.inductance_ratio
+    if r_ratio is None or l_ratio is None or responses.resistive_part < MIN_RESISTIVE_SHARE:
         return ()
-    tolerance = math.log1p(limits.nameplate)
+    tolerance = math.log1p(MAX_NAMEPLATE_DEVIATION)
     both = math.sqrt(r_ratio * l_ratio)
     if abs(math.log(r_ratio / l_ratio)) > tolerance:
-        return (_unlike_factors(r_ratio, l_ratio),) if _far_apart(r_ratio, l_ratio, limits) else ()
-    return (_same_factor(seen, r_ratio, l_ratio),) if abs(math.log(both)) >= math.log(limits.least_scale) else ()
+        return (_unlike_factors(r_ratio, l_ratio),) if _far_apart(r_ratio, l_ratio) else ()
+    return (_same_factor(responses, r_ratio, l_ratio),) if abs(math.log(both)) >= math.log(MIN_SCALE_RATIO) else ()
 
 
-def _far_apart(r_ratio: float, l_ratio: float, limits: ConventionCriteria) -> bool:
-    """Whether one is further off than a winding's heat takes R, or than iron takes L."""
-    hot, saturated = limits.hot_winding, limits.saturated_iron
-    return not (1.0 / hot <= r_ratio <= hot and 1.0 / saturated <= l_ratio <= saturated)
+def _far_apart(r_ratio: float, l_ratio: float) -> bool:
+    """Whether R deviates more than by heating, or L more than by saturation."""
+    max_r, max_l = MAX_RESISTANCE_RATIO, MAX_INDUCTANCE_RATIO
+    return not (1.0 / max_r <= r_ratio <= max_r and 1.0 / max_l <= l_ratio <= max_l)
 
 
-def _same_factor(seen: Responses, r_ratio: float, l_ratio: float) -> Remark:
-    motor, limits, both = seen.survey.manifest.motor, seen.survey.criteria, math.sqrt(r_ratio * l_ratio)
-    near = math.log1p(limits.nameplate) / 2.0
+def _same_factor(responses: Responses, r_ratio: float, l_ratio: float) -> Remark:
+    motor, both = responses.survey.manifest.motor, math.sqrt(r_ratio * l_ratio)
+    near = math.log1p(MAX_NAMEPLATE_DEVIATION) / 2.0
     plate = next((why for factor, why in NAMEPLATE_SCALES if abs(math.log(both / factor)) < near), None)
     scale = next((m for m in CURRENT_SCALES if m.factor and abs(math.log(both * m.factor)) < near), None)
     written = "" if plate is None else f" (written would be {plate})"
@@ -73,26 +83,26 @@ def _same_factor(seen: Responses, r_ratio: float, l_ratio: float) -> Remark:
         written=written,
         logged=logged,
         both=both,
-        evidence=_set_points(current_match(seen.survey), voltage_match(seen.survey), limits),
+        evidence=_set_point_evidence(current_match(responses.survey), voltage_match(responses.survey)),
         readings_ohm=2.0 * r_ratio * ohm,
         nameplate_ohm=2.0 * ohm,
     )
 
 
-def _set_points(currents: Match | None, voltages: Match | None, limits: ConventionCriteria) -> str:
-    """What the set-points say of a scale between the drive and the file."""
+def _set_point_evidence(currents: Match | None, voltages: Match | None) -> str:
+    """A sentence on whether the set-points show a scale between the drive and the file."""
     matches = {"currents": currents, "injected voltages": voltages}
-    asked = {name: match.error_as_is for name, match in matches.items() if match is not None}
-    kept = [name for name, error in asked.items() if error < limits.alike]
-    if not asked:
+    errors = {name: match.error_as_is for name, match in matches.items() if match is not None}
+    agreeing = [name for name, error in errors.items() if error < MAX_MATCH_ERROR]
+    if not errors:
         return "No set-points were logged, which would show a scale between drive and file"
-    if len(kept) < len(asked):
+    if len(agreeing) < len(errors):
         return "The set-points do not decide it"
-    within = 100.0 * max(asked.values())
-    rest = "" if len(kept) == len(matches) else f", the {next(n for n in matches if n not in asked)} have none"
+    within = 100.0 * max(errors.values())
+    rest = "" if len(agreeing) == len(matches) else f" (no set-points of {next(n for n in matches if n not in errors)})"
     return (
-        f"The {' and '.join(kept)} are their set-points within {within:.2g} %{rest}: no scale came between drive and "
-        "file, which leaves the nameplate or the drive's own sensors"
+        f"The {' and '.join(agreeing)} agree with their set-points within {within:.2g} %{rest}: there is no scale "
+        "between drive and file, which leaves the nameplate or the drive's own sensors"
     )
 
 

@@ -1,7 +1,11 @@
-"""A part of a recording as plain vectors, with what was asked for beside them. Judges nothing.
+"""A sample of a recording's segments as complex vectors, with their set-points. Judges nothing.
 
 Vectors of the stator's plane are complex numbers here, alpha + j beta: a gain, a turn and an exchange of phases are
 then all of the form i -> a i + b conj(i).
+
+An effect of the catalogue moves a gain by some percent and a delay by half a sample; conventions are off by a third,
+an axis or a whole sample. The limits of all checks lie between, nearer to the conventions: a false alarm costs more
+than a missed one.
 """
 
 from __future__ import annotations
@@ -16,15 +20,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
-from orchestrator.recording_checks.criteria import ConventionCriteria
 from protocols import Manifest, RecordingReader, Segment, SegmentStage
 
 Vectors = NDArray[np.complex128]
 
+MAX_SAMPLES_PER_STAGE = 240_000
+"""Samples of each kind of stage that are read."""
+MAX_SAMPLES_PER_SEGMENT = 20_000
+"""Samples of one segment that are read."""
+MIN_SEGMENTS = 6
+"""Segments of each kind of stage that are read in any case."""
+MIN_SAMPLES = 100
+"""Samples below which a segment is too short for any check."""
+MAX_MATCH_ERROR = 0.04
+"""Relative error of vectors within which readings agree with their set-points."""
+MIN_MISMATCH_ERROR = 0.15
+"""Relative error beyond which they disagree: no catalogued effect moves a controlled current so far."""
+MIN_CURRENT_FRACTION = 0.3
+"""Part of the largest current below which offsets are as large as the current itself."""
+MIN_EDGE_FRACTION = 0.3
+"""Step of a voltage, relative to the largest, that is one of an injected square's edges, or half of one."""
+MAX_CONDITION_NUMBER = 1e3
+"""Condition number up to which a least-squares fit separates its columns; ten samples per square wave have fifty."""
+
 
 @dataclass(frozen=True)
-class Sighting:
-    """One segment.
+class SegmentReadings:
+    """The readings of one segment.
 
     Attributes
     ----------
@@ -45,23 +67,23 @@ class Sighting:
 
     @property
     def theta_rad(self) -> float:
-        """The angle that the operator believes in."""
+        """The manifest's electrical rotor angle."""
         return float(self.segment.rotor_angle_rad)
 
-    def asked(self, name: str) -> float | None:
-        """A number of the settings; None where there is none."""
+    def setting(self, name: str) -> float | None:
+        """A number of the segment's settings; None where there is none."""
         value = self.segment.settings.get(name)
         is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
         return float(value) if is_number and value is not None else None
 
     @cached_property
     def mean_i(self) -> complex:
-        """Of the second half, where what was switched on has settled."""
+        """Mean current of the second half, where transients have settled."""
         return complex(self.i[len(self.i) // 2 :].mean())
 
     @cached_property
     def mean_v(self) -> complex:
-        """Of the second half."""
+        """Mean voltage of the second half."""
         return complex(self.v[len(self.v) // 2 :].mean())
 
     @cached_property
@@ -71,9 +93,9 @@ class Sighting:
 
     @property
     def set_point(self) -> complex | None:
-        """The current that was asked for, in the stator's frame by the angle believed in; None where unknown."""
+        """The current's set-point in the stator's frame, by the manifest's angle; None where unknown."""
         names = ("target_d_a", "target_q_a") if self.is_injection else ("current_d_a", "current_q_a")
-        d, q = (self.asked(name) for name in names)
+        d, q = (self.setting(name) for name in names)
         return None if d is None or q is None else complex(d, q) * np.exp(1j * self.theta_rad)
 
     @property
@@ -83,21 +105,20 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Survey:
-    """The segments that were looked at, in order of time."""
+    """The segments that were read, in order of time."""
 
     manifest: Manifest
-    seen: Sequence[Sighting]
-    criteria: ConventionCriteria
+    seen: Sequence[SegmentReadings]
 
-    def of(self, *stages: SegmentStage) -> list[Sighting]:
+    def of(self, *stages: SegmentStage) -> list[SegmentReadings]:
         return [s for s in self.seen if s.segment.stage in stages]
 
     @property
-    def holds(self) -> list[Sighting]:
+    def holds(self) -> list[SegmentReadings]:
         return self.of(SegmentStage.RESISTANCE)
 
     @property
-    def injections(self) -> list[Sighting]:
+    def injections(self) -> list[SegmentReadings]:
         return self.of(SegmentStage.INJECTION)
 
     @property
@@ -105,13 +126,13 @@ class Survey:
         return self.manifest.drive.sampling_frequency_hz
 
     @cached_property
-    def reach_a(self) -> float:
+    def max_current_a(self) -> float:
         """The largest mean current of a segment."""
         return max((abs(s.mean_i) for s in self.seen), default=0.0)
 
 
-def survey(recording: RecordingReader, criteria: ConventionCriteria, poll: Callable[[], None] = lambda: None) -> Survey:
-    """Read holds, sweeps, injections and steps, evenly spread and of so many samples in all.
+def survey(recording: RecordingReader, poll: Callable[[], None] = lambda: None) -> Survey:
+    """Holds, sweeps, injections and steps, evenly spread over the recording, with a bounded number of samples.
 
     Raises
     ------
@@ -120,23 +141,23 @@ def survey(recording: RecordingReader, criteria: ConventionCriteria, poll: Calla
     """
     chosen: list[Segment] = []
     for stage in (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS):
-        segments = [s for s in recording.segments(stage) if s.samples >= criteria.least_looked_at]
-        most = criteria.looked_at_samples / (np.mean([s.samples for s in segments]) if segments else 1.0)
-        few = max(min(len(segments), round(most)), min(len(segments), criteria.looked_at_segments))
+        segments = [s for s in recording.segments(stage) if s.samples >= MIN_SAMPLES]
+        most = MAX_SAMPLES_PER_STAGE / (np.mean([s.samples for s in segments]) if segments else 1.0)
+        few = max(min(len(segments), round(most)), min(len(segments), MIN_SEGMENTS))
         chosen += [segments[round(k)] for k in np.linspace(0, len(segments) - 1, few)]
     chosen.sort(key=lambda s: s.start_s)
     seen = []
     for segment in chosen:
         poll()
-        seen.append(_sighting(recording, segment, criteria))
-    return Survey(recording.manifest, seen, criteria)
+        seen.append(_read_segment(recording, segment))
+    return Survey(recording.manifest, seen)
 
 
-def _sighting(recording: RecordingReader, segment: Segment, criteria: ConventionCriteria) -> Sighting:
+def _read_segment(recording: RecordingReader, segment: Segment) -> SegmentReadings:
     capture = recording.load(segment)
-    rows = slice(0, criteria.looked_at_of_a_segment)
+    rows = slice(0, MAX_SAMPLES_PER_SEGMENT)
     i, v = (_complex(x[rows]) for x in (capture.i_ab, capture.v_ab))
-    return Sighting(segment, i, v, None if capture.i_abc is None else capture.i_abc[rows], capture.v_dc[rows])
+    return SegmentReadings(segment, i, v, None if capture.i_abc is None else capture.i_abc[rows], capture.v_dc[rows])
 
 
 def _complex(x: NDArray[np.floating[Any]]) -> Vectors:

@@ -1,4 +1,4 @@
-"""What a wrong convention makes of a vector, i -> a i + b conj(i), and those that loggers are known for."""
+"""The maps i -> a i + b conj(i) by which wrong conventions distort vectors, and the catalogue of known ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AXES = np.exp(2j * np.pi / 3.0 * np.arange(3))
 
 @dataclass(frozen=True)
 class VectorMap:
-    """What the recording has for a vector z: a z + b conj(z).
+    """The recorded vector of a true one z: a z + b conj(z).
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class VectorMap:
         ``scaled``, ``swapped``, ``inverted``, ``dead``, ``reversed`` or ``turned``.
     a, b : complex
     what : str
-        What happened to the vectors, behind "the currents look ...".
+        Description of the distortion, to follow "the currents look ...".
     """
 
     kind: str
@@ -40,25 +40,25 @@ class VectorMap:
 
     @property
     def matrix(self) -> Array:
-        """The same for (alpha, beta), shape (2, 2)."""
+        """The map as a matrix of (alpha, beta), shape (2, 2)."""
         a, b = self.a, self.b
         return np.array([[a.real + b.real, b.imag - a.imag], [a.imag + b.imag, a.real - b.real]])
 
     @property
     def factor(self) -> float | None:
-        """Where it is a gain alone."""
+        """The gain; None where the map is more than a gain."""
         return self.a.real if self.b == 0.0 and self.a.imag == 0.0 else None
 
     @property
-    def undone(self) -> VectorMap | None:
-        """The map back; None where there is none."""
+    def inverse(self) -> VectorMap | None:
+        """The inverse map; None where there is none."""
         size = abs(self.a) ** 2 - abs(self.b) ** 2
         if abs(size) < 1e-9:
             return None
         return VectorMap(self.kind, self.a.conjugate() / size, -self.b / size, self.what)
 
 
-SAME = VectorMap("same", 1.0, 0.0, "right")
+IDENTITY = VectorMap("same", 1.0, 0.0, "right")
 
 
 def _scaled(factor: float, why: str) -> VectorMap:
@@ -108,13 +108,13 @@ def _exchanges() -> Iterator[VectorMap]:
 
 
 def _of_one_phase(kind: str, gain: float, what: str) -> Iterator[VectorMap]:
-    """One sensor reads `gain` times its current; Clarke of two sensors, whichever they are, or of three."""
+    """Maps where one sensor reads `gain` times its current, for a Clarke transform of any two sensors or of three."""
     for phase in range(3):
         z = complex(gain - 1.0) / 3.0 * AXES[phase] ** 2
         yield VectorMap(kind, 1.0 + (gain - 1.0) / 3.0, complex(z), what.format(phase=PHASES[phase]))
         for other in (n for n in range(3) if n != phase):
             hidden = 3 - phase - other
-            # The third current is taken for minus the other two, so that it has the same error reversed.
+            # The third current is computed as minus the other two, so that it has the same error reversed.
             along = (AXES[phase] - AXES[hidden]) * (gain - 1.0) * 2.0 / 3.0
             a, b = along * np.conj(AXES[phase]) / 2.0, along * AXES[phase] / 2.0
             yield VectorMap(kind, complex(1.0 + a), complex(b), what.format(phase=PHASES[phase]))
@@ -130,4 +130,4 @@ DEAD = (
     VectorMap("dead", 0.5, 0.5, "zero in beta"),
     *_of_one_phase("dead", 0.0, "zero in phase {phase}"),
 )
-"""A conjugate of beta is an exchange of phases b and c, and stands there."""
+"""A conjugate of beta is an exchange of phases b and c, which EXCHANGES contains."""

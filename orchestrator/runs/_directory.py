@@ -20,8 +20,8 @@ from typing import Any, Self
 from pydantic import ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.formatting.sentences import visible
 from orchestrator.plain_files import read_bytes
-from orchestrator.presentation.sentences import visible
 from orchestrator.recording import (
     MANIFEST_NAME,
     capture_path,

@@ -20,8 +20,8 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.formatting.sentences import visible
 from orchestrator.plain_files import read_bytes
-from orchestrator.presentation.sentences import visible
 from orchestrator.recording import storage_error, sync_folder
 from protocols import JournalledMessage, RecordingError, StorageError
 

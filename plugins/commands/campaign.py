@@ -37,8 +37,8 @@ def campaign(
     """
     from orchestrator.campaign import CampaignJob, check_runs, load_campaign, power_of, runs_of
     from orchestrator.fleet import ClusterSettings, FleetTable, connected, read_table
-    from orchestrator.presentation.sentences import visible
-    from orchestrator.presentation.waiting import Waiting
+    from orchestrator.formatting.sentences import visible
+    from orchestrator.formatting.waiting import Waiting
     from orchestrator.recording import replace_file
 
     plan = load_campaign(file)
@@ -72,9 +72,9 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _say(report: PowerReport, found_with: float) -> None:
-    from orchestrator.presentation.names import plain
-    from orchestrator.presentation.quantities import number, percent, plural
-    from orchestrator.presentation.sentences import shown, text_table
+    from orchestrator.formatting.names import plain
+    from orchestrator.formatting.quantities import number, percent, plural
+    from orchestrator.formatting.sentences import shown, text_table
 
     rows = [
         (

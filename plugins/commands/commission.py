@@ -31,9 +31,9 @@ def commission(
     ] = None,
 ) -> int:
     """Measure a flux map until it is known as well as asked for: the procedure `adaptive`, with another target."""
+    from orchestrator.api import run
     from orchestrator.config import load_procedure
     from orchestrator.engine import TerminalOperator
-    from orchestrator.workbench import run
     from plugins.stages.adaptive import AdaptiveStage
     from protocols import shipped_procedure
 

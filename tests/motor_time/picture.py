@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orchestrator.presentation.colours import BLUE, VERMILION
-from orchestrator.presentation.drawing import STYLE, bare, empty_figure, name_axes
-from orchestrator.presentation.quantities import fixed
-from orchestrator.presentation.sentences import markdown_table
+from orchestrator.formatting.colours import BLUE, VERMILION
+from orchestrator.formatting.drawing import STYLE, bare, empty_figure, name_axes
+from orchestrator.formatting.quantities import fixed
+from orchestrator.formatting.sentences import markdown_table
 from tests.motor_time.measuring import Known
 
 if TYPE_CHECKING:

@@ -208,7 +208,7 @@ def test_a_stop_signal_ends_the_closing_and_its_handler_is_put_back() -> None:
 
 LEAVING = """
 import atexit, threading, time
-from orchestrator.cli._leaving import leave
+from orchestrator.cli._process import leave
 from orchestrator.streaming import Dispatcher, has_unfinished_streams
 {stream}
 atexit.register(time.sleep, 60.0)  # as a library that waits for its own thread

@@ -17,9 +17,9 @@ ROOT = Path(__file__).parents[2]
 OLDEST_DAYS = 21.0
 """By which what draws a picture may be younger than the picture."""
 DRAWN_BY = {
-    "report": ("plugins/streams/report", "orchestrator/presentation"),
-    "demo": ("plugins/streams/report", "orchestrator/presentation"),
-    "viewer": ("plugins/streams/rerun", "orchestrator/presentation"),
+    "report": ("plugins/streams/report", "orchestrator/formatting"),
+    "demo": ("plugins/streams/report", "orchestrator/formatting"),
+    "viewer": ("plugins/streams/rerun", "orchestrator/formatting"),
     "motor-time": ("tests/motor_time",),
     "serve": ("plugins/commands/serve/page", "plugins/streams/remote"),
 }

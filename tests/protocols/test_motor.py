@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from orchestrator.config import MotorFile
-from orchestrator.presentation.options import options_table
+from orchestrator.formatting.options import options_table
 
 TABLE = {line.split("`")[1]: line for line in options_table(MotorFile).splitlines() if "`" in line}
 

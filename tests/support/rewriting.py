@@ -61,13 +61,13 @@ class Rewritten:
         motor = self.manifest.motor.model_copy(update=change)
         return Rewritten(self.manifest.model_copy(update={"motor": motor}), self.captures)
 
-    def asked(self, change: Callable[[Segment], dict[str, Any]]) -> Rewritten:
+    def with_segments(self, change: Callable[[Segment], dict[str, Any]]) -> Rewritten:
         """Other segments in the manifest."""
         segments = tuple(s.model_copy(update=change(s)) for s in self.manifest.segments)
         return Rewritten(self.manifest.model_copy(update={"segments": segments}), self.captures)
 
     def without_settings(self, *names: str) -> Rewritten:
-        return self.asked(lambda s: {"settings": {k: v for k, v in s.settings.items() if k not in names}})
+        return self.with_segments(lambda s: {"settings": {k: v for k, v in s.settings.items() if k not in names}})
 
     def late(self, rows: int) -> Rewritten:
         """The voltage's column so many rows further down."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from orchestrator.diagnosis.fitting.fit import LEAST_GAIN, Fitter
 from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, moved_by
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.quantities import number
 
 LEAST_JOINT_GAIN: float = 2.0
 """Fall of the objective below which a round of all effects together is not worth its cost, that of a whole fit of

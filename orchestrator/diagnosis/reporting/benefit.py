@@ -7,9 +7,9 @@ from collections.abc import Callable
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v, training
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
-from orchestrator.presentation.names import parameter_words, plain
-from orchestrator.presentation.quantities import quantity
-from orchestrator.presentation.sentences import listed
+from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.quantities import quantity
+from orchestrator.formatting.sentences import listed
 from protocols import FoundEffect, Remark
 
 

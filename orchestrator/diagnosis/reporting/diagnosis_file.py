@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
+from orchestrator.formatting.sentences import visible
 from orchestrator.memory import require_memory
 from orchestrator.plain_files import read_bytes
-from orchestrator.presentation.sentences import visible
 from orchestrator.recording import replace_file
 from protocols import (
     CurrentExcerpt,

@@ -13,10 +13,10 @@ from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 from orchestrator.diagnosis.selection.identifiability import parted_by
+from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
+from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
-from orchestrator.presentation.names import parameter_words, plain
-from orchestrator.presentation.quantities import duration, percent, quantity, value_and_interval
-from orchestrator.presentation.sentences import listed
 from protocols import DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
 
 _LOOKS = {

@@ -31,8 +31,8 @@ from orchestrator.diagnosis.selection.scoring import (
     score,
 )
 from orchestrator.diagnosis.selection.shares import Share
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import number
 from protocols import ParameterRole
 
 MANY_MISSING_CHI2_RATIO: float = 3.0

@@ -13,8 +13,8 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.joint_search import dispensable, log_bayes_factors
 from orchestrator.diagnosis.selection.verdict import fitted_verdict
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import number
 from protocols import Verdict
 
 MOST_NAMES = 5

@@ -43,8 +43,8 @@ from orchestrator.diagnosis.uncertainty.scatter import (
     doubting_zeros,
     likelihood_of,
 )
-from orchestrator.presentation.names import plain as plain_name
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.names import plain as plain_name
+from orchestrator.formatting.quantities import number
 from protocols import ModelNoise
 
 NAMED_OVER_RESIDUAL: float = 3.0

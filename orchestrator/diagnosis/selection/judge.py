@@ -16,9 +16,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import number, plural, quantity
-from orchestrator.presentation.sentences import listed
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import number, plural, quantity
+from orchestrator.formatting.sentences import listed
 from protocols import Judgement, Reason, Verdict, VerdictLimits, VerdictRecord
 
 Outcome = tuple[Verdict, list[Reason]]

@@ -16,7 +16,7 @@ def priors(
 ) -> int:
     """How often each effect is there and how large, R_s, L_d and L_q, as the next motor lets expect them."""
     from orchestrator.fleet_statistics import prior_rows, priors_of, read_fleet
-    from orchestrator.presentation.sentences import shown, text_table, visible
+    from orchestrator.formatting.sentences import shown, text_table, visible
     from orchestrator.recording import replace_file
 
     found = priors_of(read_fleet(table), motor)

@@ -31,9 +31,9 @@ def report(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """Distributions, outliers, drift, batches, control limits, pass and fail, pairs: one page, and its JSON."""
+    from orchestrator.api import one_thread
     from orchestrator.fleet_statistics import WITHIN, outlier_rows, read_fleet, read_limits, report_of
-    from orchestrator.presentation.sentences import shown, text_table, visible
-    from orchestrator.workbench import one_thread
+    from orchestrator.formatting.sentences import shown, text_table, visible
     from plugins.streams.report import write_fleet_report
 
     with one_thread():

@@ -43,9 +43,9 @@ def run(
     Started again, it goes on where it was: what has a row is not done twice.
     """
     from orchestrator.fleet import ClusterSettings, FleetJob, FleetTable, connected, find_sources
-    from orchestrator.presentation.quantities import plural
-    from orchestrator.presentation.sentences import visible
-    from orchestrator.presentation.waiting import Waiting
+    from orchestrator.formatting.quantities import plural
+    from orchestrator.formatting.sentences import visible
+    from orchestrator.formatting.waiting import Waiting
 
     began, tell = time.monotonic(), Waiting()
     plan = _plan(do, mapping, keep)
@@ -93,8 +93,8 @@ def _plan(do: str, mapping: Path | None, keep: Path | None) -> Plan:
 
 
 def _say(report: JobReport) -> None:
-    from orchestrator.presentation.quantities import duration, plural
-    from orchestrator.presentation.sentences import shown
+    from orchestrator.formatting.quantities import duration, plural
+    from orchestrator.formatting.sentences import shown
 
     for failed in report.failed:
         told = failed.problem if failed.source in failed.problem else f"{failed.source}: {failed.problem}"

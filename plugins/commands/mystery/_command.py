@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from orchestrator.presentation.names import parameter_words
-from orchestrator.presentation.quantities import number, percent
-from orchestrator.presentation.sentences import shown, visible
+from orchestrator.formatting.names import parameter_words
+from orchestrator.formatting.quantities import number, percent
+from orchestrator.formatting.sentences import shown, visible
 from protocols import InputError
 
 if TYPE_CHECKING:

@@ -65,7 +65,7 @@ def _split(bus: str) -> tuple[str, str]:
 
 
 def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
-    from orchestrator.presentation.sentences import cut, one_line, visible
+    from orchestrator.formatting.sentences import cut, one_line, visible
 
     if as_json:
         import json
@@ -82,7 +82,7 @@ def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_js
 
 
 def _told(drive: Found) -> list[str]:
-    from orchestrator.presentation.quantities import quantity, vector
+    from orchestrator.formatting.quantities import quantity, vector
 
     own, status = drive.capabilities, drive.status
     settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_told(key, v))

@@ -27,7 +27,7 @@ def reproduce(
     """Run the paper's experiment on the simulated drive and write its figures and tables beside the printed ones."""
     from orchestrator.config import load_procedure
     from orchestrator.engine import AbsentOperator, Crew, handling_signals, start_run
-    from orchestrator.presentation.sentences import shown
+    from orchestrator.formatting.sentences import shown
     from plugins.commands.reproduction._material import collect
     from plugins.commands.reproduction._page import write_page
 

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orchestrator.numerics.types import Array
-from orchestrator.presentation.colours import BLUE, GREEN, VERMILION
-from orchestrator.presentation.drawing import (
+from orchestrator.formatting.colours import BLUE, GREEN, VERMILION
+from orchestrator.formatting.drawing import (
     BASIS_LINES,
     CURRENT_LABELS,
     STYLE,
@@ -20,7 +19,8 @@ from orchestrator.presentation.drawing import (
     name_axes,
     signed_scale,
 )
-from orchestrator.presentation.profiles import flux_at_zero, profile
+from orchestrator.formatting.profiles import flux_at_zero, profile
+from orchestrator.numerics.types import Array
 from plugins.commands.reproduction._material import Loop, Material
 from protocols import FluxMapEstimate
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from orchestrator.presentation.names import PAPER_CROSSINGS
-from orchestrator.presentation.quantities import UNKNOWN, fixed, number, percent, quantity
-from orchestrator.presentation.sentences import markdown_table
+from orchestrator.formatting.names import PAPER_CROSSINGS
+from orchestrator.formatting.quantities import UNKNOWN, fixed, number, percent, quantity
+from orchestrator.formatting.sentences import markdown_table
 from orchestrator.recording import replace_file
 from plugins.commands.reproduction._figures import draw_all
 from plugins.commands.reproduction._material import Material

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.config import load_motor, load_procedure
+from orchestrator.formatting.sentences import shown
 from orchestrator.plain_files import read_text
-from orchestrator.presentation.sentences import shown
 from orchestrator.registry import PluginKind, installed
 from orchestrator.runs import run_rows
 from protocols import FluxbenchError, InputError, shipped_procedures

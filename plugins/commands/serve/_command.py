@@ -21,7 +21,7 @@ def serve(
     port: Annotated[int, typer.Option(min=0, max=65535, help="To listen on; 0: any that is free.")] = 0,
 ) -> int:
     """Start, follow, answer and stop runs from a browser on this machine. Ctrl-C ends it, and a run that is going."""
-    from orchestrator.presentation.sentences import shown
+    from orchestrator.formatting.sentences import shown
     from plugins.commands.serve._server import serve_page
     from protocols import InputError
 

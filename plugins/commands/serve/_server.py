@@ -12,7 +12,7 @@ from pathlib import Path
 
 import uvicorn
 
-from orchestrator.presentation.sentences import shown
+from orchestrator.formatting.sentences import shown
 from plugins.commands.serve._app import page_app
 from plugins.commands.serve._guard import new_token
 from plugins.commands.serve._run import RunOfThePage

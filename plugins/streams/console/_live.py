@@ -15,11 +15,11 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.presentation.events import said
-from orchestrator.presentation.names import OUTCOME_MOODS, plain, slots
-from orchestrator.presentation.quantities import vector
-from orchestrator.presentation.results import resistance
-from orchestrator.presentation.sentences import cut, one_line, visible
+from orchestrator.formatting.events import said
+from orchestrator.formatting.names import OUTCOME_MOODS, plain, slots
+from orchestrator.formatting.quantities import vector
+from orchestrator.formatting.results import resistance
+from orchestrator.formatting.sentences import cut, one_line, visible
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import stage_ending, stage_title, step_bar, step_line, summary_rows, time_left
 from protocols import (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from orchestrator.presentation.events import said
-from orchestrator.presentation.names import slots
-from orchestrator.presentation.quantities import plural, vector
-from orchestrator.presentation.sentences import columns, cut, for_output, one_line
+from orchestrator.formatting.events import said
+from orchestrator.formatting.names import slots
+from orchestrator.formatting.quantities import plural, vector
+from orchestrator.formatting.sentences import columns, cut, for_output, one_line
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import stage_ending, stage_title, step_line, summary_rows, time_left
 from protocols import (

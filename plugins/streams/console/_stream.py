@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Protocol, TextIO
 
 from pydantic import BaseModel
 
-from orchestrator.presentation.sentences import can_print
+from orchestrator.formatting.sentences import can_print
 from plugins.streams.console._plain import PlainView, QuietView
 from plugins.streams.console._progress import Progress
 from protocols import Message, StreamSetup, Strict

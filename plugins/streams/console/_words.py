@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from orchestrator.presentation.events import step_error_v
-from orchestrator.presentation.names import rung_name
-from orchestrator.presentation.quantities import UNKNOWN, duration, number, plural, quantity
-from orchestrator.presentation.results import check_rows, resistance
-from orchestrator.presentation.sentences import shortened, typographic
+from orchestrator.formatting.events import step_error_v
+from orchestrator.formatting.names import rung_name
+from orchestrator.formatting.quantities import UNKNOWN, duration, number, plural, quantity
+from orchestrator.formatting.results import check_rows, resistance
+from orchestrator.formatting.sentences import shortened, typographic
 from plugins.streams.console._progress import Progress, StageProgress
 from protocols import DiagnosisStep, EstimationReport, RunEnded
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.formatting.events import said
+from orchestrator.formatting.names import OUTCOME_MOODS, VERDICTS, plain, slots
+from orchestrator.formatting.profiles import flux_at_zero
+from orchestrator.formatting.quantities import vector
+from orchestrator.formatting.results import resistance
+from orchestrator.formatting.sentences import shown
 from orchestrator.numerics.frames import to_dq
-from orchestrator.presentation.events import said
-from orchestrator.presentation.names import OUTCOME_MOODS, VERDICTS, plain, slots
-from orchestrator.presentation.profiles import flux_at_zero
-from orchestrator.presentation.quantities import vector
-from orchestrator.presentation.results import resistance
-from orchestrator.presentation.sentences import shown
 from orchestrator.stages import installed_stages
 from plugins.streams._ripple import FluxTree, fit_ripple
 from plugins.streams.console import Progress, stage_title, summary_rows, time_left

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.presentation.sentences import shown
+from orchestrator.formatting.sentences import shown
 from plugins.streams.report._page import write_report
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.presentation.colours import BLUE, GREEN, ORANGE, PURPLE, VERMILION
-from orchestrator.presentation.drawing import STYLE, current_plane, label, legend_above, name_axes, new_figure, uri
-from orchestrator.presentation.sentences import typographic
+from orchestrator.api import compare_runs
+from orchestrator.comparison import SideBySide, change_rows, run_rows
+from orchestrator.formatting.colours import BLUE, GREEN, ORANGE, PURPLE, VERMILION
+from orchestrator.formatting.drawing import STYLE, current_plane, label, legend_above, name_axes, new_figure, uri
+from orchestrator.formatting.sentences import typographic
 from orchestrator.recording import replace_file
-from orchestrator.side_by_side import SideBySide, change_rows, run_rows
-from orchestrator.workbench import compare_runs
 from plugins.streams.report._page import filled
 from plugins.streams.report._picture import Picture
 

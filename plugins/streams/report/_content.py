@@ -8,9 +8,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from orchestrator.presentation.events import said
-from orchestrator.presentation.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
-from orchestrator.presentation.quantities import (
+from orchestrator.formatting.events import said
+from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
+from orchestrator.formatting.quantities import (
     duration,
     fixed,
     percent,
@@ -18,8 +18,8 @@ from orchestrator.presentation.quantities import (
     quantity,
     with_error,
 )
-from orchestrator.presentation.results import coefficient_rows, resistance, resistance_course
-from orchestrator.presentation.sentences import typographic
+from orchestrator.formatting.results import coefficient_rows, resistance, resistance_course
+from orchestrator.formatting.sentences import typographic
 from plugins.streams.report._collect import Material
 from protocols import (
     AxisPercent,

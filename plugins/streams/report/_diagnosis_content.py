@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orchestrator.presentation.explaining import accuracy_sentences, search_rows
-from orchestrator.presentation.names import VERDICTS, Verdict, plain, slots
-from orchestrator.presentation.quantities import duration, number, percent, quantity
-from orchestrator.presentation.results import ladder_rows as rungs
-from orchestrator.presentation.results import parameter_rows
-from orchestrator.presentation.sentences import listed, typographic
+from orchestrator.formatting.explaining import accuracy_sentences, search_rows
+from orchestrator.formatting.names import VERDICTS, Verdict, plain, slots
+from orchestrator.formatting.quantities import duration, number, percent, quantity
+from orchestrator.formatting.results import ladder_rows as rungs
+from orchestrator.formatting.results import parameter_rows
+from orchestrator.formatting.sentences import listed, typographic
 from protocols import JointEntry
 
 if TYPE_CHECKING:

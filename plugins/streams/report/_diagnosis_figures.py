@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orchestrator.presentation.colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
-from orchestrator.presentation.drawing import (
+from orchestrator.formatting.colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
+from orchestrator.formatting.drawing import (
     BEFORE_COLOUR,
     CURRENT_LABELS,
     PHASES_ON_PAPER,
@@ -26,8 +26,8 @@ from orchestrator.presentation.drawing import (
     new_figure,
     uri,
 )
-from orchestrator.presentation.names import plain, rung_name
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.names import plain, rung_name
+from orchestrator.formatting.quantities import number
 from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, JointEntry, RealArray, ResistanceCourse, Rung
 
 if TYPE_CHECKING:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from orchestrator.presentation.events import step_error_v
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import quantity, vector
-from orchestrator.presentation.sentences import listed
+from orchestrator.formatting.events import step_error_v
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import quantity, vector
+from orchestrator.formatting.sentences import listed
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _diagnosis_figures as figures
 from plugins.streams.report._picture import Picture

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orchestrator.presentation.colours import BLACK, BLUE, GUIDE, METHODS, ORANGE, SKY, VERMILION
-from orchestrator.presentation.drawing import (
+from orchestrator.formatting.colours import BLACK, BLUE, GUIDE, METHODS, ORANGE, SKY, VERMILION
+from orchestrator.formatting.drawing import (
     BASIS_LINES,
     CURRENT_LABELS,
     STYLE,
@@ -23,8 +23,8 @@ from orchestrator.presentation.drawing import (
     signed_scale,
     uri,
 )
-from orchestrator.presentation.profiles import flux_at_zero, profile
-from orchestrator.presentation.quantities import decimals_of, number
+from orchestrator.formatting.profiles import flux_at_zero, profile
+from orchestrator.formatting.quantities import decimals_of, number
 from plugins.streams.report._collect import Paths
 from protocols import Basis, FluxMap, RealArray, ResistanceReading
 

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orchestrator.presentation.colours import BLACK, BLUE, GUIDE, SKY, VERMILION
-from orchestrator.presentation.drawing import bare, empty_figure, label, legend_above, name_axes, new_figure, uri
-from orchestrator.presentation.quantities import Scale
+from orchestrator.formatting.colours import BLACK, BLUE, GUIDE, SKY, VERMILION
+from orchestrator.formatting.drawing import bare, empty_figure, label, legend_above, name_axes, new_figure, uri
+from orchestrator.formatting.quantities import Scale
 from protocols.fleet_report import ControlChart, Distances, FleetQuantity, Histogram
 
 if TYPE_CHECKING:

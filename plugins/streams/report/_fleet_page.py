@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from orchestrator.fleet_statistics import SECTIONS, change_rows, count_rows, date, judgement_rows, pair_rows
-from orchestrator.presentation.quantities import plural
-from orchestrator.presentation.sentences import typographic
+from orchestrator.formatting.quantities import plural
+from orchestrator.formatting.sentences import typographic
 from orchestrator.recording import replace_file, storage_error
 from plugins.streams.report._fleet_figures import distance_figure, quantity_figure
 from plugins.streams.report._page import filled
@@ -19,7 +19,7 @@ _ABOUT = {
     "Distributions": "Spread: 1.4826 times the median distance from the median. The last column: what the recordings "
     "say of their own error.",
     "Limits": "Cpk by the whole sample’s standard deviation, interval by Bissell; share by Clopper and Pearson.",
-    "Unlike the others": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
+    "Outliers": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
     "95 times of 100; by one quantity alone where it is not in the distance.",
     "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: beside all batches and quantities that "
     "were asked.",

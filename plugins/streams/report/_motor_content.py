@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from orchestrator.exporting import mtpa, saliency
-from orchestrator.presentation.quantities import fixed, number, quantity, vector
-from orchestrator.presentation.results import resistance, resistance_course
+from orchestrator.formatting.quantities import fixed, number, quantity, vector
+from orchestrator.formatting.results import resistance, resistance_course
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orchestrator.exporting import Trajectory, saliency, torque_nm
-from orchestrator.presentation.colours import BLACK, ORANGE, VERMILION
-from orchestrator.presentation.drawing import (
+from orchestrator.formatting.colours import BLACK, ORANGE, VERMILION
+from orchestrator.formatting.drawing import (
     STYLE,
     current_plane,
     legend_above,
@@ -20,7 +20,7 @@ from orchestrator.presentation.drawing import (
     signed_scale,
     uri,
 )
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.quantities import number
 from protocols import FluxMap, RealArray
 
 if TYPE_CHECKING:

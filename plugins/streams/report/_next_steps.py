@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import duration
-from orchestrator.presentation.sentences import listed, typographic
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import duration
+from orchestrator.formatting.sentences import listed, typographic
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line
 from protocols import DiagnosisReport

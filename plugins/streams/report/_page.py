@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from orchestrator.exporting import Trajectory, mtpa, mtpv
-from orchestrator.presentation.drawing import BASIS_LINES
-from orchestrator.presentation.names import MAP_QUANTITIES
-from orchestrator.presentation.sentences import cut, visible
+from orchestrator.formatting.drawing import BASIS_LINES
+from orchestrator.formatting.names import MAP_QUANTITIES
+from orchestrator.formatting.sentences import cut, visible
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
 from plugins.streams.report import _diagnosis_content as findings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from orchestrator.presentation.quantities import fixed, number
+from orchestrator.formatting.quantities import fixed, number
 from plugins.streams.report._collect import Material
 from protocols import SeenByInjection
 

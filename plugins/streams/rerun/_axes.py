@@ -15,8 +15,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from orchestrator.presentation.colours import GRID, GUIDE, TEXT, packed, packed_all
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.colours import GRID, GUIDE, TEXT, packed, packed_all
+from orchestrator.formatting.quantities import number
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry
 from protocols import RealArray
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
-from orchestrator.presentation.colours import SCREEN, packed
+from orchestrator.formatting.colours import SCREEN, packed
 from plugins.streams.rerun._axes import chart_bounds, plane_bounds
 from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._diagnosis import Contents

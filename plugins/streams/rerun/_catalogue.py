@@ -8,9 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from orchestrator.formatting.quantities import UNKNOWN, number
+from orchestrator.formatting.sentences import text_table
 from orchestrator.plain_files import read_bytes
-from orchestrator.presentation.quantities import UNKNOWN, number
-from orchestrator.presentation.sentences import text_table
 from orchestrator.runs import RunDirectory
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from orchestrator.presentation.sentences import shown, visible
+from orchestrator.formatting.sentences import shown, visible
 from protocols import FluxbenchError, RecordingError
 
 if TYPE_CHECKING:

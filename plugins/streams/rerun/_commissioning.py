@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from orchestrator.presentation.colours import (
+from orchestrator.formatting.colours import (
     AT_REST,
     COMPUTING,
     D_AXIS,
@@ -24,11 +24,11 @@ from orchestrator.presentation.colours import (
     Q_AXIS,
     packed_all,
 )
-from orchestrator.presentation.events import said
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.profiles import flux_at_zero
-from orchestrator.presentation.quantities import vector
-from orchestrator.presentation.sentences import shown
+from orchestrator.formatting.events import said
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.profiles import flux_at_zero
+from orchestrator.formatting.quantities import vector
+from orchestrator.formatting.sentences import shown
 from orchestrator.stages import installed_stages
 from plugins.streams._ripple import FluxTree, RippleFit, fit_ripple
 from plugins.streams.rerun._axes import Chart, dotted, plane, reach

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from orchestrator.presentation.colours import GUIDE, MEASURED_ON_SCREEN, MODEL, PHASES, packed_all, sequential
-from orchestrator.presentation.names import plain, rung_name
-from orchestrator.presentation.quantities import duration, number, quantity, vector
-from orchestrator.presentation.results import ladder_rows, setting_rows
-from orchestrator.presentation.sentences import markdown_table
+from orchestrator.formatting.colours import GUIDE, MEASURED_ON_SCREEN, MODEL, PHASES, packed_all, sequential
+from orchestrator.formatting.names import plain, rung_name
+from orchestrator.formatting.quantities import duration, number, quantity, vector
+from orchestrator.formatting.results import ladder_rows, setting_rows
+from orchestrator.formatting.sentences import markdown_table
 from plugins.streams.rerun._axes import Chart, colour_bar, dotted, lined, plane, reach, worded
 from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry, properties

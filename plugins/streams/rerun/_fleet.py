@@ -9,8 +9,8 @@ import numpy as np
 import rerun as rr
 
 from orchestrator.fleet_statistics import SECTIONS, count_rows
-from orchestrator.presentation.colours import D_AXIS, GUIDE, MEASURED_ON_SCREEN, packed_all
-from orchestrator.presentation.sentences import markdown_table, shown
+from orchestrator.formatting.colours import D_AXIS, GUIDE, MEASURED_ON_SCREEN, packed_all
+from orchestrator.formatting.sentences import markdown_table, shown
 from plugins.streams.rerun._blueprints import of_a_fleet
 from plugins.streams.rerun._tape import ALWAYS, Entry, Tape, When, blueprint, entry, properties, scalars, titled
 from protocols.fleet_report import FleetQuantity, FleetReport

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from orchestrator.presentation.colours import (
+from orchestrator.formatting.colours import (
     D_AXIS,
     GRID,
     GUIDE,
@@ -23,9 +23,9 @@ from orchestrator.presentation.colours import (
     packed,
     sequential,
 )
-from orchestrator.presentation.names import MAP_QUANTITIES, PAPER_CROSSINGS
-from orchestrator.presentation.profiles import flux_at_zero
-from orchestrator.presentation.quantities import number, percent
+from orchestrator.formatting.names import MAP_QUANTITIES, PAPER_CROSSINGS
+from orchestrator.formatting.profiles import flux_at_zero
+from orchestrator.formatting.quantities import number, percent
 from plugins.streams.rerun._axes import WIDTH, Chart, colour_bar, lined, picture, plane, ticks, worded
 from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._tape import Entry, When, entry

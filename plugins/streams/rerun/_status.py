@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import duration
-from orchestrator.presentation.results import resistance
-from orchestrator.presentation.sentences import markdown_table, one_line
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import duration
+from orchestrator.formatting.results import resistance
+from orchestrator.formatting.sentences import markdown_table, one_line
 from protocols import (
     LockChecked,
     PointDone,

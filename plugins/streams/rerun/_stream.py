@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from pydantic import BaseModel
 
-from orchestrator.presentation.sentences import shown
+from orchestrator.formatting.sentences import shown
 from plugins.streams.rerun import _blueprints as blueprints
 from plugins.streams.rerun import _diagnosis as diagnosis
 from plugins.streams.rerun._commissioning import Commissioning

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 import rerun_bindings
 from rerun.chunk import RrdReader
 
-from orchestrator.presentation.sentences import shown
+from orchestrator.formatting.sentences import shown
 from plugins.streams.rerun._programs import executable
 from plugins.streams.rerun._spool import Spool
 from protocols import RealArray, RecordingError

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import rerun as rr
 
-from orchestrator.presentation.explaining import search_lines
-from orchestrator.presentation.names import PAPER_CROSSINGS, slots
-from orchestrator.presentation.quantities import UNKNOWN, percent
-from orchestrator.presentation.results import resistance, resistance_course
-from orchestrator.presentation.sentences import markdown_table, one_line, visible
+from orchestrator.formatting.explaining import search_lines
+from orchestrator.formatting.names import PAPER_CROSSINGS, slots
+from orchestrator.formatting.quantities import UNKNOWN, percent
+from orchestrator.formatting.results import resistance, resistance_course
+from orchestrator.formatting.sentences import markdown_table, one_line, visible
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate, SearchEvent
 

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from orchestrator.cli._app import app
 
 MORE = {"add": ["dead_time"], "remove": ["dead_time"]}
-HEAVY = ("orchestrator.cli._results", "orchestrator.cli._diagnosis", "orchestrator.cli._side_by_side")
+HEAVY = ("orchestrator.cli._results", "orchestrator.cli._diagnosis", "orchestrator.cli._comparison")
 
 
 @pytest.mark.parametrize("json", [False, True])

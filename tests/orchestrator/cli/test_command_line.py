@@ -63,7 +63,7 @@ def test_a_procedure_can_be_printed_changed_and_used(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["run", "dmo"], ["dmo", "demo"]),
         (["run", "demo", "--set", "limits.current_a=4 V"], ["limits.current_a"]),
@@ -81,8 +81,8 @@ def test_a_procedure_can_be_printed_changed_and_used(tmp_path: Path) -> None:
         (["schema", "recordin"], ["recording"]),
     ],
 )
-def test_bad_input_is_one_line_and_nothing_is_left_behind(words: list[str], told: list[str], tmp_path: Path) -> None:
-    assert_one_line(called(*words, cwd=tmp_path), 2, *told)
+def test_bad_input_is_one_line_and_nothing_is_left_behind(words: list[str], message: list[str], tmp_path: Path) -> None:
+    assert_one_line(called(*words, cwd=tmp_path), 2, *message)
     assert not list(tmp_path.rglob("*.json*"))
 
 
@@ -155,11 +155,11 @@ def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
 
 def test_a_command_that_is_named_waits_for_no_description_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
     def described(_: object) -> str:
-        raise AssertionError("asked for")
+        raise AssertionError("described")
 
     monkeypatch.setattr("orchestrator.cli._foreign.summary_of", described)
     assert called("procedures").returncode == 0
-    with pytest.raises(AssertionError, match="asked for"):
+    with pytest.raises(AssertionError, match="described"):
         called("--help")
 
 
@@ -177,8 +177,8 @@ def test_an_effect_s_method_that_nothing_calls_ends_a_command_in_one_line(comman
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
     mine = tmp_path / "mine.py"
     mine.write_text(EFFECT_THAT_DOUBTS.format(method="doubt"))
-    told = ("plugin 'mine'", "mine.py", "'doubt' is never called", "did you mean 'doubts'?")
-    assert_one_line(called(command, data, "--effects", mine, "--out", tmp_path), 2, *told)
+    message = ("plugin 'mine'", "mine.py", "'doubt' is never called", "did you mean 'doubts'?")
+    assert_one_line(called(command, data, "--effects", mine, "--out", tmp_path), 2, *message)
 
 
 EFFECT_THAT_DOUBTS = """
@@ -232,8 +232,8 @@ def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
 def test_two_runs_into_one_directory_leave_one_of_them_whole(tmp_path: Path) -> None:
     procedure = tiny_file(tmp_path, stages=STAGES[:1])
     runs = [start_fluxbench("run", procedure, "--out", tmp_path / "run", "--quiet") for _ in range(2)]
-    told = [run.communicate(timeout=120)[1] for run in runs]
-    assert {run.returncode for run in runs} == {0, 2}, told
+    message = [run.communicate(timeout=120)[1] for run in runs]
+    assert {run.returncode for run in runs} == {0, 2}, message
     assert len(open_recording(tmp_path / "run").segments()) == 1
 
 
@@ -338,9 +338,9 @@ def test_a_finished_run_has_nothing_left_to_resume(tmp_path: Path) -> None:
 
 
 def test_linear_algebra_gets_one_thread_unless_the_user_says_otherwise() -> None:
-    told = "import os, sys, orchestrator.cli as c; sys.argv = ['fluxbench', '--version']\ntry: c.main()\n"
-    told += "except SystemExit: pass\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
+    code = "import os, sys, orchestrator.cli as c; sys.argv = ['fluxbench', '--version']\ntry: c.main()\n"
+    code += "except SystemExit: pass\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
     for given, expected in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")):
         kept = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
-        done = subprocess.run([sys.executable, "-c", told], env={**kept, **given}, capture_output=True, text=True)
+        done = subprocess.run([sys.executable, "-c", code], env={**kept, **given}, capture_output=True, text=True)
         assert done.stdout.split()[-1] == expected, done.stderr

@@ -27,12 +27,12 @@ def test_what_is_designed_is_a_procedure_that_check_takes(tmp_path: Path) -> Non
 @pytest.mark.slow
 def test_what_it_will_tell_is_told_as_json_too(tmp_path: Path) -> None:
     out = tmp_path / "shortest.yaml"
-    told = json.loads(called("design", tiny_file(tmp_path), *PAIR, "--out", out, "--json").stdout)
-    assert told["out"] == str(out)
-    assert told["points"] > 0
-    assert told["duration_s"] > 0.0
-    assert set(told["found_at"]) == set(PAIR)
-    assert {one["effect"] for one in told["parted_at"]} <= set(PAIR)
+    result = json.loads(called("design", tiny_file(tmp_path), *PAIR, "--out", out, "--json").stdout)
+    assert result["out"] == str(out)
+    assert result["points"] > 0
+    assert result["duration_s"] > 0.0
+    assert set(result["found_at"]) == set(PAIR)
+    assert {one["effect"] for one in result["parted_at"]} <= set(PAIR)
 
 
 @pytest.mark.slow
@@ -41,13 +41,13 @@ def test_it_runs_and_its_diagnosis_names_the_one_that_is_there(tmp_path: Path) -
     assert called("design", "demo", *PAIR, "--out", out).returncode == 0
     hidden = "drive.plant.effects={voltage_bias: {bias_a_v: 0.1, bias_b_v: 0.0}}"
     assert called("run", out, "--out", run, "--set", hidden).returncode == 0
-    told = called("diagnose", run).stdout
-    assert "likely cause        voltage_bias" in told
-    assert "current_offset" not in told
+    output = called("diagnose", run).stdout
+    assert "likely cause        voltage_bias" in output
+    assert "current_offset" not in output
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["ded_time", "--out", "a.yaml"], "dead_time"),
         (["saturation", "--out", "a.yaml"], "saturation"),
@@ -57,9 +57,9 @@ def test_it_runs_and_its_diagnosis_names_the_one_that_is_there(tmp_path: Path) -
         (["dead_time", "--out", "a.yaml", "--size", "0"], "--size"),
     ],
 )
-def test_wrong_words_are_one_line_and_nothing_is_written(words: list[str], told: str, tmp_path: Path) -> None:
+def test_wrong_words_are_one_line_and_nothing_is_written(words: list[str], message: str, tmp_path: Path) -> None:
     done = called("design", tiny_file(tmp_path), *words, cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    assert told in done.stderr
+    assert message in done.stderr
     assert not (tmp_path / "a.yaml").exists()

@@ -61,7 +61,7 @@ def kept(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["add", DATA, "dead_tme"], "dead_tme: no such effect; did you mean 'dead_time'?"),
         (["add", DATA, "xyz"], "no such effect; valid: "),
@@ -76,8 +76,8 @@ def kept(tmp_path: Path) -> Path:
         (["diagnose", DATA, "--effects", "nowhere.py"], "nowhere.py"),
     ],
 )
-def test_wrong_words_are_one_line(words: list[str | Path], told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert told in refused(capsys, 2, *words)
+def test_wrong_words_are_one_line(words: list[str | Path], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert message in refused(capsys, 2, *words)
 
 
 def test_an_empty_directory_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -85,7 +85,7 @@ def test_an_empty_directory_is_no_recording(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"r_s_ohm": "four"}, "model.json: r_s_ohm: expected a number"),
         ({"r_s_ohm": float("nan")}, "model.json: broken JSON: NaN is not a number here"),
@@ -99,22 +99,22 @@ def test_an_empty_directory_is_no_recording(tmp_path: Path, capsys: pytest.Captu
     ],
 )
 def test_a_field_of_model_json_is_named(
-    change: dict[str, object], told: str, kept: Path, capsys: pytest.CaptureFixture[str]
+    change: dict[str, object], message: str, kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = kept / "model.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | change))
-    assert told in refused(capsys, 2, "remove", DATA, "dead_time", "--out", kept)
+    assert message in refused(capsys, 2, "remove", DATA, "dead_time", "--out", kept)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [("{", "model.json:1: broken JSON"), ("[1]", "expected a JSON object, got list"), ("\xff", "not UTF-8 at byte 0")],
 )
 def test_a_model_json_that_is_none_is_said(
-    text: str, told: str, kept: Path, capsys: pytest.CaptureFixture[str]
+    text: str, message: str, kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (kept / "model.json").write_bytes(text.encode("latin-1"))
-    assert told in refused(capsys, 2, "remove", DATA, "dead_time", "--out", kept)
+    assert message in refused(capsys, 2, "remove", DATA, "dead_time", "--out", kept)
 
 
 @pytest.mark.slow
@@ -134,13 +134,13 @@ def test_an_effect_that_writes_into_the_recording_is_refused(
 ) -> None:
     mine = tmp_path / "mine.py"
     mine.write_text(EFFECT.format(body="signals.v_ab[:] = 0.0\n        return Correction(v_ab=signals.v_ab)"))
-    told = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
-    assert "mine: correct: writes into the signals" in told
+    message = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
+    assert "mine: correct: writes into the signals" in message
     assert not (tmp_path / "out").exists()
 
 
 @few(
-    "body, told",
+    "body, message",
     [
         ("raise SystemExit(7)", "correct: SystemExit: 7"),
         ("return None", "returned NoneType"),
@@ -153,15 +153,15 @@ def test_an_effect_that_writes_into_the_recording_is_refused(
     fast=2,
 )
 def test_an_effect_that_returns_no_correction_is_named(
-    body: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    body: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine = tmp_path / "mine.py"
     mine.write_text(EFFECT.format(body=body))
-    assert told in refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
+    assert message in refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (('name = "mine"', 'name = "dead_time"'), "dead_time: there is an effect of that name already"),
         (('name = "mine"', 'name = "saturation"'), "saturation: there is an effect of that name already"),
@@ -174,11 +174,11 @@ def test_an_effect_that_returns_no_correction_is_named(
     ],
 )
 def test_an_effect_that_makes_no_candidate_is_named(
-    change: tuple[str, str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    change: tuple[str, str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine = tmp_path / "mine.py"
     mine.write_text(EFFECT.format(body="return Correction()").replace(*change))
-    assert told in refused(capsys, 2, "compare", DATA, "--effects", mine)
+    assert message in refused(capsys, 2, "compare", DATA, "--effects", mine)
 
 
 @pytest.mark.parametrize("command", ["compare", "diagnose", "estimate"])
@@ -214,8 +214,8 @@ def test_an_effect_s_error_names_file_and_line(tmp_path: Path, capsys: pytest.Ca
     mine = tmp_path / "mine.py"
     mine.write_text(EFFECT.format(body="return 1 / 0"))
     line = mine.read_text().splitlines().index("        return 1 / 0") + 1
-    told = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
-    assert f"ZeroDivisionError: division by zero ({mine}, line {line})" in told
+    message = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
+    assert f"ZeroDivisionError: division by zero ({mine}, line {line})" in message
 
 
 @pytest.mark.slow

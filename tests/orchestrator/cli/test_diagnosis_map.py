@@ -18,7 +18,7 @@ def estimated(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def said(estimated: Path, capsys: pytest.CaptureFixture[str], *, usable: bool) -> list[str]:
+def map_lines(estimated: Path, capsys: pytest.CaptureFixture[str], *, usable: bool) -> list[str]:
     report = deliver(estimated, *(() if usable else AGAINST))
     capsys.readouterr()
     _diagnosis._print_map(report, estimated / "results")
@@ -26,7 +26,7 @@ def said(estimated: Path, capsys: pytest.CaptureFixture[str], *, usable: bool) -
 
 
 def test_a_map_that_is_usable_is_named_with_its_file(estimated: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (line,) = said(estimated, capsys, usable=True)
+    (line,) = map_lines(estimated, capsys, usable=True)
     assert line.startswith("R_s 4.1")
     path = Path(line.split("flux map usable: ")[1])
     assert path == estimated / "results" / "flux_map.nc"
@@ -34,5 +34,5 @@ def test_a_map_that_is_usable_is_named_with_its_file(estimated: Path, capsys: py
 
 
 def test_of_a_map_that_is_not_it_is_said_why(estimated: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (line,) = said(estimated, capsys, usable=False)
-    assert line == "flux map: NOT TO BE RELIED ON: the model leaves 3 % unexplained"
+    (line,) = map_lines(estimated, capsys, usable=False)
+    assert line == "flux map: NOT RELIABLE: the model leaves 3 % unexplained"

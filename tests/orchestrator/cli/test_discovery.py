@@ -1,4 +1,4 @@
-"""What there is can be asked of the program itself."""
+"""The program lists its own plugins, procedures and formats."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def test_effects_and_procedures_have_a_line_each(command: str, name: str) -> Non
 
 
 def test_a_new_package_is_told_as_json_too(tmp_path: Path) -> None:
-    told = json.loads(called("new", "effect", "mine", "--out", tmp_path / "new", "--json").stdout)
-    assert told["folder"] == str(tmp_path / "new")
-    assert all(Path(file).is_file() for file in told["files"])
+    result = json.loads(called("new", "effect", "mine", "--out", tmp_path / "new", "--json").stdout)
+    assert result["folder"] == str(tmp_path / "new")
+    assert all(Path(file).is_file() for file in result["files"])
 
 
 def test_every_option_of_the_simulated_drive_is_on_its_page() -> None:

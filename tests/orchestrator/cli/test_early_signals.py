@@ -46,9 +46,9 @@ def test_a_signal_while_the_program_is_still_loading_ends_it_before_anything_is_
     process = started(tmp_path)
     time.sleep(later_s)
     process.send_signal(number)
-    _, told = process.communicate(timeout=20)
-    assert (process.returncode, told.count("\n")) == (130, 1), told
-    assert number.name in told
+    _, message = process.communicate(timeout=20)
+    assert (process.returncode, message.count("\n")) == (130, 1), message
+    assert number.name in message
     journal = tmp_path / "run" / "journal.jsonl"
     assert not journal.exists() or "reading_gates_off" not in journal.read_text()
 
@@ -59,8 +59,8 @@ def test_ctrl_z_while_the_program_is_still_loading_stops_it_until_it_may_go_on(t
     wait_until(lambda: field_of(process, "State").startswith("T"))
     process.send_signal(signal.SIGTERM)
     process.send_signal(signal.SIGCONT)
-    _, told = process.communicate(timeout=20)
-    assert (process.returncode, told) == (130, "fluxbench: interrupted by SIGTERM\n")
+    _, message = process.communicate(timeout=20)
+    assert (process.returncode, message) == (130, "fluxbench: interrupted by SIGTERM\n")
     assert not (tmp_path / "run").exists()
 
 
@@ -88,6 +88,6 @@ def test_commands_that_energise_keep_them_until_the_run_has_its_own(handlers: di
     [("run", True), ("resume", True), ("commission", True), ("estimate", False), ("probe", False), ("wire", False)],
 )
 def test_every_command_says_once_whether_it_energises(command: str, energises: bool) -> None:
-    told: list[bool] = []
-    run_app([command, "--no-such-option"], told.append)
-    assert told == [energises]
+    message: list[bool] = []
+    run_app([command, "--no-such-option"], message.append)
+    assert message == [energises]

@@ -49,11 +49,11 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
 
 def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(["explain", str(diagnosed), "--json"]) == 0
-    told, report = json.loads(capsys.readouterr().out), a_report().model_dump(mode="json")
+    result, report = json.loads(capsys.readouterr().out), a_report().model_dump(mode="json")
     for name in ("verdict", "reasons", "verdict_record"):
-        assert told[name] == report[name]
-    assert [event["move"] for event in told["search"]] == ["screen", "add"]
-    assert told["effects"][0]["steps"] == [2]
+        assert result[name] == report[name]
+    assert [event["move"] for event in result["search"]] == ["screen", "add"]
+    assert result["effects"][0]["steps"] == [2]
 
 
 @pytest.mark.parametrize("place", [".", "nowhere"])

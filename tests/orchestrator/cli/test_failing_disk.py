@@ -56,12 +56,12 @@ def ends_safely_and_resumes(folder: Path, library: Path, call: str, nth: int, er
     fault |= {"FAULT_ONCE": "1"} if once else {}
     words = ["run", str(tiny_file(folder, stages=SHORT)), "--out", str(run), "--log", "json"]
     command = ForkedCommand(words, preload=library, environment=fault)
-    shown, told = command.communicate(timeout=60)
-    assert command.returncode in (0, 3) or (command.returncode == 2 and not run.exists()), told
-    assert "Traceback" not in told
+    shown, message = command.communicate(timeout=60)
+    assert command.returncode in (0, 3) or (command.returncode == 2 and not run.exists()), message
+    assert "Traceback" not in message
     if command.returncode:
-        assert told.count("\n") == 1, told
-        assert "cannot be" in told
+        assert message.count("\n") == 1, message
+        assert "cannot be" in message
     if '"target":"aligning"' in shown.replace(" ", ""):  # it was armed
         assert DISARMED in shown
     if not is_run(run):  # it failed before anything was measured, and left nothing behind
@@ -101,11 +101,11 @@ def test_a_view_that_cannot_be_written_costs_the_run_one_line(tmp_path: Path, fa
     fault = {"FAULT_CALL": "write", "FAULT_BELOW": str(run / "view.rrd"), "FAULT_NTH": "2", "FAULT_ERRNO": "28"}
     words = ["run", str(tiny_file(tmp_path, stages=SHORT[:1])), "--out", str(run), "--quiet"]
     command = ForkedCommand(words, preload=failing_disk, environment=fault)
-    shown, told = command.communicate(timeout=40)
-    assert (command.returncode, shown, told.count("\n")) == (0, "", 1), told
-    assert "stream rerun" in told
-    assert "view.rrd: cannot be written: No space left on device" in told
-    assert told.split("fluxbench: ")[1].strip() in collect(run).problems[0]
+    shown, message = command.communicate(timeout=40)
+    assert (command.returncode, shown, message.count("\n")) == (0, "", 1), message
+    assert "stream rerun" in message
+    assert "view.rrd: cannot be written: No space left on device" in message
+    assert message.split("fluxbench: ")[1].strip() in collect(run).problems[0]
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Commands of plugins in the list of commands: told in a line of their own, none of them imported for it."""
+"""Commands of plugins in the list of commands: each has a line of its own, and none is imported for it."""
 
 from __future__ import annotations
 

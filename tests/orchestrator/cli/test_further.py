@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from orchestrator.cli._further import stages_to_go_on_with
+from orchestrator.cli._further import next_stages
 from orchestrator.diagnosis import Diagnosis, save_diagnosis
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.experiment_design.proposal import next_experiment
@@ -81,7 +81,7 @@ def test_a_run_without_a_diagnosis_is_diagnosed_with_a_proposal(run: Path, monke
     monkeypatch.setattr("orchestrator.cli._further.diagnose_recording", diagnose)
     (run / "results" / "diagnosis.json").unlink()
     with pytest.raises(InputError, match="nothing to decide"):
-        stages_to_go_on_with(run, 1)
+        next_stages(run, 1)
 
 
 def test_where_nothing_is_to_be_decided_nothing_is_energised(run: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from orchestrator.presentation.sentences import LONGEST_LINE, visible
+from orchestrator.formatting.sentences import LONGEST_LINE, visible
 from orchestrator.runs import Journal
 from plugins.commands.mystery._command import _print_verdict
 from plugins.commands.mystery._guessing import Verdict
@@ -63,14 +63,14 @@ def test_no_text_from_outside_is_obeyed_by_the_terminal(tmp_path: Path, text: st
 
 
 def test_what_a_journal_holds_is_obeyed_by_no_terminal_and_comes_back_as_it_was(tmp_path: Path) -> None:
-    said = f"\x7f{HOSTILE}\n\u2028"
+    text = f"\x7f{HOSTILE}\n\u2028"
     journal = Journal(tmp_path / "journal.jsonl")
     with journal:
-        journal.append(Note(level="info", text=said))
+        journal.append(Note(level="info", text=text))
     assert_plain(journal.path.read_text(encoding="utf-8"))
     (record,) = journal.read()
     assert isinstance(record.message, Note)
-    assert record.message.text == said
+    assert record.message.text == text
 
 
 @pytest.mark.parametrize("name", [HOSTILE, r"$\frac{$", "x" * 100_000, "a\nb"])

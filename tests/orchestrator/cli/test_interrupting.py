@@ -42,19 +42,19 @@ class Mine:
             time.sleep(0.01)
         return Correction()
 """
-ENDING = "fluxbench: ending early, with what was found so far (Ctrl-C again ends at once)\n"
+ENDING = "fluxbench: ending early with the result so far (Ctrl-C again ends at once)\n"
 
 
 def interrupted(words: list[str | Path], marker: Path, times: int = 1) -> tuple[ForkedCommand, str, float]:
-    """Start a command, interrupt it as soon as the effect is at work; what it said, and how long it took to leave."""
+    """Start a command, interrupt it as soon as the effect is evaluated; returns its message and the time to its end."""
     process = start_fluxbench(*words)
     wait_until(lambda: marker.exists() or process.poll() is not None)
     began = time.monotonic()
     for _ in range(times):
         process.send_signal(signal.SIGINT)
         time.sleep(0.05)
-    _, told = process.communicate(timeout=20)
-    return process, told, time.monotonic() - began
+    _, message = process.communicate(timeout=20)
+    return process, message, time.monotonic() - began
 
 
 def effect_that_takes(seconds: float, folder: Path) -> tuple[Path, Path]:
@@ -67,8 +67,8 @@ def effect_that_takes(seconds: float, folder: Path) -> tuple[Path, Path]:
 def test_ctrl_c_ends_a_search_at_once(seconds: float, times: int, tmp_path: Path) -> None:
     mine, marker = effect_that_takes(seconds, tmp_path)
     words: list[str | Path] = ["diagnose", DATA, "--effects", mine, "--out", tmp_path / "out"]
-    process, told, took = interrupted(words, marker, times)
-    assert (process.returncode, told) == (130, "fluxbench: interrupted\n")
+    process, message, took = interrupted(words, marker, times)
+    assert (process.returncode, message) == (130, "fluxbench: interrupted\n")
     assert took < 1.5
     assert not (tmp_path / "out").exists()
 
@@ -79,8 +79,8 @@ def test_ctrl_c_after_a_first_answer_ends_with_a_report(tmp_path: Path) -> None:
     process = start_fluxbench("diagnose", DATA, "--effects", mine, "--out", out)
     wait_until(lambda: "so far: " in process.printed_so_far() or process.poll() is not None)
     process.send_signal(signal.SIGINT)
-    printed, told = process.communicate(timeout=120)
-    assert (process.returncode, told) == (130, ENDING)
+    printed, message = process.communicate(timeout=120)
+    assert (process.returncode, message) == (130, ENDING)
     assert "so far: no effect found; the model alone explains the part of the recording" in printed
     assert "  ended early by the user: the search was not finished\n" in printed
     kept = load_diagnosis(out)
@@ -96,8 +96,8 @@ def test_so_it_does_with_json_where_the_first_answer_is_on_standard_error(tmp_pa
     assert process.stderr is not None
     assert any(line.startswith("so far: ") for line in iter(process.stderr.readline, ""))
     process.send_signal(signal.SIGINT)
-    printed, told = process.communicate(timeout=120)
-    assert (process.returncode, told) == (130, ENDING)
+    printed, message = process.communicate(timeout=120)
+    assert (process.returncode, message) == (130, ENDING)
     assert json.loads(printed)["reasons"][0]["quantity"] == "ended_early"
 
 
@@ -111,8 +111,8 @@ def test_a_second_ctrl_c_ends_at_once_without_a_report(tmp_path: Path) -> None:
     assert process.poll() is None
     began = time.monotonic()
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=20)
-    assert (process.returncode, told) == (130, f"{ENDING}fluxbench: interrupted\n")
+    _, message = process.communicate(timeout=20)
+    assert (process.returncode, message) == (130, f"{ENDING}fluxbench: interrupted\n")
     assert time.monotonic() - began < 1.5
     assert not (tmp_path / "out").exists()
 
@@ -136,9 +136,9 @@ def test_a_signal_while_diagnosing_ends_the_run_and_keeps_the_recording(tmp_path
     wait_until(lambda: diagnosing(run) or process.poll() is not None)
     began = time.monotonic()
     process.send_signal(signal.SIGINT)
-    _, told = process.communicate(timeout=30)
-    assert process.returncode == 130, told
-    assert "signal SIGINT" in told
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 130, message
+    assert "signal SIGINT" in message
     assert time.monotonic() - began < 6.0
     assert len(open_recording(run).segments()) > 10
     assert not (run / "results" / "diagnosis.json").exists()

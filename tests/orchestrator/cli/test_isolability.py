@@ -15,10 +15,10 @@ from tests.support.tiny import tiny_file
 def test_what_a_plan_will_tell_fits_a_terminal_and_energises_nothing(tmp_path: Path) -> None:
     done = called("check", tiny_file(tmp_path), "--isolability", "--noise", "0.02")
     assert done.returncode == 0, done.stderr
-    _, _, told = done.stdout.partition("nothing was energised")
-    assert max(map(len, told.splitlines())) <= 100
-    for words in ("20 mA of noise", "dead_time", "told apart from", "to add, as stages"):
-        assert words in told
+    _, _, message = done.stdout.partition("nothing was energised")
+    assert max(map(len, message.splitlines())) <= 100
+    for words in ("20 mA of noise", "dead_time", "separated from", "to add, as stages"):
+        assert words in message
 
 
 @pytest.mark.slow
@@ -30,7 +30,7 @@ def test_all_of_it_is_in_the_json(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--noise", "0.01"], "--isolability"),
         (["--isolability", "--noise", "0"], "--noise"),
@@ -39,8 +39,8 @@ def test_all_of_it_is_in_the_json(tmp_path: Path) -> None:
         (["--isolability", "--set", "motor.d_inductance_h=null"], "d_inductance_h"),
     ],
 )
-def test_wrong_words_are_one_line(words: list[str], told: str, tmp_path: Path) -> None:
+def test_wrong_words_are_one_line(words: list[str], message: str, tmp_path: Path) -> None:
     done = called("check", tiny_file(tmp_path), *words)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
-    assert told in done.stderr
+    assert message in done.stderr

@@ -27,7 +27,7 @@ def test_estimating_again_writes_the_report_anew_where_there_is_one(tmp_path: Pa
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with a page and a result, and nobody who could write the page: to try is said."""
+    """A folder with a page and a result, and no stream that could write the page: the attempt is reported."""
     monkeypatch.setattr("orchestrator.cli._refreshing.REPORT", "nobodys")
     (tmp_path / "results").mkdir()
     for name in ("report.html", "results/estimates.json"):

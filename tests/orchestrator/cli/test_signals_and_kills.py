@@ -50,9 +50,9 @@ def signalled_at(state: str, number: signal.Signals, tmp_path: Path) -> None:
     process = start_afresh("run", tiny_file(tmp_path, drive={"realtime_factor": 2.0}), "--out", run)
     wait_until(lambda: reached(run, state) or process.poll() is not None)
     process.send_signal(number)
-    _, told = process.communicate(timeout=30)
-    assert process.returncode == 130, told
-    assert f"signal {number.name}" in told
+    _, message = process.communicate(timeout=30)
+    assert process.returncode == 130, message
+    assert f"signal {number.name}" in message
     messages = messages_of(run)
     assert any(m.text == "current ramped down, drive disarmed" for m in messages if isinstance(m, Note))
     ended = messages[-1]
@@ -70,8 +70,8 @@ def test_ctrl_z_disarms_before_the_process_stops_and_fg_goes_on(tmp_path: Path) 
     changes = [m.target for m in messages_of(run) if isinstance(m, StateChanged)]
     assert changes[-2:] == ["stopping", "paused"]
     process.send_signal(signal.SIGCONT)
-    _, told = process.communicate(timeout=60)
-    assert process.returncode == 0, told
+    _, message = process.communicate(timeout=60)
+    assert process.returncode == 0, message
 
 
 def maps_of(run: Path) -> dict[str, np.ndarray[tuple[int, ...], np.dtype[np.float64]]]:
@@ -87,8 +87,8 @@ def start_and_kill(words: tuple[str | Path, ...], run: Path, rng: random.Random)
         process.wait(rng.uniform(0.1, 1.6))
     except subprocess.TimeoutExpired:
         process.kill()
-    _, told = process.communicate()
-    assert process.returncode in (0, -signal.SIGKILL), told
+    _, message = process.communicate()
+    assert process.returncode in (0, -signal.SIGKILL), message
     return process.returncode
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.experiment_design.additions import allowed, longer
+from orchestrator.experiment_design.additions import allowed_stages, extended_plan
 from orchestrator.experiment_design.outlook import outlook
 from tests.orchestrator.experiment_design.plans import (
     DRIVE,
@@ -27,7 +27,7 @@ def test_what_is_added_parts_what_was_open() -> None:
     assert not before.open
     settled = {question for addition in before.additions for question in addition.settles}
     assert settled == {("dead_time", "device_drop"), ("current_offset", "voltage_bias")}
-    whole = longer(short, DRIVE, [addition.stage for addition in before.additions])
+    whole = extended_plan(short, DRIVE, [addition.stage for addition in before.additions])
     after = outlook(whole, DRIVE, machine(), LOOK_ALIKES, noise_a=NOISE_A)
     assert after.additions == ()
     assert after.open == ()
@@ -43,4 +43,4 @@ def test_what_the_drive_does_not_offer_is_not_proposed() -> None:
 
 def test_stages_beyond_the_limits_are_left_out() -> None:
     far = {"kind": "resistance", "points_a": [[9.0, 0.0]], "settle_s": 0.5, "duration_s": 0.5}
-    assert allowed(plan(HOLDS, SWEEPS), DRIVE, [far, GATES_OFF]) == [GATES_OFF]
+    assert allowed_stages(plan(HOLDS, SWEEPS), DRIVE, [far, GATES_OFF]) == [GATES_OFF]

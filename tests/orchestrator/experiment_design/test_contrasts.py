@@ -12,7 +12,7 @@ import pytest
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from orchestrator.diagnosis.selection.contrasts import holds
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
-from orchestrator.experiment_design.contrasts import STAGES, Bench, minutes, tidy
+from orchestrator.experiment_design.contrasts import STAGES, Bench, minutes, round_for_people
 from orchestrator.experiment_design.separation import planned_pieces
 from protocols import Contrast, Saturated
 from tests.orchestrator.diagnosis.selection.test_contrasts import bare, only, setup
@@ -81,5 +81,5 @@ def test_a_stage_takes_as_long_as_its_points_and_repetitions() -> None:
 
 
 def test_numbers_are_for_a_person() -> None:
-    assert [tidy(x) for x in (2.3456, -1e-12, 1234.5)] == [2.35, 0.0, 1230.0]
-    assert str(tidy(-1e-12)) == "0.0"
+    assert [round_for_people(x) for x in (2.3456, -1e-12, 1234.5)] == [2.35, 0.0, 1230.0]
+    assert str(round_for_people(-1e-12)) == "0.0"

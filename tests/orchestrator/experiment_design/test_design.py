@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from orchestrator.config import check_plan
-from orchestrator.experiment_design.design import Designed, design, kept
+from orchestrator.experiment_design.design import ProcedureDesign, design, other_stages
 from orchestrator.experiment_design.outlook import outlook
 from protocols import ProcedureError
 from tests.orchestrator.experiment_design.plans import (
@@ -25,13 +25,13 @@ PAIR = ("dead_time", "device_drop")
 
 
 @pytest.fixture(scope="module")
-def designed() -> Designed:
+def designed() -> ProcedureDesign:
     whole = plan(GATES_OFF, BEFORE, HOLDS, SWEEPS, AFTER)
     return design(whole, DRIVE, machine(), effects(*PAIR), size=0.5, noise_a=NOISE_A)
 
 
 @pytest.mark.slow
-def test_it_tells_apart_what_the_plan_it_is_from_did_not(designed: Designed) -> None:
+def test_it_tells_apart_what_the_plan_it_is_from_did_not(designed: ProcedureDesign) -> None:
     before = outlook(plan(HOLDS, SWEEPS), DRIVE, machine(), effects(*PAIR), noise_a=NOISE_A)
     after = outlook(designed.plan, DRIVE, machine(), effects(*PAIR), noise_a=NOISE_A)
     parted_before, parted_after = before.parted_from(*PAIR), after.parted_from(*PAIR)
@@ -41,16 +41,16 @@ def test_it_tells_apart_what_the_plan_it_is_from_did_not(designed: Designed) -> 
     assert {point.excitation.pwm_frequency_hz for point in designed.plan.points} >= {20_000.0}
 
 
-def test_limits_and_drive_allow_it_and_the_theorem_holds(designed: Designed) -> None:
+def test_limits_and_drive_allow_it_and_the_theorem_holds(designed: ProcedureDesign) -> None:
     assert check_plan(designed.plan, DRIVE).points == len(designed.plan.points)
     assert designed.approximate.excess <= 0.01
 
 
-def test_what_measures_nothing_stays_in_its_place(designed: Designed) -> None:
+def test_what_measures_nothing_stays_in_its_place(designed: ProcedureDesign) -> None:
     kinds = [stage.name for stage in designed.plan.stages]
     assert kinds[0] == "operator"
     assert kinds[-1] == "estimate"
-    assert kept(plan(GATES_OFF, BEFORE, HOLDS, SWEEPS, AFTER)) == ([1], [4])
+    assert other_stages(plan(GATES_OFF, BEFORE, HOLDS, SWEEPS, AFTER)) == ([1], [4])
 
 
 def test_a_pair_that_nothing_tells_apart_is_said() -> None:
@@ -61,4 +61,4 @@ def test_a_pair_that_nothing_tells_apart_is_said() -> None:
 
 def test_a_procedure_that_measures_nothing_has_no_place_for_it() -> None:
     with pytest.raises(ProcedureError, match="none that measures"):
-        kept(plan(GATES_OFF, AFTER))
+        other_stages(plan(GATES_OFF, AFTER))

@@ -57,16 +57,16 @@ def test_shapes_span_those_between() -> None:
 
 
 def test_what_follows_takes_information_away_and_never_adds_any(known: Information) -> None:
-    alone = known.left(known.total, "dead_time")
-    beside = known.left(known.total, "dead_time", known.effects["voltage_bias"].all)
+    alone = known.marginal(known.total, "dead_time")
+    beside = known.marginal(known.total, "dead_time", known.effects["voltage_bias"].all)
     assert 0.0 < beside[0, 0] <= alone[0, 0] < known.total[known.machine, known.machine]
 
 
 def test_a_wider_noise_makes_less_of_the_same_equations() -> None:
-    said = []
+    largest = []
     for noise_a in (NOISE_A, 2.0 * NOISE_A):
         rehearsal = rehearse(plan(HOLDS, SWEEPS), DRIVE, machine(), noise_a)
         library = scaled_library(effects("voltage_bias"), rehearsal.setup.prepared.manifest)
-        told = information(rehearsal, library)
-        said.append(told.total[told.effects["voltage_bias"].amplitudes[-1:]].max())
-    assert said[0] / said[1] == pytest.approx(4.0, rel=1e-6)
+        known = information(rehearsal, library)
+        largest.append(known.total[known.effects["voltage_bias"].amplitudes[-1:]].max())
+    assert largest[0] / largest[1] == pytest.approx(4.0, rel=1e-6)

@@ -1,4 +1,4 @@
-"""The machine on paper: the currents that were asked for, and the voltages that they take."""
+"""The machine on paper: the currents of an excitation, and the voltages that they take."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.orchestrator.experiment_design.plans import machine
 
 @pytest.mark.parametrize("waveform", ["square", "sine"])
 def test_a_ripple_has_the_voltage_that_was_asked_for(waveform: str) -> None:
-    asked = Injection.model_validate(
+    excitation = Injection.model_validate(
         {
             "target_d_a": 1.0,
             "target_q_a": -0.5,
@@ -27,7 +27,7 @@ def test_a_ripple_has_the_voltage_that_was_asked_for(waveform: str) -> None:
         }
     )
     fs, on_paper = 1e5, replace(machine(), r_s=1e-9)
-    current = current_of(asked, on_paper, np.arange(50_001) / fs)
+    current = current_of(excitation, on_paper, np.arange(50_001) / fs)
     volts = np.hypot(*on_paper.voltage(current, fs).T)
     assert current.mean(axis=0) == pytest.approx([1.0, -0.5], abs=1e-3)
     assert np.quantile(volts, 0.95) == pytest.approx(40.0, rel=0.02)
@@ -36,8 +36,8 @@ def test_a_ripple_has_the_voltage_that_was_asked_for(waveform: str) -> None:
 
 
 def test_a_trapezoid_is_at_its_amplitude_half_of_the_time() -> None:
-    asked = Trapezoid(swept_axis="dq", amplitude_a=3.0, period_s=2.0, periods=1, settle_s=0.0)
-    current = current_of(asked, machine(), np.arange(20_000) / 1e4)
+    excitation = Trapezoid(swept_axis="dq", amplitude_a=3.0, period_s=2.0, periods=1, settle_s=0.0)
+    current = current_of(excitation, machine(), np.arange(20_000) / 1e4)
     length = np.hypot(*current.T)
     assert length.max() == pytest.approx(3.0)
     assert np.mean(length > 2.999) == pytest.approx(0.5, abs=1e-3)

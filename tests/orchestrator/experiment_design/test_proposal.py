@@ -15,7 +15,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.selection.workflow import first_steps
 from orchestrator.experiment_design.proposal import catalogue, next_experiment
-from orchestrator.experiment_design.separation import planned_pieces, rivals, separation
+from orchestrator.experiment_design.separation import confounded_pair, planned_pieces, separation
 from orchestrator.recording import Recording
 from orchestrator.stages import parse_stage
 from plugins.effects.inverter import DeadTime, DeviceDrop
@@ -52,7 +52,7 @@ def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]
 def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_one_does_not(
     setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(setup, fit, fit.model.active[-1], library["device_drop"])
+    pair = confounded_pair(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     imitation = pair.model.active[-1].values["voltage_v"]
     assert imitation == pytest.approx(0.8, rel=0.15)  # the drop that looks like it at one PWM frequency
@@ -63,13 +63,13 @@ def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_on
 def test_what_is_already_told_apart_gains_little_by_reading_gates_off(
     setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(setup, fit, fit.model.active[-1], library["device_drop"])
+    pair = confounded_pair(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     assert separation(setup, pair, {"kind": "gates_off", "duration_s": 2.0}) < 1.0
 
 
 def test_more_time_separates_more(setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]) -> None:
-    pair = rivals(setup, fit, fit.model.active[-1], library["device_drop"])
+    pair = confounded_pair(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     _, stage = holds(catalogue(setup))
     assert separation(setup, pair, {**stage, "duration_s": 1.0}) > 1.2 * separation(setup, pair, stage)
@@ -110,8 +110,8 @@ def test_what_no_stage_separates_is_what_both_effects_need(setup: DiagnosisSetup
         return list(scaled_library([First(), Second()], setup.prepared.manifest))
 
     def proposed(*contrasts: Contrast) -> str | None:
-        found = next_experiment(setup, fit, needing(*contrasts), "first", "second")
-        return None if found is None else found.stage["kind"]
+        proposal = next_experiment(setup, fit, needing(*contrasts), "first", "second")
+        return None if proposal is None else proposal.stage["kind"]
 
     assert proposed() is None
     assert proposed(Contrast.SECOND_INJECTION_FREQUENCY) == "injection"

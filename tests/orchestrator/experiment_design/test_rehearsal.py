@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics
-from orchestrator.experiment_design.rehearsal import as_measured, rehearse
+from orchestrator.experiment_design.rehearsal import machine_of, rehearse
 from orchestrator.numerics.tensor_spline import EvenSpline
 from protocols import FluxMap, PluginError, SegmentStage
 from tests.orchestrator.experiment_design.plans import (
@@ -58,11 +58,11 @@ def test_a_known_map_stands_for_the_nameplate_s_inductances() -> None:
     inductances = {"l_dd": unknown, "l_dq": unknown, "l_qq": unknown}
     psi_d = (machine().motor.pm_flux_wb or 0.0) + 0.03 * d
     known = FluxMap(method="on paper", i_d=i_d, i_q=i_q, psi_d=psi_d, psi_q=0.05 * q, **inductances, **errors)
-    asked = plan(HOLDS, SWEEPS, RIPPLE)
-    flux = as_measured(machine(), asked, DRIVE, known).flux(np.array([[2.0, 0.0], [0.0, 2.0]]))
+    wanted = plan(HOLDS, SWEEPS, RIPPLE)
+    flux = machine_of(machine(), wanted, DRIVE, known).flux(np.array([[2.0, 0.0], [0.0, 2.0]]))
     assert flux == pytest.approx(np.array([[0.06, 0.0], [0.0, 0.1]]), abs=1e-4)
 
 
 def test_a_model_that_is_no_file_is_refused() -> None:
     with pytest.raises(PluginError, match="flux map or model"):
-        as_measured(machine(), plan(HOLDS, SWEEPS), DRIVE, "saturated")
+        machine_of(machine(), plan(HOLDS, SWEEPS), DRIVE, "saturated")

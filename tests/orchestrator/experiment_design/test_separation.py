@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.experiment_design import separation as planning
-from orchestrator.experiment_design.separation import planned_pieces, rivals, separation
+from orchestrator.experiment_design.separation import confounded_pair, planned_pieces, separation
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset
 from protocols import Effect, SegmentStage
@@ -50,7 +50,7 @@ def setup() -> DiagnosisSetup:
 def test_gates_off_separates_a_bias_from_an_offset_as_much_as_was_predicted(setup: DiagnosisSetup) -> None:
     (offset,) = scaled_library([CurrentOffset()], setup.prepared.manifest)
     fit = _fitted(setup.fitter, VoltageBias())
-    pair = rivals(setup, fit, fit.model.active[0], offset)
+    pair = confounded_pair(setup, fit, fit.model.active[0], offset)
     assert pair is not None
     predicted = separation(setup, pair, GATES_OFF)
     more = fitter(_measured([*PLANS, Plan(SegmentStage.GATES_OFF, np.zeros((2000, 2)))]))
@@ -63,7 +63,7 @@ def test_gates_off_separates_a_bias_from_an_offset_as_much_as_was_predicted(setu
 def test_a_stage_that_lasts_longer_separates_more(setup: DiagnosisSetup) -> None:
     (offset,) = scaled_library([CurrentOffset()], setup.prepared.manifest)
     fit = _fitted(setup.fitter, VoltageBias())
-    pair = rivals(setup, fit, fit.model.active[0], offset)
+    pair = confounded_pair(setup, fit, fit.model.active[0], offset)
     assert pair is not None
     short, long = (separation(setup, pair, {**GATES_OFF, "duration_s": s}) for s in (0.2, 2.0))
     assert 0.0 < short < long
@@ -72,7 +72,7 @@ def test_a_stage_that_lasts_longer_separates_more(setup: DiagnosisSetup) -> None
 def test_an_effect_is_no_rival_of_itself(setup: DiagnosisSetup) -> None:
     (bias,) = scaled_library([VoltageBias()], setup.prepared.manifest)
     fit = _fitted(setup.fitter, VoltageBias())
-    assert rivals(setup, fit, fit.model.active[0], bias) is None
+    assert confounded_pair(setup, fit, fit.model.active[0], bias) is None
 
 
 def test_planned_segments_have_the_currents_that_were_asked_for(setup: DiagnosisSetup) -> None:

@@ -1,4 +1,4 @@
-"""Nothing is left in the shortest plan that it could do without."""
+"""Nothing is left in the shortest plan that is redundant."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ def whole() -> Offer:
     return offer(GATES_OFF, HOLDS, SWEEPS)
 
 
-def test_it_does_what_was_asked_and_less_of_it_would_not(whole: Offer) -> None:
-    found = shortest(whole, 0.3, CRITERIA)
-    told = isolability(whole.known, whole.normal(found.times), CRITERIA)
-    assert told.beyond(0.3) == []
-    assert found.approximate.excess <= OPTIMALITY_TOLERANCE
-    for k in np.flatnonzero(found.times):
-        fewer = found.times.copy()
+def test_it_suffices_and_less_of_it_would_not(whole: Offer) -> None:
+    plan = shortest(whole, 0.3, CRITERIA)
+    result = isolability(whole.known, whole.normal(plan.times), CRITERIA)
+    assert result.beyond(0.3) == []
+    assert plan.approximate.excess <= OPTIMALITY_TOLERANCE
+    for k in np.flatnonzero(plan.times):
+        fewer = plan.times.copy()
         fewer[k] -= 1.0
         size = 0.3 / SIZE_MARGIN
         does = not isolability(whole.known, whole.normal(fewer), CRITERIA).beyond(size)
-        assert not (does and whole.shows(fewer, CRITERIA))
+        assert not (does and whole.covers_plane(fewer, CRITERIA))
 
 
-def test_the_gates_are_off_where_an_offset_is_to_be_told_from_a_bias(whole: Offer) -> None:
-    found = shortest(whole, 0.3, CRITERIA)
+def test_the_gates_are_off_where_an_offset_is_to_be_separated_from_a_bias(whole: Offer) -> None:
+    plan = shortest(whole, 0.3, CRITERIA)
     assert whole.points[0].excitation.kind == "gates_off"
-    assert found.times[0] >= 1.0
+    assert plan.times[0] >= 1.0
 
 
 def test_a_smaller_size_takes_more_time(whole: Offer) -> None:
@@ -73,5 +73,5 @@ def test_currents_next_to_each_other_are_one_place(whole: Offer) -> None:
     times = np.ones(8)
     six = CRITERIA.selection.model_copy(update={"few_views": 8})
     nine = CRITERIA.selection.model_copy(update={"few_views": 9})
-    assert enough.shows(times, CRITERIA.model_copy(update={"selection": six}))
-    assert not enough.shows(times, CRITERIA.model_copy(update={"selection": nine}))
+    assert enough.covers_plane(times, CRITERIA.model_copy(update={"selection": six}))
+    assert not enough.covers_plane(times, CRITERIA.model_copy(update={"selection": nine}))

@@ -1,4 +1,4 @@
-"""A fleet's table made up from known distributions, so that what is told of it is known beforehand."""
+"""A fleet's table made up from known distributions, so that its statistics are known beforehand."""
 
 from __future__ import annotations
 

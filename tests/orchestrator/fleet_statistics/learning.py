@@ -3,7 +3,7 @@
     python -m tests.orchestrator.fleet_statistics.learning --motors 20 --keep FOLDER
 
 prints the table of docs/fleet-report.md. A motor of the series has an R_s and effects of its own, drawn from what all
-have in common; what it is diagnosed with is what the others let expect. Takes half a minute of one core a motor.
+have in common; priors of the other motors serve its diagnosis. Takes half a minute of one core a motor.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from orchestrator.api import chosen_effects
 from orchestrator.config import load_procedure
 from orchestrator.diagnosis import diagnose_recording
 from orchestrator.fleet_statistics import fleet_of, priors_of
-from orchestrator.workbench import chosen_effects
 from protocols import DiagnosisReport, FoundEffect, Procedure, RecordingReader, Segment, SegmentStage
 from protocols.fleet import FleetEffect, FleetRow
 from protocols.fleet_priors import FleetPriors
@@ -31,7 +31,7 @@ from tests.support.simulated import measure
 Truth = Mapping[tuple[str, str], float]
 MOTOR = "400 W test PMSM"
 TWINS = {"device_drop": "dead_time", "voltage_bias": "current_offset"}
-"""What these recordings cannot tell from each other: one PWM frequency, and no reading with gates off."""
+"""Effects that these recordings cannot separate: one PWM frequency, and no reading with gates off."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Score:
     missed: int = 0
     wrong: int = 0
     held: int = 0
-    asked: int = 0
+    intervals: int = 0
     cpu_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -113,27 +113,27 @@ class Score:
 
     def count(self, report: DiagnosisReport, truth: Truth) -> None:
         """Hold one diagnosis against the truth."""
-        found = {TWINS.get(effect.name, effect.name): effect for effect in (*report.effects, *report.minor)}
+        named = {TWINS.get(effect.name, effect.name): effect for effect in (*report.effects, *report.minor)}
         there = {effect for effect, _ in truth}
         self.motors += 1
-        self.missed += len(there - set(found))
-        self.wrong += len(set(found) - there)
-        self.right += set(found) == there
+        self.missed += len(there - set(named))
+        self.wrong += len(set(named) - there)
+        self.right += set(named) == there
         spread = {(common.effect, common.parameter): common.std for common in SERIES}
         for (effect, parameter), value in truth.items():
-            told = found[effect].parameters.get(parameter) if effect in found else None
-            size = 0.0 if told is None or told.value is None else told.value
+            estimate = named[effect].parameters.get(parameter) if effect in named else None
+            size = 0.0 if estimate is None or estimate.value is None else estimate.value
             self.errors.append((size - value) / spread[effect, parameter])
-            if told is None or told.low is None or told.high is None:
+            if estimate is None or estimate.low is None or estimate.high is None:
                 continue
-            self.asked += 1
-            self.held += told.low <= value <= told.high
-            self.widths.append(0.5 * (told.high - told.low) / spread[effect, parameter])
+            self.intervals += 1
+            self.held += estimate.low <= value <= estimate.high
+            self.widths.append(0.5 * (estimate.high - estimate.low) / spread[effect, parameter])
 
     def row(self, name: str) -> str:
         """One of the table's."""
         width, error = np.median(self.widths), np.sqrt(np.mean(np.square(self.errors)))
-        held = f"{100.0 * self.held / self.asked:.0f} % of {self.asked}"
+        held = f"{100.0 * self.held / self.intervals:.0f} % of {self.intervals}"
         names = f"{self.right} of {self.motors} | {self.missed} | {self.wrong}"
         return f"| {name} | {names} | {width:.2f} | {error:.2f} | {held} | {self.cpu_s / self.motors:.1f} |"
 
@@ -144,8 +144,8 @@ def diagnosed(recording: MemoryRecording, folder: Path, name: str, priors: Fleet
     if not path.is_file():
         began = time.process_time()
         reader: RecordingReader = recording
-        found = diagnose_recording(reader, chosen_effects(), out=folder, priors=priors)  # type: ignore[arg-type]
-        kept = {"cpu_s": time.process_time() - began, "report": json.loads(found.report.model_dump_json())}
+        diagnosis = diagnose_recording(reader, chosen_effects(), out=folder, priors=priors)  # type: ignore[arg-type]
+        kept = {"cpu_s": time.process_time() - began, "report": json.loads(diagnosis.report.model_dump_json())}
         path.write_text(json.dumps(kept))
     kept = json.loads(path.read_text())
     return Kept(DiagnosisReport.model_validate(kept["report"]), kept["cpu_s"])
@@ -161,14 +161,14 @@ class Kept:
 
 def row_of(number: int, report: DiagnosisReport) -> FleetRow:
     """A motor's row of the fleet's table."""
-    told = [one for effect in (*report.effects, *report.minor) for one in sizes(effect)]
+    effects = [one for effect in (*report.effects, *report.minor) for one in sizes(effect)]
     return FleetRow(
         key=str(number),
         source=str(number),
         serial=str(number),
         motor=MOTOR,
         verdict=report.verdict,
-        effects=tuple(told),
+        effects=tuple(effects),
     )
 
 

@@ -45,21 +45,21 @@ def test_a_motor_that_changed_is_named_with_its_interval_and_the_others_are_not(
         update={"R_s_ohm": r_s + 0.05, "R_s_low_ohm": r_s + 0.046, "R_s_high_ohm": r_s + 0.054}
     )
     report = report_of(table(after), against=table(before, "before"))
-    found = report.pairs
-    assert found is not None
-    assert (found.count, found.unpaired, found.against) == (20, 0, "before")
-    (change,) = found.changes
+    pairs = report.pairs
+    assert pairs is not None
+    assert (pairs.count, pairs.unpaired, pairs.against) == (20, 0, "before")
+    (change,) = pairs.changes
     assert (change.serial, change.quantity) == ("0004", "R_s_20_ohm")
-    told = next(remark.text for remark in report.remarks if remark.code == "changed_motors")
-    assert told == "1 motor changed beyond what the recordings tell, first serial 0004: R_s at 20 °C"
+    changes = next(remark.text for remark in report.remarks if remark.code == "changed_motors")
+    assert changes == "1 motor changed by more than the recordings' intervals, first serial 0004: R_s at 20 °C"
     assert change.low is not None
     assert change.high is not None
     assert change.low < 0.05 < change.high
     assert change.high - change.low == pytest.approx(2 * np.hypot(0.004, 0.004), rel=0.05)
-    assert not any(one.significant for one in found.quantities)
+    assert not any(one.significant for one in pairs.quantities)
 
 
-def test_what_changed_on_all_motors_together_is_told_without_any_intervals_of_theirs() -> None:
+def test_a_change_common_to_all_motors_is_reported_without_intervals_of_each() -> None:
     before = Fleet(20).rows()
     after = [row.model_copy(update={"psi_pm_wb": (row.psi_pm_wb or 0.0) + 0.002}) for row in again(before)]
     report = report_of(table(after), against=table(before))
@@ -77,18 +77,18 @@ def test_an_effect_that_went_with_the_repair_is_named() -> None:
     unsure = effect("current_offset", "offset_a_a", 0.01, 0.02, "A")
     before[5] = before[5].model_copy(update={"effects": (*(before[5].effects or ()), unsure)})
     everywhere = [row.model_copy(update={"effects": (*(row.effects or ()), worn, unsure)}) for row in after[:2]]
-    found = report_of(table([*everywhere, *after[2:]]), against=table(before)).pairs
-    assert found is not None
-    told = {(one.serial, one.quantity, one.difference) for one in found.changes}
-    assert told == {(serial, "dead_time.voltage_v", None) for serial in ("0000", "0001", "0003")}
+    pairs = report_of(table([*everywhere, *after[2:]]), against=table(before)).pairs
+    assert pairs is not None
+    changes = {(one.serial, one.quantity, one.difference) for one in pairs.changes}
+    assert changes == {(serial, "dead_time.voltage_v", None) for serial in ("0000", "0001", "0003")}
 
 
 def test_within_one_table_the_first_recording_is_held_against_the_last() -> None:
     before = Fleet(12).rows()
     after = again(before[:5], psi_pm_wb=0.3)
-    found = report_of(table([*after, *before]), within=True).pairs
-    assert found is not None
-    assert (found.count, found.unpaired, found.against) == (5, 7, "pairs")
-    assert not found.quantities  # too few for a middle
+    pairs = report_of(table([*after, *before]), within=True).pairs
+    assert pairs is not None
+    assert (pairs.count, pairs.unpaired, pairs.against) == (5, 7, "pairs")
+    assert not pairs.quantities  # too few for a middle
     with pytest.raises(InputError, match="no serial number is measured twice"):
         report_of(table(before), within=True)

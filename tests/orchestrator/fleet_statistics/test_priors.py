@@ -36,27 +36,27 @@ def unexplained(row: dict[str, Any]) -> None:
 
 
 def test_sizes_spreads_and_frequencies_are_those_of_the_fleet() -> None:
-    found = priors(Fleet(100, changes=dict.fromkeys(range(0, 100, 4), without_effects)))
-    one = found.effects[IMBALANCE]
+    prior = priors(Fleet(100, changes=dict.fromkeys(range(0, 100, 4), without_effects)))
+    one = prior.effects[IMBALANCE]
     assert (one.found, one.asked) == (75, 100)
     assert one.probability == pytest.approx(76 / 102)
     size = one.sizes["extra_b_ohm"]
     assert size.mean == pytest.approx(0.020, abs=0.003)
     assert size.std == pytest.approx(0.010, rel=0.25)
     assert size.unit == "ohm"
-    assert found.resistance is not None
-    assert found.resistance.mean == pytest.approx(4.285, rel=0.004)
-    assert found.d_inductance is not None
-    assert found.d_inductance.std == pytest.approx(0.01 * 0.0433, rel=0.25)
-    assert (found.motor, found.recordings, found.diagnosed) == ("pm400", 100, 100)
+    assert prior.resistance is not None
+    assert prior.resistance.mean == pytest.approx(4.285, rel=0.004)
+    assert prior.d_inductance is not None
+    assert prior.d_inductance.std == pytest.approx(0.01 * 0.0433, rel=0.25)
+    assert (prior.motor, prior.recordings, prior.diagnosed) == ("pm400", 100, 100)
 
 
 def test_faults_and_unexplained_recordings_are_no_property_of_the_kind() -> None:
     changes = {**dict.fromkeys(range(5), faulty), **dict.fromkeys(range(5, 20), unexplained)}
-    found = priors(Fleet(100, changes=changes))
-    assert found.diagnosed == 85
-    assert set(found.effects) == {IMBALANCE}
-    size = found.effects[IMBALANCE].sizes["extra_b_ohm"]
+    prior = priors(Fleet(100, changes=changes))
+    assert prior.diagnosed == 85
+    assert set(prior.effects) == {IMBALANCE}
+    size = prior.effects[IMBALANCE].sizes["extra_b_ohm"]
     assert size.recordings == 80
     assert size.std < 0.015
 
@@ -84,8 +84,8 @@ def test_the_file_is_written_and_read_strictly(tmp_path: Path) -> None:
     done = called("fleet", "priors", table, "--out", out)
     assert done.returncode == 0, done.stderr
     assert "phase resistance imbalance: extra b  30 of 30  0.969" in done.stdout
-    found = read_json(out, FleetPriors)
-    assert found == priors_of(fleet_of(table_of(Fleet(30).rows()), str(table)))
+    prior = read_json(out, FleetPriors)
+    assert prior == priors_of(fleet_of(table_of(Fleet(30).rows()), str(table)))
     raw = json.loads(out.read_text())
     raw["effects"][IMBALANCE]["sizes"]["extra_b_ohm"]["std"] = -1.0
     out.write_text(json.dumps(raw))

@@ -1,4 +1,4 @@
-"""Fleets made up from known distributions: what is told of them is what was put in."""
+"""Fleets made up from known distributions: the report gives back their parameters."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def unsharp(row: dict[str, Any]) -> None:
     row["effects"] = (effect("phase_resistance_imbalance", "extra_b_ohm", 0.090, 0.080, "ohm"),)
 
 
-def test_of_a_fleet_in_which_nothing_is_nothing_is_said() -> None:
+def test_a_uniform_fleet_raises_no_alarm() -> None:
     report = report_of(table(Fleet(150, seed=4)))
     assert codes(report) == ["no_outliers"]
     assert report.recordings == report.serials == 150
@@ -55,28 +55,28 @@ def test_of_a_fleet_in_which_nothing_is_nothing_is_said() -> None:
 
 def test_outliers_are_named_by_the_serial_number_and_what_makes_them() -> None:
     report = report_of(table(Fleet(150, seed=4, changes={7: imbalanced, 60: bridged_turn, 90: with_dead_time})))
-    found = {one.recording.serial: one for one in report.outliers}
-    assert set(found) == {"0007", "0060", "0090"}
-    assert found["0007"].text.startswith("serial 0007: phase resistance imbalance: extra b +")
-    assert found["0007"].reasons[0].sigma == pytest.approx(7.0, abs=1.5)
-    assert found["0007"].reasons[0].sure
-    assert {reason.quantity for reason in found["0060"].reasons} == {"L_d_h", "L_q_h"}
-    assert "strange beside the others" in found["0060"].text
-    assert found["0090"].text.endswith("dead time: voltage 2 V, in 1 recording only")
-    assert found["0090"].distance is None
+    outlying = {one.recording.serial: one for one in report.outliers}
+    assert set(outlying) == {"0007", "0060", "0090"}
+    assert outlying["0007"].text.startswith("serial 0007: phase resistance imbalance: extra b +")
+    assert outlying["0007"].reasons[0].sigma == pytest.approx(7.0, abs=1.5)
+    assert outlying["0007"].reasons[0].sure
+    assert {reason.quantity for reason in outlying["0060"].reasons} == {"L_d_h", "L_q_h"}
+    assert "unusual in combination with the others" in outlying["0060"].text
+    assert outlying["0090"].text.endswith("dead time: voltage 2 V, in 1 recording only")
+    assert outlying["0090"].distance is None
     for one in report.outliers[:1]:
         assert one.distance is not None
         assert one.limit is not None
         assert one.distance > one.limit
 
 
-def test_a_value_whose_own_interval_holds_the_middle_is_said_to() -> None:
+def test_a_value_whose_own_interval_contains_the_median_says_so() -> None:
     report = report_of(table(Fleet(150, seed=4, changes={7: unsharp})))
     assert [one.recording.serial for one in report.outliers] == ["0007"]
-    assert report.outliers[0].text.endswith("but its own interval holds the middle")
+    assert report.outliers[0].text.endswith("but its own interval contains the median")
 
 
-def test_a_third_of_the_fleet_that_is_another_motor_is_told_apart() -> None:
+def test_a_third_of_the_fleet_that_is_another_motor_is_separated() -> None:
     def other(row: dict[str, Any]) -> None:
         row["R_s_ohm"] *= 1.2
         row["L_d_h"] *= 1.3
@@ -84,9 +84,9 @@ def test_a_third_of_the_fleet_that_is_another_motor_is_told_apart() -> None:
         row["R_s_low_ohm"], row["R_s_high_ohm"] = row["R_s_ohm"] - 0.004, row["R_s_ohm"] + 0.004
 
     report = report_of(table(Fleet(120, seed=1, changes=dict.fromkeys(range(0, 120, 3), other))))
-    strange = {int(one.recording.serial or "") for one in report.outliers}
-    assert set(range(0, 120, 3)) <= strange
-    assert len(strange) <= 42
+    outlying = {int(one.recording.serial or "") for one in report.outliers}
+    assert set(range(0, 120, 3)) <= outlying
+    assert len(outlying) <= 42
 
 
 def test_few_recordings_are_looked_at_one_quantity_at_a_time() -> None:
@@ -99,7 +99,7 @@ def test_few_recordings_are_looked_at_one_quantity_at_a_time() -> None:
     assert [one.recording.serial for one in report.outliers] == ["0003"]
 
 
-def test_a_drift_is_told_with_its_interval_and_the_chart_says_since_when() -> None:
+def test_a_drift_has_an_interval_and_the_chart_shows_its_beginning() -> None:
     report = report_of(table(Fleet(150, seed=5, drift_wb_per_day=-4e-4)))
     psi = next(one for one in report.quantities if one.name == "psi_pm_wb")
     assert psi.drift is not None
@@ -161,9 +161,9 @@ def test_failed_recordings_are_counted_and_not_computed_with() -> None:
 def test_of_a_recording_that_was_done_twice_the_fuller_row_counts() -> None:
     rows = Fleet(20).rows()
     bare = rows[3].model_copy(update={"key": "y", "verdict": None, "effects": None, "L_d_h": None})
-    found = fleet_of(table_of([*rows, bare]), "line")
-    assert len(found) == 20
-    assert np.isfinite(found.columns["L_d_h"].values).all()
+    outlying = fleet_of(table_of([*rows, bare]), "line")
+    assert len(outlying) == 20
+    assert np.isfinite(outlying.columns["L_d_h"].values).all()
 
 
 def test_the_report_is_the_same_read_back_from_its_json() -> None:
@@ -179,7 +179,7 @@ def test_a_folder_of_parquet_files_is_one_table(tmp_path: Path) -> None:
     assert [r.serial for r in read_fleet(str(tmp_path)).recordings] == [row.serial for row in rows]
 
 
-def test_what_is_no_table_is_said_in_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -187,12 +187,12 @@ def test_what_is_no_table_is_said_in_one_line(tmp_path: Path) -> None:
     text.write_text("no Parquet")
     other = tmp_path / "other.parquet"
     pq.write_table(pa.table({"a": [1]}), other)
-    for path, told in (
+    for path, problem in (
         (text, "cannot be read as Parquet"),
         (other, "source: no such column"),
         (tmp_path / "x", "no such"),
     ):
-        with pytest.raises(InputError, match=told) as error:
+        with pytest.raises(InputError, match=problem) as error:
             read_fleet(str(path))
         assert "\n" not in str(error.value)
     failed = FleetRow(key="x", source="s", failed="torn")

@@ -24,18 +24,18 @@ def described_a_quarter_turn_off(right: Rewritten, side: int) -> Rewritten:
         return {"rotor_angle_rad": segment.rotor_angle_rad + side * 0.5 * math.pi, "settings": settings}
 
     motor = right.manifest.motor
-    return right.asked(change).plated(d_inductance_h=motor.q_inductance_h, q_inductance_h=motor.d_inductance_h)
+    return right.with_segments(change).plated(d_inductance_h=motor.q_inductance_h, q_inductance_h=motor.d_inductance_h)
 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_magnet_across_the_d_axis_is_named_and_turned_back(right: Rewritten, side: int) -> None:
     wrong = described_a_quarter_turn_off(right, side)
-    found = find_convention(wrong)
-    assert found is not None
-    assert found.kind == "quarter_turn"
-    assert found.correction.add == pytest.approx(-side * 0.5 * math.pi)
-    assert ("on -q" if side > 0 else "on +q") in found.what
-    corrected = CorrectedRecording(wrong, found.correction)
+    convention = find_convention(wrong)
+    assert convention is not None
+    assert convention.kind == "quarter_turn"
+    assert convention.correction.add == pytest.approx(-side * 0.5 * math.pi)
+    assert ("on -q" if side > 0 else "on +q") in convention.what
+    corrected = CorrectedRecording(wrong, convention.correction)
     assert find_convention(corrected) is None
     assert corrected.manifest.motor == right.manifest.motor
     for turned, own in zip(corrected.manifest.segments, right.manifest.segments, strict=True):

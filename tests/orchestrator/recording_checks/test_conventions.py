@@ -35,7 +35,7 @@ def test_what_is_asked_in_between_ends_the_search(right: Rewritten) -> None:
 
 
 def test_settings_are_not_needed(right: Rewritten) -> None:
-    assert find_convention(right.asked(lambda _: {"settings": {}})) is None
+    assert find_convention(right.with_segments(lambda _: {"settings": {}})) is None
 
 
 @few("name", CATALOGUE, fast=3)

@@ -1,4 +1,4 @@
-"""R and L beside the nameplate: both hypotheses are said, and nothing is rescaled."""
+"""R and L beside the nameplate: both hypotheses are named, and nothing is rescaled."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from orchestrator.recording_checks import check_recording
-from orchestrator.recording_checks.criteria import ConventionCriteria
 from orchestrator.recording_checks.nameplate import nameplate_remarks
-from orchestrator.recording_checks.responses import AtRest, Responses, _exact_inductance
+from orchestrator.recording_checks.responses import Responses, SteadyState, _exact_inductance
 from orchestrator.recording_checks.survey import survey
 from protocols import Remark
 from tests.support.rewriting import Rewritten
@@ -53,7 +52,7 @@ def test_a_nameplate_that_is_off_by_a_factor_is_no_convention_and_the_ohmmeter_d
     assert remark.values["resistance_ratio"] == pytest.approx(1.0 / factor, rel=0.1)
     assert remark.values["nameplate_ohm"] == pytest.approx(2.0 * factor * ohm)
     assert remark.values["readings_ohm"] == pytest.approx(2.0 * ohm, rel=0.1)
-    assert "are their set-points within" in remark.text
+    assert "agree with their set-points within" in remark.text
 
 
 def test_a_nameplate_measured_between_two_wires_is_line_to_line(right: Rewritten) -> None:
@@ -99,8 +98,8 @@ def test_a_resistance_beside_a_loss_that_is_most_of_the_voltage_is_held_against_
     """A machine of some milliohms behind a dead time: what is left of the voltage is not its R_s."""
     currents = 2.5 * np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False))
     losses = loss_v * np.exp(1j * np.round(np.angle(currents) / (np.pi / 3.0)) * (np.pi / 3.0))
-    seen = Responses(survey(right, ConventionCriteria()))
-    seen.rest = AtRest(currents, 1.0 * currents + losses, whole_plane=True)
+    seen = Responses(survey(right))
+    seen.steady_state = SteadyState(currents, 1.0 * currents + losses, whole_plane=True)
     seen.resistance_ohm, seen.resistance_ratio, seen.inductance_ratio = 1.0, 1.56, 1.32
     assert seen.resistive_part == pytest.approx(resistive, abs=0.05)
     assert len(nameplate_remarks(seen)) == remarks

@@ -10,7 +10,6 @@ import pytest
 from scipy.signal import lfilter
 
 from orchestrator.recording_checks import find_convention
-from orchestrator.recording_checks.criteria import ConventionCriteria
 from orchestrator.recording_checks.responses import Responses
 from orchestrator.recording_checks.survey import survey
 from protocols import Capture, RecordingReader
@@ -22,9 +21,9 @@ SET_POINTS = ("current_d_a", "current_q_a", "target_d_a", "target_q_a", "amplitu
 
 
 def _inductance(recording: RecordingReader) -> float:
-    found = Responses(survey(recording, ConventionCriteria())).answer
-    assert found is not None
-    return found.l_h
+    response = Responses(survey(recording)).impulse_response
+    assert response is not None
+    return response.l_h
 
 
 def test_a_sensor_with_offset_and_gain_is_no_scale(right: Rewritten) -> None:
@@ -37,8 +36,8 @@ def test_a_sensor_with_offset_and_gain_is_no_scale(right: Rewritten) -> None:
         phases = c.i_ab @ TO_PHASES.T
         return {"i_ab": np.sign(phases) * np.interp(np.abs(phases), UNILOG_A, SAPOG_A) @ CLARKE.T}
 
-    found = find_convention(right.captured(read))
-    assert found is None or "scaled" not in found.kind
+    convention = find_convention(right.captured(read))
+    assert convention is None or "scaled" not in convention.kind
 
 
 @pytest.mark.parametrize("unequal", [0.93, 1.1])
@@ -79,9 +78,9 @@ def test_a_voltage_one_period_late_and_its_negative_inductance(right: Rewritten)
         u = c.v_ab - c.v_ab.mean(axis=0)
         signs.append(np.sign(np.sum(u[edges] * (c.i_ab[edges + 1] - c.i_ab[edges]))))
     assert signs == [1.0, -1.0]
-    found = find_convention(late)
-    assert found is not None
-    assert (found.kind, found.correction.add) == ("delay", 1.0)
+    convention = find_convention(late)
+    assert convention is not None
+    assert (convention.kind, convention.correction.add) == ("delay", 1.0)
     assert _inductance(late) == pytest.approx(_inductance(right), rel=0.05)
 
 

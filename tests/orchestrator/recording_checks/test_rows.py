@@ -9,9 +9,15 @@ import pytest
 from numpy.typing import NDArray
 
 from orchestrator.recording_checks import find_convention
-from orchestrator.recording_checks.criteria import ConventionCriteria
-from orchestrator.recording_checks.rows import _edges, _in_the_middle, _repeated, broken_rows
-from orchestrator.recording_checks.survey import Sighting, Survey
+from orchestrator.recording_checks.rows import (
+    MAX_CHANCE_RATIO,
+    MAX_REPEATED_SHARE,
+    _edges,
+    _interpolated,
+    _repeated,
+    broken_rows,
+)
+from orchestrator.recording_checks.survey import SegmentReadings, Survey
 from protocols import Capture
 from tests.support.rewriting import Rewritten
 
@@ -32,9 +38,9 @@ def _held(count: int, rng: np.random.Generator) -> Numbers:
 
 @pytest.mark.parametrize("which", [_lost, _doubled, _held])
 def test_broken_rows_are_named(right: Rewritten, which: Any) -> None:
-    found = find_convention(right.rows(which))
-    assert found is not None
-    assert found.kind == f"rows{which.__name__}"
+    convention = find_convention(right.rows(which))
+    assert convention is not None
+    assert convention.kind == f"rows{which.__name__}"
 
 
 def test_a_few_rows_lost_in_one_place_of_some_captures_are_named(right: Rewritten) -> None:
@@ -42,10 +48,10 @@ def test_a_few_rows_lost_in_one_place_of_some_captures_are_named(right: Rewritte
         at = int(rng.integers(count // 4, 3 * count // 4)) if rng.random() < 0.3 else count
         return np.concatenate([np.arange(at), np.arange(at + 3, count)])
 
-    found = find_convention(right.rows(without_three))
-    assert found is not None
-    assert found.kind == "rows_lost"
-    assert "none late" in found.evidence
+    convention = find_convention(right.rows(without_three))
+    assert convention is not None
+    assert convention.kind == "rows_lost"
+    assert "none late" in convention.evidence
 
 
 def test_a_capture_that_ends_within_a_period_has_lost_no_row(right: Rewritten) -> None:
@@ -56,8 +62,8 @@ def test_a_capture_that_ends_within_a_period_has_lost_no_row(right: Rewritten) -
 def test_what_is_no_square_wave_has_no_early_edges(right: Rewritten, widths: tuple[int, int]) -> None:
     segment = next(s for s in right.manifest.segments if s.settings.get("amplitude_v"))
     v = np.tile(np.repeat([30.0 + 0j, -30.0 + 0j], widths), 12)[:276]
-    seen = Sighting(segment, np.zeros(len(v), dtype=complex), v, None, np.full(len(v), 540.0))
-    assert _edges(seen, ConventionCriteria()) == (0, 0, 0)
+    seen = SegmentReadings(segment, np.zeros(len(v), dtype=complex), v, None, np.full(len(v), 540.0))
+    assert _edges(seen) == (0, 0, 0)
 
 
 def test_interpolated_rows_are_named(right: Rewritten, rng: np.random.Generator) -> None:
@@ -67,9 +73,9 @@ def test_interpolated_rows_are_named(right: Rewritten, rng: np.random.Generator)
         i[rows] = 0.5 * (c.i_ab[rows - 1] + c.i_ab[rows + 1])
         return {"i_ab": i.astype(np.float32)}
 
-    found = find_convention(right.captured(interpolated))
-    assert found is not None
-    assert found.kind == "rows_interpolated"
+    convention = find_convention(right.captured(interpolated))
+    assert convention is not None
+    assert convention.kind == "rows_interpolated"
 
 
 def test_a_converter_of_coarse_steps_holds_no_rows(right: Rewritten) -> None:
@@ -91,11 +97,10 @@ def test_counts_of_a_converter_that_lie_on_a_line_are_not_interpolated(
     # Of two phases in counts: i_beta is (i_a + 2 i_b) / sqrt 3.
     i_ab = 0.012 * np.column_stack([counts[:, 0], (counts[:, 0] + 2.0 * counts[:, 1]) / np.sqrt(3.0)])
     i = i_ab.astype(np.float64).view(np.complex128).ravel()
-    seen = Sighting(segment, i, (40.0 * rising).astype(np.complex128), None, np.full(len(i), 540.0))
-    limits = ConventionCriteria()
-    middle, by_chance, rows = _in_the_middle(seen)
-    assert middle > limits.repeated * rows
-    assert middle <= limits.repeated * rows + limits.by_chance * by_chance
+    seen = SegmentReadings(segment, i, (40.0 * rising).astype(np.complex128), None, np.full(len(i), 540.0))
+    middle, by_chance, rows = _interpolated(seen)
+    assert middle > MAX_REPEATED_SHARE * rows
+    assert middle <= MAX_REPEATED_SHARE * rows + MAX_CHANCE_RATIO * by_chance
 
 
 def injected(rng: np.random.Generator, right: Rewritten, *, amplitude_a: float, held: float = 0.0) -> Survey:
@@ -113,7 +118,7 @@ def injected(rng: np.random.Generator, right: Rewritten, *, amplitude_a: float, 
     a, b = counts[rows].T
     i = a + 1j * (a + 2.0 * b) / np.sqrt(3.0)
     v = 30.0 * np.cos(wave) * turning
-    return Survey(right.manifest, [Sighting(segment, i, v, None, np.full(len(n), 540.0))], ConventionCriteria())
+    return Survey(right.manifest, [SegmentReadings(segment, i, v, None, np.full(len(n), 540.0))])
 
 
 @pytest.mark.parametrize("amplitude_a", [2.0, 10.0, 20.0])
@@ -129,6 +134,6 @@ def test_readings_that_repeat_at_a_sine_s_crest_are_not_held(
 def test_rows_that_are_held_while_a_sine_moves_the_current_by_several_steps_are_named(
     rng: np.random.Generator, right: Rewritten
 ) -> None:
-    found = broken_rows(injected(rng, right, amplitude_a=30.0, held=0.05))
-    assert found is not None
-    assert found.kind == "rows_held"
+    convention = broken_rows(injected(rng, right, amplitude_a=30.0, held=0.05))
+    assert convention is not None
+    assert convention.kind == "rows_held"

@@ -35,42 +35,42 @@ def sines(tmp_path_factory: pytest.TempPathFactory) -> Rewritten:
 
 @pytest.mark.parametrize("rows", [-2, -1, 0, 1])
 def test_the_phase_of_a_sine_tells_its_lag(sines: Rewritten, rows: int) -> None:
-    found = find_convention(sines.late(rows))
-    assert (found is None) if rows == 0 else (found is not None and found.correction.add == -rows)
+    convention = find_convention(sines.late(rows))
+    assert (convention is None) if rows == 0 else (convention is not None and convention.correction.add == -rows)
 
 
 @pytest.mark.parametrize("factor", [2.0, 10.0, 0.5, 0.1, 1.25, 0.8])
 def test_a_wrong_sampling_rate_is_named(right: Rewritten, factor: float) -> None:
     wrong = right.driven(sampling_frequency_hz=factor * right.manifest.drive.sampling_frequency_hz)
-    found = find_convention(wrong)
-    assert found is not None
-    assert found.kind == "sampling_rate"
-    assert found.correction.factor == pytest.approx(1.0 / factor, rel=1e-2)
-    assert find_convention(CorrectedRecording(wrong, found.correction)) is None
+    convention = find_convention(wrong)
+    assert convention is not None
+    assert convention.kind == "sampling_rate"
+    assert convention.correction.factor == pytest.approx(1.0 / factor, rel=1e-2)
+    assert find_convention(CorrectedRecording(wrong, convention.correction)) is None
 
 
 @pytest.mark.parametrize("rows", [-2, -1, 1, 2])
 def test_a_voltage_early_or_late_by_whole_samples_is_named(right: Rewritten, rows: int) -> None:
     wrong = right.late(rows)
-    found = find_convention(wrong)
-    assert found is not None
-    assert (found.kind, found.correction.add) == ("delay", -rows)
-    assert find_convention(CorrectedRecording(wrong, found.correction)) is None
+    convention = find_convention(wrong)
+    assert convention is not None
+    assert (convention.kind, convention.correction.add) == ("delay", -rows)
+    assert find_convention(CorrectedRecording(wrong, convention.correction)) is None
 
 
 def test_a_declared_delay_that_is_not_there_is_named(right: Rewritten) -> None:
-    found = find_convention(right.driven(voltage_delay_samples=1.0))
-    assert found is not None
-    assert found.correction.text == "set drive.voltage_delay_samples to 0"
+    convention = find_convention(right.driven(voltage_delay_samples=1.0))
+    assert convention is not None
+    assert convention.correction.text == "set drive.voltage_delay_samples to 0"
 
 
 @pytest.mark.parametrize("rows", [-3, -2, 1])
 def test_the_edges_of_voltage_steps_tell_their_lag(stepped: Rewritten, rows: int) -> None:
     wrong = stepped.late(rows)
-    found = find_convention(wrong)
-    assert found is not None
-    assert (found.kind, found.correction.add) == ("delay", -rows)
-    assert find_convention(CorrectedRecording(wrong, found.correction)) is None
+    convention = find_convention(wrong)
+    assert convention is not None
+    assert (convention.kind, convention.correction.add) == ("delay", -rows)
+    assert find_convention(CorrectedRecording(wrong, convention.correction)) is None
 
 
 def test_voltage_steps_that_are_right_break_no_convention(stepped: Rewritten) -> None:

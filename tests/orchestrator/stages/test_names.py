@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[3]
 ROOMS = (
     "orchestrator/config",
     "orchestrator/engine",
-    "orchestrator/presentation",
+    "orchestrator/formatting",
     "orchestrator/runs",
     "orchestrator/scaffolding",
     "orchestrator/stages",

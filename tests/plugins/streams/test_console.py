@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
-from orchestrator.presentation.sentences import visible
+from orchestrator.formatting.sentences import visible
 from orchestrator.testing._messages import MOTOR, a_run, one_of_each, points_done
 from plugins.streams.console import ConsoleOptions, ConsoleStream
 from plugins.streams.console._progress import Progress

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from orchestrator.analysis import FluxPath
+from orchestrator.formatting.colours import BLUE, GREEN, VERMILION
+from orchestrator.formatting.drawing import CURRENT_LABELS, STYLE, bare, empty_figure, name_axes
 from orchestrator.numerics.types import Array
-from orchestrator.presentation.colours import BLUE, GREEN, VERMILION
-from orchestrator.presentation.drawing import CURRENT_LABELS, STYLE, bare, empty_figure, name_axes
 from plugins.commands.reproduction.literal._budget import Budget, along
 from plugins.commands.reproduction.literal._evaluation import Literal
 

@@ -6,10 +6,10 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
+from orchestrator.formatting.names import PAPER_CROSSINGS
+from orchestrator.formatting.quantities import UNKNOWN, fixed, percent
+from orchestrator.formatting.sentences import markdown_table
 from orchestrator.numerics.types import Array
-from orchestrator.presentation.names import PAPER_CROSSINGS
-from orchestrator.presentation.quantities import UNKNOWN, fixed, percent
-from orchestrator.presentation.sentences import markdown_table
 from orchestrator.recording import replace_file
 from plugins.commands.reproduction.literal._budget import ALL, IRON, IRON_ALL, NOISE, RULE, Budget, Row
 from plugins.commands.reproduction.literal._differences import DIFFERENCES

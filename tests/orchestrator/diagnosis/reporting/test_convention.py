@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.diagnosis import add_effects, compare_recording, diagnose_recording, in_words
 from orchestrator.estimation import estimate_recording
-from orchestrator.presentation.names import VERDICTS
+from orchestrator.formatting.names import VERDICTS
 from protocols import NotMeasuredError
 from tests.orchestrator.estimation.made_up import Resistance, Ripples, Sweeps
 from tests.orchestrator.recording_checks.conftest import right

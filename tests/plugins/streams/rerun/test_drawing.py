@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.presentation import colours
+from orchestrator.formatting import colours
 from plugins.streams.rerun._axes import Chart, reach, ticks
 from plugins.streams.rerun._clock import Clock
 from plugins.streams.rerun._waveforms import Thinner, envelope

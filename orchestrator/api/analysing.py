@@ -1,0 +1,299 @@
+"""Measurements in, results out: estimates, comparison, diagnosis and the model's effects, by whatever names them."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Collection, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orchestrator.api.threads import one_thread
+from orchestrator.recording import read_model
+from orchestrator.registry import PluginKind, load_effects_file, make_plugins
+from orchestrator.runs import open_any, refuse_file
+from protocols import (
+    AddReport,
+    CompareReport,
+    Effect,
+    EstimationReport,
+    Explanation,
+    FluxMap,
+    InputError,
+    MotorModel,
+    PluginError,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from orchestrator.comparison import SideBySide
+    from orchestrator.diagnosis import InterimResult, ModelChoice, SavedDiagnosis
+    from protocols.fleet_priors import FleetPriors
+
+Place = str | PathLike[str]
+"""A run or recording: its directory, or `Measurements`."""
+Model = Place | FluxMap | MotorModel
+"""``saturated``, ``linear``, a flux map or a whole model, or the file that either is in."""
+Effects = Place | Sequence[Effect]
+"""Candidates of one's own beside the installed ones: a Python file, or the effects themselves."""
+
+
+@one_thread()
+def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Place | None = None) -> EstimationReport:
+    """R_s, flux and inductance maps, and how far they agree with themselves; written to ``results/``.
+
+    Parameters
+    ----------
+    estimators : sequence of str, optional
+        Names of those to ask; all that are installed by default.
+    out : path, optional
+        Where ``results/`` goes; into the recording by default.
+
+    Raises
+    ------
+    RecordingError, NotMeasuredError, StorageError
+    """
+    from orchestrator.estimation import estimate_recording
+
+    path = Path(place)
+    target = Path(out) if out is not None else path
+    refuse_file(target)
+    refuse_file(target / "results")
+    plugins = make_plugins(PluginKind.ESTIMATORS, estimators or None)
+    return estimate_recording(open_any(path, keep=out is None), plugins, target)
+
+
+@one_thread()
+def compare(
+    place: Place, *, model: Model | None = None, effects: Effects = (), out: Place | None = None
+) -> CompareReport:
+    """Where a model fails, and whether effects of one's own help; see `orchestrator.diagnosis.compare_recording`."""
+    from orchestrator.diagnosis import compare_recording
+
+    installed = {effect.name for effect in chosen_effects()} if effects else set()
+    every = chosen_effects(effects)
+    return compare_recording(
+        open_any(Path(place)),
+        every,
+        model=chosen_model(model),
+        out=_directory(out),
+        candidates=[effect.name for effect in every if effects and _is_own(effect, effects, installed)],
+    )
+
+
+@one_thread()
+def compare_runs(*places: Place) -> SideBySide:
+    """Runs side by side, and what changed beyond noise; see `orchestrator.comparison.compare_runs`."""
+    from orchestrator.comparison import compare_runs as of_paths
+
+    return of_paths([Path(place) for place in places])
+
+
+@one_thread()
+def diagnose(
+    place: Place,
+    *,
+    model: Model = "saturated",
+    effects: Effects = (),
+    without: Sequence[str] = (),
+    segments: Sequence[str] | None = None,
+    material_flux_percent: float | None = None,
+    material_voltage_percent: float | None = None,
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+    priors: FleetPriors | Place | None = None,
+    workers: int | None = None,
+    on_interim: Callable[[InterimResult], None] = lambda _: None,
+    report_early: bool = False,
+) -> SavedDiagnosis:
+    """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
+
+    Parameters
+    ----------
+    segments : sequence of str, optional
+        Ids of the segments to use; all by default. What is found is kept as if they were the whole recording, so it
+        is best kept in a folder of its own: `out`.
+    material_flux_percent, material_voltage_percent : float, optional
+        An effect counts from this change of the map on, of the rated flux, or from this voltage on, of the excitation.
+    tell : callable
+        Called with what is under way, in a few words.
+    priors : FleetPriors or path, optional
+        What other motors of its kind let expect, or the file that `fluxbench fleet priors` wrote it to.
+    workers : int
+        Threads that work on it; as many as there are cores, up to four, by default. The result is the same.
+    on_interim : callable
+        Called with what the search has found so far, whenever that has changed; its `sentence` says it.
+    report_early : bool
+        Whether `KeyboardInterrupt` (Ctrl-C) ends the search with a report of what was found so far, whose first remark
+        has the code ``ended_early``. Where nothing was found yet, and the second time, it is raised as without this.
+    """
+    from orchestrator.diagnosis import Criteria, diagnose_and_keep, workers_here
+    from orchestrator.experiment_design.proposal import next_experiment
+
+    asked = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
+    materiality = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
+    criteria = Criteria.model_validate({"materiality": materiality})
+
+    recording = open_any(Path(place))
+    return diagnose_and_keep(
+        recording if segments is None else recording.limited_to(segments),
+        chosen_effects(effects),
+        propose=next_experiment,
+        model=chosen_model(model) or "saturated",
+        without=without,
+        out=_directory(out),
+        tell=tell,
+        criteria=criteria,
+        priors=_chosen_priors(priors),
+        workers=workers or workers_here(),
+        on_interim=on_interim,
+        report_early=report_early,
+    )[1]
+
+
+def explain(place: Place) -> Explanation:
+    """Why the latest diagnosis says what it says: reasons of the verdict, the search, what each effect rests on.
+
+    Raises
+    ------
+    InputError
+        Where there is no diagnosis.
+    RecordingError
+        Where its file is damaged.
+    """
+    from orchestrator.diagnosis import explanation_of, load_diagnosis
+
+    path = Path(place)
+    refuse_file(path)
+    if not path.is_dir():
+        raise InputError(str(path), "", "no such directory")
+    found = load_diagnosis(path)
+    if found is None:
+        raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
+    return explanation_of(found.report)
+
+
+@one_thread()
+def add(
+    place: Place,
+    *names: str,
+    model: Model | None = None,
+    effects: Effects = (),
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> AddReport:
+    """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Kept in `model.json`.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with what is under way, in a few words.
+    """
+    from orchestrator.diagnosis import add_effects
+
+    return add_effects(
+        open_any(Path(place)), names, chosen_effects(effects), model=chosen_model(model), out=_directory(out), tell=tell
+    )
+
+
+@one_thread()
+def remove(
+    place: Place,
+    name: str,
+    *,
+    effects: Effects = (),
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> AddReport:
+    """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Kept in `model.json`.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with what is under way, in a few words.
+    """
+    from orchestrator.diagnosis import remove_effect
+
+    return remove_effect(open_any(Path(place)), name, chosen_effects(effects), out=_directory(out), tell=tell)
+
+
+def map_of(model: MotorModel | Place) -> xr.Dataset:
+    """The map of a model, effects out, over ``i_d`` and ``i_q``; NaN where nothing was measured.
+
+    Parameters
+    ----------
+    model : MotorModel or path
+        A whole model, the `model.json` that it is in, or the run or recording that has one.
+    """
+    from orchestrator.diagnosis import flux_map_of
+    from orchestrator.estimation import flux_dataset
+
+    whole = model if isinstance(model, MotorModel) else read_model(Path(model))
+    return flux_dataset(flux_map_of(whole), motor=whole.motor.name, recording=whole.recording)
+
+
+def chosen_model(choice: Model | None) -> ModelChoice | None:
+    """The baseline or model that is meant, read from its file where it is in one; raises `InputError`."""
+    if choice is None or isinstance(choice, FluxMap | MotorModel):
+        return choice
+    path = Path(choice)
+    if str(path) in ("linear", "saturated"):
+        return str(path)
+    from orchestrator.flux_maps import load_map
+
+    return read_model(path) if path.suffix == ".json" else load_map(path)
+
+
+def chosen_effects(more: Effects = ()) -> list[Effect]:
+    """The installed effects and more; raises `PluginError` where two have one name."""
+    from orchestrator.diagnosis import CROSS_SATURATION, SATURATION, guarded
+
+    effects: list[Effect] = make_plugins(PluginKind.EFFECTS)
+    if isinstance(more, str | PathLike):
+        where = str(more)
+        own = [_made(kind, where) for kind in load_effects_file(Path(more))]
+        # A plugin of one's own may be installed and named by its file, too: it is one effect, as the file has it now.
+        effects = [effect for effect in effects if _file_of(effect) != Path(more).resolve()]
+    else:
+        where, own = "effects", list(more)
+    for effect in map(guarded, own):
+        if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:
+            raise PluginError(where, effect.name, "there is an effect of that name already: choose another")
+        effects.append(effect)
+    return effects
+
+
+def _is_own(effect: Effect, more: Effects, installed: Collection[str]) -> bool:
+    """Whether an effect was named beside the installed ones, or as the file of one."""
+    if effect.name not in installed:
+        return True
+    return isinstance(more, str | PathLike) and _file_of(effect) == Path(more).resolve()
+
+
+def _file_of(effect: Effect) -> Path:
+    return Path(inspect.getfile(type(effect))).resolve()
+
+
+def _chosen_priors(choice: FleetPriors | Place | None) -> FleetPriors | None:
+    if not isinstance(choice, str | PathLike):
+        return choice
+    from orchestrator.recording import read_json
+    from protocols.fleet_priors import FleetPriors
+
+    return read_json(Path(choice), FleetPriors)
+
+
+def _made(kind: type[Any], where: str) -> Effect:
+    try:
+        effect: Effect = kind()
+    except (Exception, SystemExit) as error:  # somebody else's code may raise anything
+        raise PluginError(where, kind.__name__, f"cannot be made: {type(error).__name__}: {error}") from error
+    return effect
+
+
+def _directory(out: Place | None) -> Path | None:
+    if out is None:
+        return None
+    refuse_file(Path(out))
+    return Path(out)

@@ -1,0 +1,106 @@
+"""Why a diagnosis says what it says, as rows and sentences: alike in a terminal, on the page, in the viewer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import UNKNOWN, number, percent
+from orchestrator.formatting.sentences import listed
+from protocols import DiagnosisReport, EffectBasis, SearchEvent, SearchMeasure
+
+SEARCH_HEAD = ("step", "move", "effects", "gain", "threshold", "chi2", "decision")
+BASIS_HEAD = (
+    "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "moves",
+    "cannot be told from",
+)  # fmt: skip
+_MOST_NAMES = 4
+"""Effects of one move that are written out."""
+
+
+def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
+    """The moves of a search: number, move, effects, gain, threshold, chi2 before and after, decision."""
+    return [
+        (
+            str(event.step),
+            plain(event.move) + (", in a part" if event.data == "part" else ""),
+            _names(event),
+            _scored(event.score, event.measure),
+            _scored(event.threshold, event.measure),
+            _chi2(event),
+            event.decision + (f": {event.note}" if event.note else ""),
+        )
+        for event in events
+    ]
+
+
+def search_lines(events: Sequence[SearchEvent]) -> list[str]:
+    """The same, a line each."""
+    lines = []
+    for event, (step, move, effects, gain, threshold, chi2, decision) in zip(events, search_rows(events), strict=True):
+        told = [f"{step}. {move}" + (f": {effects}" if event.effects else "")]
+        if event.score is not None:
+            told.append(f"gain {gain}" + ("" if event.threshold is None else f" (threshold {threshold})"))
+        told += [f"chi2 {chi2}"] if chi2 != UNKNOWN else []
+        lines.append("; ".join([*told, decision]))
+    return lines
+
+
+def basis_rows(effects: Sequence[EffectBasis]) -> list[tuple[str, ...]]:
+    """What each named effect rests on; see `BASIS_HEAD`."""
+    return [
+        (
+            plain(effect.name),
+            number(effect.relative_size),
+            percent(None if effect.share is None else 100.0 * effect.share),
+            _scored(effect.log_evidence, "log_evidence"),
+            percent(None if effect.probability is None else 100.0 * effect.probability, 4),
+            {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
+            ", ".join(map(str, effect.steps)) or UNKNOWN,
+            listed([plain(twin) for twin in effect.twins]) or "nothing",
+        )
+        for effect in effects
+    ]
+
+
+def accuracy_sentences(report: DiagnosisReport) -> list[str]:
+    """How well the model reproduces the current, and how well its map is known; none where that is not known."""
+    told = []
+    if report.reproduces_current_percent is not None:
+        told.append(
+            "The current that the model predicts from the voltage differs from the measured one by "
+            f"{percent(report.reproduces_current_percent)} of its range (rms)."
+        )
+    if report.map_error_percent is not None:
+        start = "The model's" if report.verdict in ("clean", "explained") else "If the model is right, its"
+        told.append(
+            f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, rms over the "
+            "measured currents)."
+        )
+    return told
+
+
+def _names(event: SearchEvent) -> str:
+    """Names of the effects of a move, not more than a line holds."""
+    names = event.effects
+    if event.move in ("swap", "merge") and len(names) == 2:
+        return f"{plain(names[0])} for {plain(names[1])}"
+    if len(names) <= _MOST_NAMES:
+        return listed([plain(name) for name in names]) or UNKNOWN
+    return f"{', '.join(map(plain, names[: _MOST_NAMES - 1]))} and {len(names) - _MOST_NAMES + 1} more"
+
+
+def _scored(value: float | None, measure: SearchMeasure | None) -> str:
+    if value is None or measure is None:
+        return UNKNOWN
+    if measure in ("block_scatter", "share"):
+        return percent(100.0 * value)
+    # Beyond a whole number, digits decide nothing.
+    text = number(round(value) if abs(value) >= 1000.0 and math.isfinite(value) else value, 3)
+    return {"log_evidence": f"{text} nat", "chi2_per_dof": f"chi2 {text}"}.get(measure, f"{text} of chi2")
+
+
+def _chi2(event: SearchEvent) -> str:
+    ends = [number(chi2, 4) for chi2 in (event.chi2_before, event.chi2_after) if chi2 is not None]
+    return " → ".join(ends) or UNKNOWN

@@ -1,0 +1,73 @@
+"""What things are called wherever they are shown: states, slots of a diagnosis, verdicts, rungs, parameters, maps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from orchestrator.formatting.sentences import typographic
+from protocols import AxisPercent, DiagnosisWords
+
+PAPER_CROSSINGS = AxisPercent(d_percent=1.3, q_percent=2.9)
+"""Largest flux difference where current paths cross, as Combes, Malrait, Martin and Rouchon print it."""
+MAP_QUANTITIES = {
+    "psi_d": ("ψ_d", "mWb"),
+    "psi_q": ("ψ_q", "mWb"),
+    "l_dd": ("L_dd", "mH"),
+    "l_dq": ("L_dq", "mH"),
+    "l_qq": ("L_qq", "mH"),
+}
+"""A flux map's variables: symbol, and the unit in which they are shown."""
+_PARAMETER_UNITS = ("_a", "_v", "_s", "_hz", "_ohm", "_rad", "_wb", "_per_watt", "_per_a2")
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a diagnosis ends with."""
+
+    name: str
+    meaning: str
+    mood: str
+    """"good", "warning" or "bad"."""
+
+
+VERDICTS = {
+    "clean": Verdict("Clean", "the model fits within the noise", "good"),
+    "explained": Verdict("Explained", "with the effects below, the model fits", "good"),
+    "mostly_explained": Verdict("Mostly explained", "the effects below account for most of the error", "warning"),
+    "unknown_remains": Verdict("Unknown remains", "no effect of the library accounts for what is left", "bad"),
+    "convention": Verdict("Convention", "manifest or logging say something else than the readings: see below", "bad"),
+    "cannot_tell": Verdict("Cannot tell", "too little was measured, or too much of it is noise", "bad"),
+}
+OUTCOME_MOODS = {"finished": "good", "aborted": "warning", "faulted": "bad"}
+
+
+def plain(name: str) -> str:
+    """A name of the code's (a state, an effect, a slot) as words."""
+    return name.replace("_", " ")
+
+
+def slots(words: DiagnosisWords) -> Iterator[tuple[str, str]]:
+    """The slots that are filled, title and text, in the order in which they are read."""
+    for slot in DiagnosisWords.model_fields:
+        text = getattr(words, slot)
+        if text:
+            yield plain(slot), typographic(text)
+
+
+def rung_name(added: str | None, index: int) -> str:
+    """A rung of the ladder by what was added to the one before."""
+    if added is None:
+        return "the model alone" if index == 0 else "refitted"
+    return f"+ {plain(added)}"
+
+
+def symbol_of(name: str) -> str:
+    """A coefficient's symbol: alpha12 is α12."""
+    return name.replace("alpha", "α")
+
+
+def parameter_words(name: str) -> str:
+    """A parameter's name without its unit: bias_a_v is bias a, rise_per_watt is rise."""
+    suffix = next((s for s in _PARAMETER_UNITS if name.endswith(s) and len(name) > len(s)), "")
+    return plain(name.removesuffix(suffix))

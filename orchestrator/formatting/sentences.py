@@ -1,0 +1,113 @@
+"""Sentences and tables as text: the characters of a printed page, lines without control characters, columns."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import TextIO
+
+from orchestrator.formatting.quantities import number
+
+LONGEST_LINE = 4000
+"""Letters of a line for people; what is longer did not come from here."""
+_OBEYED = re.compile(
+    r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
+_ASCII = str.maketrans(
+    {"Ω": "ohm", "µ": "u", "−": "-", "–": "-", "×": "x", "━": "=", "→": "->", "±": "+-", "·": "*", "²": "^2"}
+)
+_POWER = re.compile(r"(?<![\w.])(\d(?:\.\d+)?)e[+-]?\d+\b")
+_REPLACED = (
+    (re.compile(r"\+-|\+/-"), "±"),
+    (re.compile(r"\s->\s"), " → "),
+    (re.compile(r"(?<=[\d.])\s?\.\.\s?(?=[-−\d])"), " to "),
+    (re.compile(r"(?<![\w.\-−)/])-(?=\.?\d)"), "−"),
+    (re.compile(r"(?<=\d )ohm\b"), "Ω"),
+)
+
+
+def typographic(text: str) -> str:
+    """A sentence that was written for a terminal: ±, →, true minus signs before numbers, Ω, powers of ten spelt out."""
+    text = _POWER.sub(lambda found: number(float(found[0]), len(found[1].replace(".", ""))), text)
+    for pattern, by in _REPLACED:
+        text = pattern.sub(by, text)
+    return text
+
+
+def listed(names: Sequence[str]) -> str:
+    """a; a and b; a, b and c."""
+    return " and ".join(names) if len(names) < 3 else ", ".join(names[:-1]) + " and " + names[-1]
+
+
+def one_line(text: str) -> str:
+    """Text from outside on one line without control characters: it may go to a terminal."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def visible(text: str) -> str:
+    r"""What a terminal or a page would obey, rather than show, written as ``\u001b``.
+
+    Control characters (C0 but for the line feed, DEL, C1), marks that turn the direction of writing (UAX #9),
+    separators of lines and paragraphs, and halves of surrogate pairs. JSON stays the same JSON.
+    """
+    return _OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def cut(text: str, most: int = LONGEST_LINE) -> str:
+    """Each line of a text from outside with at most so many letters, and how many there were."""
+    if len(text) <= most:
+        return text
+    lines = text.split("\n")
+    return "\n".join(line if len(line) <= most else f"{line[:most]}... ({len(line)} characters)" for line in lines)
+
+
+def shown(text: str) -> str:
+    """Text from outside as it may be printed or drawn: obeyed by nobody, and no longer than a line may be."""
+    return visible(cut(text))
+
+
+def shortened(text: str, most: int) -> str:
+    """At most so many letters, cut between words."""
+    if len(text) <= most:
+        return text
+    return text[:most].rsplit(" ", 1)[0].rstrip(" ,;:=±") + " ... (the whole is in the report)"
+
+
+def can_print(output: TextIO) -> bool:
+    """Whether the encoding of an output holds what quantities and live displays are written with."""
+    try:
+        "Ωµ−×✓━⠋".encode(output.encoding or "utf-8")
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
+
+
+def for_output(text: str, output: TextIO) -> str:
+    """The text as the output's encoding can take it, and as no terminal obeys it."""
+    text = visible(text)
+    return text if can_print(output) else text.translate(_ASCII).encode("ascii", "replace").decode("ascii")
+
+
+def columns(lines: Sequence[Sequence[str]], numbers: bool = False) -> list[str]:
+    """Rows in columns as wide as they need to be; with `numbers`, all but the first go to the right."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return [
+        "  ".join(
+            cell.rjust(width) if numbers and k else cell.ljust(width)
+            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    ]
+
+
+def text_table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> str:
+    """A table for a terminal, its head underlined."""
+    lines = columns([head, *rows], numbers)
+    widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
+    return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
+
+
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(one_line(cell.replace("|", "/")) for cell in line) + " |" for line in lines)

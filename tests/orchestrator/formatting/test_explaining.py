@@ -1,0 +1,43 @@
+"""The moves of a search as rows: one unit for a gain and its threshold, and no more digits than needed."""
+
+from __future__ import annotations
+
+from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.formatting.explaining import accuracy_sentences, search_lines, search_rows
+from tests.plugins.streams.report.example_diagnosis import a_diagnosis
+
+
+def some_moves() -> SearchRecorder:
+    recorder = SearchRecorder()
+    recorder.record("full_model", [f"effect_{k}" for k in range(23)], taken=True)
+    recorder.of_part().record(
+        "add", ["dead_time"], measure="log_evidence", score=12820.4, threshold=16.0, taken=False, note="too small"
+    )
+    recorder.record("screen", ["skin_effect"], measure="chi2", score=4.2056, threshold=32.0, taken=False)
+    recorder.record("remove", ["hysteresis"], measure="block_scatter", score=0.31, threshold=0.2, taken=True)
+    recorder.record("quantiser", measure="chi2_per_dof", score=1.234567, threshold=1.5, taken=True)
+    return recorder
+
+
+def test_a_gain_stands_beside_its_threshold_in_one_unit() -> None:
+    rows = search_rows(some_moves().events)
+    assert rows[0][1:3] == ("full model", "effect 0, effect 1, effect 2 and 20 more")
+    assert rows[1] == ("2", "add, in a part", "dead time", "12820 nat", "16 nat", "–", "refused: too small")
+    assert rows[2][3:5] == ("4.21 of chi2", "32 of chi2")
+    assert rows[3][3:5] == ("31 %", "20 %")
+    assert rows[4][2:5] == ("–", "chi2 1.23", "chi2 1.5")
+
+
+def test_a_move_is_a_line() -> None:
+    lines = search_lines(some_moves().events)
+    assert lines[1] == "2. add, in a part: dead time; gain 12820 nat (threshold 16 nat); refused: too small"
+    assert lines[4] == "5. quantiser; gain chi2 1.23 (threshold chi2 1.5); taken"
+
+
+def test_how_well_the_model_does_is_said_where_it_is_known() -> None:
+    current, flux = accuracy_sentences(a_diagnosis(reproduces_current_percent=0.0558, map_error_percent=0.12))
+    assert "0.056 % of its range" in current
+    assert "±0.12 % of the rated flux" in flux
+    assert accuracy_sentences(a_diagnosis()) == []
+    (flux,) = accuracy_sentences(a_diagnosis(verdict="unknown_remains", map_error_percent=0.12))
+    assert flux.startswith("If the model is right, ")

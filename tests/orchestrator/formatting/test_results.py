@@ -1,0 +1,42 @@
+"""What a diagnosis found, as rows: sizes are listed, numbers that bend a form counted; what rows leave open is said."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from orchestrator.formatting.results import parameter_rows, share_notes
+from protocols import FoundEffect, Materiality, ParameterValue
+from tests.plugins.streams.report.example_diagnosis import a_diagnosis
+
+
+def effect(**change: Any) -> FoundEffect:
+    volts = ParameterValue(value=0.8, low=0.7, high=0.9, unit="V")
+    bent = ParameterValue(value=0.2, low=0.0, high=0.5, unit="1", bends_form=True)
+    dead_time = ParameterValue(value=148e-9, low=130e-9, high=167e-9, unit="s")
+    given: dict[str, Any] = {
+        "name": "dead_time",
+        "parameters": {"voltage_v": volts, "softness": bent, "wider": bent},
+        "derived": {"dead_time": dead_time},
+        "twins": (),
+        "relative_size": 0.1,
+        "log_evidence": 900.0,
+    }
+    return FoundEffect(**{**given, **change})
+
+
+def test_sizes_and_what_they_mean_for_the_drive_are_listed_and_the_rest_is_counted() -> None:
+    assert parameter_rows(effect()) == [
+        ("voltage", "800 mV", "700 to 900"),
+        ("dead time", "148 ns", "130 to 167"),
+        ("its form", "2 more numbers in model.json", ""),
+    ]
+
+
+def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_explained() -> None:
+    limits = Materiality(flux_percent=0.2, voltage_percent=0.5)
+    report = a_diagnosis().model_copy(update={"materiality": limits, "minor": ()})
+    first, second = share_notes(report.model_copy(update={"effects": (effect(share=2.28, material=False),)}))
+    assert first.startswith("above 100 % of the error: without this effect")
+    assert second.startswith("dead time: a cause of the error that was measured, but not material: ")
+    assert "less than 0.2 % of the rated flux" in second
+    assert share_notes(report.model_copy(update={"effects": (effect(share=0.9, material=True),)})) == []
