@@ -94,8 +94,16 @@ class DriveShell(ABC):
         """PWM off."""
         self.ramp()
 
-    def attend(self) -> None:
-        """What arming and executing begin with; raises `DriveFault` where the link is lost or the drive has tripped."""
+    def check_link(self) -> None:
+        """Raise `DriveFault` where the link is lost or the drive has tripped; arming and executing begin with it."""
+
+    attend = check_link
+    """Its former name, which sub-classes may go on overriding."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "attend" in vars(cls):
+            cls.check_link = vars(cls)["attend"]  # type: ignore[method-assign]
 
     def forget_fault(self) -> None:
         """Clear the fault that the drive itself keeps."""
@@ -156,7 +164,7 @@ class DriveShell(ABC):
         Raises `DriveRefused` where a limit is above the drive's own or a fault is latched.
         """
         own = self.own
-        self.attend()
+        self.check_link()
         if self.faults:
             raise DriveRefused(f"a fault is latched ({', '.join(self.faults)}); clear it first")
         refuse_limits(limits, own)
@@ -170,10 +178,10 @@ class DriveShell(ABC):
     def execute(self, excitation: Excitation) -> Generator[Capture]:
         """Check the excitation, then run it as the iterator is drawn from."""
         own = self.own
-        self.attend()
+        self.check_link()
         if self.limits is None or self.faults:
-            told = ", ".join((self.state.value, *self.faults))
-            raise DriveRefused(f"not armed ({told})")
+            reason = ", ".join((self.state.value, *self.faults))
+            raise DriveRefused(f"not armed ({reason})")
         if excitation.kind not in own.excitations and excitation.kind in self.why_not:
             raise DriveRefused(f"this drive has no {excitation.kind}: {self.why_not[excitation.kind]}")
         refuse_excitation(excitation, self.limits, own, self.setup.motor.stator_resistance_ohm or 0.0)
@@ -303,11 +311,15 @@ def in_blocks(capture: Capture, longest_s: float = 0.25, rows: int | None = None
         yield Capture(start_s=capture.start_s + first / fs, sampling_frequency_hz=fs, **arrays)
 
 
-def sign_of_life(time_s: float, sampling_frequency_hz: float) -> Capture:
+def keepalive(time_s: float, sampling_frequency_hz: float) -> Capture:
     """A block without rows, from a drive that has nothing to hand out yet."""
     none = np.zeros((0, 2))
     fields = {"i_ab": none, "v_ab": none, "v_dc": np.zeros(0)}
     return Capture(start_s=time_s, sampling_frequency_hz=sampling_frequency_hz, **fields)
+
+
+sign_of_life = keepalive
+"""The former name, for drives that import it."""
 
 
 def _close(blocks: Iterator[Capture] | None) -> None:

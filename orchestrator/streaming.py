@@ -54,8 +54,8 @@ class StreamTally:
             return ""
         counted = f"{self.delivered} delivered, {self.dropped} dropped, {self.errors} errors"
         first = f" (first: {self.first_error})" if self.first_error else ""
-        said = [counted + first] if self.has_failed or self.dropped else []
-        return f"stream {self.name}: {'; '.join([*said, *self.notes])}"
+        problems = [counted + first] if self.has_failed or self.dropped else []
+        return f"stream {self.name}: {'; '.join([*problems, *self.notes])}"
 
 
 def has_unfinished_streams() -> bool:
@@ -113,17 +113,17 @@ class Dispatcher:
 @contextmanager
 def _stop_signals() -> Iterator[Callable[[], bool]]:
     """Whether a signal asked to stop since the block began; the handlers before are put back."""
-    asked = threading.Event()
+    stop_event = threading.Event()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        asked.set()
+        stop_event.set()
 
     if threading.current_thread() is not threading.main_thread():
-        yield asked.is_set  # signals are the main thread's alone
+        yield stop_event.is_set  # signals are the main thread's alone
         return
     before = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
     try:
-        yield asked.is_set
+        yield stop_event.is_set
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

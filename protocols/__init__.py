@@ -37,6 +37,7 @@ from protocols._drive import (
 )
 from protocols._effects import (
     EFFECT_HOOKS,
+    FORMER_HOOKS,
     PLAIN_UNITS,
     SCALED_UNITS,
     BatchEffect,
@@ -232,6 +233,7 @@ from protocols._verdict import (
 
 __all__ = [
     "EFFECT_HOOKS",
+    "FORMER_HOOKS",
     "PLAIN_UNITS",
     "SCALED_UNITS",
     "About",

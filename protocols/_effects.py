@@ -339,7 +339,7 @@ class DriveQuantitiesEffect(Protocol):
 class RandomDirectionsEffect(Protocol):
     """An effect that cannot know all of what it does, such as what iron remembers of before a segment."""
 
-    def doubts(self, signals: Signals, parameters: Any, /) -> Sequence[Correction]:
+    def random_directions(self, signals: Signals, parameters: Any, /) -> Sequence[Correction]:
         """Random directions: what one standard deviation of each unknown quantity would change of a segment.
 
         Called wherever `Effect.correct` is, with the bridge on. The segment is expected to have noise of these forms;
@@ -385,8 +385,8 @@ class BatchEffect(Protocol):
 class RandomDirectionsBatchEffect(Protocol):
     """A `RandomDirectionsEffect` that is evaluated on many segments in a single call."""
 
-    def doubts_batch(self, batch: SignalBatch, parameters: Any, /) -> Sequence[Correction]:
-        """What `RandomDirectionsEffect.doubts` returns of each segment, laid end to end.
+    def random_directions_batch(self, batch: SignalBatch, parameters: Any, /) -> Sequence[Correction]:
+        """What `RandomDirectionsEffect.random_directions` returns of each segment, laid end to end.
 
         Called in its place. Each correction changes every segment by that segment's own standard deviation.
 
@@ -405,7 +405,9 @@ class RandomDirectionsBatchEffect(Protocol):
         ...
 
 
-EffectHook = Literal["shows_in", "measured", "remarks", "derived", "doubts", "correct_batch", "doubts_batch"]
+EffectHook = Literal[
+    "shows_in", "measured", "remarks", "derived", "random_directions", "correct_batch", "random_directions_batch"
+]
 """The name of a method that an effect may have."""
 
 EFFECT_HOOKS: Mapping[EffectHook, type] = MappingProxyType(
@@ -414,15 +416,21 @@ EFFECT_HOOKS: Mapping[EffectHook, type] = MappingProxyType(
         "measured": MeasurableEffect,
         "remarks": RemarkingEffect,
         "derived": DriveQuantitiesEffect,
-        "doubts": RandomDirectionsEffect,
+        "random_directions": RandomDirectionsEffect,
         "correct_batch": BatchEffect,
-        "doubts_batch": RandomDirectionsBatchEffect,
+        "random_directions_batch": RandomDirectionsBatchEffect,
     }
 )
 """Every method that an effect may have, and the protocol that declares it."""
 
 
+FORMER_HOOKS: Mapping[str, EffectHook] = MappingProxyType(
+    {"doubts": "random_directions", "doubts_batch": "random_directions_batch"}
+)
+"""Former names of such methods, which effects may go on using, and today's."""
+
+
 def hook_of(effect: Effect, hook: EffectHook) -> Callable[..., Any] | None:
-    """The effect's own method of this name, or None where it has none."""
-    found: Callable[..., Any] | None = getattr(effect, hook, None)
-    return found
+    """The effect's own method of this name, or of its former name; None where it has neither."""
+    names = (hook, *(former for former, today in FORMER_HOOKS.items() if today == hook))
+    return next((found for name in names if (found := getattr(effect, name, None)) is not None), None)

@@ -63,9 +63,9 @@ class About(Strict):
     def lines(self) -> list[tuple[str, str]]:
         """Label and text of all that is given."""
         ambient = "" if self.ambient_c is None else f"{self.ambient_c:g} °C"
-        told = [("serial", self.serial), ("operator", self.operator), ("ambient", ambient)]
-        told += [("instruments", "; ".join(self.instruments)), ("tags", ", ".join(self.tags))]
-        return [(label, text) for label, text in (*told, ("notes", "; ".join(self.notes))) if text]
+        labelled = [("serial", self.serial), ("operator", self.operator), ("ambient", ambient)]
+        labelled += [("instruments", "; ".join(self.instruments)), ("tags", ", ".join(self.tags))]
+        return [(label, text) for label, text in (*labelled, ("notes", "; ".join(self.notes))) if text]
 
 
 class ThermometerChoice(Strict):

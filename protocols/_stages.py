@@ -197,7 +197,7 @@ class StageRun(Protocol):
         """Stand the drive down and be in one of the stage's own `working` states."""
         ...
 
-    def say(self, message: Message, *, durable: bool = False) -> None:
+    def publish(self, message: Message, *, durable: bool = False) -> None:
         """Tell journal and streams; `durable` returns when it is on the disk."""
         ...
 

@@ -9,8 +9,8 @@ from orchestrator.engine._power import PowerStage
 from orchestrator.engine._remote import RemoteOperator
 from orchestrator.engine._session import (
     NOTHING_LEFT,
-    Crew,
     RunResult,
+    RunServices,
     connected_drive,
     extend_run,
     resume_run,
@@ -32,7 +32,6 @@ __all__ = [
     "WORDS",
     "AbsentOperator",
     "Commissioning",
-    "Crew",
     "HeartbeatKeeper",
     "Interrupts",
     "Operator",
@@ -40,6 +39,7 @@ __all__ = [
     "PowerStage",
     "RemoteOperator",
     "RunResult",
+    "RunServices",
     "State",
     "StateMachine",
     "StateTable",

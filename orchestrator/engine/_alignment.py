@@ -22,8 +22,8 @@ class AlignmentCheck:
     """Hears the blocks of a run's injections until one of them has told."""
 
     def __init__(self, capabilities: Capabilities) -> None:
-        self._said = capabilities.voltage_delay_samples
-        self._is_told = False
+        self._lag_rows = capabilities.voltage_delay_samples
+        self._is_decided = False
         self._i: list[Numbers] = []
         self._v: list[Numbers] = []
 
@@ -31,10 +31,10 @@ class AlignmentCheck:
         """A point begins."""
         self._i, self._v = [], []
 
-    def hear(self, excitation: Excitation, capture: Capture) -> None:
+    def update(self, excitation: Excitation, capture: Capture) -> None:
         """A block of it, kept by reference."""
         is_square = isinstance(excitation, Injection) and excitation.waveform == "square"
-        if is_square and not self._is_told and sum(map(len, self._i)) < ROWS:
+        if is_square and not self._is_decided and sum(map(len, self._i)) < ROWS:
             self._i.append(capture.i_ab)
             self._v.append(capture.v_ab)
 
@@ -46,11 +46,11 @@ class AlignmentCheck:
         self.begin()
         if found is None or found.explained < SURE:
             return
-        self._is_told = True
-        if abs(found.lag_rows - self._said) > APART_ROWS:
+        self._is_decided = True
+        if abs(found.lag_rows - self._lag_rows) > APART_ROWS:
             raise DriveFault(
                 FaultCause.WRONG_DATA,
                 f"{segment}: the current follows the voltage of row k from t_k + {found.lag_rows:.1f} Ts on, the drive "
-                f"says voltage_delay_samples {self._said:g}: its rows are not of one instant, and every flux would be "
-                "wrong; put it right in the drive (its conformance kit shows the same)",
+                f"says voltage_delay_samples {self._lag_rows:g}: its rows are not of one instant, and every flux would "
+                "be wrong; correct it in the drive (its conformance kit shows the same)",
             )

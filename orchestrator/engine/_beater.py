@@ -41,8 +41,8 @@ def with_priority() -> bytes:
 def is_stopped(process: int) -> bool:
     """Whether somebody has stopped it (SIGSTOP, Ctrl-Z, a debugger); False where the system does not tell."""
     try:
-        told = Path(f"/proc/{process}/stat").read_bytes()
-        return told.rpartition(b")")[2].split()[0] in (b"T", b"t")
+        status = Path(f"/proc/{process}/stat").read_bytes()
+        return status.rpartition(b")")[2].split()[0] in (b"T", b"t")
     except (OSError, IndexError):
         return False
 

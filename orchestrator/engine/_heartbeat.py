@@ -137,9 +137,9 @@ class _Relay:
     def hand(self, at_s: float) -> bool:
         """Have a beat written at this instant; False where nobody is there to do it."""
         assert self._process.stdin is not None
-        said = self._drive.heartbeat_at(at_s)
+        beat = self._drive.heartbeat_at(at_s)
         try:
-            self._process.stdin.write(HEAD.pack(at_s, len(said)) + said)
+            self._process.stdin.write(HEAD.pack(at_s, len(beat)) + beat)
         except OSError:
             return False
         return True
@@ -178,8 +178,8 @@ def host_gap(drive: Drive, seconds: float = 1.0) -> HostGap:
     if relayed:
         with suppress(OSError, subprocess.SubprocessError, ValueError):
             command = [*_ALONE, "measure", str(seconds)]
-            told = subprocess.run(command, capture_output=True, text=True, timeout=seconds + 10.0, check=True).stdout
-            priority, worst = told.split()
+            output = subprocess.run(command, capture_output=True, text=True, timeout=seconds + 10.0, check=True).stdout
+            priority, worst = output.split()
             return HostGap(float(worst), f"a process of {_PRIORITIES[priority]} priority")
     return HostGap(worst_gap(seconds), "a thread, for this link cannot be shared,")
 

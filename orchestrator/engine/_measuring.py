@@ -99,8 +99,8 @@ class Measurement:
                 writer.append(capture)
                 self._check_current(capture, point.id)
                 mean.add(capture)
-                self._alignment.hear(point.excitation, capture)
-                self._log.say(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
+                self._alignment.update(point.excitation, capture)
+                self._log.publish(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
             self._interrupts.check()
             self._check_length(point, mean.samples)
             self._power.require_interlocks()
@@ -118,15 +118,15 @@ class Measurement:
         )
         if mean.clipped_rows:
             rows = f"{mean.clipped_rows} of {mean.samples} rows"
-            told = f"{point.id}: {rows} stand at the end of the drive's scale: clipped"
-            self._log.say(Note(level="warning", text=told))
+            message = f"{point.id}: {rows} stand at the end of the drive's scale: clipped"
+            self._log.publish(Note(level="warning", text=message))
         return segment, mean.dq()
 
     def _temperature(self, segment: str) -> LoggedTemperature:
         found = LoggedTemperature(self._thermometer)
         if found.missing and not self._missed:
-            told = "the thermometer says nothing, or nothing new: without it until it does"
-            self._log.say(Note(level="warning", text=f"{segment}: {told}"))
+            message = "the thermometer says nothing, or nothing new: without it until it does"
+            self._log.publish(Note(level="warning", text=f"{segment}: {message}"))
         self._missed = found.missing
         return found
 

@@ -88,9 +88,9 @@ class Questions:
         RunAborted
             The answer is no, or nobody is there.
         """
-        self._log.say(OperatorAsked(prompt=prompt))
+        self._log.publish(OperatorAsked(prompt=prompt))
         if answered and self._canned_counts:
-            self._log.say(OperatorAnswered(answer="yes", by="procedure", words=self._words or ""), durable=True)
+            self._log.publish(OperatorAnswered(answer="yes", by="procedure", words=self._words or ""), durable=True)
             return
         if answered and isinstance(self._operator, AbsentOperator):
             problem = "the procedure's own answer counts on a simulated drive only"
@@ -98,7 +98,7 @@ class Questions:
         self._log.before_prompt()
         agreed = self._operator.confirm(prompt, self._interrupts)
         through = self._operator.through if isinstance(self._operator, RemoteOperator) else ""
-        told = OperatorAnswered(answer="yes" if agreed else "no", by="operator", through=through)
-        self._log.say(told, durable=True)
+        answer = OperatorAnswered(answer="yes" if agreed else "no", by="operator", through=through)
+        self._log.publish(answer, durable=True)
         if not agreed:
             raise RunAborted(f"the operator said no to: {prompt}")

@@ -129,10 +129,10 @@ def weakened(point: PlannedPoint, factor: float) -> PlannedPoint:
 
 def factor_of(point: PlannedPoint, measured: Segment) -> float | None:
     """By how much a measured point was weaker than planned; None where it was no injection."""
-    asked = measured.settings.get("amplitude_v")
-    if not isinstance(point.excitation, Injection) or not isinstance(asked, int | float):
+    amplitude = measured.settings.get("amplitude_v")
+    if not isinstance(point.excitation, Injection) or not isinstance(amplitude, int | float):
         return None
-    return float(asked) / point.excitation.amplitude_v
+    return float(amplitude) / point.excitation.amplitude_v
 
 
 def _length(excitation: Injection) -> float:

@@ -81,17 +81,17 @@ class RemoteOperator:
             heard_s, kept = time.monotonic(), kept[-LONGEST_LINE:]
         return None
 
-    def _take(self, told: dict[str, Any], interrupts: Interrupts) -> None:
-        if "stop" in told:
-            interrupts.stop(shown(f"{told['stop']}"))
-        elif "answer" in told:
-            self._answers.put((str(told.get("question")), str(told["answer"])))
+    def _take(self, message: dict[str, Any], interrupts: Interrupts) -> None:
+        if "stop" in message:
+            interrupts.stop(shown(f"{message['stop']}"))
+        elif "answer" in message:
+            self._answers.put((str(message.get("question")), str(message["answer"])))
 
 
 def _object(line: bytes) -> dict[str, Any]:
     """A line's object; an empty one where it is none."""
     try:
-        told = json.loads(line)
+        message = json.loads(line)
     except (ValueError, RecursionError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return message if isinstance(message, dict) else {}

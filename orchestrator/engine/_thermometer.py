@@ -49,9 +49,9 @@ class _SerialLines:
 
     def latest(self) -> tuple[bytes, float]:
         *lines, self._rest = (self._rest + self._port.read(self._port.in_waiting or 1)[-_TAIL:]).split(b"\n")
-        told = [line for line in lines if line.strip()]
-        if told:
-            self._line, self._at_s = told[-1], time.monotonic()
+        complete = [line for line in lines if line.strip()]
+        if complete:
+            self._line, self._at_s = complete[-1], time.monotonic()
         return self._line, time.monotonic() - self._at_s
 
 
@@ -117,7 +117,7 @@ def open_thermometer(choice: ThermometerChoice | None) -> Iterator[Thermometer |
         try:
             port = serial.Serial(choice.port, choice.baud_rate, timeout=0)
         except (OSError, ValueError) as error:
-            told = str(error).splitlines()[0]
-            raise InputError("thermometer", "port", f"{choice.port} cannot be opened: {told}") from None
+            reason = str(error).splitlines()[0]
+            raise InputError("thermometer", "port", f"{choice.port} cannot be opened: {reason}") from None
         with port:
             yield Thermometer(choice, _SerialLines(port))

@@ -208,8 +208,8 @@ def measure(drive: Drive, excitation: Excitation, sampling_frequency_hz: float |
 def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> None:
     """Finite, uniform, without a gap, and as many rows as were asked for."""
     rows = sum(len(block) for block in blocks)
-    asked = f"{excitation.kind} of {excitation.captured_s} s at {fs} Hz"
-    assert rows == excitation.rows(fs), f"{asked} gave {rows} rows"
+    request = f"{excitation.kind} of {excitation.captured_s} s at {fs} Hz"
+    assert rows == excitation.rows(fs), f"{request} gave {rows} rows"
     for block in blocks:
         assert block.sampling_frequency_hz == fs, "a block's sampling frequency is not the one claimed"
         assert len(block) <= 0.5 * fs + 1, f"a block of {len(block) / fs:.2f} s; half a second at most"

@@ -103,10 +103,10 @@ class DriveInstrumentChecks(DriveBench):
                 f"after an edge of the voltage the current's slope takes several rows to change ({found.explained:.0%} "
                 "of its steps are the voltage's): the readings are smoothed"
             )
-            said = session.capabilities.voltage_delay_samples
-            assert abs(found.lag_rows - said) <= _TOLERANCES.rows_apart, (
+            declared = session.capabilities.voltage_delay_samples
+            assert abs(found.lag_rows - declared) <= _TOLERANCES.rows_apart, (
                 f"v = R i + L di/dt holds with v[k] acting from t_k + {found.lag_rows:.2f} Ts, the drive says "
-                f"{said:g} (voltage_delay_samples): its voltage stands in the wrong row, or its delay is not said"
+                f"{declared:g} (voltage_delay_samples): its voltage stands in the wrong row, or its delay is not said"
             )
 
     def test_bus_voltage_is_the_same_wherever_it_is_read(self, tmp_path: Path) -> None:
@@ -214,9 +214,9 @@ def clock_off(before: list[ClockReading], after: list[ClockReading]) -> float:
     A reading was taken between question and answer. What is the same by the earliest questions and by the latest
     answers is not the host's business.
     """
-    told = after[0].asked_s - before[0].asked_s
+    drive_s = after[0].asked_s - before[0].asked_s
     by_questions = min(r.told_s - r.asked_s for r in after) - min(r.told_s - r.asked_s for r in before)
     by_answers = max(r.told_s - r.answered_s for r in after) - max(r.told_s - r.answered_s for r in before)
     if by_questions * by_answers <= 0.0:
         return 0.0
-    return min(by_questions, by_answers, key=abs) / told
+    return min(by_questions, by_answers, key=abs) / drive_s

@@ -86,7 +86,7 @@ class DriveInterlockChecks(DriveBench):
         assert not self.bridge_is_on(session.drive), "an instrument says that the bridge is on"
 
 
-def _require(holds: Callable[[], bool], told: str) -> None:
+def _require(holds: Callable[[], bool], message: str) -> None:
     until_s = time.monotonic() + SHOWN_WITHIN_S
     while not holds():
-        assert time.monotonic() < until_s, told
+        assert time.monotonic() < until_s, message

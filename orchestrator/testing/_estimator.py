@@ -99,9 +99,9 @@ class EstimatorConformance(Kit, ABC):
         assert digest(recording) == before, "the recording is not what it was before the estimate"
 
     def test_recording_without_its_stages_is_told_as_not_measured(self) -> None:
-        with pytest.raises(NotMeasuredError) as told:
+        with pytest.raises(NotMeasuredError) as refusal:
             self._estimate(Empty(self.recording().manifest))
-        assert "\n" not in str(told.value).strip(), "the error is not one line"
+        assert "\n" not in str(refusal.value).strip(), "the error is not one line"
 
     def test_uncertainties_are_finite_and_not_negative(self, found: Estimate) -> None:
         if isinstance(found, ResistanceEstimate):
@@ -150,9 +150,9 @@ def _require_close(name: str, a: RealArray, b: RealArray, allowed: float) -> Non
 
 
 def _require_honest_resistance(found: ResistanceEstimate) -> None:
-    told = f"{found.low} .. {found.value_ohm} .. {found.high}"
-    assert all(map(math.isfinite, (found.low, found.value_ohm, found.high))), f"not finite: {told}"
-    assert found.low <= found.value_ohm <= found.high, f"the value is outside its interval: {told}"
+    interval = f"{found.low} .. {found.value_ohm} .. {found.high}"
+    assert all(map(math.isfinite, (found.low, found.value_ohm, found.high))), f"not finite: {interval}"
+    assert found.low <= found.value_ohm <= found.high, f"the value is outside its interval: {interval}"
     assert found.readings, "no readings"
     for reading in found.readings:
         assert math.isfinite(reading.std_ohm), f"std_ohm = {reading.std_ohm}"

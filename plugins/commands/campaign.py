@@ -62,7 +62,7 @@ def campaign(
     if as_json:
         print(visible(report.model_dump_json(indent=2)))
     else:
-        _say(report, plan.found_with)
+        _print_line(report, plan.found_with)
     return 0
 
 
@@ -71,7 +71,7 @@ def command(arguments: Sequence[str]) -> int:
     return int(app(list(arguments), prog_name="fluxbench campaign", standalone_mode=False) or 0)
 
 
-def _say(report: PowerReport, found_with: float) -> None:
+def _print_line(report: PowerReport, found_with: float) -> None:
     from orchestrator.presentation.names import plain
     from orchestrator.presentation.quantities import number, percent, plural
     from orchestrator.presentation.sentences import shown, text_table

@@ -11,7 +11,7 @@ from numba import njit
 
 from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
-from plugins.effects._batches import BatchEffect, DoubtfulBatchEffect, per_segment
+from plugins.effects._batches import BatchEffect, RandomBatchEffect, per_segment
 from plugins.effects._filters import lagged_steps
 from plugins.effects._flux import flux_of, magnet_wb, typical_inductance, ways_here
 from plugins.effects._losses import along_losses
@@ -168,7 +168,7 @@ FORGOTTEN = 0.25
 """Of a stop's limit, the standard deviation of what is not known of it where a segment begins."""
 
 
-class Hysteresis(DoubtfulBatchEffect):
+class Hysteresis(RandomBatchEffect):
     """Hysteresis of the iron: i = grad H(psi) + sum of vector stop operators of psi [A].
 
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
@@ -216,16 +216,16 @@ class Hysteresis(DoubtfulBatchEffect):
         i_m_ab += batch.i_m_ab
         return Correction(i_m_ab=i_m_ab)
 
-    def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
+    def random_directions_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
-        held, doubts = self._held(batch, p), []
+        held, directions = self._held(batch, p), []
         known = held(np.zeros((3, 2)))
         for stop in (0, 2):
             for axis in range(2):
                 off = np.zeros((3, 2))
                 off[stop, axis] = FORGOTTEN
-                doubts.append(Correction(i_m_ab=batch.i_m_ab - p.half_width_a * (held(off) - known)))
-        return doubts
+                directions.append(Correction(i_m_ab=batch.i_m_ab - p.half_width_a * (held(off) - known)))
+        return directions
 
     def _held(self, batch: SignalBatch, p: Parameters) -> Callable[[Array], Array]:
         """What the stops hold, shape (N, 2), of a half width, by what they remember beside the way here (3, 2)."""
@@ -388,8 +388,8 @@ class SlotHarmonics(BatchEffect):
         less = _without_slots(v_ab, i_m_ab, theta_rad, batch.starts, strengths, p.fading_per_a2)
         if p.by_flux == 0.0:
             return Correction(v_ab=less)
-        asked = p.by_flux * parts / inductance[:, None]
-        more = _with_slots(i_m_ab, flux_of(batch), theta_rad, batch.starts, asked, magnet_wb(batch))
+        by_flux = p.by_flux * parts / inductance[:, None]
+        more = _with_slots(i_m_ab, flux_of(batch), theta_rad, batch.starts, by_flux, magnet_wb(batch))
         return Correction(v_ab=less, i_m_ab=more)
 
 
@@ -428,11 +428,11 @@ def _without_slots(
 
 
 @njit(cache=True, nogil=True)
-def _with_slots(i_ab: Array, psi_ab: Array, theta_rad: Array, starts: Starts, asked: Array, magnet_wb: float) -> Array:
-    """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `asked` as `strengths`."""
+def _with_slots(i_ab: Array, psi_ab: Array, theta_rad: Array, starts: Starts, extra: Array, magnet_wb: float) -> Array:
+    """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `extra` as `strengths`."""
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):
-        first, (along_d, across, along_q) = starts[s], asked[s]
+        first, (along_d, across, along_q) = starts[s], extra[s]
         axis = unit_vectors(theta_rad[first : starts[s + 1]])
         for k in range(first, starts[s + 1]):
             cos, sin = axis[k - first, 0], axis[k - first, 1]

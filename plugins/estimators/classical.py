@@ -185,8 +185,8 @@ class _Swept:
     def clear(self) -> bool:
         """Whether the loops leave no doubt about an inverter."""
         drop_v = self.losses.node_ohm.max() * self.losses.knots_a[-1] / KNOTS[-1]
-        said = float(np.abs(self.losses.error_v).max()) > self.spoken_share * drop_v
-        return said and self.modelled and _widest(self.with_model) < 0.5 * _widest(self.bare)
+        significant = float(np.abs(self.losses.error_v).max()) > self.spoken_share * drop_v
+        return significant and self.modelled and _widest(self.with_model) < 0.5 * _widest(self.bare)
 
     @property
     def sweeps(self) -> list[Sweep]:

@@ -149,14 +149,14 @@ class InjectionEstimator:
             return _ripple(recording, segment, capture, *beside, **known, loss=loss)
 
         seen = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
-        told: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, seen, strict=True))
-        for point in by_point([one for _, one in told if isinstance(one, OneWay)], self.same_frequency):
+        ripples: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, seen, strict=True))
+        for point in by_point([one for _, one in ripples if isinstance(one, OneWay)], self.same_frequency):
             first = point[0].segment
             if shows_both_axes(point):
-                told.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
+                ripples.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
             else:
-                told.append((first, f"{first.id}: v_alpha, v_beta: {ONE_AXIS}"))
-        for segment, ripple in told:
+                ripples.append((first, f"{first.id}: v_alpha, v_beta: {ONE_AXIS}"))
+        for segment, ripple in ripples:
             if isinstance(ripple, OneWay):
                 continue
             if isinstance(ripple, str):
@@ -174,10 +174,10 @@ class InjectionEstimator:
     ) -> float | None:
         """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
         probes = segments[:: max(1, math.ceil(len(segments) / self.probes))]
-        told = each_capture(
+        ripples = each_capture(
             recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0, resistance_ohm=resistance_ohm)
         )
-        return max((1.0 / one.decay_per_s for one in told if not isinstance(one, str)), default=None)
+        return max((1.0 / one.decay_per_s for one in ripples if not isinstance(one, str)), default=None)
 
     def _alike(self, one: Ripple, other: Ripple) -> bool:
         """Whether two ripples are of one frequency and size."""

@@ -76,15 +76,15 @@ class PolynomialEstimator:
 def _form(fit: PolynomialFit) -> ClosedForm:
     """The coefficients with their standard deviations; L_d and L_q in place of those of x^2 and y^2."""
     values = dict(zip(fit.terms, zip(fit.coefficients.tolist(), fit.std.tolist(), strict=True), strict=True))
-    told = []
+    coefficients = []
     for name, term in (("L_d", (2, 0)), ("L_q", (0, 2))):
         value, std = values.pop(term)
-        told.append(Coefficient(name=name, value=0.5 / value, std=0.5 * std / value**2, unit="H"))
+        coefficients.append(Coefficient(name=name, value=0.5 / value, std=0.5 * std / value**2, unit="H"))
     for (m, n), (value, std) in values.items():
-        told.append(Coefficient(name=f"alpha{m}{n}", value=value, std=std, unit=f"A/Wb^{m + n - 1}"))
+        coefficients.append(Coefficient(name=f"alpha{m}{n}", value=value, std=std, unit=f"A/Wb^{m + n - 1}"))
     axis = f" about an axis {np.degrees(fit.angle_rad):+.2f} degrees from the believed d axis" if fit.angle_rad else ""
     formula = f"H = x^2/2L_d + y^2/2L_q + sum of alpha_mn x^m y^n, x = psi_d - psi_M, y = psi_q, i = grad H{axis}"
-    return ClosedForm(formula=formula, coefficients=tuple(told))
+    return ClosedForm(formula=formula, coefficients=tuple(coefficients))
 
 
 def _remarks(

@@ -138,29 +138,30 @@ class SpinEstimator:
             psi_q_std=np.full((1, 1), std),
             **dict.fromkeys(("l_dd", "l_dq", "l_qq", "l_dd_std", "l_dq_std", "l_qq_std"), nothing),
         )
-        told = [_magnet_remark((flux, std), recording.manifest.motor.pm_flux_wb)]
+        remarks = [_magnet_remark((flux, std), recording.manifest.motor.pm_flux_wb)]
         if abs(angle) > self.told_rad:
-            told.append(_offset_remark(angle))
+            remarks.append(_offset_remark(angle))
         shown = FluxPoints(i_dq=points.i, psi_dq=psi, segment=tuple(names))
-        return FluxMapEstimate(map=flux_map, points=shown, checks=check_map(flux_map, None, None), remarks=tuple(told))
+        checks = check_map(flux_map, None, None)
+        return FluxMapEstimate(map=flux_map, points=shown, checks=checks, remarks=tuple(remarks))
 
     def _remarks(self, fit: SpinFit, stated: float | None) -> list[Remark]:
-        told = [_magnet_remark(fit.magnet_wb, stated)]
+        remarks = [_magnet_remark(fit.magnet_wb, stated)]
         ohm, std = fit.resistance_ohm
         text = "R_s = {value_ohm:.4g} ohm (+-{std_ohm:.1g}) by the EMF's evenness and its speeds"
-        told.append(Remark.of("resistance_by_emf", text, value_ohm=ohm, std_ohm=std))
+        remarks.append(Remark.of("resistance_by_emf", text, value_ohm=ohm, std_ohm=std))
         angle, std = fit.angle_rad
         if abs(angle) > max(self.told_rad, self.sure * std):
-            told.append(_offset_remark(angle))
+            remarks.append(_offset_remark(angle))
         conductance, std = fit.conductance_s
         if conductance > self.sure * std:
             text = "iron loss as of {loss_ohm:.0f} ohm beside the magnetising current; taken out"
-            told.append(Remark.of("iron_loss", text, loss_ohm=1.0 / conductance))
+            remarks.append(Remark.of("iron_loss", text, loss_ohm=1.0 / conductance))
         volts, std = fit.loss_v
         if abs(volts) > self.sure * std:
             text = "the inverter keeps {kept_v:.2f} V (+-{std_v:.1g}) from each phase; taken out"
-            told.append(Remark.of("inverter_loss", text, kept_v=volts, std_v=std))
-        return told
+            remarks.append(Remark.of("inverter_loss", text, kept_v=volts, std_v=std))
+        return remarks
 
 
 def _magnet_remark(magnet: tuple[float, float], stated: float | None) -> Remark:

@@ -17,10 +17,10 @@ from plugins.link._host import Host, fault_names, known_fault, refused, require_
 from plugins.link._link import Link
 from plugins.link._machine import Machine, longest_capture, row_format
 from plugins.link._options import LinkOptions
-from plugins.link._patience import PATIENCE
 from plugins.link._port import Port, SharedPort
 from plugins.link._running import Program
 from plugins.link._timeline import CLOCK, SIMULATED, Timeline
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
     NO_TEMPERATURE_C,
     Ack,
@@ -35,7 +35,7 @@ from plugins.wire import (
     capabilities_of,
     encode,
     facts_of,
-    interlock_told,
+    interlock_text,
     limit_registers,
     motor_registers,
     open_interlocks,
@@ -126,7 +126,7 @@ class LinkDrive(DriveShell):
         if cause in (Fault.WATCHDOG, Fault.INTERLOCK) or (cause is not Fault.NONE and self._options.clear_fault):
             self.forget_fault()
         else:
-            host.fault_told = cause is not Fault.NONE
+            host.fault_reported = cause is not Fault.NONE
 
     def release(self) -> None:
         """Let go of the link."""
@@ -160,10 +160,10 @@ class LinkDrive(DriveShell):
         status = None if self._host is None else self._host.link.news.status
         return fault_names(status) if status is not None and status.state is PowerState.FAULTED else ()
 
-    def attend(self) -> None:
+    def check_link(self) -> None:
         """A fault that nobody has heard of yet is told as what it is."""
         host, _ = self._connected()
-        if self.faults and not host.fault_told:
+        if self.faults and not host.fault_reported:
             raise host.fault()
         self._require_sound()
 
@@ -176,12 +176,12 @@ class LinkDrive(DriveShell):
             require_held(name, value, host.read(name))
         ack = host.command(Op.ARM)
         if ack.status is AckStatus.INTERLOCK_OPEN:
-            raise DriveRefused(interlock_told(ack.value, host.interlocks))
+            raise DriveRefused(interlock_text(ack.value, host.interlocks))
         if ack.status is not AckStatus.OK:
             raise refused(ack)
         host.conversation.armed(ack)
         self.heartbeat()
-        self._await(host, (*ENERGISED, PowerState.FAULTED), PATIENCE.settle_s)
+        self._await(host, (*ENERGISED, PowerState.FAULTED), TIMEOUTS.settle_s)
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Write the program and start it; its rows come as the iterator is drawn from."""
@@ -231,7 +231,7 @@ class LinkDrive(DriveShell):
         host = self._reachable(Op.STOP)
         ack = host.command(Op.STOP)
         if ack.status is AckStatus.OK and ack.state in ENERGISED:
-            self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), PATIENCE.ramp_s)
+            self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), TIMEOUTS.ramp_s)
 
     def switch_off(self) -> None:
         """PWM off; a drive that does not is told by an emergency stop, and said to have needed it.
@@ -245,8 +245,8 @@ class LinkDrive(DriveShell):
             return
         host.link.try_to_send(EStop(StopReason.HOST_ERROR))
         what_then = "only an emergency stop switched it off" if self._gets_to(host, off) else "nor by an emergency stop"
-        told = f"the drive does not disarm when it is told to ({words(ack.status)}), {what_then}"
-        raise DriveFault(FaultCause.STILL_ARMED, told)
+        message = f"the drive does not disarm when it is told to ({words(ack.status)}), {what_then}"
+        raise DriveFault(FaultCause.STILL_ARMED, message)
 
     def forget_fault(self) -> None:
         """Clear the drive's latched faults; one that is still ramping down is asked again."""
@@ -256,8 +256,8 @@ class LinkDrive(DriveShell):
             if time.monotonic() > deadline:
                 raise DriveRefused(f"the drive refuses to clear its fault: {words(ack.status)}")
             time.sleep(0.05)
-        self._await(host, (PowerState.DISARMED, *ENERGISED), PATIENCE.settle_s)
-        host.fault_told = False
+        self._await(host, (PowerState.DISARMED, *ENERGISED), TIMEOUTS.settle_s)
+        host.fault_reported = False
 
     def set_brake(self, engaged: bool) -> None:
         """Move the brake, where there is one."""
@@ -302,10 +302,10 @@ class LinkDrive(DriveShell):
     def _reachable(self, *last_words: Op) -> Host:
         """The host for a way out. A lost drive is told all the same, for it may still hear; the reason is raised."""
         if self._host is not None and self._host.link.lost is not None:
-            self._host.shout(*last_words)
+            self._host.broadcast(*last_words)
         return self._connected()[0]
 
-    def _gets_to(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = PATIENCE.settle_s) -> bool:
+    def _gets_to(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = TIMEOUTS.settle_s) -> bool:
         """Whether the drive's status says so in time."""
         news = host.link.news
         return host.link.wait(lambda: news.status is not None and news.status.state in states, timeout_s)

@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
-from orchestrator.driving import sign_of_life
+from orchestrator.driving import keepalive
 from plugins.link._claims import ProgramProgress
 from plugins.link._clock import AttentiveClock
 from plugins.link._demodulated import RippleRead, ripple_periods
 from plugins.link._host import Host
 from plugins.link._machine import Machine, Rows, SecondsOfTick
-from plugins.link._patience import PATIENCE
 from plugins.link._raw import RawRead
 from plugins.link._timeline import Timeline
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
     Capability,
     Channel,
@@ -89,7 +89,7 @@ class Program:
             progress = self._watch()
             started = progress is not None and progress.phase in (Phase.CAPTURING, Phase.COMPLETE)
             complete = self._is_complete(progress)
-            finished = self._source.turn(progress.rows if progress else 0, complete, PATIENCE.listen_s)
+            finished = self._source.turn(progress.rows if progress else 0, complete, TIMEOUTS.listen_s)
             if start is None and (started or complete):
                 start = self._timeline.begins(self._start_tick())
             if start is not None and finished:
@@ -98,9 +98,9 @@ class Program:
                 stop = min(self._source.ready, given + round(LONGEST_S * self._fs))
                 yield self._source.block(given, stop, seconds_of_tick(start) + given / self._fs)
                 given, told_s = stop, time.monotonic()
-            if time.monotonic() - told_s > PATIENCE.quiet_s:
+            if time.monotonic() - told_s > TIMEOUTS.quiet_s:
                 tick = self._host.link.news.tick
-                yield sign_of_life(seconds_of_tick(self._timeline.count(tick.tick)) if tick else 0.0, self._fs)
+                yield keepalive(seconds_of_tick(self._timeline.count(tick.tick)) if tick else 0.0, self._fs)
                 told_s = time.monotonic()
 
     def _due(self, given: int, finished: bool) -> bool:
@@ -138,14 +138,14 @@ class Program:
 
     def _require_progress(self, progress: Progress | None) -> None:
         """Raises where the program stands still, goes back, or never ends."""
-        now_s, asked = self._clock(), self._excitation
+        now_s, excitation = self._clock(), self._excitation
         if (progress is not None and self._seen.takes(progress)) or self._is_complete(progress):
             self._moved_s = now_s
-        patience_s = PATIENCE.stuck_s + asked.settling_s
-        if now_s - self._moved_s > patience_s:
-            told = f"{asked.kind}: no progress for {patience_s:.3g} s ({self._seen.phase.name.lower()})"
-            raise DriveFault(FaultCause.NO_ANSWER, told)
-        most_s = PATIENCE.stuck_s + PATIENCE.slow * (asked.settling_s + asked.captured_s)
+        timeout_s = TIMEOUTS.stuck_s + excitation.settling_s
+        if now_s - self._moved_s > timeout_s:
+            message = f"{excitation.kind}: no progress for {timeout_s:.3g} s ({self._seen.phase.name.lower()})"
+            raise DriveFault(FaultCause.NO_ANSWER, message)
+        most_s = TIMEOUTS.stuck_s + TIMEOUTS.slow * (excitation.settling_s + excitation.captured_s)
         if now_s > most_s and not self._is_complete(progress):
-            told = f"{asked.kind}: not at its end after {most_s:.3g} s ({self._seen.phase.name.lower()})"
-            raise DriveFault(FaultCause.PROGRAM_TOO_LONG, told)
+            message = f"{excitation.kind}: not at its end after {most_s:.3g} s ({self._seen.phase.name.lower()})"
+            raise DriveFault(FaultCause.PROGRAM_TOO_LONG, message)

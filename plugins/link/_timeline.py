@@ -11,7 +11,7 @@ import time
 from typing import NamedTuple
 
 from plugins.link._host import Host
-from plugins.link._patience import PATIENCE
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import Unwrapped
 from protocols import DriveFault, FaultCause
 
@@ -81,8 +81,8 @@ class Timeline:
         """All rows are captured; raises `DriveFault` (wrong_data) where the drive's clock is not there yet."""
         end, now = start + rows, self.now()
         if now < end - SLACK:
-            told = f"the drive's clock stands {(end - now) / self._fs:.3g} s before the end of what it has captured"
-            raise DriveFault(FaultCause.WRONG_DATA, told)
+            message = f"the drive's clock stands {(end - now) / self._fs:.3g} s before the end of what it has captured"
+            raise DriveFault(FaultCause.WRONG_DATA, message)
         self._captured = end
 
     def _read(self) -> Reading:
@@ -99,8 +99,8 @@ class Timeline:
         if self._is_simulated:
             return ""
         least_s, most_s = reading.asked_s - self._last.had_s, reading.had_s - self._last.asked_s
-        if passed_s > (1.0 + PATIENCE.clock_part) * most_s + PATIENCE.clock_s:
+        if passed_s > (1.0 + TIMEOUTS.clock_part) * most_s + TIMEOUTS.clock_s:
             return f"jumped by {passed_s:.3g} s in {most_s:.3g} s"
-        if passed_s < (1.0 - PATIENCE.clock_part) * least_s - PATIENCE.clock_s:
+        if passed_s < (1.0 - TIMEOUTS.clock_part) * least_s - TIMEOUTS.clock_s:
             return f"went on by {passed_s:.3g} s in {least_s:.3g} s"
         return ""

@@ -108,7 +108,7 @@ class AdaptiveStage(EnergisedStage):
         known = self._known(run)
         reached = self._percent(run, known) <= self.until_percent
         wanted = "" if reached else f"; {self.until_percent:g} % were wanted: allow more than longest_s"
-        run.say(Note(level="info" if reached else "warning", text=self._told(run, known) + wanted), durable=True)
+        run.publish(Note(level="info" if reached else "warning", text=self._band(run, known) + wanted), durable=True)
 
     def _chosen(self, run: StageRun) -> list[Candidate]:
         """What to measure next; nothing where what was measured is enough."""
@@ -118,7 +118,9 @@ class AdaptiveStage(EnergisedStage):
         candidates = self._candidates(run)
         target_wb = 0.01 * self.until_percent * self._rated_wb(run, known)
         left_s = known.seconds_to(target_wb, candidates, self.longest_s)
-        run.say(Note(level="info", text=f"{self._told(run, known)}; {left_s:.0f} s more for {self.until_percent:g} %"))
+        run.publish(
+            Note(level="info", text=f"{self._band(run, known)}; {left_s:.0f} s more for {self.until_percent:g} %")
+        )
         return known.best(candidates, self.points_at_once)
 
     def _known(self, run: StageRun) -> KnownMap:
@@ -142,11 +144,11 @@ class AdaptiveStage(EnergisedStage):
         captures = [turns * self.turn_s for turns in _TURNS]
         return [Candidate(place, one, given(self.settle_s) + one) for place in places for one in captures]
 
-    def _told(self, run: StageRun, known: KnownMap) -> str:
+    def _band(self, run: StageRun, known: KnownMap) -> str:
         rated = self._rated_wb(run, known)
         usual, worst = (100.0 * half / rated for half in known.band_wb)
-        told = f"{len(run.segments)} points: the flux to ±{worst:.2f} % of the rated flux at worst"
-        return f"{told}, ±{usual:.2f} % rms (95 %)"
+        message = f"{len(run.segments)} points: the flux to ±{worst:.2f} % of the rated flux at worst"
+        return f"{message}, ±{usual:.2f} % rms (95 %)"
 
     def _percent(self, run: StageRun, known: KnownMap) -> float:
         return 100.0 * known.band_wb[1] / self._rated_wb(run, known)

@@ -102,11 +102,11 @@ class AlignmentStage(EnergisedStage):
         reading = _without_current(run.recording())
         size = 0.0 if reading is None else float(np.linalg.norm(reading))
         if size > self.least_offset * given(self.current_a):
-            told = f"the sensors read {size:.2g} A without current: as the current goes to the zero that they measure, "
-            told += (
+            text = f"the sensors read {size:.2g} A without current: as the current goes to the zero that they measure, "
+            text += (
                 "that much is left, and turns a rotor which is free; the brake should engage while the current flows"
             )
-            run.say(Note(level="warning", text=told))
+            run.publish(Note(level="warning", text=text))
 
     @property
     def believed_angle_rad(self) -> float:

@@ -20,7 +20,7 @@ from plugins.wire._facts import (
     parse_description,
 )
 from plugins.wire._framing import SerialDecoder, all_to_serial, to_serial
-from plugins.wire._interlocks import interlock_told, interlocks_line, open_interlocks
+from plugins.wire._interlocks import interlock_text, interlocks_line, open_interlocks
 from plugins.wire._messages import (
     HEARTBEAT_S,
     NO_TEMPERATURE_C,
@@ -154,7 +154,7 @@ __all__ = [
     "from_bus",
     "heard_by_drive",
     "heard_by_host",
-    "interlock_told",
+    "interlock_text",
     "interlocks_line",
     "limit_registers",
     "limits_of",

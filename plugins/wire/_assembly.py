@@ -154,13 +154,13 @@ class CaptureAssembly:
             return [] if self.waiting else [self._request(0, 0)]
         if self.waiting and sum(count for _, count in runs) < self._blocks_each:
             return []  # small change is asked for together
-        asked: list[ReadBlock] = []
+        requests: list[ReadBlock] = []
         for first, count in runs:
             for start in range(first, first + count, self._blocks_each):
-                if len(asked) == room:
-                    return asked
-                asked.append(self._request(start, min(self._blocks_each, first + count - start)))
-        return asked
+                if len(requests) == room:
+                    return requests
+                requests.append(self._request(start, min(self._blocks_each, first + count - start)))
+        return requests
 
     def give_up(self) -> None:
         """Wait no longer for what is under way; late answers are taken all the same."""
@@ -289,7 +289,7 @@ def upload(
     receive: Callable[[], Sequence[Frame]],
     *,
     clock: Callable[[], float] = time.monotonic,
-    patience_s: float = 0.15,
+    repeat_s: float = 0.15,
     timeout_s: float = 1.0,
     rounds: int = 200,
 ) -> memoryview:
@@ -313,7 +313,7 @@ def upload(
     fit its CRC or the drive refuses to hand it out.
     """
     idle, before = 0, -1
-    heard = clock()
+    received_s = clock()
     while (data := assembly.result()) is None:
         if not assembly.waiting:
             idle = 0 if assembly.received != before else idle + 1
@@ -322,12 +322,12 @@ def upload(
                 raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
             for request in assembly.requests():
                 send(request)
-            asked = clock()
+            requested_s = clock()
         mine = assembly.take(receive())
         now = clock()
-        heard = now if mine else heard
-        if now - heard > timeout_s:
+        received_s = now if mine else received_s
+        if now - received_s > timeout_s:
             raise DriveFault(FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {timeout_s:g} s")
-        if now - max(heard, asked) > patience_s:
+        if now - max(received_s, requested_s) > repeat_s:
             assembly.give_up()
     return data

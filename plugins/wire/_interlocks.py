@@ -26,8 +26,8 @@ def interlocks_of(description: Mapping[str, str]) -> tuple[str, ...]:
     """Names of a drive that has the capability (host side); raises `DriveFault` (wrong_data) where there are none."""
     names = tuple(name for part in description.get(KEY, "").split(",") if (name := part.strip()))
     if not 0 < len(names) <= MOST:
-        told = f"the drive has interlock inputs, and its description names {len(names)} (1 to {MOST} expected)"
-        raise DriveFault(FaultCause.WRONG_DATA, told)
+        message = f"the drive has interlock inputs, and its description names {len(names)} (1 to {MOST} expected)"
+        raise DriveFault(FaultCause.WRONG_DATA, message)
     return names
 
 
@@ -36,6 +36,6 @@ def open_interlocks(bits: int, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names[k] if k < len(names) else f"input {k}" for k in range(bits.bit_length()) if bits >> k & 1)
 
 
-def interlock_told(bits: int, names: Sequence[str]) -> str:
+def interlock_text(bits: int, names: Sequence[str]) -> str:
     """What a person reads, and is to do."""
     return f"interlock open: {', '.join(open_interlocks(bits, names)) or 'unknown'}; close it, and resume"

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, Field
 
 from fluxbench_novanta._servo import CURRENT_MODE, Servo
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import DriveShell, in_blocks, keepalive
 from protocols import (
     Capabilities,
     Capture,
@@ -123,7 +123,7 @@ class NovantaDrive(DriveShell):
     def faults(self) -> tuple[str, ...]:
         return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
 
-    def attend(self) -> None:
+    def check_link(self) -> None:
         """Raises `DriveFault` where the drive has tripped or cannot be reached."""
         servo = self._connected()
         if self.limits is not None and not self.latched:
@@ -252,7 +252,7 @@ class NovantaDrive(DriveShell):
     # What the methods share
 
     def _alive(self) -> Capture:
-        return sign_of_life(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
+        return keepalive(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
 
     def _connected(self) -> Servo:
         if self._servo is None:

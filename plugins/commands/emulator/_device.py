@@ -115,7 +115,7 @@ class Device:
 
     # One turn
 
-    def hear(self, frames: Iterable[Frame]) -> None:
+    def receive(self, frames: Iterable[Frame]) -> None:
         """Take what came; `power.guard` goes before."""
         for frame in frames:
             message = decode(*frame) if frame.frame_id in self._host_ids else None
@@ -276,18 +276,18 @@ class Device:
         """The host's, where it says something else than what the device knows more precisely itself."""
         own, file = self.rig.own_nameplate, self._file
 
-        def told(name: str, value: float) -> float:
+        def register(name: str, value: float) -> float:
             return value if file[name] in (0.0, single(value)) else file[name]
 
         self.rig.believe(
             replace(
                 own,
-                pole_pairs=int(told("motor_pole_pairs", own.pole_pairs)),
-                rated_a=told("motor_rated_current_a", own.rated_a),
-                resistance_ohm=told("motor_resistance_ohm", own.resistance_ohm),
-                l_d_h=told("motor_inductance_d_h", own.l_d_h),
-                l_q_h=told("motor_inductance_q_h", own.l_q_h),
-                pm_flux_wb=told("motor_flux_wb", own.pm_flux_wb),
+                pole_pairs=int(register("motor_pole_pairs", own.pole_pairs)),
+                rated_a=register("motor_rated_current_a", own.rated_a),
+                resistance_ohm=register("motor_resistance_ohm", own.resistance_ohm),
+                l_d_h=register("motor_inductance_d_h", own.l_d_h),
+                l_q_h=register("motor_inductance_q_h", own.l_q_h),
+                pm_flux_wb=register("motor_flux_wb", own.pm_flux_wb),
             )
         )
 

@@ -49,7 +49,7 @@ class Emulation:
         frames = self._lossy(self._port.receive(wait_s))
         self._notice()
         power.guard(time.monotonic())
-        device.hear(frames)
+        device.receive(frames)
         device.turn()
         self._outbox.put(device.urgent)
         self._outbox.put_bulk(device.bulk)

@@ -105,8 +105,8 @@ class Programs:
 
     def _on_own_grid(self, excitation: Excitation) -> Excitation:
         """With the PWM frequency as the device has it, not as a single carried it."""
-        asked = excitation.pwm_frequency_hz
-        own = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == asked), asked)
+        wanted_hz = excitation.pwm_frequency_hz
+        own = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == wanted_hz), wanted_hz)
         return excitation.model_copy(update={"pwm_frequency_hz": own})
 
     def _judge(self, excitation: Excitation) -> AckStatus:

@@ -16,17 +16,17 @@ class Telemetry:
         self._born_s = now_s
         self._status, self._measurement, self._progress = 0, 0, 0
         self._due_s = self._tick_due_s = self._progress_due_s = now_s
-        self._told: tuple[object, ...] = ()
+        self._last_status: tuple[object, ...] = ()
         self._phase: tuple[Phase, int] = (Phase.IDLE, 0)
 
     def status(
         self, now_s: float, state: PowerState, cause: Fault, faults: int, beat: int, v_dc: float, warmth_c: int
     ) -> Iterator[Message]:
         """Status, when it is due or something has changed."""
-        told = (state, cause, faults)
-        if told == self._told and now_s < self._due_s:
+        status = (state, cause, faults)
+        if status == self._last_status and now_s < self._due_s:
             return
-        self._told = told
+        self._last_status = status
         self._status = (self._status + 1) % 256
         yield Status(state, cause, beat, faults, _volts(v_dc), warmth_c, self._status)
 

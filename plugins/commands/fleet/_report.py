@@ -38,11 +38,11 @@ def report(
 
     with one_thread():
         fleet = read_fleet(table)
-        asked = None if limits is None else read_limits(limits)
-        if asked is not None:
-            _require_known(asked, str(limits), fleet)
+        bounds = None if limits is None else read_limits(limits)
+        if bounds is not None:
+            _require_known(bounds, str(limits), fleet)
         before = None if against in (None, WITHIN) else read_fleet(str(against))
-        found = report_of(fleet, limits=asked, against=before, within=against == WITHIN)
+        found = report_of(fleet, limits=bounds, against=before, within=against == WITHIN)
         place = Path(table)
         # What reads a folder of Parquet files passes over names with a leading underscore.
         folder = out if out is not None else place / "_report" if place.is_dir() else place.parent

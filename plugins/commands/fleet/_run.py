@@ -64,7 +64,7 @@ def run(
     if as_json:
         print(visible(report.model_dump_json(indent=2)))
     else:
-        _say(report)
+        _print_row(report)
     return 0
 
 
@@ -74,17 +74,17 @@ def _plan(do: str, mapping: Path | None, keep: Path | None) -> Plan:
     from protocols.fleet import FleetStep
 
     every = get_args(FleetStep)
-    asked = {word.strip() for word in do.split(",") if word.strip()}
-    unknown = sorted(asked - set(every))
-    if unknown or not asked:
+    chosen = {word.strip() for word in do.split(",") if word.strip()}
+    unknown = sorted(chosen - set(every))
+    if unknown or not chosen:
         raise typer.BadParameter(f"{', '.join(unknown) or do!r}; there is {', '.join(every)}", param_hint="--do")
-    if ("import" in asked) != (mapping is not None):
+    if ("import" in chosen) != (mapping is not None):
         raise typer.BadParameter("goes with --do import, which needs it", param_hint="--mapping")
-    if "export" in asked and keep is None:
+    if "export" in chosen and keep is None:
         raise typer.BadParameter("is needed for --do export: its files go there", param_hint="--keep")
     if mapping is not None and not mapping.is_file():
         raise InputError(str(mapping), "", "no such file")
-    steps = tuple(step for step in every if step in asked)
+    steps = tuple(step for step in every if step in chosen)
     return Plan(
         steps=steps,
         mapping=None if mapping is None else mapping.resolve(),
@@ -92,13 +92,13 @@ def _plan(do: str, mapping: Path | None, keep: Path | None) -> Plan:
     )
 
 
-def _say(report: JobReport) -> None:
+def _print_row(report: JobReport) -> None:
     from orchestrator.presentation.quantities import duration, plural
     from orchestrator.presentation.sentences import shown
 
     for failed in report.failed:
-        told = failed.problem if failed.source in failed.problem else f"{failed.source}: {failed.problem}"
-        print(shown(f"failed: {told}"))
+        message = failed.problem if failed.source in failed.problem else f"{failed.source}: {failed.problem}"
+        print(shown(f"failed: {message}"))
     words = [plural(report.new, "new row") + (f", {len(report.failed)} of them failed" if report.failed else "")]
     again = f", {report.known_failed} of them failed (--retry-failed does those again)" if report.known_failed else ""
     words += [f"{report.known} known{again}"] if report.known else []

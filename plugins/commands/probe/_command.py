@@ -74,18 +74,18 @@ def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_js
         print(visible(json.dumps({"drives": [drive.as_json() for drive in found], "no_drive": looked})))
         return
     for drive in found:
-        print("\n".join(one_line(cut(line)) for line in _told(drive)))
+        print("\n".join(one_line(cut(line)) for line in _description(drive)))
     if not found:
         print("No drive answered.")
     for link, why in silent:
         print(one_line(cut(f"no drive on {link.text}: {why}")))
 
 
-def _told(drive: Found) -> list[str]:
+def _description(drive: Found) -> list[str]:
     from orchestrator.presentation.quantities import quantity, vector
 
     own, status = drive.capabilities, drive.status
-    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_told(key, v))
+    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_shown(key, v))
     firmware = drive.description.get("firmware", "not told")
     lines = [
         f"{own.name} on {drive.link.text}" + (f" node {drive.node}" if drive.node else ""),
@@ -108,7 +108,7 @@ def _told(drive: Found) -> list[str]:
     return [*lines, f"  use it     fluxbench run PROCEDURE --drive {drive.settings['name']} {settings}"]
 
 
-def _is_told(key: str, value: object) -> bool:
+def _is_shown(key: str, value: object) -> bool:
     """Whether a setting has to be written out: the drive plugins' defaults need not."""
     return key != "name" and value not in (921_600, 1_000_000, False)  # node 0 is among them
 

@@ -122,13 +122,13 @@ def _number_table(material: Material) -> str:
 
 
 def _truth_table(material: Material) -> str:
-    told = {
+    methods = {
         "classical": "integrating the voltage, inverter and R_s(t) told from the loops",
         "injection": "inductances at each point, flux by least squares over all paths",
         "energy": "one energy for fluxes and derivatives: the map that fluxbench recommends",
     }
     rows = []
-    for method, what in told.items():
+    for method, what in methods.items():
         rms, worst = material.error_percent(method)
         rows.append((method, what, f"{fixed(rms, 3)} %", f"{fixed(worst, 3)} %"))
     return markdown_table(("map", "how", "rms", "worst"), rows)

@@ -119,8 +119,8 @@ def _in_words(call: Endpoint) -> Endpoint:
     return answered
 
 
-def _problem(told: str, status: int) -> Response:
-    return JSONResponse({"problem": told}, status)
+def _problem(message: str, status: int) -> Response:
+    return JSONResponse({"problem": message}, status)
 
 
 async def _body(request: Request, model: type[T]) -> T:

@@ -97,23 +97,23 @@ class RunOfThePage:
         if not self.is_going or question is None or question["number"] != number or self._answered >= number:
             raise NotNowError("this question is not open any more")
         self._answered = number
-        self._say({"answer": answer, "question": question["prompt"]})
+        self._send({"answer": answer, "question": question["prompt"]})
 
     async def stop(self, reason: str) -> None:
         """End the run as Ctrl-C does; nothing where none is going."""
         if not self.is_going or self._process is None:
             return
-        self._say({"stop": reason})
+        self._send({"stop": reason})
         await self._show(stopping=True)
         self._keep(self._insist(self._process))
 
-    async def close(self, reason: str, patience_s: float = 30.0) -> None:
+    async def close(self, reason: str, timeout_s: float = 30.0) -> None:
         """Start nothing any more, stop what is going, and wait for its end as long as that is sensible."""
         self._is_closing = True
         if self.is_going:
             await self.stop(reason)
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._until_ended(), patience_s)
+                await asyncio.wait_for(self._until_ended(), timeout_s)
         self._is_closed = True
         await self._show()
 
@@ -126,9 +126,9 @@ class RunOfThePage:
             self._view = self._view | changes
             self._changed.notify_all()
 
-    def _say(self, told: dict[str, Any]) -> None:
+    def _send(self, message: dict[str, Any]) -> None:
         if self._ear is not None and not self._ear.is_closing():
-            self._ear.write(json.dumps(told).encode() + b"\n")
+            self._ear.write(json.dumps(message).encode() + b"\n")
 
     async def _insist(self, process: subprocess.Popen[bytes]) -> None:
         """A signal to a run that does not heed what it is told: while it starts, or hangs."""
@@ -144,14 +144,14 @@ class RunOfThePage:
         looks = 0
         while process.poll() is None:
             if looks % round(self._pace.beat_s / self._pace.look_s) == 0:
-                self._say({})
+                self._send({})
             looks += 1
             await asyncio.sleep(self._pace.look_s)
         await asyncio.wait({shown, complained}, timeout=self._pace.last_words_s)
         self._ear.close()
-        told = complained.result().decode("utf-8", "replace").strip() if complained.done() else ""
+        errors = complained.result().decode("utf-8", "replace").strip() if complained.done() else ""
         code = process.returncode
-        problem = told.splitlines()[-1].removeprefix("fluxbench: ") if told and code else ""
+        problem = errors.splitlines()[-1].removeprefix("fluxbench: ") if errors and code else ""
         await self._show(going=False, stopping=False, problem=problem or ("" if code == 0 else f"ended with {code}"))
 
     async def _read_pictures(self, output: asyncio.StreamReader) -> None:

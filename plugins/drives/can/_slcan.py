@@ -71,13 +71,13 @@ class SlcanPort:
         if bitrate not in BIT_RATES:
             known = ", ".join(map(str, BIT_RATES))
             raise InputError("the drive's bus", "bitrate", f"an adapter has {known}; got {bitrate}")
-        asked = settings or {}
+        options = settings or {}
         device, _, baud = channel.partition("@")
-        baud_rate = _whole("tty_baudrate", baud or asked.get("tty_baudrate", SlcanPort.default_baud_rate))
+        baud_rate = _whole("tty_baudrate", baud or options.get("tty_baudrate", SlcanPort.default_baud_rate))
         self.where = f"slcan:{channel}" + (f" node {node}" if node else "")
         self._node, self._bulk_rate = node, bulk_rate
         self._line = Line(device, baud_rate)
-        time.sleep(float(asked.get("sleep_after_open", SlcanPort.sleep_after_open_s)))
+        time.sleep(float(options.get("sleep_after_open", SlcanPort.sleep_after_open_s)))
         self._rest = b""
         self._before = b"\r"  # ends whatever the adapter has of an earlier command
         self._line.write(b"\rC\rS%d\rO\r" % BIT_RATES[bitrate], SlcanPort.open_s)

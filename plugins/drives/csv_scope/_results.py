@@ -69,8 +69,8 @@ def read_result(
             recording = open_recording(Path(folder) / "recording")
             capture = recording.load(recording.segments()[0])
         except FluxbenchError as error:
-            told = str(error).replace(str(written), "the mapping")
-            raise DriveFault(FaultCause.WRONG_DATA, told) from None
+            reason = str(error).replace(str(written), "the mapping")
+            raise DriveFault(FaultCause.WRONG_DATA, reason) from None
     rows = excitation.rows(fs)
     if len(capture) != rows:
         raise DriveFault(FaultCause.WRONG_DATA, f"{path}: {len(capture)} rows, {rows} were asked for")

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import DriveShell, in_blocks, keepalive
 from plugins.drives.csv_scope._results import read_columns, read_result
 from plugins.drives.csv_scope._tables import table_of, write_table
 from protocols import (
@@ -146,7 +146,7 @@ class CsvScopeDrive(DriveShell):
     def _answered(self, stem: str, excitation: Excitation) -> Iterator[Capture]:
         fs = self._options.sampling_frequency_hz
         for _ in self._waiting(stem, "result.csv", self._options.wait_s):
-            yield sign_of_life(self._now_s(), fs)
+            yield keepalive(self._now_s(), fs)
         path = self._options.folder / f"{stem}.result.csv"
         o = self._options
         drive = {"name": self.name, "dc_bus_voltage_v": o.dc_bus_voltage_v}
@@ -199,19 +199,19 @@ class CsvScopeDrive(DriveShell):
         self._number += 1
         return f"{self._number:04d}"
 
-    def _request(self, stem: str, deed: str, **said: Any) -> None:
+    def _request(self, stem: str, deed: str, **fields: Any) -> None:
         """Write a request, whole when it has its name."""
         path = self._options.folder / f"{stem}.request.json"
         partial = path.with_suffix(".partial")
         try:
-            partial.write_text(json.dumps({"request": deed, **said}, indent=1), encoding="utf-8")
+            partial.write_text(json.dumps({"request": deed, **fields}, indent=1), encoding="utf-8")
             partial.replace(path)
         except OSError as error:
             raise DriveFault(FaultCause.LINK_LOST, f"{path}: cannot be written: {error.strerror or error}") from None
 
-    def _do(self, deed: str, **said: Any) -> None:
+    def _do(self, deed: str, **fields: Any) -> None:
         stem = self._next()
-        self._request(stem, deed, answer=f"{stem}.done", **said)
+        self._request(stem, deed, answer=f"{stem}.done", **fields)
         for _ in self._waiting(stem, "done", self._options.deed_s):
             pass
 

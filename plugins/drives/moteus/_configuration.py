@@ -48,8 +48,8 @@ class Configuration:
         poles, sign = round(numbers["motor.poles"]), round(numbers["motor_position.output.sign"])
         ratio = numbers["motor_position.rotor_to_output_ratio"]
         if poles != 2 * motor.pole_pairs:
-            told = f"configured for {poles} poles, the nameplate has {motor.pole_pairs} pole pairs"
-            raise DriveRefused(f"{where}: {told}; moteus_tool --calibrate, or another nameplate")
+            message = f"configured for {poles} poles, the nameplate has {motor.pole_pairs} pole pairs"
+            raise DriveRefused(f"{where}: {message}; moteus_tool --calibrate, or another nameplate")
         if abs(sign) != 1 or not ratio > 0.0:
             raise DriveFault(FaultCause.WRONG_DATA, f"{where}: output sign {sign} and ratio {ratio:g} mean nothing")
         return cls(

@@ -75,14 +75,14 @@ class Guard:
             raise fault
         current_a = math.hypot(now.d_a, now.q_a)
         if not current_a <= BOUNDS.overcurrent * self.limits.current_a:
-            told = f"{current_a:.3g} A measured, with a limit of {self.limits.current_a:g} A"
-            raise DriveFault(FaultCause.OVERCURRENT, told)
+            message = f"{current_a:.3g} A measured, with a limit of {self.limits.current_a:g} A"
+            raise DriveFault(FaultCause.OVERCURRENT, message)
 
     def check_voltage(self, v: complex) -> None:
         """Raises `DriveFault` where the current needs more voltage than is allowed."""
         if not abs(v) <= self.limits.voltage_v:
-            told = f"the current needs {abs(v):.3g} V, above the limit of {self.limits.voltage_v:g} V"
-            raise DriveFault(FaultCause.INTERNAL, told)
+            message = f"the current needs {abs(v):.3g} V, above the limit of {self.limits.voltage_v:g} V"
+            raise DriveFault(FaultCause.INTERNAL, message)
 
 
 class Holding:
@@ -132,8 +132,8 @@ class Holding:
         self._guard.check(await self._board.reading())
         found = await self._board.theta()
         if not abs(math.remainder(found - theta_rad, 2.0 * math.pi)) <= BOUNDS.angle_rad:
-            told = f"the board works at an electrical angle of {found:.4f} rad instead of {theta_rad:.4f} rad"
-            raise DriveFault(FaultCause.WRONG_DATA, f"{told}; servopos limits, or a firmware that counts otherwise")
+            message = f"the board works at an electrical angle of {found:.4f} rad instead of {theta_rad:.4f} rad"
+            raise DriveFault(FaultCause.WRONG_DATA, f"{message}; servopos limits, or a firmware that counts otherwise")
 
     async def _look(self, target: Target) -> tuple[Reading, complex]:
         now = await self._board.reading()

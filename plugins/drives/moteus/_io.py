@@ -113,8 +113,8 @@ class Io:
         loop.stop()
 
     def _lose(self, why: BaseException | str) -> DriveFault:
-        told = str(why) or type(why).__name__
-        fault = DriveFault(FaultCause.LINK_LOST, f"{self._where}: {told.splitlines()[0]}")
+        reason = str(why) or type(why).__name__
+        fault = DriveFault(FaultCause.LINK_LOST, f"{self._where}: {reason.splitlines()[0]}")
         self.lost = self.lost or fault
         return fault
 

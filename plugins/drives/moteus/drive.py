@@ -13,7 +13,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import DriveShell, in_blocks, keepalive
 from plugins.drives.moteus._board import Board, Setpoint, library
 from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._configuration import Configuration, require_known
@@ -126,7 +126,7 @@ class MoteusDrive(DriveShell):
     def faults(self) -> tuple[str, ...]:
         return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
 
-    def attend(self) -> None:
+    def check_link(self) -> None:
         """Raises `DriveFault` where the link is lost."""
         self._connected()
 
@@ -155,8 +155,8 @@ class MoteusDrive(DriveShell):
         current_a = excitation.longest_current_a
         needed_v = current_a * (self.setup.motor.stator_resistance_ohm or 0.0)
         if needed_v > self.limits.voltage_v:
-            told = f"{current_a:g} A need {needed_v:.3g} V by the nameplate's resistance"
-            raise DriveRefused(f"{told}, above the limit of {self.limits.voltage_v:g} V")
+            message = f"{current_a:g} A need {needed_v:.3g} V by the nameplate's resistance"
+            raise DriveRefused(f"{message}, above the limit of {self.limits.voltage_v:g} V")
         return self._captures(excitation, self.limits)
 
     def _captures(self, hold: Hold, limits: Limits) -> Iterator[Capture]:
@@ -169,7 +169,7 @@ class MoteusDrive(DriveShell):
         under_way = io.start(lambda: holding.run(target, hold.settle_s, hold.rows(fs)))
         try:
             while not io.wait(under_way, BOUNDS.quiet_s):
-                yield sign_of_life(time.monotonic() - self._origin_s, fs)
+                yield keepalive(time.monotonic() - self._origin_s, fs)
             taken = io.result(under_way)
         except DriveFault as fault:
             raise self.trip(fault) from None

@@ -186,8 +186,8 @@ class Axis:
         deadline = time.monotonic() + STATE_S
         while (now := self.state()) != state:
             if time.monotonic() > deadline:
-                told = f"{self._name} is in state {now}, not {state} ({self.errors()})"
-                raise DriveFault(FaultCause.NO_ANSWER, f"{self._line.where}: {told}")
+                message = f"{self._name} is in state {now}, not {state} ({self.errors()})"
+                raise DriveFault(FaultCause.NO_ANSWER, f"{self._line.where}: {message}")
 
     def _read(self, names: Any) -> dict[str, float]:
         return dict(zip(names, self._line.read([f"{self._name}.{name}" for name in names]), strict=True))

@@ -65,8 +65,8 @@ class Properties:
         try:
             return float(answer)
         except ValueError:
-            told = f"{self.where}: {name} is {answer!r}, expected a number"
-            raise DriveFault(FaultCause.WRONG_DATA, told) from None
+            message = f"{self.where}: {name} is {answer!r}, expected a number"
+            raise DriveFault(FaultCause.WRONG_DATA, message) from None
 
     def _send(self, data: bytes) -> None:
         self.check()

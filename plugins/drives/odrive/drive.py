@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import DriveShell, in_blocks, keepalive
 from plugins.drives.odrive._axis import CLOSED_LOOP, IDLE, Axis, Errors
 from plugins.drives.odrive._properties import Properties
 from protocols import (
@@ -101,8 +101,8 @@ class OdriveDrive(DriveShell):
         self._axis = axis = Axis(line, o.axis)
         axis.learn()
         if axis.pole_pairs != self.setup.motor.pole_pairs:
-            told = f"motor.config.pole_pairs is {axis.pole_pairs}, the nameplate's {self.setup.motor.pole_pairs}"
-            raise DriveRefused(f"{line.where}: {told}")
+            message = f"motor.config.pole_pairs is {axis.pole_pairs}, the nameplate's {self.setup.motor.pole_pairs}"
+            raise DriveRefused(f"{line.where}: {message}")
         if axis.state() != IDLE:
             raise DriveRefused(f"{line.where}: axis {o.axis} is not idle: somebody else drives it")
         self._take_up(axis)
@@ -157,7 +157,7 @@ class OdriveDrive(DriveShell):
     def faults(self) -> tuple[str, ...]:
         return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
 
-    def attend(self) -> None:
+    def check_link(self) -> None:
         """Raises `DriveFault` where the line is lost or the axis has tripped."""
         axis = self._connected()
         if self.limits is not None and not self.latched:
@@ -224,8 +224,8 @@ class OdriveDrive(DriveShell):
                 self._require_sound(axis)
                 return np.array(rows), start_s
             yield self._alive()
-        told = f"readings come late at {fs:g} Hz; choose a lower sampling_frequency_hz"
-        raise DriveFault(FaultCause.NO_ANSWER, told)
+        message = f"readings come late at {fs:g} Hz; choose a lower sampling_frequency_hz"
+        raise DriveFault(FaultCause.NO_ANSWER, message)
 
     def _watch(self, axis: Axis, row: np.ndarray, limits: Limits) -> None:
         i, v = math.hypot(row[0], row[1]), math.hypot(row[2], row[3])
@@ -236,8 +236,8 @@ class OdriveDrive(DriveShell):
         off = abs(complex(row[0], row[1]) - self._target)
         if off > max(ASTRAY * abs(self._target), LEAST * limits.current_a):
             self._require_sound(axis)
-            told = f"{i:.3g} A flow, {off:.3g} A off the {abs(self._target):.3g} A asked for"
-            raise DriveFault(FaultCause.INTERNAL, f"{told}: the board limits it, or the rotor has turned")
+            message = f"{i:.3g} A flow, {off:.3g} A off the {abs(self._target):.3g} A asked for"
+            raise DriveFault(FaultCause.INTERNAL, f"{message}: the board limits it, or the rotor has turned")
 
     def telemetry(self) -> Telemetry:
         """A reading, now; while the axis is idle no current is measured, and none is told."""
@@ -304,7 +304,7 @@ class OdriveDrive(DriveShell):
     # What the methods share
 
     def _alive(self) -> Capture:
-        return sign_of_life(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
+        return keepalive(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
 
     def _connected(self) -> Axis:
         if self._line is None or self._axis is None:

@@ -43,8 +43,8 @@ def carrier_frequencies(options: SimulatedOptions) -> tuple[float, ...]:
         for f in given:
             if not _fits(options, f):
                 late = f" and {options.voltage_delay_samples:g} samples later" if options.voltage_delay_samples else ""
-                told = f"the carrier has to turn at every row{late}, and at {f:g} Hz it does not"
-                raise InputError("drive", field, told)
+                message = f"the carrier has to turn at every row{late}, and at {f:g} Hz it does not"
+                raise InputError("drive", field, message)
     return tuple(sorted({own, *(f for f in choices if _fits(options, f))}))
 
 
@@ -190,8 +190,8 @@ def _refuse_long(options: SimulatedOptions, s: SwitchingParameters) -> None:
         if value >= 0.5 * period:
             raise InputError(INVERTER, field, f"{_us(value)} is no shorter than half the period {words}")
     if abs(s.shift_s) >= 0.5 * period:
-        told = "with effects.voltage_delay, " if options.plant.effects.voltage_delay else ""
-        raise InputError(INVERTER, "sampling_offset_s", f"{told}{_us(s.shift_s)} is half the period {words} or more")
+        prefix = "with effects.voltage_delay, " if options.plant.effects.voltage_delay else ""
+        raise InputError(INVERTER, "sampling_offset_s", f"{prefix}{_us(s.shift_s)} is half the period {words} or more")
 
 
 def _refuse_weak(options: SimulatedOptions, s: SwitchingParameters, known: Ratings, resistance_ohm: float) -> None:
@@ -200,14 +200,14 @@ def _refuse_weak(options: SimulatedOptions, s: SwitchingParameters, known: Ratin
     at_trip, half_s = f"the {trip_a:.3g} A at which the drive trips", 0.5 / max(carrier_frequencies(options))
     swing_s = s.bridge.two_capacitances_f * known.dc_bus_v / trip_a
     if given.output_capacitance_f is not None and swing_s >= half_s:
-        told = f"{at_trip} take {_us(swing_s)} from rail to rail, half the carrier's period is {_us(half_s)}"
-        raise InputError(INVERTER, "output_capacitance_f", told)
+        message = f"{at_trip} take {_us(swing_s)} from rail to rail, half the carrier's period is {_us(half_s)}"
+        raise InputError(INVERTER, "output_capacitance_f", message)
     if not given.bus.resistance_ohm:
         return
     most_w, loss_w = known.dc_bus_v**2 / (4.0 * given.bus.resistance_ohm), 1.5 * resistance_ohm * trip_a**2
     if most_w <= loss_w:
-        told = f"lets no more than {most_w:.3g} W through, and {at_trip} take {loss_w:.3g} W in the winding"
-        raise InputError(INVERTER, "bus.resistance_ohm", f"{given.bus.resistance_ohm:g} ohm {told}")
+        message = f"lets no more than {most_w:.3g} W through, and {at_trip} take {loss_w:.3g} W in the winding"
+        raise InputError(INVERTER, "bus.resistance_ohm", f"{given.bus.resistance_ohm:g} ohm {message}")
 
 
 def _trip_a(options: SimulatedOptions, known: Ratings) -> float:
@@ -233,8 +233,8 @@ def _sensing(options: SimulatedOptions, known: Ratings) -> SensingParameters:
             raise InputError(SENSORS, "bits", "give either bits or quantum_a")
         full_scale = sensors.full_scale_a or 4.0 * known.rated_a
         if full_scale < (trip := _trip_a(options, known)):
-            told = f"{full_scale:g} A is below the {trip:.4g} A at which the drive trips"
-            raise InputError(SENSORS, "full_scale_a", told)
+            message = f"{full_scale:g} A is below the {trip:.4g} A at which the drive trips"
+            raise InputError(SENSORS, "full_scale_a", message)
         quantum = 2.0 * full_scale / 2**sensors.bits
     return SensingParameters(
         three=three,

@@ -150,10 +150,10 @@ def map_energy(table: FluxTable) -> Magnetics:
     """
     i_dq, psi_dq = _symmetrised(table)
     box = _box(psi_dq, i_dq)
-    asked = np.vstack((psi_dq, _on_the_axis(psi_dq)))
+    flux_points = np.vstack((psi_dq, _on_the_axis(psi_dq)))
     for factor in SMOOTHER:
         spline = _fit(box, i_dq, psi_dq, factor * table.smoothing)
-        points = np.array([hessian(box, spline, float(d), float(q)) for d, q in asked])
+        points = np.array([hessian(box, spline, float(d), float(q)) for d, q in flux_points])
         if ((points[:, 0] > 0) & (points[:, 0] * points[:, 2] > points[:, 1] ** 2)).all():
             break
     else:
@@ -204,12 +204,12 @@ def misfit_in_words(table: FluxTable, magnetics: Magnetics) -> str:
     """By how much the plant's smooth map differs from the file's points, and how it was turned; one line."""
     share = 100.0 * fit_error(table, magnetics) / math.sqrt(float((table.i_dq**2).sum(axis=1).mean()))
     points = f"{len(table.i_dq)} points within {share:.2g} % of the current, rms"
-    told = f"{table.source}: the motor's smooth map meets its {points}"
+    message = f"{table.source}: the motor's smooth map meets its {points}"
     if not table.holds_zero:
-        told += "; they begin beside zero current, which does not tell where the magnet lies: on d, as in the file"
+        message += "; they begin beside zero current, which does not tell where the magnet lies: on d, as in the file"
     if abs(table.turned_rad) > math.radians(0.05):
-        told += f"; turned by {-math.degrees(table.turned_rad):+.1f} degrees, so that the magnet lies on d"
-    return told
+        message += f"; turned by {-math.degrees(table.turned_rad):+.1f} degrees, so that the magnet lies on d"
+    return message
 
 
 def _on_the_axis(psi_dq: Array) -> Array:

@@ -52,8 +52,8 @@ def _effects(model: MotorModel) -> Effects:
         return Effects.model_validate(found)
     except ValidationError as error:
         wrong = error.errors()[0]
-        told = f"{wrong['msg'][:1].lower()}{wrong['msg'][1:]}, and the model says {wrong['input']!r}"
-        raise InputError(WHERE, ".".join(map(str, wrong["loc"])), told) from None
+        message = f"{wrong['msg'][:1].lower()}{wrong['msg'][1:]}, and the model says {wrong['input']!r}"
+        raise InputError(WHERE, ".".join(map(str, wrong["loc"])), message) from None
 
 
 def flux_table(model: MotorModel, source: Path, nodes: int = 25) -> FluxTable:

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import DriveShell, in_blocks, keepalive
 from plugins.drives.vesc import _rows
 from plugins.drives.vesc._board import FOC, WITH_INJECTION_OF_ITS_OWN, Board, Settings
 from plugins.drives.vesc._link import Link
@@ -167,7 +167,7 @@ class VescDrive(DriveShell):
     def faults(self) -> tuple[str, ...]:
         return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
 
-    def attend(self) -> None:
+    def check_link(self) -> None:
         """Raises `DriveFault` where the link is lost or the board has let go."""
         board = self._connected()
         if self.limits is not None and not self.latched:
@@ -270,8 +270,8 @@ class VescDrive(DriveShell):
             turn = cmath.exp(1j * angle)
             inside = i / turn
             if abs(inside.mean() - size) > MISSED * size:
-                told = f"{size:.4g} A were asked for, {inside.mean():.4g} A flow: the board limits it, or has let go"
-                raise DriveFault(FaultCause.INTERNAL, told)
+                message = f"{size:.4g} A were asked for, {inside.mean():.4g} A flow: the board limits it, or has let go"
+                raise DriveFault(FaultCause.INTERNAL, message)
             own = self._own_settings()
             moved = _rows.control(inside, size, (own.proportional, own.integral), 1.0 / fs)
             v = (now.v + moved - moved.mean()) * turn
@@ -348,7 +348,7 @@ class VescDrive(DriveShell):
         return in_blocks(Capture(start_s=start_s, sampling_frequency_hz=fs, v_dc=v_dc, **arrays))
 
     def _alive(self) -> Capture:
-        return sign_of_life(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
+        return keepalive(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
 
     # Faults
 
@@ -359,8 +359,8 @@ class VescDrive(DriveShell):
 
     def _fault(self, now: Values) -> DriveFault | None:
         if now.fault:
-            cause, told = FAULTS.get(now.fault, (FaultCause.INTERNAL, "see `faults` in its terminal"))
-            return DriveFault(cause, f"VESC fault {now.fault}: {told}")
+            cause, hint = FAULTS.get(now.fault, (FaultCause.INTERNAL, "see `faults` in its terminal"))
+            return DriveFault(cause, f"VESC fault {now.fault}: {hint}")
         if now.timed_out or self._missed:
             return DriveFault(FaultCause.HEARTBEAT_LOST, f"no beat for {self._options.watchdog_s:g} s")
         return None
@@ -409,5 +409,5 @@ def _rate(zero_vectors_hz: float, told_hz: float, where: str) -> float:
     for rate_hz in (0.5 * zero_vectors_hz, zero_vectors_hz):
         if 0.0 <= rate_hz - told_hz <= 2.0 * RATE_STEP_HZ:
             return rate_hz
-    told = f"rows of {told_hz:g} Hz at foc_f_zv {zero_vectors_hz:g} Hz"
-    raise DriveRefused(f"{where}: {told}; every zero vector or every other was expected")
+    message = f"rows of {told_hz:g} Hz at foc_f_zv {zero_vectors_hz:g} Hz"
+    raise DriveRefused(f"{where}: {message}; every zero vector or every other was expected")

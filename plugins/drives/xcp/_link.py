@@ -133,14 +133,14 @@ class Link:
 
     def open(self, event: int) -> None:
         """Connect and let the DAQ list run at the event; raises `DriveRefused` where the ECU has no room for it."""
-        self._say(self._connect)
+        self._call(self._connect)
         is_intel = str(self._master.slaveProperties.byteOrder) == "INTEL"
         self.layout = Layout("<" if is_intel else ">")
         if self._master.slaveProperties.bytesPerElement != 1:
             raise DriveRefused(f"{self.where}: addresses count words, expected octets")
         if not self._master.slaveProperties.supportsDaq:
             raise DriveRefused(f"{self.where}: has no DAQ")
-        self._say(lambda: self._measure(event))
+        self._call(lambda: self._measure(event))
 
     def _connect(self) -> None:
         self._master.transport.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BYTES)
@@ -154,8 +154,8 @@ class Link:
         stamp = TIMESTAMP[str(resolution.timestampMode.size)] if resolution.timestampMode.fixed else 0
         self._head = head + stamp
         if self._head + row.itemsize > m.slaveProperties.maxDto:
-            told = f"a row takes {self._head + row.itemsize} octets, one message has {m.slaveProperties.maxDto}"
-            raise DriveRefused(f"{self.where}: {told}")
+            message = f"a row takes {self._head + row.itemsize} octets, one message has {m.slaveProperties.maxDto}"
+            raise DriveRefused(f"{self.where}: {message}")
         m.freeDaq()
         m.allocDaq(1)
         m.allocOdt(DAQ_LIST, 1)
@@ -171,8 +171,8 @@ class Link:
         """Stop measuring, say goodbye, and let go of the socket and its threads."""
         if self.lost is None:
             with suppress(DriveFault):
-                self._say(lambda: self._master.startStopSynch(0))
-                self._say(self._master.disconnect)
+                self._call(lambda: self._master.startStopSynch(0))
+                self._call(self._master.disconnect)
         self._master.close()
 
     # The variable
@@ -181,22 +181,22 @@ class Link:
         """What stands in the variable."""
         m = self._master
 
-        def said() -> bytes:
+        def upload() -> bytes:
             m.setMta(self._at + offset, self._extension)
             return bytes(m.fetch(octets))
 
-        return self._say(said)
+        return self._call(upload)
 
     def write(self, offset: int, data: bytes) -> None:
         """Put something into the variable."""
         m, most = self._master, self._master.slaveProperties.maxCto - 2
 
-        def said() -> None:
+        def download() -> None:
             m.setMta(self._at + offset, self._extension)
             for first in range(0, len(data), most):
                 m.download(data[first : first + most])
 
-        self._say(said)
+        self._call(download)
 
     # Rows
 
@@ -235,7 +235,7 @@ class Link:
         if self.lost is not None:
             raise self.lost
 
-    def _say(self, talk: Callable[[], T]) -> T:
+    def _call(self, talk: Callable[[], T]) -> T:
         """Have one conversation to its end; where a command or its answer was lost, in step with the ECU, once more."""
         self.check()
         with self._talk:

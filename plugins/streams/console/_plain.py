@@ -85,9 +85,9 @@ class PlainView:
                 return []
             case StateChanged() if message.target not in WORTH_A_LINE:
                 return []
-        told = said(message)
+        event = said(message)
         slot_lines = columns(list(slots(message.words))) if isinstance(message, Diagnosed) and message.words else []
-        return [] if told is None else [told.line, *slot_lines]
+        return [] if event is None else [event.line, *slot_lines]
 
     def _progress_lines(self, progress: Progress) -> list[str]:
         now = progress.clock()
@@ -117,7 +117,7 @@ class QuietView(PlainView):
     """Warnings, errors, and how it ended."""
 
     def show(self, message: Message, progress: Progress) -> None:
-        told = said(message)
+        event = said(message)
         is_bad = isinstance(message, RunEnded) and message.outcome != "finished"
-        if told is not None and (is_bad or (isinstance(message, Note) and message.level != "info")):
-            self._line(told.line)
+        if event is not None and (is_bad or (isinstance(message, Note) and message.level != "info")):
+            self._line(event.line)

@@ -178,17 +178,17 @@ class Picture:
         if self._ended is None:
             return None
         files = self._ended.estimates.files if self._ended.estimates is not None else {}
-        told = (row for row in summary_rows(self._ended, self._run) if row[0] != "run" and row[0] not in files)
-        rows = [[label, shown(text)] for label, text in told]
+        summary = (row for row in summary_rows(self._ended, self._run) if row[0] != "run" and row[0] not in files)
+        rows = [[label, shown(text)] for label, text in summary]
         return {"ending": self._ended.outcome, "mood": OUTCOME_MOODS[self._ended.outcome], "rows": rows}
 
     def _tell(self, message: Message) -> None:
-        told = said(message)
-        if told is None or isinstance(message, OperatorAsked | StagesAppended | RunEnded):
+        event = said(message)
+        if event is None or isinstance(message, OperatorAsked | StagesAppended | RunEnded):
             return
         if isinstance(message, StateChanged) and message.target not in WORTH_A_LINE:
             return
-        self._log.append((told.mood, shown(told.line)))
+        self._log.append((event.mood, shown(event.line)))
 
     def _waveform(self) -> dict[str, Any] | None:
         """The latest block in the believed frame, its peaks kept: time [ms], i_d and i_q [A]."""

@@ -84,8 +84,8 @@ class Material:
         """R_s over time, from the estimates or else from the journal; empty where neither has it."""
         found = self.estimates.resistance if self.estimates is not None else None
         kept = found.readings if found is not None else ()
-        told = [e.message.estimate.readings for e in self.journal if isinstance(e.message, ResistanceEstimated)]
-        return kept or (told[-1] if told else ())
+        estimates = [e.message.estimate.readings for e in self.journal if isinstance(e.message, ResistanceEstimated)]
+        return kept or (estimates[-1] if estimates else ())
 
     @property
     def lock(self) -> LockChecked | None:
@@ -138,23 +138,23 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
         paths = attempt(lambda: _paths(recording, achieved, problems), wanted=reads_paths)
     manifest = None if recording is None else recording.manifest
     diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
-    problems += _said_after_the_end(journal)
+    problems += _notes_after_the_end(journal)
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), diagnosis, tuple(problems)
     )
 
 
-def _said_after_the_end(journal: Sequence[JournalRecord]) -> list[str]:
+def _notes_after_the_end(journal: Sequence[JournalRecord]) -> list[str]:
     """What a run says when it is over: which of its by-products could not be written."""
-    said: list[str] | None = None
+    notes: list[str] | None = None
     for entry in journal:
         if isinstance(entry.message, RunEnded):
-            said = []
+            notes = []
         elif not isinstance(entry.message, Note):
-            said = None
-        elif said is not None:
-            said.append(f"when the run had ended: {entry.message.text}")
-    return said or []
+            notes = None
+        elif notes is not None:
+            notes.append(f"when the run had ended: {entry.message.text}")
+    return notes or []
 
 
 def _paths(

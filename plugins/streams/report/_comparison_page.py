@@ -32,13 +32,13 @@ def write_comparison(paths: Sequence[Path], out: Path | None = None) -> Path:
         Where the file cannot be written.
     """
     found = compare_runs(*paths)
-    told = found.comparison
+    comparison = found.comparison
     page = filled(
         "comparison.html",
-        title=" · ".join(run.name for run in told.runs),
-        remarks=[typographic(remark.text) for remark in told.remarks],
-        runs=run_rows(told),
-        changes=change_rows(told),
+        title=" · ".join(run.name for run in comparison.runs),
+        remarks=[typographic(remark.text) for remark in comparison.remarks],
+        runs=run_rows(comparison),
+        changes=change_rows(comparison),
         pictures=list(_pictures(found)),
     )
     target = out if out is not None else Path(FILE_NAME)

@@ -88,8 +88,8 @@ def nameplate(motor: Motor) -> str:
         (motor.rated_speed_rpm, "rpm", ""),
         (motor.rated_torque_nm, "Nm", ""),
     )
-    told = [quantity(value, unit, 5) + kind for value, unit, kind in rated if value is not None]
-    return ", ".join([*told, plural(motor.pole_pairs, "pole pair")])
+    ratings = [quantity(value, unit, 5) + kind for value, unit, kind in rated if value is not None]
+    return ", ".join([*ratings, plural(motor.pole_pairs, "pole pair")])
 
 
 def summary(material: Material) -> Iterator[Line]:
@@ -135,7 +135,7 @@ def checks(material: Material) -> Iterator[Check]:
         return
     parity, reciprocity, whose = _symmetry(found)
     both = f"the paper’s: {percent(PAPER_CROSSINGS.d_percent)} on d, {percent(PAPER_CROSSINGS.q_percent)} on q"
-    for name, meaning, value, told in (
+    for name, meaning, value, verdict in (
         ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", found.crossings, both),
         (
             "Parity",
@@ -145,7 +145,7 @@ def checks(material: Material) -> Iterator[Check]:
         ),
     ):
         bars = tuple(_bar(axis, getattr(value, f"{axis}_percent", None)) for axis in "dq")
-        yield Check(name, meaning, bars, told)
+        yield Check(name, meaning, bars, verdict)
     for name, meaning, figure in (
         (
             "Reciprocity",
@@ -175,8 +175,8 @@ def _symmetry(found: EstimationReport) -> tuple[AxisPercent | None, float | None
 def _bar(axis: str, value: float | None) -> Bar:
     paper = (PAPER_CROSSINGS.q_percent if axis == "q" else PAPER_CROSSINGS.d_percent) or 1.0
     full = max(1.15 * (value or 0.0), 1.5 * paper)
-    told = NOT_MEASURED if value is None else percent(value)
-    return Bar(axis, told, round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
+    text = NOT_MEASURED if value is None else percent(value)
+    return Bar(axis, text, round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
 
 
 def map_rows(found: FluxMap, motor: Motor | None) -> list[list[str]]:
@@ -219,8 +219,8 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
 
 def events(material: Material) -> list[Event]:
     """What the journal says beside single points, the oldest first."""
-    told = ((entry.t, said(entry.message)) for entry in material.journal)
-    return [Event(_clock(t), say.subject, say.text, say.mood) for t, say in told if say is not None]
+    described = ((entry.t, said(entry.message)) for entry in material.journal)
+    return [Event(_clock(t), event.subject, event.text, event.mood) for t, event in described if event is not None]
 
 
 def _outcome(material: Material) -> Line:
@@ -262,15 +262,15 @@ def _inductance_line(material: Material) -> Iterator[Line]:
     if made is None or made.inductances is None:
         return
     found, motor = made.inductances, motor_of(material)
-    told = []
+    ranges = []
     for symbol, low, high, nameplate in (
         ("L_dd", found.l_dd_low_h, found.l_dd_high_h, motor.d_inductance_h if motor else None),
         ("L_qq", found.l_qq_low_h, found.l_qq_high_h, motor.q_inductance_h if motor else None),
     ):
         beside = "" if nameplate is None else f" (nameplate {quantity(nameplate, 'H', 4)})"
-        told.append(f"{symbol} {quantity(low, 'H', 4)} to {quantity(high, 'H', 4)}{beside}")
-    told.append(f"L_dq up to {quantity(found.l_dq_largest_h, 'H')} in size")
-    yield Line("Inductances", "; ".join(told))
+        ranges.append(f"{symbol} {quantity(low, 'H', 4)} to {quantity(high, 'H', 4)}{beside}")
+    ranges.append(f"L_dq up to {quantity(found.l_dq_largest_h, 'H')} in size")
+    yield Line("Inductances", "; ".join(ranges))
 
 
 def _amount(material: Material) -> Line:

@@ -95,11 +95,11 @@ def alike_rows(found: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     ranking = {entry.name: entry for entry in found.report.joint}
     for name, entry in ranking.items():
         if name not in named | {effect.name for effect in found.report.minor} and abs(entry.z or 0.0) >= sure_z:
-            told = f"in the joint fit z = {number(entry.z, 3)}, yet not worth a name"
-            rows.append((plain(name), "–", told))
+            reason = f"in the joint fit z = {number(entry.z, 3)}, yet not worth a name"
+            rows.append((plain(name), "–", reason))
     for effect in found.report.minor:
-        told = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
-        rows.append((plain(effect.name), "–", told))
+        reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
+        rows.append((plain(effect.name), "–", reason))
     minor = {effect.name for effect in found.report.minor}
     for name in found.report.traces:
         if name in minor:
@@ -114,7 +114,7 @@ def leftover_rows(found: SavedDiagnosis) -> Rows:
     return [(plain(s.group), percent(100.0 * (s.share or 0.0))) for s in found.report.unexplained.shape]
 
 
-def leftover_told(found: SavedDiagnosis) -> str:
+def leftover_text(found: SavedDiagnosis) -> str:
     """How much of the error is left."""
     fraction = found.report.unexplained.fraction
     return "" if fraction is None else f"{percent(100.0 * fraction)} of the first error, beyond the noise, is left."

@@ -234,10 +234,10 @@ def ripple_figure(excerpts: Sequence[CurrentExcerpt], before: Sequence[CurrentEx
     figure, above, below = _two_panels()
     styles = (("s", "none", "--"), ("o", BLACK, "-")) if len(excerpts) > 1 else (("o", BLACK, "-"),)
     for excerpt, (mark, fill, line) in zip(excerpts, styles, strict=True):
-        time, told = 1e3 * excerpt.time_s, f"{excerpt.amplitude_v or 1.0:g} V"
+        time, volts = 1e3 * excerpt.time_s, f"{excerpt.amplitude_v or 1.0:g} V"
         measured, predicted = _ripples(excerpt)
-        above.plot(time, measured, mark, color=BLACK, mfc=fill, ms=4.5, label=f"measured, {told}")
-        above.plot(time, predicted, line, color=MODEL, lw=1.5, label=f"model, {told}")
+        above.plot(time, measured, mark, color=BLACK, mfc=fill, ms=4.5, label=f"measured, {volts}")
+        above.plot(time, predicted, line, color=MODEL, lw=1.5, label=f"model, {volts}")
         below.plot(time, measured - predicted, line, color=MODEL, lw=1.3)
     for excerpt, (_, _, line) in zip(before, styles, strict=False):
         measured, predicted = _ripples(excerpt)

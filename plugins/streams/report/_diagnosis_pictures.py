@@ -41,11 +41,11 @@ def _joint(found: SavedDiagnosis) -> Iterator[Picture]:
 
 
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
-    told = "" if before is after else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}."
+    gain = "" if before is after else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}."
     first, last = figures.plane_figures(before, after)
     yield Picture(
         "Residual on the current plane",
-        f"Both on one scale: rms in each cell as colour, mean as arrow.{told}",
+        f"Both on one scale: rms in each cell as colour, mean as arrow.{gain}",
         first,
         "" if before is after else last,
     )
@@ -83,8 +83,8 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
 
 def _ripple(shown: Sequence[CurrentExcerpt]) -> str:
     at = vector(shown[0].i_d_a, shown[0].i_q_a)
-    told = "One amplitude was injected." if len(shown) == 1 else "Two amplitudes part where the iron has memory."
-    return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {told} Below: measured less model."
+    amplitudes = "One amplitude was injected." if len(shown) == 1 else "Two amplitudes part where the iron has memory."
+    return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {amplitudes} Below: measured less model."
 
 
 def _effects(step: DiagnosisStep) -> str:

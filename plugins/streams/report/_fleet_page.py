@@ -63,12 +63,12 @@ def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) ->
 
 
 def _under(report: FleetReport) -> str:
-    told = [plural(report.recordings, "recording")]
+    parts = [plural(report.recordings, "recording")]
     if report.serials:
-        told.append(f"of {plural(report.serials, 'motor')}")
+        parts.append(f"of {plural(report.serials, 'motor')}")
     if report.first is not None and report.last is not None:
-        told.append(f"from {date(report.first)} to {date(report.last)} UTC")
-    return " ".join(told)
+        parts.append(f"from {date(report.first)} to {date(report.last)} UTC")
+    return " ".join(parts)
 
 
 def _judgement(report: FleetReport) -> dict[str, str] | None:
@@ -76,10 +76,10 @@ def _judgement(report: FleetReport) -> dict[str, str] | None:
     if found is None:
         return None
     mood = "bad" if found.failed else "warning" if found.unsure or found.not_measured else "good"
-    told = (
+    detail = (
         f"{found.failed} fail, {found.unsure} cannot be told within their intervals, {found.not_measured} not measured."
     )
-    return {"mood": mood, "head": f"{found.passed} of {report.recordings} pass", "told": told}
+    return {"mood": mood, "head": f"{found.passed} of {report.recordings} pass", "detail": detail}
 
 
 def _pictures(report: FleetReport, drawn: Sequence[FleetQuantity]) -> Iterator[Picture]:
@@ -87,9 +87,9 @@ def _pictures(report: FleetReport, drawn: Sequence[FleetQuantity]) -> Iterator[P
         yield Picture("Robust distance", "Not drawn: too few complete recordings.")
     else:
         count, of = report.distances.counted, len(report.distances.quantities)
-        told = f"Of {of} quantities; middle and scatter by {count} recordings."
-        yield Picture("Robust distance", told, distance_figure(report.distances))
+        caption = f"Of {of} quantities; middle and scatter by {count} recordings."
+        yield Picture("Robust distance", caption, distance_figure(report.distances))
     for one in drawn:
         limits = " Dashed: the limits of the file." if one.capability is not None else ""
-        told = f"Known of {one.count} of {one.asked} recordings.{limits}"
-        yield Picture(one.label, told, quantity_figure(one))
+        caption = f"Known of {one.count} of {one.asked} recordings.{limits}"
+        yield Picture(one.label, caption, quantity_figure(one))

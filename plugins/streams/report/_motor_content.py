@@ -60,9 +60,9 @@ def _of_map(found: FluxMap, motor: Motor, magnet: tuple[float, float] | None) ->
     if l_d is not None and l_q is not None:
         yield Line("L_d, L_q unsaturated", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}")
     if magnet is not None:
-        said = f"{quantity(magnet[0], 'Wb', 4)} ± {quantity(1.96 * magnet[1], 'Wb', 1)} (95 %), by the back-EMF"
+        measured = f"{quantity(magnet[0], 'Wb', 4)} ± {quantity(1.96 * magnet[1], 'Wb', 1)} (95 %), by the back-EMF"
         nameplate = "" if motor.pm_flux_wb is None else f"; nameplate {quantity(motor.pm_flux_wb, 'Wb', 4)}"
-        yield Line("ψ of the magnet", said + nameplate)
+        yield Line("ψ of the magnet", measured + nameplate)
     elif motor.pm_flux_wb is not None:
         why = "nameplate: a locked rotor does not show it"
         yield Line("ψ of the magnet", f"{quantity(motor.pm_flux_wb, 'Wb', 4)} ({why})")
@@ -75,9 +75,9 @@ def _of_map(found: FluxMap, motor: Motor, magnet: tuple[float, float] | None) ->
     yield from _torque(found, motor, rated_a)
     ratios = saliency(found).ratio
     at_rest, loaded = _at(found, ratios, 0.0, 0.0), _at(found, ratios, 0.0, rated_a)
-    told = [f"{number(r, 3)} {where}" for r, where in ((at_rest, "at no current"), (loaded, "at rated i_q")) if r]
-    if told:
-        yield Line("Saliency", f"{', '.join(told)} (largest over smallest inductance)")
+    parts = [f"{number(r, 3)} {where}" for r, where in ((at_rest, "at no current"), (loaded, "at rated i_q")) if r]
+    if parts:
+        yield Line("Saliency", f"{', '.join(parts)} (largest over smallest inductance)")
 
 
 def _torque(found: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
@@ -113,10 +113,10 @@ def torque_rows(found: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str,
         return []
     rows = []
     for part in np.arange(1, steps + 1) / steps:
-        asked = part * torque[-1]
-        d, q = (float(np.interp(asked, torque, i_dq[:, axis])) for axis in (0, 1))
+        torque_nm = part * torque[-1]
+        d, q = (float(np.interp(torque_nm, torque, i_dq[:, axis])) for axis in (0, 1))
         length, angle = math.hypot(d, q), math.degrees(math.atan2(q, d))
-        rows.append((quantity(asked, "Nm"), *(f"{fixed(x, 2)} A" for x in (d, q, length)), f"{fixed(angle, 1)}°"))
+        rows.append((quantity(torque_nm, "Nm"), *(f"{fixed(x, 2)} A" for x in (d, q, length)), f"{fixed(angle, 1)}°"))
     return rows
 
 

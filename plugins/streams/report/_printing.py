@@ -10,7 +10,7 @@ from pathlib import Path
 from protocols import InputError, StorageError
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "microsoft-edge")
-PATIENCE_S = 120.0
+PRINT_TIMEOUT_S = 120.0
 _WORDS = ("--headless", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--no-pdf-header-footer")
 
 
@@ -35,12 +35,12 @@ def print_page(page: Path, to: Path, browsers: tuple[str, ...] = BROWSERS) -> Pa
         words = [program, *_WORDS, "--no-sandbox", f"--user-data-dir={folder}/profile", f"--print-to-pdf={made}"]
         try:
             done = subprocess.run(
-                [*words, page.resolve().as_uri()], capture_output=True, text=True, timeout=PATIENCE_S, check=False
+                [*words, page.resolve().as_uri()], capture_output=True, text=True, timeout=PRINT_TIMEOUT_S, check=False
             )
             shutil.copyfile(made, to)
         except subprocess.TimeoutExpired:
-            raise StorageError(f"{to}: the browser did not print within {PATIENCE_S:g} s") from None
+            raise StorageError(f"{to}: the browser did not print within {PRINT_TIMEOUT_S:g} s") from None
         except FileNotFoundError:
-            told = (done.stderr.strip().splitlines() or ["without a word"])[-1]
-            raise StorageError(f"{to}: the browser made no file: {told[:200]}") from None
+            reason = (done.stderr.strip().splitlines() or ["without a word"])[-1]
+            raise StorageError(f"{to}: the browser made no file: {reason[:200]}") from None
     return to

@@ -27,7 +27,7 @@ def rows(material: Material) -> list[tuple[str, ...]]:
     return [_row(seen) for seen in _seen(material)]
 
 
-def told(material: Material) -> str:
+def note(material: Material) -> str:
     """What it means for a control, in a few sentences; empty where there is nothing to say."""
     seen = _seen(material)
     if not seen:

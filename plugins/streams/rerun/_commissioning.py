@@ -108,14 +108,14 @@ class Commissioning:
             PointStarted: self._point_started,
             PointDone: self._point_done,
             SamplesCaptured: self._samples,
-            OperatorAsked: self._said,
-            OperatorAnswered: self._said,
+            OperatorAsked: self._logged,
+            OperatorAnswered: self._logged,
             LockChecked: self._lock_checked,
             ResistanceEstimated: self._resistance,
             MapEstimated: self._map,
-            StagesAppended: self._said,
-            StageSufficed: self._said,
-            Note: self._said,
+            StagesAppended: self._logged,
+            StageSufficed: self._logged,
+            Note: self._logged,
             RunEnded: self._run_ended,
         }
 
@@ -159,9 +159,9 @@ class Commissioning:
     def _planes(self) -> list[Entry]:
         return plane("plane/amperes", self._reach_a, None if self._limits is None else self._limits[0])
 
-    def _said(self, message: Message) -> list[Entry]:
-        told = said(message)
-        return [] if told is None else [entry("log", self.when, rr.TextLog(shown(told.line), level=_LEVELS[told.mood]))]
+    def _logged(self, message: Message) -> list[Entry]:
+        text = said(message)
+        return [] if text is None else [entry("log", self.when, rr.TextLog(shown(text.line), level=_LEVELS[text.mood]))]
 
     def _page(self) -> Entry:
         return page("status", self.when, self._status.page())
@@ -177,18 +177,18 @@ class Commissioning:
             properties("run", {"name": message.name, "drive": message.drive, "points": message.points}),
             properties("motor", facts),
             *self._planes(),
-            *self._said(message),
+            *self._logged(message),
             self._page(),
         ]
 
     def _state_changed(self, message: StateChanged) -> list[Entry]:
         self._status.state = message.target
         out = [*self.waveforms(), entry("state/machine", self.when, rr.StateChange(state=message.target)), self._page()]
-        return out + (self._said(message) if message.reason else [])
+        return out + (self._logged(message) if message.reason else [])
 
     def _stage_started(self, message: StageStarted) -> list[Entry]:
         self._status.stage = message
-        return [*self._said(message), self._page()]
+        return [*self._logged(message), self._page()]
 
     def _point_started(self, message: PointStarted) -> list[Entry]:
         self._latest = None
@@ -267,7 +267,7 @@ class Commissioning:
 
     def _lock_checked(self, message: LockChecked) -> list[Entry]:
         self._lock = self._status.lock = message
-        return [*self._said(message), page("trust", self.when, trust_page(self._maps, self._lock))]
+        return [*self._logged(message), page("trust", self.when, trust_page(self._maps, self._lock))]
 
     def _resistance(self, message: ResistanceEstimated) -> list[Entry]:
         found = message.estimate
@@ -322,7 +322,7 @@ class Commissioning:
             facts |= {"method": str(method), "usable": str(message.estimates.usable)}
             if method in self._maps and method != self._shown_map:
                 out += self._show_map(self._maps[method])
-        return [*out, properties("outcome", facts), *self._said(message), self._page()]
+        return [*out, properties("outcome", facts), *self._logged(message), self._page()]
 
 
 def _ripple_chart(when: When, fit: RippleFit, seconds: float) -> list[Entry]:

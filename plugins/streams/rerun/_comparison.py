@@ -46,9 +46,9 @@ def _entries(found: SideBySide) -> Iterator[Entry]:
 
 
 def _pages(found: SideBySide) -> dict[str, str]:
-    told = found.comparison
-    changes, runs = change_rows(told), run_rows(told)
-    remarks = "\n".join(f"- {remark.text}" for remark in told.remarks)
+    comparison = found.comparison
+    changes, runs = change_rows(comparison), run_rows(comparison)
+    remarks = "\n".join(f"- {remark.text}" for remark in comparison.remarks)
     return {
         "changes": f"{remarks}\n\n{markdown_table(changes[0], changes[1:])}",
         "runs": markdown_table(runs[0], runs[1:]),

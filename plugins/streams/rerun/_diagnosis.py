@@ -141,10 +141,10 @@ class Diagnosis:
         report = message.report
         effects = ", ".join(effect.name for effect in report.effects)
         facts = {"verdict": report.verdict, "effects": effects, "round": message.round}
-        told = self._told("words", words_page(message.words, [reason.sentence for reason in report.reasons]))
+        pages = self._text_page("words", words_page(message.words, [reason.sentence for reason in report.reasons]))
         if report.search:
-            told = self._told("search", search_page(report.search))
-        return [*told, properties("diagnosis", facts)]
+            pages = self._text_page("search", search_page(report.search))
+        return [*pages, properties("diagnosis", facts)]
 
     def _proposed(self, message: ExperimentProposed) -> list[Entry]:
         apart = f"**{plain(message.separates[0])}** from **{plain(message.separates[1])}**"
@@ -152,14 +152,14 @@ class Diagnosis:
         text = (
             f"## The next experiment\n\nIt tells {apart} and takes {duration(60.0 * message.minutes)}; {follows}.\n\n"
         )
-        return self._told("next", text + markdown_table(("setting", "value"), setting_rows(message.stage)))
+        return self._text_page("next", text + markdown_table(("setting", "value"), setting_rows(message.stage)))
 
     def _compared(self, message: Compared) -> list[Entry]:
         rows = [(plain(s.stage), quantity(s.rms_v, "V"), number(s.chi2, 3)) for s in message.report.stages]
         head = ("stage", "residual, rms", "χ² per degree of freedom")
-        return self._told("compared", "## The model against the measurements\n\n" + markdown_table(head, rows))
+        return self._text_page("compared", "## The model against the measurements\n\n" + markdown_table(head, rows))
 
-    def _told(self, part: str, text: str) -> list[Entry]:
+    def _text_page(self, part: str, text: str) -> list[Entry]:
         """The page of the diagnosis, which always stands as it was last."""
         self._page[part] = text
         parts = [self._page[name] for name in ("words", "next", "compared", "search") if name in self._page]

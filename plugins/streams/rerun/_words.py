@@ -27,8 +27,8 @@ def resistance_page(found: ResistanceEstimate) -> str:
         ("course", resistance_course(found)),
         ("readings", str(len(found.readings))),
     ]
-    told = (f"- {one_line(remark.text)}" for remark in found.remarks)
-    return "\n\n".join(["# Stator resistance", markdown_table(("", ""), rows), *told])
+    remarks = (f"- {one_line(remark.text)}" for remark in found.remarks)
+    return "\n\n".join(["# Stator resistance", markdown_table(("", ""), rows), *remarks])
 
 
 def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) -> str:
@@ -55,8 +55,8 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
 def words_page(words: DiagnosisWords, reasons: Sequence[str] = ()) -> str:
     """A diagnosis in its five slots, the reasons of its verdict first."""
     why = ["\n".join(f"- {one_line(reason)}" for reason in reasons)] if reasons else []
-    told = (f"## {title.capitalize()}\n\n{one_line(text)}" for title, text in slots(words))
-    return "\n\n".join(["# The diagnosis", *why, *told])
+    sections = (f"## {title.capitalize()}\n\n{one_line(text)}" for title, text in slots(words))
+    return "\n\n".join(["# The diagnosis", *why, *sections])
 
 
 def search_page(events: Sequence[SearchEvent]) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, Operator, RunResult, start_run
+from orchestrator.engine import WORDS, AbsentOperator, Interrupts, Operator, RunResult, RunServices, start_run
 from plugins.drives.simulated import SimulatedDrive
 from protocols import Capabilities, CapabilityError, InputError, OperatorAnswered, PointDone
 from tests.support.tiny import STAGES, messages_of, tiny_procedure
@@ -22,10 +22,10 @@ class Person:
     """Says no to everything."""
 
     def __init__(self) -> None:
-        self.asked: list[str] = []
+        self.prompts: list[str] = []
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
-        self.asked.append(prompt)
+        self.prompts.append(prompt)
         return False
 
 
@@ -42,7 +42,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run_with(operator: Operator, folder: Path, stages: Sequence[dict[str, Any]] = ASKED, **drive: Any) -> RunResult:
     procedure = tiny_procedure(folder, stages=stages, drive=drive)
-    return start_run(procedure, folder / "run", Crew(operator, Interrupts()))
+    return start_run(procedure, folder / "run", RunServices(operator, Interrupts()))
 
 
 def answers(folder: Path) -> list[OperatorAnswered]:
@@ -53,7 +53,7 @@ def answers(folder: Path) -> list[OperatorAnswered]:
 def test_on_a_real_drive_a_person_is_asked_whatever_the_procedure_answers(tmp_path: Path) -> None:
     person = Person()
     result = run_with(person, tmp_path)
-    assert person.asked == ["Release the brake"]
+    assert person.prompts == ["Release the brake"]
     assert result.outcome.ending == "aborted"
     assert [(found.answer, found.by) for found in answers(tmp_path)] == [("no", "operator")]
 
@@ -81,7 +81,7 @@ def test_other_words_are_none() -> None:
 @pytest.mark.usefixtures("real")
 def test_a_real_drive_is_not_energised_with_an_example_s_nameplate(tmp_path: Path) -> None:
     with pytest.raises(CapabilityError, match=r"motor.example.*--motor"):
-        start_run(load_procedure("demo"), tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
+        start_run(load_procedure("demo"), tmp_path / "run", RunServices(AbsentOperator(WORDS), Interrupts()))
     assert not (tmp_path / "run").exists()
 
 
@@ -97,4 +97,4 @@ def test_a_point_in_which_an_interlock_opened_is_not_done_and_the_run_ends(tmp_p
 def test_an_interlock_that_the_drive_does_not_have_is_missed_before_anything(tmp_path: Path) -> None:
     procedure = tiny_procedure(tmp_path, stages=ASKED).model_copy(update={"interlocks": ("door",)})
     with pytest.raises(CapabilityError, match=r"interlocks: 'simulated' has no input door"):
-        start_run(procedure, tmp_path / "run", Crew(AbsentOperator(), Interrupts()))
+        start_run(procedure, tmp_path / "run", RunServices(AbsentOperator(), Interrupts()))

@@ -80,9 +80,9 @@ def test_a_drive_that_does_not_even_ramp_down_is_disarmed_all_the_same() -> None
     with handling_signals() as interrupts:
         power = stage(drive, interrupts)
         power.arm()
-        told = power.stand_down()
-    assert "ramping down failed" in told
-    assert "watchdog" in told
+        message = power.stand_down()
+    assert "ramping down failed" in message
+    assert "watchdog" in message
     assert drive.done == ["arm", "disarm"]
 
 

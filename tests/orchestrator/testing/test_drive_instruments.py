@@ -156,14 +156,14 @@ class ClipsAboveTheKitsCurrents(ExampleDrive):
     def block(self, excitation: Excitation, i: Complex, v: Complex) -> Capture:
         block = super().block(excitation, i, v)
         clipped = int(np.count_nonzero(np.abs(block.i_ab).max(axis=1) > self.scale_a)) if len(i) else 0
-        return self.told(block.model_copy(update={"i_ab": np.clip(block.i_ab, -self.scale_a, self.scale_a)}), clipped)
+        return self.count(block.model_copy(update={"i_ab": np.clip(block.i_ab, -self.scale_a, self.scale_a)}), clipped)
 
-    def told(self, block: Capture, clipped: int) -> Capture:
+    def count(self, block: Capture, clipped: int) -> Capture:
         return block
 
 
 class SaysThatItClips(ClipsAboveTheKitsCurrents):
-    def told(self, block: Capture, clipped: int) -> Capture:
+    def count(self, block: Capture, clipped: int) -> Capture:
         return block.model_copy(update={"clipped_rows": clipped})
 
 

@@ -147,7 +147,7 @@ class Device:
         self.ripple: CaptureSource | None = None
         self.arms: list[float] = []
         self.beats = 0
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         self._program: Excitation | None = None
         self._rows = b""
         self._counts = np.zeros((0, 6), dtype="<i2")
@@ -160,13 +160,13 @@ class Device:
 
     # Frames
 
-    def hear(self, frames: Sequence[Frame]) -> list[Frame]:
+    def receive(self, frames: Sequence[Frame]) -> list[Frame]:
         out: list[Frame] = []
         for frame in frames:
             message = decode(*frame)
             if message is None or self.script.mute:
                 continue
-            self.heard.append(message)
+            self.received.append(message)
             out += self._respond(message)
         return self._through(out)
 
@@ -528,7 +528,7 @@ def _running(
     def loop() -> None:
         while not over.is_set():
             write(device.turn())
-            write(device.hear(read()))
+            write(device.receive(read()))
 
     thread = threading.Thread(target=loop, name="device", daemon=True)
     thread.start()

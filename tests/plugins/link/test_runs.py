@@ -85,8 +85,8 @@ def require_same_maps(path: Path, reference: Path, flux: float, inductance: floa
 def run_demo(path: Path, *words: str) -> None:
     """The demo to its end, which takes minutes on a busy machine."""
     process = start_fluxbench("run", "demo", *words, "--out", path, "--quiet")
-    _, told = process.communicate(timeout=280)
-    assert process.returncode == 0, told
+    _, errors = process.communicate(timeout=280)
+    assert process.returncode == 0, errors
 
 
 @pytest.fixture(scope="module")
@@ -150,11 +150,11 @@ def test_a_door_that_opens_ends_a_run_with_its_name_and_closed_again_the_run_goe
         process = start_fluxbench("run", procedure, "--out", run, *safe)
         wait_until(lambda: list((run / "captures").glob("resistance*")) != [])
         switches.write_text("cover")
-        _, told = process.communicate()
-        assert process.returncode == 3, told
-        assert sum("interlock open: cover; close it, and resume" in line for line in told.splitlines()) == 1, told
+        _, errors = process.communicate()
+        assert process.returncode == 3, errors
+        assert sum("interlock open: cover; close it, and resume" in line for line in errors.splitlines()) == 1, errors
         assert machine.events("safe")[-1]["cause"] == "interlock"
         switches.write_text("")
         resumed = start_fluxbench("resume", run, *safe)
-        _, told = resumed.communicate()
-        assert resumed.returncode == 0, told
+        _, errors = resumed.communicate()
+        assert resumed.returncode == 0, errors

@@ -171,30 +171,30 @@ def test_answers_that_are_late_beyond_all_patience_never_mean_other_blocks() -> 
     data = ROWS[:60_000]
     source = CaptureSource.complete_with(1, data)
     assembly = CaptureAssembly(1, len(data), CLASSIC, blocks_each=64, requests_each=5)
-    asked: list[ReadBlock] = []
+    requests: list[ReadBlock] = []
     for _ in range(40):
-        asked += assembly.requests()
+        requests += assembly.requests()
         assembly.give_up()
-    assert len(asked) == 32
+    assert len(requests) == 32
     assert assembly.exhausted
     while assembly.result() is None:
-        assert asked
-        for request in asked:
+        assert requests
+        for request in requests:
             answer = source.answer(request, CLASSIC)
             assert isinstance(answer, Answer)
             assembly.add(answer.payloads)
             assembly.end(answer.end)
-        asked = assembly.requests()
+        requests = assembly.requests()
     assert bytes(assembly.result() or b"") == data
 
 
 def test_the_next_requests_are_sent_while_answers_are_on_their_way() -> None:
     assembly = CaptureAssembly(1, 60 * 100, CAN_FD, blocks_each=10, requests_each=4)
     source = CaptureSource.complete_with(1, ROWS[: 60 * 100])
-    asked = assembly.requests()
-    assert [request.blocks for request in asked] == [10] * 4
+    requests = assembly.requests()
+    assert [request.blocks for request in requests] == [10] * 4
     assert not assembly.requests()
-    for request in asked[:2]:
+    for request in requests[:2]:
         answer = source.answer(request, CAN_FD)
         assert isinstance(answer, Answer)
         assembly.add(answer.payloads)
@@ -300,13 +300,13 @@ def test_a_length_that_cannot_be_addressed_is_refused(length: int) -> None:
 
 
 @given(st.sampled_from(LAYOUTS), st.builds(ReadBlock, *[st.integers(0, 1 << bits) for bits in (14, 5, 16, 2)]))
-def test_any_request_is_answered_or_refused_with_blocks_of_the_capture(layout: BlockLayout, asked: ReadBlock) -> None:
+def test_any_request_is_answered_or_refused_with_blocks_of_the_capture(layout: BlockLayout, request: ReadBlock) -> None:
     data = ROWS[:10_000]
-    answer = CaptureSource.complete_with(1, data).answer(asked, layout)
+    answer = CaptureSource.complete_with(1, data).answer(request, layout)
     if isinstance(answer, int):
-        assert asked.capture != 1 or asked.offset % layout.block or asked.blocks > layout.most
+        assert request.capture != 1 or request.offset % layout.block or request.blocks > layout.most
         return
     sent = b"".join(payload[layout.header :] for payload in answer.payloads)
-    there = data[asked.offset : asked.offset + asked.blocks * layout.block]
+    there = data[request.offset : request.offset + request.blocks * layout.block]
     assert sent[: len(there)] == there
     assert not any(sent[len(there) :])

@@ -81,8 +81,8 @@ def test_the_golden_frames_of_the_page_are_what_is_said() -> None:
         (frame,) = SerialDecoder().feed(bytes.fromhex(line))
         assert (frame.frame_id, frame.payload) == (int(number, 16), bytes.fromhex(payload))
         assert to_serial(frame) == bytes.fromhex(line)
-        said = decode(*frame)
-        assert type(said).__name__ == name
-        assert said is not None
-        told = [getattr(value, "name", None) or f"{value:g}" for value in said]
-        assert fields == ", ".join(f"{field}={value}" for field, value in zip(said._fields, told, strict=True))
+        message = decode(*frame)
+        assert type(message).__name__ == name
+        assert message is not None
+        values = [getattr(value, "name", None) or f"{value:g}" for value in message]
+        assert fields == ", ".join(f"{field}={value}" for field, value in zip(message._fields, values, strict=True))

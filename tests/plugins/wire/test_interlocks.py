@@ -69,8 +69,8 @@ def test_a_trip_names_the_input_in_one_line() -> None:
 
 
 def test_a_measurement_of_version_1_0_says_that_none_is_open() -> None:
-    said = Measurement(1, -2, 3, 300.0, 3)
-    identifier, payload = encode(said)
-    assert decode(identifier, payload) == said
-    assert decode(identifier, payload[:7]) == said._replace(open_interlocks=0)
+    message = Measurement(1, -2, 3, 300.0, 3)
+    identifier, payload = encode(message)
+    assert decode(identifier, payload) == message
+    assert decode(identifier, payload[:7]) == message._replace(open_interlocks=0)
     assert decode(identifier, payload[:6]) is None

@@ -186,13 +186,13 @@ def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *
     """
     found = crossings_of(paths)
     apart, size = np.abs(found.apart), np.abs(found.psi)
-    told = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
+    relative = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
     current, psi = (np.concatenate([getattr(path, name) for path in paths]) for name in ("current", "psi"))
     off = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
     share = 100.0 / rated_wb
     return Errors(
         crossings=share * _largest(apart),
-        relative=100.0 * _largest(told),
+        relative=100.0 * _largest(relative),
         rms=share * float(np.sqrt(np.mean(off**2))),
         worst=share * float(off.max()),
     )

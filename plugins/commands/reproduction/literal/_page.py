@@ -174,7 +174,7 @@ def _integration(found: Budget) -> str:
 
 
 def _steps(found: Budget) -> str:
-    told: tuple[tuple[str, str], ...] = (
+    paths: tuple[tuple[str, str], ...] = (
         ("literal", "as printed"),
         ("trapezoids", "trapezoids instead of rectangles"),
         ("regression", "ripple regressed on the injected flux and its squares"),
@@ -190,15 +190,15 @@ def _steps(found: Budget) -> str:
         "evaluation",
         *(f"{bench}: {what}" for bench in ("no errors", "all") for what in ("crossings", "rms", "worst")),
     )
-    return _table(head, ((words, *cells(name)) for name, words in told))
+    return _table(head, ((words, *cells(name)) for name, words in paths))
 
 
 def _vectors(found: Budget) -> str:
     whole = found.row(ALL)
-    told = (("turning", whole.literal, whole.trapezoids), ("standing", *found.standing))
+    compared = (("turning", whole.literal, whole.trapezoids), ("standing", *found.standing))
     rows = [
         (words, rule, _pair(one.crossings), _two(one.rms), _two(one.worst))
-        for words, *both in told
+        for words, *both in compared
         for rule, one in zip(("rectangles", "trapezoids"), both, strict=True)
     ]
     return _table(("vector", "sums by", "crossings", "rms", "worst"), rows)

@@ -183,8 +183,8 @@ class Host:
 
     def _is_complete(self, number: int) -> bool:
         progress, status = self.progress, self.status
-        told = progress is not None and progress.capture == number and progress.phase is Phase.COMPLETE
-        return told or (status is not None and status.state is PowerState.FAULTED)
+        complete = progress is not None and progress.capture == number and progress.phase is Phase.COMPLETE
+        return complete or (status is not None and status.state is PowerState.FAULTED)
 
     def upload(self, number: int, length: int) -> bytes:
         """A capture, verified."""

@@ -91,9 +91,9 @@ def test_control_frames_are_classic_on_every_bus(pair: tuple[CanPort, _Peer]) ->
     with can.Bus(channel="classic", interface="virtual", ignore_config=True) as other:
         fd = CanPort("virtual", "classic", 1_000_000, fd=True)
         assert fd.send([FRAME], 0.1)
-        heard = other.recv(1.0)
-        assert heard is not None
-        assert not heard.is_fd
+        received = other.recv(1.0)
+        assert received is not None
+        assert not received.is_fd
         fd.close()
 
 
@@ -116,9 +116,9 @@ def test_a_port_speaks_and_hears_for_its_own_node_alone() -> None:
         port = CanPort("virtual", "nodes", 1_000_000, node=2)
         assert port.where == "virtual:nodes node 2"
         assert port.send([FRAME], 0.1)
-        heard = other.recv(1.0)
-        assert heard is not None
-        assert heard.arbitration_id == FRAME.frame_id + 2
+        received = other.recv(1.0)
+        assert received is not None
+        assert received.arbitration_id == FRAME.frame_id + 2
         for node in range(4):
             other.send(message(Frame(FRAME.frame_id + node, bytes([node]))))
         got: list[Frame] = []

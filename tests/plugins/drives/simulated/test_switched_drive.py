@@ -115,7 +115,7 @@ def test_the_converters_bits_are_the_drives(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"plant": {"switching": {"dead_time_s": 1e-6}}}, r"drive\.plant: switching: needs plant\.inverter: switched"),
         ({"plant": {"sensors": {"bits": 12}}}, r"bits: needs plant\.inverter: switched"),
@@ -151,9 +151,9 @@ def test_the_converters_bits_are_the_drives(bench: Bench) -> None:
         ({"plant": switched(), "voltage_delay_samples": 2.5}, "voltage_delay_samples: two samples at most"),
     ],
 )  # fmt: skip
-def test_bad_options_get_one_line(bench: Bench, options: dict[str, Any], told: str) -> None:
+def test_bad_options_get_one_line(bench: Bench, options: dict[str, Any], message: str) -> None:
     plant = options.pop("plant", {})
-    with pytest.raises(InputError, match=told) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         bench(plant=plant, effects=plant.pop("effects", None), noise=True, **options)
     assert "\n" not in str(refused.value)
 

@@ -360,8 +360,8 @@ def test_a_loaded_bus_sinks_and_is_logged_as_the_drive_is_told() -> None:
     assert R * i[-1, 0] == pytest.approx(25.0 * x[layout.SUPPLY] / BUS_V, rel=1e-4)
     _, wrong, _ = respond(plant_of(switching={"bus": {**plain, "gain": 1.02}}), volts)
     assert wrong[-1] == pytest.approx(1.02 * x[layout.SUPPLY], rel=1e-5)
-    _, told, _ = respond(plant_of(switching={"bus": {**plain, "logged": "nominal"}}), volts)
-    assert (told == BUS_V).all()
+    _, logged_v, _ = respond(plant_of(switching={"bus": {**plain, "logged": "nominal"}}), volts)
+    assert (logged_v == BUS_V).all()
     right, _, _ = respond(plant_of(switching={"bus": {**plain, "compensated": True}}), volts)
     assert R * right[-1, 0] == pytest.approx(25.0, rel=1e-5)
 

@@ -59,7 +59,7 @@ def whole(drive: VescDrive, excitation: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"motor-type": 0}, "motor type"),
         ({"foc-sensor-mode": 4}, "HFI"),
@@ -67,10 +67,10 @@ def whole(drive: VescDrive, excitation: Any) -> np.ndarray:
         ({"l-current-max-scale": 0.0}, "current limits"),
     ],
 )
-def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], told: str) -> None:
+def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], message: str) -> None:
     with on_a_line(lambda firmware: firmware.configuration.update(change)) as (_, port):
         drive = drive_at(port)
-        with pytest.raises(DriveRefused, match=told):
+        with pytest.raises(DriveRefused, match=message):
             drive.connect()
         drive.close()
 
@@ -148,7 +148,7 @@ def test_gates_off_shows_what_the_sensors_show() -> None:
 
 
 @pytest.mark.parametrize(
-    ("excitation", "told"),
+    ("excitation", "message"),
     [
         (HOLD.model_copy(update={"current_d_a": 0.02}), "lets go"),
         (HOLD.model_copy(update={"duration_s": 1.0}), "longer"),
@@ -167,9 +167,9 @@ def test_gates_off_shows_what_the_sensors_show() -> None:
         ),
     ],
 )
-def test_what_it_cannot_is_refused_before_anything_moves(excitation: Any, told: str) -> None:
+def test_what_it_cannot_is_refused_before_anything_moves(excitation: Any, message: str) -> None:
     with on_a_line() as (firmware, port), armed(port) as drive:
-        with pytest.raises(DriveRefused, match=told):
+        with pytest.raises(DriveRefused, match=message):
             whole(drive, excitation)
         assert not firmware.running
 
@@ -217,6 +217,6 @@ def test_a_window_begins_where_direction_and_wave_are_those_asked_for(direction:
     angle, place = 0.4 + 2.0 * np.pi * k / 600, (k / 20) % 1.0
     at = window(angle, place, direction, phase, 100, 400, 1 / 20)
     vector = np.exp(1j * angle[at]) * np.sin(2.0 * np.pi * place[at])
-    asked = np.exp(1j * direction) * np.sin(2.0 * np.pi * phase)
+    expected = np.exp(1j * direction) * np.sin(2.0 * np.pi * phase)
     assert 100 <= at <= 400
-    assert abs(vector - asked) < 0.2
+    assert abs(vector - expected) < 0.2

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class Patience:
+class Timeouts:
     """Times in seconds of a host that was there to listen; a drive answers within milliseconds."""
 
     listen_s: float = 0.02
@@ -53,4 +53,4 @@ class Patience:
     """Answers that wait; one request at a time is under way."""
 
 
-PATIENCE = Patience()
+TIMEOUTS = Timeouts()
