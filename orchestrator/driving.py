@@ -122,7 +122,7 @@ class DriveShell(ABC):
 
     @property
     def own(self) -> Capabilities:
-        """What it said of itself; raises `DriveRefused` where it is not connected."""
+        """Its declared capabilities; raises `DriveRefused` where it is not connected."""
         if self._own is None:
             raise DriveRefused("not connected")
         return self._own
@@ -141,7 +141,7 @@ class DriveShell(ABC):
     def trip(self, fault: DriveFault) -> DriveFault:
         """Latch a fault and switch off, as far as the drive can still be reached; returned to be raised."""
         self.latch(fault)
-        with suppress(DriveError):  # the fault that is being told is the better news
+        with suppress(DriveError):  # the fault being raised matters more
             self._power_off()
         return fault
 

@@ -51,7 +51,7 @@ DRIVE_RANGES: Mapping[str, Range] = {
     "sampling_frequency_hz": (1.0, 1e6),
     "pwm_frequency_hz": (100.0, 1e6),
 }
-"""What means the same in every drive that has it; a board that is asked for each reading samples from 1 Hz on."""
+"""Options that mean the same in every drive; a board that answers single reads samples from 1 Hz on."""
 TWO_TURNS_RAD = 4.0 * math.pi
 """Angles as they are written are less; degrees are mostly more."""
 HEXAGON = 2.0 / 3.0

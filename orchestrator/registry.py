@@ -1,7 +1,7 @@
 """Plugins by entry point: listed without importing, loaded one at a time, held against their contract when loaded.
 
 A built-in plugin has no privilege here that a third-party one lacks, and a broken one costs
-nothing until it is asked for.
+nothing until it is loaded.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
     try:
         plugin = entry.load()
     except (Exception, SystemExit) as error:
-        # An import runs foreign code: it may raise anything, and what it raises is said, not hidden.
+        # An import runs foreign code: it may raise anything, and the error names it.
         raise PluginError(info.kind.value, str(info), f"does not load: {_reason(error)}") from error
     if not isinstance(plugin, type):
         raise PluginError(info.kind.value, str(info), f"expected a class, got {type(plugin).__name__}")

@@ -1,7 +1,7 @@
 """Hands what happens in a run to the streams, without ever waiting for one of them.
 
 Each stream lives on a thread of its own behind a bounded queue that drops its oldest entry; what
-a stream raises is counted and told at the end. A viewer that fails never touches the run.
+a stream raises is counted and reported at the end. A viewer that fails never touches the run.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class Dispatcher:
     ) -> Sequence[StreamTally]:
         """Deliver what is queued, close the streams, and say how each fared.
 
-        What takes longer than `silent_s` is told, by default on standard error where that is a terminal. A stop
+        A delay beyond `silent_s` is reported, by default on standard error where that is a terminal. A stop
         signal (Ctrl-C) ends the waiting: streams that are still at work are left unfinished.
         """
         for listener in self._listeners:
@@ -112,7 +112,7 @@ class Dispatcher:
 
 @contextmanager
 def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Whether a signal asked to stop since the block began; the handlers before are put back."""
+    """Whether a stop signal came since the block began; restores the previous handlers."""
     stop_event = threading.Event()
 
     def stop(number: int, frame: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""What is said between the parts of fluxbench: pydantic models and typing protocols.
+"""The contracts between the parts of fluxbench: pydantic models and typing protocols.
 
 No engine and no I/O beyond the package's own data. Motor and recording are the file formats,
 procedure is what a person writes, drive, stage, estimator, effect and stream are the five plugin kinds,

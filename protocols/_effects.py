@@ -120,7 +120,7 @@ class EffectParameter:
     other_form: float | None = None
     """Of a refinement or a shape: where a second form stands, so unlike the first that a fit begins at each of them."""
     detail: bool = False
-    """Of a refinement: asked only once the others bring nothing more, for it can stand in for them, and less well."""
+    """Of a refinement: the search tries it after all others, because it can imitate them."""
 
     def problem(self) -> str | None:
         """What would make no sense to a fit, in a few words; None where all is well."""
@@ -242,9 +242,9 @@ class Effect(Protocol):
     """One sentence: what it does to the residual."""
     layer: ClassVar[EffectLayer]
     needs: ClassVar[tuple[Contrast, ...]]
-    """Contrasts without which it cannot be told from an effect that needs the same one; mostly none."""
+    """Contrasts that separate it from another effect which needs the same one; mostly none."""
     gauge: ClassVar[str]
-    """What no measurement of this kind can show, said wherever the effect is named; empty where nothing."""
+    """What no measurement of this kind can show; each report that names the effect prints it. Empty: nothing."""
 
     @property
     def Parameters(self) -> type[EffectParameters]:

@@ -60,7 +60,7 @@ class StagesAppended(Strict):
 
     kind: Literal["stages_appended"] = "stages_appended"
     by: int | None
-    """Place of the stage that asked for them. None: a person went on with the finished run."""
+    """Index of the stage that appended them. None: a person extended the finished run."""
     stages: tuple[StageEntry, ...]
 
 

@@ -19,7 +19,7 @@ ROWS = 8_000
 
 
 class AlignmentCheck:
-    """Hears the blocks of a run's injections until one of them has told."""
+    """Checks the blocks of a run's injections until one of them decides."""
 
     def __init__(self, capabilities: Capabilities) -> None:
         self._lag_rows = capabilities.voltage_delay_samples

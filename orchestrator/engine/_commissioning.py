@@ -271,7 +271,7 @@ class Commissioning:
         self._summary = estimates
 
     def _pause(self, measuring: StageState) -> None:
-        self._engine.stand_down("a pause was asked for")
+        self._engine.stand_down("a pause was requested")
         self._machine.fire(Trigger.PAUSE)
         self._log.before_prompt()
         self._interrupts.wait_until_resumed()
@@ -279,7 +279,7 @@ class Commissioning:
         self._power.arm()
 
     def _shutdown(self, outcome: Outcome) -> Outcome:
-        """Stop, whatever has happened; what can no longer be written is told in the reason."""
+        """Stop, whatever has happened; the reason names what can no longer be written."""
         trouble: list[str] = []
         try:
             if self._machine.may(Trigger.STOP):  # else it was on its way when something failed

@@ -83,7 +83,7 @@ class Measurement:
         StorageError
             The disk does not take it.
         RunInterrupted
-            A stop was asked for.
+            A stop was requested.
         """
         angle = point.excitation.rotor_angle_rad
         mean = MeanCurrent(angle)
@@ -141,4 +141,4 @@ class Measurement:
     def _check_length(self, point: PlannedPoint, samples: int) -> None:
         expected = point.excitation.rows(self._capabilities.sampling_frequency_hz)
         if abs(samples - expected) > 1:
-            raise DriveFault(FaultCause.WRONG_DATA, f"{point.id}: {samples} samples came, {expected} were asked for")
+            raise DriveFault(FaultCause.WRONG_DATA, f"{point.id}: {samples} samples came, {expected} were requested")

@@ -20,7 +20,7 @@ class Operator(Protocol):
     """A person, or what stands in for one."""
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
-        """Ask and wait; True for yes. Raises `RunInterrupted` where a stop is asked for meanwhile."""
+        """Ask and wait; True for yes. Raises `RunInterrupted` after a request to stop."""
         ...
 
 
@@ -72,7 +72,7 @@ class TerminalOperator:
 class Questions:
     """Puts questions to the operator, and keeps them and their answers in the journal.
 
-    On a real drive a procedure does not answer for a person, unless whoever started the run has said `WORDS`.
+    On a real drive a procedure does not answer for a person, unless whoever started the run has given `WORDS`.
     """
 
     def __init__(self, operator: Operator, interrupts: Interrupts, log: RunLog, *, simulated: bool) -> None:
@@ -101,4 +101,4 @@ class Questions:
         answer = OperatorAnswered(answer="yes" if agreed else "no", by="operator", through=through)
         self._log.publish(answer, durable=True)
         if not agreed:
-            raise RunAborted(f"the operator said no to: {prompt}")
+            raise RunAborted(f"the operator answered no to: {prompt}")

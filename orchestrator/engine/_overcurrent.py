@@ -123,7 +123,7 @@ def explain_overcurrent(
     rows = round((excitation.settling_s + excitation.captured_s) * sampling_frequency_hz)
     noise_a = noise.peak_a(rows) + noise.offset_a if noise is not None else 0.0
     swing_a = nominal_a * (max(seen.ratio, 1.0) if seen is not None else 1.0)
-    budget = f"{asked_a:.3g} A were asked for{_noise_words(noise, noise_a, rows)}"
+    budget = f"{asked_a:.3g} A were commanded{_noise_words(noise, noise_a, rows)}"
     if nominal_a > 0.0:
         budget += f", the nameplate's ripple is {nominal_a:.2g} A"
     wrong = seen is not None and seen.ratio > WRONG_INDUCTANCE_RATIO

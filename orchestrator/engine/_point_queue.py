@@ -77,9 +77,7 @@ class PointQueue:
         changed = point.run_as(excitation)
         if excitation.kind != point.excitation.kind or changed.seconds > point.seconds * (1.0 + 1e-9):
             stage = self.stages[point.stage_index].name
-            raise PluginError(
-                "stages", stage, f"{point.id} is asked for as another kind of excitation, or a longer one"
-            )
+            raise PluginError("stages", stage, f"{point.id} is run as another kind of excitation, or a longer one")
         check_point(self.plan, changed, self._capabilities)
         return changed
 
@@ -98,7 +96,7 @@ class PointQueue:
         return next((factor for factor in found if factor is not None), None)
 
     def passed(self, index: int) -> bool:
-        """Whether the run was beyond this stage in an earlier life: what it asked or found is in the journal."""
+        """Whether the run passed this stage before it was resumed: its questions and results are in the journal."""
         return index < self._resumed_at or any(
             point.id in self.done for point in self.plan.points if point.stage_index > index
         )

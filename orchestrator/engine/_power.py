@@ -54,7 +54,7 @@ class PowerStage:
         self._interrupts = interrupts
         self._keeper: HeartbeatKeeper | None = None
         self.unsafe: FluxbenchError | None = None
-        """Why the drive may still be energised, though it was told to disarm."""
+        """Why the drive may still be energised after the command to disarm."""
 
     @property
     def armed(self) -> bool:
@@ -147,7 +147,7 @@ class PowerStage:
         return f"{failed}; {self._what_is_left()}" if failed else SAFE
 
     def _what_is_left(self) -> str:
-        """What makes a drive safe that did not do as it was told."""
+        """What makes a drive safe that ignored a command."""
         if isinstance(self.unsafe, DriveFault) and self.unsafe.cause is FaultCause.STILL_ARMED:
             return "THE DRIVE MAY STILL BE ARMED: CUT ITS POWER"
         watchdog = self._capabilities.watchdog_s
@@ -161,7 +161,7 @@ class PowerStage:
         try:
             is_armed = self.telemetry().state is DriveState.ARMED
         except FluxbenchError:
-            return  # it has done as it was told, and says nothing else
+            return  # it took the command, and no telemetry contradicts it
         if is_armed:
             raise DriveFault(FaultCause.STILL_ARMED, "after disarming, its telemetry says that it is armed")
 

@@ -54,7 +54,7 @@ class RippleProbe:
     Parameters
     ----------
     power : PowerStage
-        Armed when it is asked.
+        Armed before `factor` is called.
     limits : Limits
     motor : Motor
         For the ripple that the nameplate promises.
@@ -72,7 +72,7 @@ class RippleProbe:
         DriveFault
             The drive tripped all the same.
         RunInterrupted
-            A stop was asked for.
+            A stop was requested.
         """
         injections = [p.excitation for p in points if isinstance(p.excitation, Injection)]
         if not injections:
@@ -119,7 +119,7 @@ class RippleProbe:
 
 
 def weakened(point: PlannedPoint, factor: float) -> PlannedPoint:
-    """The point with its injection weaker by a factor; its settings say what is really asked for."""
+    """The point with its injection weaker by a factor; its settings hold the weaker amplitude."""
     if factor == 1.0 or not isinstance(point.excitation, Injection):
         return point
     amplitude = float(f"{factor * point.excitation.amplitude_v:.3g}")

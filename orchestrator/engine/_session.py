@@ -109,7 +109,7 @@ def start_run(procedure: Procedure, path: Path, services: RunServices) -> RunRes
 
 
 def resume_run(path: Path, services: RunServices) -> RunResult:
-    """Go on with a run at its first point that is not done; a finished one is told to be just that.
+    """Continue a run at its first point that is not done; a finished one comes back as it is.
 
     Raises
     ------

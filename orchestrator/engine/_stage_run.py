@@ -103,7 +103,7 @@ class StageAtWork:
     """The former name, for stages that call it."""
 
     def ask(self, prompt: str, *, answered: bool) -> None:
-        self._engine.stand_down("the drive is disarmed while the operator is asked")
+        self._engine.stand_down("the drive is disarmed while the operator answers")
         self._engine.machine.fire(Trigger.ASK_OPERATOR)
         self._engine.questions.put(prompt, answered=answered)
 

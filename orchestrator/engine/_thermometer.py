@@ -90,7 +90,7 @@ class LoggedTemperature:
 
     @property
     def missing(self) -> bool:
-        """Whether a thermometer said nothing when the segment began: then none of its blocks has a temperature."""
+        """Whether the thermometer gave no reading as the segment began: then none of its blocks has a temperature."""
         return self._thermometer is not None and self._latest_c is None
 
     def put_into(self, capture: Capture) -> Capture:

@@ -206,7 +206,7 @@ def measure(drive: Drive, excitation: Excitation, sampling_frequency_hz: float |
 
 
 def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> None:
-    """Finite, uniform, without a gap, and as many rows as were asked for."""
+    """Require finite, uniform samples without a gap, as many rows as requested."""
     rows = sum(len(block) for block in blocks)
     request = f"{excitation.kind} of {excitation.captured_s} s at {fs} Hz"
     assert rows == excitation.rows(fs), f"{request} gave {rows} rows"
@@ -222,7 +222,7 @@ def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> 
 
 
 class Heart:
-    """Beats for a drive from a thread of its own while the `with` block lasts, unless told to stop."""
+    """Beats for a drive from a thread of its own while the `with` block lasts, or until `stop`."""
 
     def __init__(self, drive: Drive, interval_s: float) -> None:
         self._drive, self._interval_s = drive, interval_s

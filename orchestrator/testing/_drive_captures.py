@@ -1,4 +1,4 @@
-"""Drive checks: what is asked for is what is captured, in the right frame and on one time base."""
+"""Drive checks: the capture fits the excitation, in the right frame and on one time base."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class DriveCaptureChecks(DriveBench):
             reference = trapezoid_reference(excitation, len(i_dq), session.capabilities.sampling_frequency_hz)
             distance = float(np.sqrt(np.mean(np.abs(i_dq - reference) ** 2)))
             allowed = bounded("tracking_tolerance", self.tracking_tolerance, 0.4) * excitation.amplitude_a
-            assert distance <= allowed, f"{distance:.3f} A rms from the trapezoid asked for ({allowed:.3f} A allowed)"
+            assert distance <= allowed, f"{distance:.3f} A rms from the commanded trapezoid ({allowed:.3f} A allowed)"
             self._require_plateaus(session, i_dq, reference)
 
     def _require_plateaus(self, session: Session, i_dq: np.ndarray, reference: np.ndarray) -> None:
@@ -167,7 +167,7 @@ class DriveCaptureChecks(DriveBench):
                 speed = float(np.polyfit(np.arange(len(theta)) / fs, theta, 1)[0])
                 assert math.isclose(speed, excitation.speed_rad_s, rel_tol=0.02), f"turns at {speed:.3f} rad/s"
                 i_dq = (measured.i_ab[:, 0] + 1j * measured.i_ab[:, 1]) * np.exp(-1j * theta)
-                assert abs(i_dq.mean()) <= self.near(beating), f"{abs(i_dq.mean()):.3f} A flow, none was asked for"
+                assert abs(i_dq.mean()) <= self.near(beating), f"{abs(i_dq.mean()):.3f} A flow, none was commanded"
                 ahead = (measured.v_ab[:, 0] + 1j * measured.v_ab[:, 1]) * np.exp(-1j * theta)
                 if (flux := self.setup().motor.pm_flux_wb or 0.0) > 0.0:
                     least = 0.5 * excitation.speed_rad_s * flux

@@ -106,7 +106,7 @@ class DriveInstrumentChecks(DriveBench):
             declared = session.capabilities.voltage_delay_samples
             assert abs(found.lag_rows - declared) <= _TOLERANCES.rows_apart, (
                 f"v = R i + L di/dt holds with v[k] acting from t_k + {found.lag_rows:.2f} Ts, the drive says "
-                f"{declared:g} (voltage_delay_samples): its voltage stands in the wrong row, or its delay is not said"
+                f"{declared:g} (voltage_delay_samples): its voltage stands in the wrong row, or the delay is missing"
             )
 
     def test_bus_voltage_is_the_same_wherever_it_is_read(self, tmp_path: Path) -> None:
@@ -145,7 +145,7 @@ class DriveInstrumentChecks(DriveBench):
         assert off <= self.near(session), f"misses its target by {off:.3f} A at {frequency_hz} Hz"
         told_hz = session.drive.telemetry().pwm_frequency_hz
         assert told_hz is None or math.isclose(told_hz, frequency_hz, rel_tol=1e-4), (
-            f"a PWM frequency of {frequency_hz:g} Hz was asked for, {told_hz:g} Hz is at work"
+            f"a PWM frequency of {frequency_hz:g} Hz was requested, {told_hz:g} Hz is at work"
         )
         v = complex_dq(measured.v_ab, 0.0)
         parts = np.array([part.mean() for part in np.array_split(v, min(10, len(v)))])
@@ -169,7 +169,7 @@ class DriveInstrumentChecks(DriveBench):
         first = complex_dq(session.measure(at_zero).i_ab, 0.0)[:3].mean()
         assert abs(first) <= 2.0 * self.near(session), (
             f"{abs(first):.3f} A flow in the first rows after {after} and arming: the power stage was on, whatever "
-            "telemetry said"
+            "telemetry gave"
         )
 
     def test_bridge_is_on_only_while_armed(self, tmp_path: Path) -> None:

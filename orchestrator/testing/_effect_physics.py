@@ -62,7 +62,7 @@ class EffectPhysicsChecks(ABC):
     def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
         effect = self.make_effect()
         if effect.layer is not EffectLayer.CURRENT_SENSORS:
-            return  # not asked then
+            return  # nothing to check
         off = replace(self.signals(), v_ab=np.zeros_like(self.signals().v_ab), bridge_on=False)
         changed = sorted(set(self._asked(off, self._typical()).arrays) - {"i_ab"})
         assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"

@@ -22,7 +22,7 @@ class Kit:
         name = str(getattr(plugin, "name", ""))
         assert PLUGIN_NAME.match(name), f"name is {name!r}; expected lower-case letters, digits and underscores"
         if not self.registered:
-            pytest.skip("the kit was told that this plugin is not installed")
+            pytest.skip("the kit's author declared that this plugin is not installed")
         found = [entry for entry in entry_points(group=group) if entry.name == name]
         assert found, f"no entry point {name!r} in the group {group!r}; is the package installed?"
         assert found[0].load() is plugin, f"the entry point {name!r} leads to {found[0].value}, not to {plugin!r}"

@@ -118,7 +118,7 @@ def one_of_each(run: Path) -> list[Message]:
     ]
 
 
-_WORDS = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, "said in words"))
+_WORDS = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, "in words"))
 
 
 def _comparison() -> CompareReport:

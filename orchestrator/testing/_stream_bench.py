@@ -47,7 +47,7 @@ class Worker:
         while (function := self._calls.get()) is not None:
             try:
                 self._answers.put((function(), None))
-            except BaseException as error:  # told where the call was made
+            except BaseException as error:  # raised again where the call was made
                 self._answers.put((None, error))
 
 

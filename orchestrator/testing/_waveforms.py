@@ -60,7 +60,7 @@ def find_injection(
     v_ab : (n, 2)
         Captured voltage [V], a whole number of injection periods.
     samples_per_period : int
-        Rows in one period of the wave that was asked for; gives F of the sampled wave.
+        Rows in one period of the requested wave; gives F of the sampled wave.
     """
     n = len(v_ab)
     v = v_ab[:, 0] + 1j * v_ab[:, 1]

@@ -30,7 +30,7 @@ def commission(
         str | None, typer.Option(help='"I have made the bench safe": nobody is there.', metavar="WORDS")
     ] = None,
 ) -> int:
-    """Measure a flux map until it is known as well as asked for: the procedure `adaptive`, with another target."""
+    """Measure a flux map to a given accuracy: the procedure `adaptive`, with another target."""
     from orchestrator.config import load_procedure
     from orchestrator.engine import TerminalOperator
     from orchestrator.workbench import run

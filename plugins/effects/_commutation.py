@@ -46,7 +46,7 @@ Legs = tuple[float, float, float]
 _SQRT3 = math.sqrt(3.0)
 
 QUICK = 3.0
-"""Knees: a swing that ends within a third of the dead time is told by its mean current."""
+"""Knees: a swing that ends within a third of the dead time is computed from its mean current."""
 
 STEPS = 5
 """Of a swing by a constant current; twice as many are the fewest of a dead time."""
@@ -87,7 +87,7 @@ def swing_course(grading: float, entries: int = 256) -> Array:
 def swing_lines(grading: float) -> Array:
     """`swing_course` as lines from each of its places to the next, shape (2, places + 1, 2).
 
-    Each is told by what it is at the place 0, and its slope; the last one twice.
+    Each is given by its value at the place 0 and its slope; the last one twice.
     """
     course = swing_course(grading)
     slopes = np.diff(course, axis=1)
@@ -123,7 +123,7 @@ def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, le
     pull : tuple
         What a volt on each leg's terminal takes of it over a carrier's period; the leg's own first.
     due : tuple
-        When the others' edges come after the command, told by the volts that a pulse gains by such a time.
+        When the others' edges come after the command, as the volts that a pulse gains by that time.
     volts : float
         The same of the dead time.
     leg : float
@@ -290,7 +290,7 @@ def _edges(
 ) -> tuple[float, float]:
     """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
 
-    Of three legs, the leg's own comes first. Times are told by the volts that a pulse gains or loses by them; `drift`
+    Of three legs, the leg's own comes first. Times are given as the volts that a pulse gains or loses by them; `drift`
     is what its current does in a period, and `apart` how much sooner than its own rise the others are commanded, both
     without any delay.
     """

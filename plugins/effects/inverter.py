@@ -40,7 +40,7 @@ PARTS_SHARPNESS = 3.0
 exponential, straight and rounded ramps, and mixtures of them are met to 1.5e-3 of the step (rms to six thresholds)."""
 
 NOTEWORTHY_LEG = 0.03
-"""Of the mean dead time, by which a leg's own is off where it is said: more than gate drivers of one kind differ by."""
+"""Of the mean dead time: a remark names a leg whose own differs by more than gate drivers of one kind do."""
 
 FAR = 32.0
 """How much coarser a second table is, for currents far beyond the step: a logarithm there is straight to 1e-5."""
@@ -280,7 +280,7 @@ class DeviceDrop(BatchEffect):
     """Forward drop of transistors and diodes.
 
     e = T V_0 s(i_abc / i_th) [V], whatever the PWM frequency; the part proportional to the current,
-    r_on i, cannot be told from R_s. In the flexible form the drop goes on growing beyond its knee as over any junction,
+    r_on i, counts as R_s. In the flexible form the drop goes on growing beyond its knee as over any junction,
     whose drop is log(1 + i / i_s) times n k T / q: from a mere step at `growth` 0 to that logarithm alone at 1,
 
         e = T V_0 ((1 - growth) s(x) + growth log(1 + |x|) sign x) / (1 - growth + growth log(1 + x_r)),

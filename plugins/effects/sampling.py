@@ -13,8 +13,8 @@ from plugins.effects._batches import RandomBatchEffect
 from plugins.effects._vectors import Starts, doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude
 
-MAP_DOUBT = 0.01
-"""Of the inductance that a reading's ripple is told by: what a map of some hundred numbers leaves open in corners of
+MAP_ERROR_RATIO = 0.01
+"""Relative error of the inductance behind a reading's ripple: what a map of some hundred numbers leaves in corners of
 the plane that only a sweep's dwells reach, as seen on a simulated servo of 48 V."""
 
 
@@ -108,8 +108,8 @@ def _with_random_direction(
         for k in range(starts[s], starts[s + 1]):
             given = _given(v_ab, i_ab, ohm, v_dc, k, starts[s], offset_s, periods_s[s])
             beside = _moved(inductance_ab, k, given)
-            out[k, 0] = v_ab[k, 0] + MAP_DOUBT * (ohm[k] * beside[0])
-            out[k, 1] = v_ab[k, 1] + MAP_DOUBT * (ohm[k] * beside[1])
+            out[k, 0] = v_ab[k, 0] + MAP_ERROR_RATIO * (ohm[k] * beside[0])
+            out[k, 1] = v_ab[k, 1] + MAP_ERROR_RATIO * (ohm[k] * beside[1])
     return out
 
 

@@ -75,7 +75,7 @@ class CurrentGainMismatch(BatchEffect, MeasurableEffect):
 class ThirdCurrentSensor(BatchEffect, SegmentDependentEffect, MeasurableEffect):
     """Gain 1 + g of sensor c where three sensors make the vector: it is stretched along phase c by 2/3 g.
 
-    Its offset moves the vector as those of a and b do, and is told as theirs.
+    Its offset moves the vector as those of a and b do, and is reported as theirs.
     """
 
     name: ClassVar[str] = "third_current_sensor"

@@ -1,10 +1,10 @@
-"""What an inverter takes from the voltage at a constant current: the regression that R_s is told from.
+"""The inverter's voltage loss at a constant current: the regression that gives R_s.
 
     v = R_s i + V_f T s(i_abc / i_th) + v_0
 
 V_f is one voltage for each PWM frequency (dead time grows with it), s goes from -1 to 1 with each phase's current, more
 or less abruptly (R_s would err by what its shape errs), T maps phases to (alpha, beta). R_s drifts along a line and, by
-how much the data say, along a random walk about it; what is told is its mean over the strong currents' instants.
+how much the data say, along a random walk about it; the estimate is its mean over the instants of strong currents.
 Nothing here knows what a recording is.
 """
 
@@ -61,9 +61,9 @@ class VoltageFit:
     noise_v : float
         Standard deviation of what is left of a held voltage.
     loss_covariance : array, shape (k, k)
-        Of bias (2, where told), V_f, and the step's two parameters: what readings err by together.
+        Of bias (2, where estimated), V_f, and the step's two parameters: the readings' common error.
     biased : bool
-        Whether the bias was told.
+        Whether the bias was estimated.
     """
 
     resistance_ohm: float
@@ -228,7 +228,7 @@ def fit_voltage(
     design = np.column_stack([held.design(shape), *asides])
     freedom = max(round(design.shape[0] - design.shape[1] - held.walk.freedom), 1)
     variance = squares / max(design.shape[0] - design.shape[1], 1)
-    # Where the inverter keeps next to nothing its shape is told by nothing: it is one of those that are looked for.
+    # Where the inverter loses next to nothing no reading determines its shape: it is one of the expected ones.
     known = np.zeros(design.shape[1])
     if asides:
         known[-2:] = variance / np.array([THRESHOLD_ASIDES, np.ptp(abruptness) / (ASIDE * math.sqrt(12.0))]) ** 2

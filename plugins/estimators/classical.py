@@ -1,6 +1,6 @@
 """Flux map by the classical method: the voltage of swept currents integrated over time.
 
-What inverter and copper take from the voltage is told from the sweeps themselves, rising and falling branches are
+The sweeps themselves give the voltage losses of inverter and copper, rising and falling branches are
 averaged, paths are tied together where they cross, and zero current has zero flux (Combes, Malrait, Martin, Rouchon,
 "Obtaining the current-flux relations of the saturated PMSM by signal injection", section "Classical method").
 """
@@ -238,7 +238,7 @@ def _remarks(swept: _Swept, network: Network, rated: float | None) -> tuple[Rema
         moved = np.concatenate([one - one.mean(axis=0) for one in apart])
         off = 100 / rated * float(np.sqrt((moved**2).sum(axis=1).mean()))
         text = (
-            "each phase loses up to {lost_v:.2f} V, told from the loops; not taken out, "
+            "each phase loses up to {lost_v:.2f} V, estimated from the loops; not corrected, "
             "rising and falling branches would differ by up to +-{apart_percent:.0f} % of the rated flux, and their "
             "mean by {mean_percent:.1f} % (rms)"
         )

@@ -90,9 +90,9 @@ class InjectionEstimator:
     coverage : float
         Of the most points: with fewer an injection makes no map, however small its ripple.
     probes : int
-        Points that are asked how long a transient lasts; the slowest counts.
+        Points whose transients are measured; the slowest counts.
     steepest : float
-        Ratio of an inductance at two points that follow each other, beyond which they are said to be too far apart:
+        Ratio of an inductance at two successive points beyond which a remark calls them too far apart:
         with up to 1.6 maps came out within 0.2 % of the rated flux, rms, with 2.6 1.8 % off.
     """
 
@@ -196,7 +196,7 @@ def _seen(group: _Group) -> IncrementalInductances:
 
 
 def _known_loss(context: EstimationContext) -> PhaseLoss:
-    """What the inverter keeps, where sweeps told it already."""
+    """The inverter's voltage loss, where sweeps gave it already."""
     swept = context.latest(SweptFlux)
     return NO_LOSS if swept is None else swept.loss
 

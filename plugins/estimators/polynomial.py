@@ -1,6 +1,6 @@
 """Flux map of the paper's polynomial energy H(psi), with its coefficients, fitted to injection and integration.
 
-A handful of numbers instead of a table; whether they are good enough is said beside them (A. K. Jebai, P. Combes,
+A handful of numbers instead of a table; a remark says whether they are good enough (A. K. Jebai, P. Combes,
 F. Malrait, P. Martin, P. Rouchon, "Energy-based modeling of electric motors", CDC 2014,
 doi:10.1109/CDC.2014.7040330).
 """

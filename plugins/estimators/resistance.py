@@ -1,6 +1,6 @@
 """Stator resistance from constant currents: DC holds, the rests of the classical sweeps, and the means of injection.
 
-Heating is told as a drift of readings, not modelled; a common gain of both kinds of sensor cannot be seen.
+Heating shows as a drift of readings and is not modelled; a common gain of both kinds of sensor is invisible.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ class ResistanceEstimator:
     def _mean(self, capture: Capture) -> Dwell | None:
         """Means of an injection's last part, in which the ripple cancels; None where it is too short.
 
-        They are taken behind a window that begins and ends at zero, so that whole periods are not asked for.
+        They are taken behind a window that begins and ends at zero, so that whole periods are not needed.
         """
         rate = capture.sampling_frequency_hz
         first = max(round(self.settling_share * len(capture)), len(capture) - round(self.injected_s * rate))

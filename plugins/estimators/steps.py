@@ -1,6 +1,6 @@
 """Flux map and R_s by voltage steps: +-U on one axis or both, turned round at current limits, nothing resting.
 
-One energy, R_s, the inverter and the voltage's lag are told together from loops that have to close
+One energy, R_s, the inverter and the voltage's lag are fitted jointly to loops that have to close
 (`orchestrator.analysis.fit_steps`). What is known of R_s beforehand, from holds or the nameplate, counts as far as it
 is sure.
 """
@@ -153,7 +153,7 @@ class StepsEstimator:
             remarks.append(Remark.of("resistance_undetermined", text, **figures))
         kept = float(fit.loss_v[-1])
         if abs(kept) > max(4.0 * float(fit.loss_std_v[-1]), 0.002 * volts):
-            text = "each phase loses {lost_v:.2f} V, told from the loops; taken out"
+            text = "each phase loses {lost_v:.2f} V, estimated from the loops; corrected"
             remarks.append(Remark.of("inverter_loss", text, lost_v=kept))
         if fit.energy.angle_rad:
             text = (

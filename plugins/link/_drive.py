@@ -87,7 +87,7 @@ class LinkDrive(DriveShell):
         DriveFault
             Nobody answers, the link cannot be opened, or what is read describes no drive.
         DriveRefused
-            Another host has the drive armed, it speaks another version, or lacks what was asked for.
+            Another host has the drive armed, it speaks another version, or lacks an option.
         """
         with link_errors("the drive's link"):
             port = self.open_port()
@@ -135,7 +135,7 @@ class LinkDrive(DriveShell):
             link.close()
 
     def heartbeat(self) -> None:
-        """Say that the host is alive; nothing more is said once the link is lost."""
+        """Send that the host is alive; nothing once the link is lost."""
         host = self._host
         if host is not None and host.link.lost is None:
             host.link.try_to_send(host.conversation.heartbeat(time.monotonic()))
@@ -161,7 +161,7 @@ class LinkDrive(DriveShell):
         return fault_names(status) if status is not None and status.state is PowerState.FAULTED else ()
 
     def check_link(self) -> None:
-        """A fault that nobody has heard of yet is told as what it is."""
+        """Raise the link's loss, or a fault that was not reported yet."""
         host, _ = self._connected()
         if self.faults and not host.fault_reported:
             raise host.fault()
@@ -221,7 +221,7 @@ class LinkDrive(DriveShell):
 
     @staticmethod
     def _pwm_frequency_hz(host: Host, own: Capabilities) -> float:
-        """Of the last program, as the drive holds it; asked for where it has a choice."""
+        """Of the last program, as the drive holds it; read where it has a choice."""
         if len(own.pwm_frequencies_hz) == 1:
             return own.pwm_frequency_hz
         return host.read("pwm_frequency_asked_hz") or own.pwm_frequency_hz
@@ -234,7 +234,7 @@ class LinkDrive(DriveShell):
             self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), TIMEOUTS.ramp_s)
 
     def switch_off(self) -> None:
-        """PWM off; a drive that does not is told by an emergency stop, and said to have needed it.
+        """PWM off; a drive that ignores it gets an emergency stop, and the error says so.
 
         Raises `DriveFault`: still_armed.
         """
@@ -245,11 +245,11 @@ class LinkDrive(DriveShell):
             return
         host.link.try_to_send(EStop(StopReason.HOST_ERROR))
         what_then = "only an emergency stop switched it off" if self._gets_to(host, off) else "nor by an emergency stop"
-        message = f"the drive does not disarm when it is told to ({words(ack.status)}), {what_then}"
+        message = f"the drive does not disarm on command ({words(ack.status)}), {what_then}"
         raise DriveFault(FaultCause.STILL_ARMED, message)
 
     def forget_fault(self) -> None:
-        """Clear the drive's latched faults; one that is still ramping down is asked again."""
+        """Clear the drive's latched faults; repeated while it is still ramping down."""
         host, _ = self._connected()
         deadline = time.monotonic() + self._options.connect_timeout_s
         while (ack := host.command(Op.CLEAR_FAULT)).status is not AckStatus.OK:
@@ -300,7 +300,7 @@ class LinkDrive(DriveShell):
         return self._host, self._machine
 
     def _reachable(self, *last_words: Op) -> Host:
-        """The host for a way out. A lost drive is told all the same, for it may still hear; the reason is raised."""
+        """The host for shutting down. A lost drive gets the commands all the same, and the reason is raised."""
         if self._host is not None and self._host.link.lost is not None:
             self._host.broadcast(*last_words)
         return self._connected()[0]
@@ -318,7 +318,7 @@ class LinkDrive(DriveShell):
             raise DriveFault(FaultCause.NO_ANSWER, f"the drive is {now} after {timeout_s:g} s instead of {wanted}")
 
     def _raise_fault_behind(self, host: Host) -> None:
-        """Where a refusal has a fault behind it that came in that moment, the fault is the better news."""
+        """Where a refusal has a fault behind it that came in that moment, raise the fault instead."""
         ack: Ack = host.command(Op.TIME_SYNC)
         if ack.state is PowerState.FAULTED:
             raise host.fault()

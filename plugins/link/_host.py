@@ -95,7 +95,7 @@ class Host:
         return ack
 
     def broadcast(self, *ops: Op) -> None:
-        """Commands for a drive that may still hear, though nothing is heard from it; waits for nothing."""
+        """Send commands to a drive that may still receive, though it is silent; waits for nothing."""
         for op in ops:
             self.link.try_to_send(self.conversation.command(op))
 
@@ -132,7 +132,7 @@ class Host:
     # Who is there
 
     def identify(self, timeout_s: float) -> None:
-        """Open a session; a drive that is silent, or that another host has armed, is asked again for so long.
+        """Open a session; repeats this long for a drive that is silent, or that another host has armed.
 
         A number that chance gave to an earlier session is closed to this one: another is drawn.
         Raises `DriveRefused` where it stays busy, or speaks another version.
@@ -169,7 +169,7 @@ class Host:
     # What there is to know now
 
     def tick(self) -> Tick:
-        """The drive's clock, now; asked for anew where the answer came but the tick was lost."""
+        """The drive's clock, now; requested again where the answer came but the tick was lost."""
         news = self.link.news
         ticks = news.ticks
         for _ in range(math.ceil(self._answer_s / TIMEOUTS.tick_s)):

@@ -81,7 +81,7 @@ class Link:
 
     @property
     def lost(self) -> DriveFault | None:
-        """Why nothing can be said to the drive any more."""
+        """Why nothing can be sent to the drive any more."""
         return self._lost
 
     def lose(self, fault: DriveFault) -> DriveFault:

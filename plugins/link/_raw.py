@@ -37,7 +37,7 @@ class RawRead:
             raise DriveFault(
                 FaultCause.WRONG_DATA,
                 f"the drive captures {announced[0]} rows of {announced[1]} bytes; "
-                f"{rows} of {self._format.row_bytes} were asked for",
+                f"{rows} of {self._format.row_bytes} were requested",
             )
         self._reader = Reader(host, number, rows * self._format.row_bytes, machine.layout)
         self._crc, self._given = 0, 0

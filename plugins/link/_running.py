@@ -31,7 +31,7 @@ SHORTEST_S, LONGEST_S = 0.1, 0.25
 
 
 class Program:
-    """A program that the drive was told to run.
+    """A program that the drive runs.
 
     Parameters
     ----------

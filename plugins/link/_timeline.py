@@ -1,6 +1,6 @@
 """The drive's clock, held against this machine's and against what the drive captures: it neither stops nor jumps.
 
-What is asked for and answered was taken between the question and the answer, so that no busy machine is mistaken for a
+A reply's reading was taken between request and reply, so that no busy machine is mistaken for a
 lying drive. An emulated drive, which says ``clock: simulated`` in its description, keeps its own time: of its clock
 only the order counts.
 """
@@ -51,7 +51,7 @@ class Timeline:
         self._has_captured = False
 
     def now(self) -> int:
-        """The drive's clock, asked for; a tick that was long under way is asked for again.
+        """The drive's clock, read now; a tick that was long under way is read again.
 
         Raises `DriveFault` (wrong_data) where it went back, stands still, or is not where so much time takes it.
         """
@@ -65,7 +65,7 @@ class Timeline:
         return reading.tick
 
     def count(self, tick: int) -> int:
-        """A tick that was told, without wraps."""
+        """A received tick, without wraps."""
         return self._unwrapped(tick)
 
     def begins(self, tick: int) -> int:

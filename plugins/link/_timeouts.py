@@ -20,13 +20,13 @@ class Timeouts:
     tick_s: float = 0.2
     """The clock follows its answer within this time, or has been lost."""
     upload_s: float = 0.06
-    """Blocks of which none came for so long are asked for again; twice as long each time, until answers are in time."""
+    """Missing blocks are requested again after this silence; it doubles each time, until answers are in time."""
     most_upload_s: float = 0.24
     """As far as that is doubled: on a slow machine all answers may be on their way."""
     upload_lost_s: float = 0.8
     """An upload of which nothing comes for so long is given up."""
     live_s: float = 0.02
-    """A drive that captures is asked no more often: each question costs two frames, however few blocks it brings."""
+    """Shortest time between requests to a drive that captures: each costs two frames, however few blocks it brings."""
     rounds: int = 200
     """Rounds of requests in a row that bring no new block before it is given up."""
     quiet_s: float = 0.2
@@ -34,7 +34,7 @@ class Timeouts:
     stuck_s: float = 5.0
     """A program whose progress stands still for longer than it has to settle, and this, is given up."""
     slow: float = 5.0
-    """A program that takes so many times as long as was asked for, and `stuck_s` more, does not end."""
+    """A program that takes this multiple of its planned time, and `stuck_s` more, does not end."""
     clock_s: float = 0.2
     """What a drive's clock may be off between two looks at it, beside `clock_part` of the time between."""
     clock_part: float = 0.1

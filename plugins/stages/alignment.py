@@ -92,7 +92,7 @@ class AlignmentStage(EnergisedStage):
         return excitation.model_copy(update={"current_d_a": d, "current_q_a": q})
 
     least_offset: ClassVar[float] = 0.001
-    """Part of the current from which on an offset is told to turn a free rotor: 1 % has turned one by 5.6 degrees."""
+    """Offset over current from which on a note warns of a free rotor: 1 % has turned one by 5.6 degrees."""
 
     def after_point(self, run: StageRun, segment: Segment) -> None:
         if self.brake is not None:

@@ -45,7 +45,7 @@ MAGNETIC = ("saturation", "cross_saturation")
 class DiagnoseStage(Stage):
     """Hold the model against what has been measured so far, and name what it lacks; disarmed meanwhile.
 
-    Where two effects cannot be told apart and `rounds` allows it, the experiment that parts them is measured
+    Where two effects are indistinguishable and `rounds` allows it, the experiment that separates them is measured
     (a stage more, of the run's own recording), the estimators run anew, and so does the diagnosis.
     """
 

@@ -154,7 +154,7 @@ class InjectionStage(EnergisedStage):
         targets = np.array([[_setting(segment, f"target_{axis}_a") for axis in "dq"] for segment in sweep])
         try:
             points, _ = injected_points(recording, sweep, voltage_delay_samples=delay)
-            # What was asked for lies on lines exactly, what was reached nearly.
+            # Set-points lie on lines exactly, the reached currents nearly.
             nearest = np.argmin(np.linalg.norm(points.current[:, None] - targets, axis=2), axis=1)
             steep = steep_steps(
                 targets[nearest],

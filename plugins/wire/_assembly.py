@@ -1,6 +1,6 @@
 """The host's end of an upload: blocks in any order become a capture that is byte-exact, or refused.
 
-Pure logic, without I/O and threads. What is missing is asked for again, block by block; at the
+Pure logic, without I/O and threads. Missing blocks are requested again, one by one; at the
 end the CRC-32 over the whole capture decides. `upload` is the loop that a drive puts around it.
 """
 
@@ -40,7 +40,7 @@ class CaptureAssembly:
         Tag of the first request. Go on with `next_window` of the assembly before, so that its late
         answers are not taken for this one's.
     blocks_each, requests_each : int
-        Most blocks asked for in one request, and most requests under way at a time.
+        Most blocks in one request, and most requests under way at a time.
     passes : int
         How often the whole capture is read where its CRC does not fit, before it is refused.
     """
@@ -48,7 +48,7 @@ class CaptureAssembly:
     slips: ClassVar[int] = 2
     """Ends with an impossible length that are put down to damage on the way."""
     bridge: ClassVar[int] = 2
-    """Missing blocks with no more than so many present ones between them are asked for together."""
+    """Missing blocks with at most this many present ones between them share a request."""
 
     def __init__(
         self,
@@ -79,7 +79,7 @@ class CaptureAssembly:
         self._crcs: list[int] = []
         self._announced = 0
         self._too_long = 0
-        self._doubted = False  # whether the CRC, rather than the data, was asked for again
+        self._doubted = False  # whether the CRC, rather than the data, was requested again
 
     # What is known
 
@@ -90,7 +90,7 @@ class CaptureAssembly:
 
     @property
     def exhausted(self) -> bool:
-        """Whether so many answers have not come that nothing more may be asked for."""
+        """Whether too many answers are missing to send more requests."""
         return len(self._unended) >= _TRUSTED_WINDOWS
 
     @property
@@ -153,7 +153,7 @@ class CaptureAssembly:
         if not runs:
             return [] if self.waiting else [self._request(0, 0)]
         if self.waiting and sum(count for _, count in runs) < self._blocks_each:
-            return []  # small change is asked for together
+            return []  # a few blocks wait for more
         requests: list[ReadBlock] = []
         for first, count in runs:
             for start in range(first, first + count, self._blocks_each):
@@ -232,7 +232,7 @@ class CaptureAssembly:
                 what = f"capture {self.capture} has {end.length} bytes instead of {self.length}"
                 raise DriveFault(FaultCause.WRONG_DATA, what)
             return
-        if end.window in self._waiting_for:  # what was asked before was answered before, or lost
+        if end.window in self._waiting_for:  # earlier requests were answered before, or lost
             del self._waiting_for[: self._waiting_for.index(end.window) + 1]
         self._announced = max(self._announced, end.length)
         if end.length == self.length and end.crc not in self._crcs:
@@ -249,7 +249,7 @@ class CaptureAssembly:
     def result(self) -> memoryview | None:
         """The capture, verified; None where there is more to ask for.
 
-        Where the CRC does not fit, it is asked for once more, and then the whole capture.
+        Where the CRC does not fit, it is requested once more, and then the whole capture.
 
         Raises `DriveFault` (wrong_data) where the CRC does not fit after the last pass.
         """
@@ -303,7 +303,7 @@ def upload(
         What came meanwhile, other traffic included: as many frames as are there (batches make it
         fast), or nothing after a short timeout of its own.
     patience_s : float
-        Time without a frame of this upload after which what is missing is asked for again.
+        Time without a frame of this upload after which missing blocks are requested again.
     timeout_s : float
         Time without a frame of this upload after which it is given up.
     rounds : int

@@ -182,7 +182,7 @@ def _link(name: str, bits: str, rate: float, point: int) -> tuple[str, str, str,
 
 
 def bus_load(rates_hz: Mapping[int, float], rows_hz: float, asked_hz: float, *, stuffed: bool) -> float:
-    """Part of a 1 Mbit/s bus that telemetry (frames a second, by length) and ripple rows take, asked for so often."""
+    """Load of a 1 Mbit/s bus by telemetry (frames a second, by length) and ripple rows at this request rate."""
     telemetry = sum(rate * classic_bits(size, stuffed=stuffed) for size, rate in rates_hz.items())
     frames_hz = rows_hz * _RIPPLE_ROW_BYTES / CLASSIC.block + 2.0 * asked_hz
     return (telemetry + frames_hz * classic_bits(8, stuffed=stuffed)) / 1e6

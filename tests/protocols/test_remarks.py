@@ -70,7 +70,7 @@ def test_reports_print_their_remarks_and_the_sentences_alone() -> None:
 
 
 def test_messages_of_older_journals_are_read() -> None:
-    words = dict.fromkeys(("where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide"), "said")
+    words = dict.fromkeys(("where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide"), "text")
     diagnosed = JOURNALLED.validate_python({"kind": "diagnosed", "round": 0, "report": OLD_DIAGNOSIS, "words": words})
     assert isinstance(diagnosed, Diagnosed)
     assert diagnosed.report.notes == ("no gates-off reading",)

@@ -74,7 +74,7 @@ class PowerStage:
         self._next = self._idle
         self._anchor = (clock(), rig.ticks)
 
-    # What it is told
+    # Commands
 
     @property
     def energised(self) -> bool:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def report(
     table: Annotated[str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.")],
     limits: Annotated[
-        Path | None, typer.Option(help="YAML file with limits; each recording passes, fails or cannot be told.")
+        Path | None, typer.Option(help="YAML file with limits; each recording passes, fails or is undecided.")
     ] = None,
     against: Annotated[
         str | None,

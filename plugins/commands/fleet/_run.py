@@ -69,7 +69,7 @@ def run(
 
 
 def _plan(do: str, mapping: Path | None, keep: Path | None) -> Plan:
-    """What is asked for; raises `typer.BadParameter` where it does not go together."""
+    """The requested steps; raises `typer.BadParameter` where options contradict each other."""
     from orchestrator.fleet import Plan
     from protocols.fleet import FleetStep
 

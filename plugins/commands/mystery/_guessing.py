@@ -18,7 +18,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 class Guess(Strict):
-    """One name, and its size where one was said."""
+    """One name, and its size where one was given."""
 
     name: str
     size: float | None = None
@@ -54,7 +54,7 @@ def read_guess(words: str) -> tuple[Guess, ...]:
     Raises
     ------
     InputError
-        A name that no installed effect has, one said twice, or a size that is no number.
+        A name that no installed effect has, one given twice, or a size that is no number.
     """
     if words.strip() == NOTHING:
         return ()
@@ -69,7 +69,7 @@ def read_guess(words: str) -> tuple[Guess, ...]:
             hint = f"did you mean {near[0]}?" if near else f"expected {NOTHING} or one of {', '.join(names)}"
             raise InputError("--guess", name, f"there is no effect of that name; {hint}")
         if name in guesses:
-            raise InputError("--guess", name, "said twice")
+            raise InputError("--guess", name, "given twice")
         guesses[name] = Guess(name=name, size=_number(name, size) if equals else None)
     if not guesses:
         raise InputError("--guess", "", f"empty; say {NOTHING} where you found none")
@@ -105,7 +105,7 @@ def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, brought: E
     Parameters
     ----------
     fitted : mapping
-        Parameters of the recording's model: they stand in for sizes that were not said.
+        Parameters of the recording's model: they replace sizes that were not given.
     brought : mapping, optional
         What the run brought about (`brought_about`): right where it is guessed, as large as it came to be, and not
         missing where it is not.

@@ -86,10 +86,10 @@ def _description(drive: Found) -> list[str]:
 
     own, status = drive.capabilities, drive.status
     settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_shown(key, v))
-    firmware = drive.description.get("firmware", "not told")
+    firmware = drive.description.get("firmware", "not given")
     lines = [
         f"{own.name} on {drive.link.text}" + (f" node {drive.node}" if drive.node else ""),
-        f"  motor      {own.motor_name or 'not told'}",
+        f"  motor      {own.motor_name or 'not given'}",
         f"  firmware   {firmware}",
         f"  sampling   {own.sampling_frequency_hz:g} Hz, PWM {', '.join(f'{f:g}' for f in own.pwm_frequencies_hz)} Hz",
         f"  reach      {own.max_current_a:g} A, {own.max_voltage_v:g} V of a bus of {own.dc_bus_voltage_v:g} V",

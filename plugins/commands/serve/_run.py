@@ -1,4 +1,4 @@
-"""The one run that a page has going: a process of its own, what it says, and what it is told.
+"""The page's one run: a process of its own, its output, and the messages to it.
 
 Nothing here ends that process: asyncio's own subprocesses are killed with their loop, and a killed run ramps nothing
 down. Where this process is gone the run finds its pipe closed, and stops by itself.
@@ -26,12 +26,12 @@ LONGEST_LINE = 1 << 24
 
 
 class NotNowError(FluxbenchError):
-    """What is asked for does not go with what is under way."""
+    """The request conflicts with the run under way."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How often a run is looked at, and told that somebody is there; how long it may take to heed a stop [s]."""
+    """Period of looking at a run and of its keepalives; how long it may take to stop [s]."""
 
     look_s: float = 0.1
     beat_s: float = 1.0
@@ -68,7 +68,7 @@ class RunOfThePage:
         while not self._is_closed:
             if seen is self._view:
                 async with self._changed:
-                    with suppress(TimeoutError):  # said again now and then: somebody may have gone
+                    with suppress(TimeoutError):  # sent again now and then: a browser may have gone
                         await asyncio.wait_for(self._changed.wait(), 10.0)
             seen = self._view
             yield seen
@@ -131,7 +131,7 @@ class RunOfThePage:
             self._ear.write(json.dumps(message).encode() + b"\n")
 
     async def _insist(self, process: subprocess.Popen[bytes]) -> None:
-        """A signal to a run that does not heed what it is told: while it starts, or hangs."""
+        """Signal a run that ignores messages: while it starts, or hangs."""
         await asyncio.sleep(self._pace.heeds_s)
         if process.poll() is None and (self._view["picture"] or {}).get("state") not in ON_ITS_WAY_OUT:
             process.send_signal(signal.SIGINT)

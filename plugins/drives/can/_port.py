@@ -37,7 +37,7 @@ class CanPort:
         As python-can names them.
     bitrate : int
     node : int
-        Which of the bus's drives is talked to; the others are not heard.
+        Which of the bus's drives is talked to; the others are ignored.
     fd : bool
         CAN FD: blocks of captures are 64 bytes long, everything else stays classic.
     data_bitrate : int
@@ -55,13 +55,13 @@ class CanPort:
     errors_in_a_row: ClassVar[int] = 3
     """Errors without a good frame in between; a frame that was damaged on the way is one."""
     receive_buffer_bytes: ClassVar[int] = 4 << 20
-    """What is asked of the kernel; it gives what it is allowed to."""
+    """Requested from the kernel, which grants what it is allowed to."""
     frame_bytes: ClassVar[int] = 1280
     """What a frame takes of a socket's buffer at most: the kernel counts its own bookkeeping."""
     fewest_each: ClassVar[int] = 16
     """Blocks in a request, however small the buffer."""
     for_blocks: ClassVar[float] = 0.8
-    """Part of the bus that is left to blocks by telemetry, requests, and what has to be asked for twice."""
+    """Part of the bus that telemetry, requests and repetitions leave to blocks."""
     rest_of_frame_s: ClassVar[float] = 0.5
     """python-can's serial format has no checksum: a frame given up half-way leaves bytes that look like another one."""
 

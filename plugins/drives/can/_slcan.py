@@ -44,7 +44,7 @@ class SlcanPort:
     bulk_rate : float
         Bytes of captures a second that a bus of this bit rate carries.
     node : int
-        Which of the bus's drives is talked to; the others are not heard.
+        Which of the bus's drives is talked to; the others are ignored.
     settings : mapping
         `tty_baudrate`, and `sleep_after_open` [s] for adapters that are reset by being opened, as in python-can.
 

@@ -1,4 +1,4 @@
-"""What was measured, from a CSV file to a capture, by the importer and its mapping; the doubts are its own."""
+"""Turns a result's CSV file into a capture, by the importer and its mapping; the doubts are the importer's."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def read_columns(path: Path) -> dict[str, Any]:
 def read_result(
     path: Path, columns: dict[str, Any], excitation: Excitation, motor: Motor, drive: dict[str, Any], fs: float
 ) -> Capture:
-    """The capture that a result file holds; raises `DriveFault` (wrong_data) where it is not what was asked for."""
+    """The capture that a result file holds; raises `DriveFault` (wrong_data) where it does not fit the request."""
     mapping = {
         "format": "fluxbench-import",
         "version": 1,
@@ -73,12 +73,12 @@ def read_result(
             raise DriveFault(FaultCause.WRONG_DATA, reason) from None
     rows = excitation.rows(fs)
     if len(capture) != rows:
-        raise DriveFault(FaultCause.WRONG_DATA, f"{path}: {len(capture)} rows, {rows} were asked for")
+        raise DriveFault(FaultCause.WRONG_DATA, f"{path}: {len(capture)} rows, {rows} were requested")
     return capture
 
 
 def _expected(excitation: Excitation, motor: Motor) -> tuple[str, ...]:
-    """What the importer would doubt of a measurement at no current, which is just what was asked for."""
+    """What the importer would doubt of a measurement at no current, which is intended here."""
     is_small = excitation.longest_current_a < 0.05 * (motor.rated_current_a or 0.0)
     at_rest = is_small and excitation.kind in ("hold", "gates_off")
     return tuple(f.value for f in (Finding.CURRENT_UNIT, Finding.VOLTAGE_UNIT, Finding.CONSTANT_VOLTAGE) if at_rest)

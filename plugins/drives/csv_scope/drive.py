@@ -162,7 +162,7 @@ class CsvScopeDrive(DriveShell):
         yield from in_blocks(capture.model_copy(update={"start_s": start_s}), self.block_s)
 
     def ramp(self) -> None:
-        """Ask for zero current, and wait until it is said to be so."""
+        """Request zero current, and wait for the confirmation."""
         self._do("ramp_down")
         self._current = 0j
 
@@ -232,7 +232,7 @@ class CsvScopeDrive(DriveShell):
             time.sleep(self.poll_s)
 
     def _latched(self, fault: DriveFault) -> DriveFault:
-        """Not `trip`: nobody can be switched off by a file that is waited for before the fault is told."""
+        """Not `trip`: switching off by a file takes a wait, which would delay the fault's report."""
         self.latch(fault)
         return fault
 

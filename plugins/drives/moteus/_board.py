@@ -166,7 +166,7 @@ class Board:
             raise DriveFault(FaultCause.WRONG_DATA, f"the board went to mode {now.mode} instead of {Mode.POSITION:d}")
 
     async def feed(self) -> None:
-        """Repeat the setpoint: this, and nothing else, is what the board's watchdog hears."""
+        """Repeat the setpoint: only this feeds the board's watchdog."""
         async with self._line:
             if self.setpoint is not None:
                 await self._exchange(self._command(self.setpoint))
@@ -195,7 +195,7 @@ class Board:
     # What they share
 
     async def _answered(self, command: Any) -> dict[Any, Any]:
-        """The registers of an answer; a question that is lost is asked once more, for it changes nothing."""
+        """The registers of an answer; a lost query is repeated once, for it changes nothing."""
         for _ in range(2):
             answer = await self._answer_to(command)
             if answer is not None:

@@ -28,7 +28,7 @@ class Io:
     def __init__(self, where: str) -> None:
         self._where = where
         self.lost: DriveFault | None = None
-        """Why nothing can be said any more."""
+        """Why nothing can be sent any more."""
         self._beat: asyncio.Task[None] | None = None
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(self._broken)
@@ -108,7 +108,7 @@ class Io:
     def _broken(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """A callback of the library raised: its reader, when the port is gone. It would be called for ever."""
         if "handle" not in context:
-            return  # a task's own end, which its owner has heard of
+            return  # a task's own end, which its owner knows
         self._lose(context.get("exception") or str(context.get("message")))
         loop.stop()
 
@@ -125,7 +125,7 @@ class Io:
         self._loop.set_exception_handler(lambda loop, context: None)
         self._loop.call_soon(self._loop.stop)
         try:
-            self._loop.run_forever()  # whoever else has asked it to stop is heard here
+            self._loop.run_forever()  # another caller's stop takes effect here
             self._loop.run_until_complete(_let_go(release))
         finally:
             self._loop.close()

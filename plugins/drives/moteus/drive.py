@@ -115,7 +115,7 @@ class MoteusDrive(DriveShell):
             io.close(board.release if board is not None else lambda: None)
 
     def heartbeat(self) -> None:
-        """Let the board hear its setpoint again; nothing is said while it has none."""
+        """Repeat the board's setpoint; nothing is sent while it has none."""
         io, board = self._io, self._board
         if io is not None and board is not None:
             io.soon(board.feed)

@@ -24,7 +24,7 @@ STATE_S, TURN_S = 1.0, 0.3
 MARGIN = 0.5
 """Of the run's current beyond which the board trips."""
 OFF_RAD = 0.05
-"""How far the frame may be from the angle asked for: an encoder's count, and what the rotor gives."""
+"""How far the frame may be from the angle set-point: an encoder's count, and what the rotor gives."""
 PARTS = ("", ".motor", ".encoder", ".controller")
 CHANGED = (
     "config.enable_watchdog",

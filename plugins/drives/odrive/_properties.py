@@ -39,7 +39,7 @@ class Properties:
         self._send(f"{line}\n".encode())
 
     def read(self, names: Sequence[str]) -> list[float]:
-        """Properties, asked for in one go; raises `DriveFault` where one is no number."""
+        """Properties, read in one request; raises `DriveFault` where one is no number."""
         self._forget()
         self._send("".join(f"r {name}\n" for name in names).encode())
         return [self._number(name, self._next()) for name in names]

@@ -236,11 +236,11 @@ class OdriveDrive(DriveShell):
         off = abs(complex(row[0], row[1]) - self._target)
         if off > max(ASTRAY * abs(self._target), LEAST * limits.current_a):
             self._require_sound(axis)
-            message = f"{i:.3g} A flow, {off:.3g} A off the {abs(self._target):.3g} A asked for"
+            message = f"{i:.3g} A flow, {off:.3g} A off the set-point of {abs(self._target):.3g} A"
             raise DriveFault(FaultCause.INTERNAL, f"{message}: the board limits it, or the rotor has turned")
 
     def telemetry(self) -> Telemetry:
-        """A reading, now; while the axis is idle no current is measured, and none is told."""
+        """A reading, now; while the axis is idle no current is measured, and none is given."""
         axis = self._connected()
         if self.limits is not None and not self.latched and (fault := self._fault(axis)) is not None:
             self.trip(fault)

@@ -70,6 +70,6 @@ def _alike(wanted: float | None, recorded: Any, scale: float) -> bool:
 
 
 def in_words(excitation: Excitation) -> str:
-    """What was asked for, as an error says it."""
+    """The excitation in words, for errors."""
     fields = ", ".join(f"{field} {getattr(excitation, field):g}" for field in _FIELDS[excitation.kind])
     return f"{excitation.kind}" + (f" with {fields}" if fields else "")

@@ -15,7 +15,7 @@ class SerialPort:
     frame_overhead_bytes: ClassVar[int] = 16
     """Identifier, offset, CRC-32, stuffing and the closing zero around a block's data."""
     for_blocks: ClassVar[float] = 0.9
-    """Part of the line that is left to blocks by telemetry, requests, and what has to be asked for twice."""
+    """Part of the line that telemetry, requests and repetitions leave to blocks."""
 
     requests_each = 16
     blocks_each = 64

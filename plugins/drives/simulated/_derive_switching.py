@@ -34,7 +34,7 @@ class Ratings:
 
 
 def carrier_frequencies(options: SimulatedOptions) -> tuple[float, ...]:
-    """The PWM frequencies that can be asked for [Hz]; raises `InputError` for one that the sampling does not fit."""
+    """The supported PWM frequencies [Hz]; raises `InputError` for one that the sampling does not fit."""
     own = options.pwm_frequency_hz or options.sampling_frequency_hz
     choices = options.pwm_frequencies_hz or (0.5 * own, own, 2.0 * own)
     if options.plant.inverter == "averaged":
@@ -179,7 +179,7 @@ def _devices(options: SimulatedOptions, known: Ratings) -> tuple[float, float, f
 
 
 def _refuse_long(options: SimulatedOptions, s: SwitchingParameters) -> None:
-    """What does not fit into the shortest period of the carrier that can be asked for."""
+    """Refuse what does not fit into the carrier's shortest supported period."""
     fastest = max(carrier_frequencies(options))
     period, words = 1.0 / fastest, f"of the carrier at {fastest:g} Hz"
     if s.bridge.minimum_s >= period:

@@ -5,7 +5,7 @@ rated current,
 
     H / I^2 = L_d (x^2/2 + s_d u_d(x)) + L_q (y^2/2 + s_q u_q(y)) + sqrt(L_d L_q) s_c (x y^2 + 0.7 x^2 y^2),
 
-so that one shape serves every size; the three strengths are solved for the asked-for falls of
+so that one shape serves every size; the three strengths are solved for the specified falls of
 inductance. The form is that of Jebai, Combes, Malrait, Martin and Rouchon (energy-based modelling
 of saturated PMSMs, CDC 2014), with a sixth power on each axis.
 """

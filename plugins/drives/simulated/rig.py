@@ -27,7 +27,7 @@ from protocols import Capabilities, CurrentControl, DriveRefused, Excitation, Ga
 __all__ = ["Nameplate", "Rig", "Step", "Stretch", "Tripped", "is_ramp"]
 
 ENDLESS = 1 << 60
-"""Samples of a state that lasts until something else is asked for."""
+"""Samples of a state that lasts until the next command."""
 _LATEST = "latest"
 
 
@@ -120,7 +120,7 @@ class Rig:
     def braked(self) -> bool:
         return self.bench.braked
 
-    # What it is told
+    # Commands
 
     def limit(self, limits: Limits) -> None:
         """Take over the limits of an experiment."""

@@ -19,7 +19,7 @@ ANSWER_S = 1.0
 CONSOLE_S = 0.55
 """Between two lines to the Lisp console: what comes within half a second after a line is passed over without a word."""
 RELEASE_S = 1.1
-"""After a tone was begun the bridge stays on for a second, whatever is asked for."""
+"""After a tone was begun the bridge stays on for a second, whatever the command."""
 FOC = 2
 WITH_INJECTION_OF_ITS_OWN = range(3, 9)
 """Sensor modes FOC_SENSOR_MODE_HFI to HFI_V5."""
@@ -58,7 +58,7 @@ class Board:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self._sent_s, self.released_s = time.monotonic(), 0.0  # whoever was here before may just have said something
+        self._sent_s, self.released_s = time.monotonic(), 0.0  # an earlier host may just have sent something
 
     def version(self) -> tuple[int, int, str]:
         """Firmware's version, and the board's name."""

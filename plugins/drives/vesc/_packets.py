@@ -126,7 +126,7 @@ class Values:
             raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {len(payload)} octets, expected {layout.size}")
         _, mask, d, q, bus, fault, vd, vq, status = layout.unpack(payload)
         if mask != cls.MASK:
-            raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {mask:#x}, {cls.MASK:#x} was asked for")
+            raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {mask:#x}, {cls.MASK:#x} was requested")
         return cls(complex(d, q) / 100.0, bus / 10.0, fault, complex(vd, vq) / 1000.0, bool(status & 1))
 
 

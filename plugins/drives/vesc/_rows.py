@@ -23,7 +23,7 @@ TABLE = np.sin(2.0 * np.pi * np.arange(32) / 32)
 UNIT_RAD = 2.0 * np.pi / 250.0
 """Of a row's angle, an octet."""
 BESIDE = 1.0 + 1e-4
-"""A tone's frequency in parts of the one asked for: where a period is a whole number of the table's steps at each row,
+"""A tone's frequency over the requested one: where a period is a whole number of the table's steps at each row,
 the board's rounding would decide between two values of the table."""
 _PHASES = 2.0 / 3.0 * np.exp(2j * np.pi * np.arange(3) / 3)
 
@@ -77,7 +77,7 @@ def window(
     last: int,
     step: float,
 ) -> int:
-    """The row, first to last, from which on wave and direction are nearest to those asked for.
+    """The row, first to last, from which on wave and direction are nearest to the requested ones.
 
     A wave half a period on, along the opposite direction, is the same.
 
@@ -86,7 +86,7 @@ def window(
     angle, place : array, shape (n,)
         Direction of the injection [rad], and place in its wave's period, 0 to 1.
     direction_rad, phase : float
-        Those asked for.
+        The requested ones.
     step : float
         Of the place, from row to row.
     """

@@ -174,7 +174,7 @@ class VescDrive(DriveShell):
             self._require_sound(board.values())
 
     def energise(self, limits: Limits) -> None:
-        """Give the board its limits and its timeout; its bridge is switched on by a current that is asked for."""
+        """Give the board its limits and its timeout; the first current set-point switches its bridge on."""
         board, own = self._connected(), self._own_settings()
         try:
             board.hold(0.0, 0.0)
@@ -270,7 +270,7 @@ class VescDrive(DriveShell):
             turn = cmath.exp(1j * angle)
             inside = i / turn
             if abs(inside.mean() - size) > MISSED * size:
-                message = f"{size:.4g} A were asked for, {inside.mean():.4g} A flow: the board limits it, or has let go"
+                message = f"set-point {size:.4g} A, measured {inside.mean():.4g} A: the board limits it, or has let go"
                 raise DriveFault(FaultCause.INTERNAL, message)
             own = self._own_settings()
             moved = _rows.control(inside, size, (own.proportional, own.integral), 1.0 / fs)

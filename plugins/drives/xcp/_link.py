@@ -32,13 +32,13 @@ TIMESTAMP = {"NO_TIME_STAMP": 0, "S1": 1, "S2": 2, "S4": 4}
 KEPT_ROWS = 200_000
 """Rows that wait to be taken: a host that is later than so many sees a gap."""
 SOCKET_BYTES = 4_000_000
-"""What the system is asked to keep for a host that is busy."""
+"""Requested buffer of the system for a host that is busy."""
 
 
 def library() -> Any:
     """pyxcp, imported when a drive is connected and no sooner; raises `PluginError` where it is not installed.
 
-    Its import takes over how Python shows values and errors at a terminal; that is put back. What it logs is told as
+    Its import takes over how Python shows values and errors at a terminal; that is put back. What it logs is raised as
     the drive's fault as well.
     """
     shown = sys.excepthook, sys.displayhook
@@ -211,7 +211,7 @@ class Link:
         framed = np.dtype([("head", "V", self._head), ("row", self.layout.row)])
         octets = self._rows.take()
         if len(octets) % framed.itemsize:
-            raise self._lose("rows of a length that was not asked for")
+            raise self._lose("rows of another length than requested")
         if octets:
             self._quiet = AttentiveClock()
         elif self._quiet() > self._timeout_s:

@@ -151,7 +151,7 @@ class XcpDrive(DriveShell):
             link.close()
 
     def heartbeat(self) -> None:
-        """Write the next beat; a link that does not take it is lost, which whoever asks next is told."""
+        """Write the next beat; a link that does not take it is lost, and the next call raises that."""
         link = self._link
         if link is None or link.lost is not None or self._own is None:
             return
@@ -200,7 +200,7 @@ class XcpDrive(DriveShell):
         self._tell(Order.SWITCH_OFF)
         status = Status.of(int(self._fresh_row()["status"]))
         if status.state == State.ON:
-            raise DriveFault(FaultCause.STILL_ARMED, "the ECU does not switch off when it is told to")
+            raise DriveFault(FaultCause.STILL_ARMED, "the ECU does not switch off on command")
         if status.state == State.FAULTED:
             self.latch(fault_of(status))
 

@@ -162,7 +162,7 @@ class _Ticker:
             try:
                 with self._lock:
                     self._live.refresh()
-            except (OSError, ValueError):  # the next message meets the same error, and is told of it
+            except (OSError, ValueError):  # the next message meets the same error, and raises it
                 return
 
 

@@ -27,7 +27,7 @@ from protocols import (
 )
 
 WORTH_A_LINE = ("paused", "stopping", "faulted", "aborted")
-"""States that are told beside the stages."""
+"""States that get a line beside the stages."""
 
 
 class PlainView:

@@ -65,7 +65,7 @@ def summary_rows(message: RunEnded, run: Path, longest: int = 220) -> Iterator[t
 
 
 def _estimate_rows(found: EstimationReport, folder: Path, longest: int) -> Iterator[tuple[str, str]]:
-    """What was estimated, what is said of it, and where it is kept."""
+    """The estimates, their remarks, and their files."""
     if found.resistance is not None:
         yield "R_s", resistance(found.resistance)
     if found.method is not None:

@@ -36,7 +36,7 @@ from protocols import (
 )
 
 WORTH_A_LINE = ("paused", "faulted", "aborted")
-"""States that are told; the others are seen."""
+"""States that get a line in the log; the page shows the others."""
 
 
 class Picture:

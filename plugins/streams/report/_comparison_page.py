@@ -22,7 +22,7 @@ _LINES = ("-", "--", ":", "-.")
 
 
 def write_comparison(paths: Sequence[Path], out: Path | None = None) -> Path:
-    """Make the page of several runs; into ``comparison.html`` here, unless told.
+    """Make the page of several runs; into ``comparison.html`` here by default.
 
     Raises
     ------

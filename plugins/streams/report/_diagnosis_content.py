@@ -70,7 +70,7 @@ def ladder_rows(found: SavedDiagnosis) -> Rows:
 
 
 def effect_rows(found: SavedDiagnosis) -> Rows:
-    """Every parameter of every effect, with its interval and what the effect cannot be told from."""
+    """Every parameter of every effect, with its interval and the effects that are indistinguishable from it."""
     rows: Rows = []
     for effect in found.report.effects:
         about = (number(effect.relative_size, 3), listed([plain(twin) for twin in effect.twins]) or "nothing")

@@ -1,4 +1,4 @@
-"""Which pictures of a diagnosis go on the page, in which order, and what is said below them. Draws nothing itself."""
+"""Chooses a diagnosis's pictures for the page, their order and their captions. Draws nothing itself."""
 
 from __future__ import annotations
 

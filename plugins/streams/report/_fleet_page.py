@@ -77,7 +77,7 @@ def _judgement(report: FleetReport) -> dict[str, str] | None:
         return None
     mood = "bad" if found.failed else "warning" if found.unsure or found.not_measured else "good"
     detail = (
-        f"{found.failed} fail, {found.unsure} cannot be told within their intervals, {found.not_measured} not measured."
+        f"{found.failed} fail, {found.unsure} are undecided within their intervals, {found.not_measured} not measured."
     )
     return {"mood": mood, "head": f"{found.passed} of {report.recordings} pass", "detail": detail}
 

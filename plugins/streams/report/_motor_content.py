@@ -50,7 +50,7 @@ def _ambient_c(material: Material) -> float | None:
 def _at_20_c(found: ResistanceEstimate, ambient_c: float | None) -> str:
     """By copper's coefficient, from the first reading, which the winding's own heat has not reached yet."""
     if ambient_c is None:
-        return "not known: nobody said how warm the room was (--ambient)"
+        return "not known: the room's temperature was not given (--ambient)"
     cold = found.first_ohm / (1.0 + COPPER_PER_K * (ambient_c - 20.0))
     return f"{quantity(cold, 'ohm', 4)}, if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
 

@@ -45,7 +45,7 @@ def row(path: Path) -> dict[str, Any]:
 
 
 def _verdict(path: Path, messages: Sequence[Message]) -> Any:
-    """That of ``results/diagnosis.json``, which is the newest; else what the run itself said last."""
+    """That of ``results/diagnosis.json``, which is the newest; else the last one in the journal."""
     try:
         kept = json.loads(read_bytes(path / "results" / "diagnosis.json"))
         return kept.get("report", kept)["verdict"]

@@ -165,7 +165,7 @@ def _found_by(source: Path | str, origin: str) -> AbstractContextManager[str]:
 
 
 def _made_anew(later: Later) -> Later | None:
-    """A view that keeps up with its run; None where it cannot any more, which is said."""
+    """A view that follows its run; None, with a message, where it cannot any more."""
     _tell(f"{later.run} has newer results: the view is made anew")
     try:
         later.make()

@@ -295,7 +295,7 @@ def _course(when: When, found: ResistanceCourse) -> list[Entry]:
         *chart.furniture(when),
         chart.points("measured", when, found.heat_j, found.measured_ohm, MEASURED_ON_SCREEN, -3.0),
         chart.line("model", when, found.heat_j[order], found.model_ohm[order], MODEL),
-        chart.legend(when, [("asked for by each dwell", MEASURED_ON_SCREEN), ("the model's", MODEL)]),
+        chart.legend(when, [("measured by each dwell", MEASURED_ON_SCREEN), ("the model's", MODEL)]),
     ]
 
 

@@ -129,7 +129,7 @@ def _replayed(directory: Path, folder: Path) -> Path:
     from plugins.streams.rerun._replay import replay
 
     messages = replay(directory)
-    first = next(messages)  # what cannot be read is said before anything is made
+    first = next(messages)  # an unreadable run raises before anything is made
     # What is in the file is a matter of the run, and not of how fast it is replayed: the clock stands still.
     setup, name = StreamSetup(run=folder, options=RerunOptions()), directory.resolve().name
     stream = RerunStream(setup, name=name, ripple_every_s=0.0, wall_s=lambda: 0.0)

@@ -1,6 +1,6 @@
 """A run or recording on disk as the messages that a stream would have got, so that its pictures can be made later.
 
-What is missing or damaged is left out and said in a note.
+Missing or damaged files are left out, with a note.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ def _results(directory: Path) -> Iterator[Message]:
 
 
 def _maps(directory: Path) -> Iterator[Message]:
-    """The maps in results/, the recommended one last, with what is said of all."""
+    """The maps in results/, the recommended one last, with the remarks on all."""
     files = sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name == "flux_map.nc", f.name))
     report = _report(directory)
     for file in files:
@@ -159,7 +159,7 @@ def _maps(directory: Path) -> Iterator[Message]:
 
 
 def _report(directory: Path) -> EstimationReport | None:
-    """What the estimators said together, of the recommended map; None where it is missing or not theirs."""
+    """The estimators' report with the recommended map; None where it is missing or another's."""
     try:
         return load_estimates(directory)
     except RecordingError:

@@ -18,7 +18,7 @@ Asked = Callable[[Sequence[Excitation]], Iterator[Excitation]]
 
 @pytest.fixture
 def run_asking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., RunResult]:
-    """A run whose injections are asked for by a function of the planned ones."""
+    """A run whose injections are a function of the planned ones."""
 
     def run(choose: Asked, *more: dict[str, Any]) -> RunResult:
         def as_run(self: InjectionStage, run: StageRun, planned: Sequence[Excitation]) -> Iterator[Excitation]:
@@ -73,5 +73,5 @@ def test_what_is_enough_is_enough_after_a_resumption_too(
     assert (enough.index, enough.points_spared) == (1, 4)
     monkeypatch.undo()
     again = resume_run(result.path, RunServices(AbsentOperator(), Interrupts()))
-    assert again.outcome.ending == "aborted"  # the question is asked once more, and nothing is measured before
+    assert again.outcome.ending == "aborted"  # the question comes once more, and nothing is measured before
     assert len(injected(result)) == 2

@@ -197,7 +197,7 @@ def test_a_finished_run_can_be_gone_on_with(propose: Propose, tmp_path: Path) ->
     path = run_tiny(tmp_path, stages=stages).path
     answered, estimated = len(of_kind(path, OperatorAnswered)), states(path).count("estimating")
     more = DiagnoseStage().going_on(EXPERIMENT, tiny_procedure(tmp_path), 1)
-    assert more[0].settings["answer"] == "yes"  # as where the procedure asked for the brake to be engaged
+    assert more[0].settings["answer"] == "yes"  # as where the procedure has the brake engaged
     result = extend_run(path, more, RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished"
     assert [message.id for message in of_kind(path, PointDone)][-3:] == [f"resistance-{k:03d}" for k in (4, 5, 6)]

@@ -1,4 +1,4 @@
-"""What is said of an overcurrent: noise, ripple, the nameplate's inductance, or what nothing measured explains."""
+"""Explanations of an overcurrent: noise, ripple, the nameplate's inductance, or what nothing measured explains."""
 
 from __future__ import annotations
 

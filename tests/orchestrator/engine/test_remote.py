@@ -28,7 +28,7 @@ class Page:
         os.write(self.writing, (message if isinstance(message, bytes) else json.dumps(message).encode()) + b"\n")
 
     def ends_within(self, seconds: float = 5.0) -> str:
-        """Why the run is asked to end."""
+        """Why the run has to end."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             try:

@@ -32,7 +32,7 @@ class ExampleStream:
         print(message.kind)
 
     def close(self) -> None:
-        (self.run / "heard.txt").write_text(f"{self.count}\n", encoding="utf-8")
+        (self.run / "count.txt").write_text(f"{self.count}\n", encoding="utf-8")
 
 
 class ExampleScope(ExampleStream):
@@ -79,7 +79,7 @@ class ChokesOnMaps(ExampleStream):
 class NeedsARunToClose(ExampleStream):
     def close(self) -> None:
         if self.count == 0:
-            raise RuntimeError("nothing heard")
+            raise RuntimeError("nothing received")
 
 
 class RetriesForEver(ExampleStream):
@@ -103,7 +103,7 @@ class LeavesThroughTheWindow(ExampleStream):
 
 class WritesIntoTheWorkingDirectory(ExampleStream):
     def close(self) -> None:
-        Path("heard.txt").write_text("", encoding="utf-8")
+        Path("count.txt").write_text("", encoding="utf-8")
 
 
 class WritesBesideTheRun(ExampleStream):

@@ -85,7 +85,7 @@ def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off:
 
 
 @few(
-    "wrong_with, said",
+    "wrong_with, code",
     [({"drop_v": 1.0, "drop_a": 0.05}, "inverter_loss"), ({"delay_samples": 2.4}, "steps_lag"), ({}, "")],
     ids=["drop", "lag", "nothing"],
 )

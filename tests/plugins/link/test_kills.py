@@ -89,7 +89,7 @@ class Bench:
     def wait_a_while(self, process: ForkedCommand) -> bool:
         """Some time of the run; False where it came to its end meanwhile.
 
-        On a machine that is too busy to beat in time the watchdog does what it is there for; that is told, not hidden.
+        On a machine that is too busy to beat in time the watchdog does what it is there for; the run then says so.
         """
         try:
             process.wait(self.rng.uniform(0.0, LONGEST_S))

@@ -1,4 +1,4 @@
-"""A rotor that is turned: what is asked for, who refuses it, and what it tells of a plant whose own map is known."""
+"""A turning rotor: the planned points, who refuses them, and the estimates of a plant whose own map is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Voltage steps: what is asked for, who refuses it, and the map that comes of it on a plant whose own is known."""
+"""Voltage steps: the planned points, who refuses them, and the estimated map of a plant whose own is known."""
 
 from __future__ import annotations
 

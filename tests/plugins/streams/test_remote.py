@@ -1,4 +1,4 @@
-"""What a page is told of a run: where it stands, whole each time, in numbers and texts that a page can show."""
+"""A page's view of a run: its state, whole each time, in numbers and texts that a page can show."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ def run(undrawn: None, finished: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of what is said where there may be a picture or none: figures are not even made."""
+    """For tests of texts beside pictures: figures are not even made."""
     for module in (_figures, _motor_figures):
         for name in [name for name in vars(module) if name.endswith("_figure") and name != "new_figure"]:
             monkeypatch.setattr(module, name, lambda *_: "data:image/svg+xml;base64,")
@@ -232,7 +232,7 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
 
 @pytest.mark.usefixtures("without_figures")
 @few(
-    "name, content, told",
+    "name, content, message",
     [
         ("results/estimates.json", b"{", "estimates.json"),
         ("results/estimates.json", b'{"usable": 1}', "estimates.json"),

@@ -1,4 +1,4 @@
-"""Sessions: a repetition does nothing twice, a stale host is not heard, and held-up heartbeats feed nobody."""
+"""Sessions: a repetition does nothing twice, a stale host is ignored, and held-up heartbeats feed nobody."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_arming_issues_a_session_and_closes_the_one_before() -> None:
     ledger, host = opened()
     arm, stale = host.command(Op.ARM), Conversation(host.session)
     while (arm.seq - stale.command(Op.TIME_SYNC).seq) % 256 <= 2:
-        pass  # Its numbers begin anywhere; the arming's own would be that, asked again.
+        pass  # Its numbers begin anywhere; the arming's own would be its repetition.
     assert ledger.judge(arm) is Verdict.NEW
     reply = ledger.store(arm, ack(arm, ledger.issue()))
     assert ledger.judge(arm) is Verdict.REPEATED, "the acknowledgement was lost, and the old session asks again"

@@ -83,7 +83,7 @@ class Budget:
     Attributes
     ----------
     rows : tuple of Row
-        In the order in which they are told.
+        In the order of the page.
     standing : tuple of Errors
         The procedure's bench with two vectors that stand: by rectangles, by trapezoids.
     still : Literal

@@ -43,7 +43,7 @@ class VirtualMeasurement:
 
 
 def virtual_measurement(segment: Segment, capture: Capture, angle_rad: float) -> VirtualMeasurement:
-    """Demodulate a capture by what was asked for in its segment.
+    """Demodulate a capture by its segment's settings.
 
     Parameters
     ----------

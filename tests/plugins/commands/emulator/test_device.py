@@ -145,7 +145,7 @@ class Desk:
         return status if status is not AckStatus.OK else self.ask(Op.RUN_PROGRAM).status
 
     def pass_time(self, seconds: float, until: Callable[[], bool] = lambda: False) -> list[Frame]:
-        """Turns of 2 ms with heartbeats; what the device said."""
+        """Turns of 2 ms with heartbeats; the device's frames."""
         frames: list[Frame] = []
         beat_s = -math.inf
         for _ in range(round(seconds / 2e-3)):

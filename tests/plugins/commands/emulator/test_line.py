@@ -1,4 +1,4 @@
-"""What is urgent overtakes, a paced line keeps its pace, and losses are those that were asked for."""
+"""What is urgent overtakes, a paced line keeps its pace, and losses are as specified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Guesses: what counts as right, and that a verdict says no more than asked."""
+"""Guesses: what counts as right, and that a verdict reveals no more than the guess."""
 
 from __future__ import annotations
 

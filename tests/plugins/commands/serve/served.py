@@ -68,7 +68,7 @@ class Served:
         return self.ask("POST", path, {**self.cookie, "Origin": self.origin}, json.dumps(body).encode())
 
     def views(self) -> Iterator[dict[str, Any]]:
-        """What the page is told, from now on."""
+        """What the page receives, from now on."""
         with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)) as line:
             line.request("GET", "/events", headers=self.cookie)
             for row in line.getresponse():

@@ -1,4 +1,4 @@
-"""Runs from the page: started, asked, answered, stopped; and what becomes of them when the server goes."""
+"""Runs from the page: starting, answering, stopping; and what becomes of them when the server goes."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def until_energised(served: Served, **wanted: Any) -> Path:
 
 
 def ended_safely(run: Path) -> RunEnded:
-    """How a run ended that had current when it was told to."""
+    """How a run ended that had current at the request to stop."""
     wait_until(lambda: isinstance(messages_of(run)[-1], RunEnded), 60.0)
     messages = messages_of(run)
     assert "current ramped down, drive disarmed" in [m.text for m in messages if isinstance(m, Note)]
@@ -170,7 +170,7 @@ def test_a_browser_that_is_gone_while_a_question_is_open_leaves_it_open(served: 
     assert question_of(served.view_when(question_of)) == question
     assert served.post("/answer", {"question": question and question["number"], "answer": "no"}).status == 200
     over = served.view_when(lambda view: not view["going"])
-    assert "said no to: Is the brake engaged?" in over["problem"]
+    assert "answered no to: Is the brake engaged?" in over["problem"]
 
 
 @pytest.mark.slow

@@ -131,7 +131,7 @@ def test_without_a_heartbeat_the_board_hears_no_setpoint_and_stops_by_itself() -
         assert port.servo.position_commands == 1, "somebody else than the heartbeat fed the board's watchdog"
         telemetry = drive.telemetry()
         assert telemetry.state is DriveState.FAULTED
-        assert telemetry.faults == ("heartbeat_lost: the board heard no heartbeat for 0.3 s (mode 11)",)
+        assert telemetry.faults == ("heartbeat_lost: the board received no heartbeat for 0.3 s (mode 11)",)
         with pytest.raises(DriveRefused, match="clear it first"):
             drive.arm(LIMITS)
         drive.clear_fault()

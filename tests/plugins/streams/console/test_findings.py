@@ -37,7 +37,7 @@ from protocols import (
 from tests.plugins.streams.example_run import a_map, a_report
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis, some_steps
 
-SAID = Remark(code="said", values={"apart_percent": 1.5}, text="they differ by 1.5 %")
+REMARK = Remark(code="apart", values={"apart_percent": 1.5}, text="they differ by 1.5 %")
 COMPARED = Compared(report=a_comparison())
 DIAGNOSED = Diagnosed(round=0, report=a_diagnosis(), words=WORDS)
 PROPOSED = ExperimentProposed(
@@ -115,7 +115,7 @@ def test_quiet_leaves_a_diagnosis_to_the_results(monkeypatch: pytest.MonkeyPatch
 def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     found = a_map("energy")
     points = FluxPoints(i_dq=found.psi_d[:2, :2], psi_dq=found.psi_d[:2, :2], segment=("a", "b"))
-    estimated = MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=MapChecks(), remarks=[SAID]))
+    estimated = MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=MapChecks(), remarks=[REMARK]))
     lines = printed(monkeypatch, tmp_path, [*MESSAGES, estimated], "jsonl").splitlines()
     objects = [json.loads(line) for line in lines]
     assert [o["kind"] for o in objects] == [m.kind for m in [*MESSAGES, estimated]]
@@ -133,7 +133,7 @@ def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytes
     assert step["resistance"] == {}
     assert objects[-1]["estimate"]["map"] == {"method": "energy", "basis": "energy"}
     assert objects[-1]["estimate"]["points"] == {}
-    assert objects[-1]["estimate"]["remarks"] == [SAID.model_dump()]
+    assert objects[-1]["estimate"]["remarks"] == [REMARK.model_dump()]
     assert objects[-3]["words"] == WORDS.model_dump()
 
 

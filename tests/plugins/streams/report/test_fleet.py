@@ -97,7 +97,7 @@ def test_the_viewers_file_has_the_tables_and_each_course(report: FleetReport, tm
     found = entities(file)
     charts = [one for one in report.quantities if one.chart is not None and one.of_motor]
     assert [found[f"/course/{k}"] for k in range(len(charts))] == [60] * len(charts)
-    (remarks,) = [row for row in rows(file, "/fleet/told") if row.get("TextDocument:text")]
+    (remarks,) = [row for row in rows(file, "/fleet/remarks") if row.get("TextDocument:text")]
     assert report.remarks[0].text in remarks["TextDocument:text"][0]
     assert "/fleet/unlike_the_others" in found
 
