@@ -34,7 +34,7 @@ from protocols import (
     VoltageSteps,
 )
 
-SINGLE = 1.0 + 1e-6
+SINGLE_PRECISION_RATIO = 1.0 + 1e-6
 """A number that went over a wire as a single may be off by its rounding (6e-8); it counts as the same."""
 
 
@@ -246,7 +246,7 @@ def refuse_limits(limits: Limits, own: Capabilities) -> None:
         ("current", "A", limits.current_a, own.max_current_a),
         ("voltage", "V", limits.voltage_v, own.max_voltage_v),
     ):
-        if not wanted <= most * SINGLE:
+        if not wanted <= most * SINGLE_PRECISION_RATIO:
             raise DriveRefused(f"{quantity} limit {wanted:g} {unit} is above the drive's own {most:g} {unit}")
 
 
@@ -264,27 +264,29 @@ def refuse_excitation(excitation: Excitation, limits: Limits, own: Capabilities,
         if isinstance(value, float) and not math.isfinite(value):
             raise DriveRefused(f"{field} is not a finite number")
     pwm = excitation.pwm_frequency_hz
-    if pwm is not None and not any(math.isclose(pwm, f, rel_tol=SINGLE - 1.0) for f in own.pwm_frequencies_hz):
+    if pwm is not None and not any(
+        math.isclose(pwm, f, rel_tol=SINGLE_PRECISION_RATIO - 1.0) for f in own.pwm_frequencies_hz
+    ):
         choices = ", ".join(f"{f:g}" for f in own.pwm_frequencies_hz)
         raise DriveRefused(f"PWM frequency {pwm:g} Hz; this drive has {choices} Hz")
     captured_s = excitation.captured_s
     if excitation.rows(own.sampling_frequency_hz) < 1:
         raise DriveRefused(f"nothing to capture: {captured_s:g} s is less than a sample")
-    if own.longest_capture_s is not None and captured_s > own.longest_capture_s * SINGLE:
+    if own.longest_capture_s is not None and captured_s > own.longest_capture_s * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"capture of {captured_s:g} s is longer than the drive's {own.longest_capture_s:g} s")
     whole_s = excitation.settling_s + captured_s
-    if own.longest_excitation_s is not None and whole_s > own.longest_excitation_s * SINGLE:
+    if own.longest_excitation_s is not None and whole_s > own.longest_excitation_s * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"{whole_s:g} s with settling are longer than the drive's {own.longest_excitation_s:g} s")
     current_a = excitation.longest_current_a
-    if current_a > limits.current_a * SINGLE:
+    if current_a > limits.current_a * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"current {current_a:.4g} A is above the limit of {limits.current_a:g} A")
-    if isinstance(excitation, VoltageSteps) and excitation.voltage_v > limits.voltage_v * SINGLE:
+    if isinstance(excitation, VoltageSteps) and excitation.voltage_v > limits.voltage_v * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"steps of {excitation.voltage_v:.4g} V are above the limit of {limits.voltage_v:g} V")
     if isinstance(excitation, Injection):
         _refuse_injection(excitation, own)
         # on open loop: current control saturates by itself
         voltage_v = excitation.amplitude_v + resistance_ohm * current_a
-        if voltage_v > limits.voltage_v * SINGLE:
+        if voltage_v > limits.voltage_v * SINGLE_PRECISION_RATIO:
             raise DriveRefused(
                 f"injection of {excitation.amplitude_v:g} V at {current_a:.4g} A needs {voltage_v:.4g} V, "
                 f"above the limit of {limits.voltage_v:g} V"
@@ -297,7 +299,7 @@ def _refuse_injection(e: Injection, own: Capabilities) -> None:
     if own.injects_at_zero_only and e.longest_current_a > 0.0:
         raise DriveRefused("this drive injects at zero current only")
     whole_s, longest_s = e.discard_s + e.captured_s, own.longest_injection_s
-    if longest_s is not None and whole_s > longest_s * SINGLE:
+    if longest_s is not None and whole_s > longest_s * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"an injection of {whole_s:g} s is longer than the drive's {longest_s:g} s")
 
 

@@ -24,7 +24,7 @@ from protocols import Message, SamplesCaptured, Stream
 T = TypeVar("T")
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-_THREADS = "stream "
+_THREAD_PREFIX = "stream "
 """How the names of the streams' threads begin."""
 
 
@@ -60,7 +60,7 @@ class StreamTally:
 
 def has_unfinished_streams() -> bool:
     """Whether a stream's thread is still at work in this process, though nobody waits for it any more."""
-    return any(thread.name.startswith(_THREADS) for thread in threading.enumerate())
+    return any(thread.name.startswith(_THREAD_PREFIX) for thread in threading.enumerate())
 
 
 class Dispatcher:
@@ -147,7 +147,7 @@ class _Listener:
         self._delivered = self._dropped = self._errors = 0
         self._first_error = ""
         self._notes: tuple[str, ...] = ()
-        self._thread = threading.Thread(target=self._work, name=f"{_THREADS}{name}", daemon=True)
+        self._thread = threading.Thread(target=self._work, name=f"{_THREAD_PREFIX}{name}", daemon=True)
 
     def start(self) -> None:
         self._thread.start()

@@ -3,7 +3,7 @@
 from orchestrator.engine._commissioning import Commissioning, Outcome
 from orchestrator.engine._heartbeat import HeartbeatKeeper, host_gap
 from orchestrator.engine._interrupts import Interrupts, handling_signals
-from orchestrator.engine._operator import WORDS, AbsentOperator, Operator, TerminalOperator
+from orchestrator.engine._operator import SAFE_BENCH_WORDS, AbsentOperator, Operator, TerminalOperator
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import PowerStage
 from orchestrator.engine._remote import RemoteOperator
@@ -28,8 +28,8 @@ from orchestrator.engine._states import (
 
 __all__ = [
     "NOTHING_LEFT",
+    "SAFE_BENCH_WORDS",
     "TERMINAL",
-    "WORDS",
     "AbsentOperator",
     "Commissioning",
     "HeartbeatKeeper",

@@ -11,11 +11,11 @@ import numpy as np
 from orchestrator.numerics.alignment import Numbers, alignment_of
 from protocols import Capabilities, Capture, DriveFault, Excitation, FaultCause, Injection
 
-APART_ROWS = 0.75
-"""Inverters and sensors are late by up to half a row; who writes into another row is off by a whole one."""
-SURE = 0.8
-"""Share of the current's steps that has to be explained for an answer that ends a run."""
-ROWS = 8_000
+MAX_LAG_ERROR_ROWS = 0.75
+"""Inverters and sensors are late by up to half a row; a shifted row is off by a whole one."""
+MIN_EXPLAINED_RATIO = 0.8
+"""Explained share of the current's steps, below which the check decides nothing."""
+CHECKED_ROWS = 8_000
 
 
 class AlignmentCheck:
@@ -34,7 +34,7 @@ class AlignmentCheck:
     def update(self, excitation: Excitation, capture: Capture) -> None:
         """A block of it, kept by reference."""
         is_square = isinstance(excitation, Injection) and excitation.waveform == "square"
-        if is_square and not self._is_decided and sum(map(len, self._i)) < ROWS:
+        if is_square and not self._is_decided and sum(map(len, self._i)) < CHECKED_ROWS:
             self._i.append(capture.i_ab)
             self._v.append(capture.v_ab)
 
@@ -42,12 +42,12 @@ class AlignmentCheck:
         """Raise `DriveFault` (wrong_data) where the voltage of another row makes the current."""
         if not self._i:
             return
-        found = alignment_of(np.concatenate(self._i), np.concatenate(self._v), most_samples=ROWS)
+        found = alignment_of(np.concatenate(self._i), np.concatenate(self._v), most_samples=CHECKED_ROWS)
         self.begin()
-        if found is None or found.explained < SURE:
+        if found is None or found.explained < MIN_EXPLAINED_RATIO:
             return
         self._is_decided = True
-        if abs(found.lag_rows - self._lag_rows) > APART_ROWS:
+        if abs(found.lag_rows - self._lag_rows) > MAX_LAG_ERROR_ROWS:
             raise DriveFault(
                 FaultCause.WRONG_DATA,
                 f"{segment}: the current follows the voltage of row k from t_k + {found.lag_rows:.1f} Ts on, the drive "

@@ -20,7 +20,7 @@ from orchestrator.engine._operator import Operator, Questions
 from orchestrator.engine._overcurrent import explain_overcurrent, ripple_ratio, sensor_noise
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._point_queue import PointQueue
-from orchestrator.engine._power import SAFE, PowerStage, as_drive_errors
+from orchestrator.engine._power import DISARMED_TEXT, PowerStage, as_drive_errors
 from orchestrator.engine._probing import RippleProbe, weakened
 from orchestrator.engine._stage_run import Engine, StageAtWork
 from orchestrator.engine._states import StateMachine, Trigger, table_of
@@ -287,7 +287,7 @@ class Commissioning:
         finally:  # a defect comes after the drive
             stood_down = self._power.stand_down()
         if stood_down:
-            level: Literal["info", "error"] = "info" if stood_down == SAFE else "error"
+            level: Literal["info", "error"] = "info" if stood_down == DISARMED_TEXT else "error"
             trouble.append(self._attempt(lambda: self._log.publish(Note(level=level, text=stood_down))))
         if self._power.unsafe is not None and outcome.ending != "faulted":
             outcome = Outcome("faulted", stood_down, self._power.unsafe, outcome.estimates)

@@ -17,8 +17,8 @@ from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, Note, SamplesCaptured, Segment
 
-OVERSHOOT = 1.5
-"""Current in samples that a drive should long have tripped on, against the limit."""
+MAX_CURRENT_RATIO = 1.5
+"""Current of a sample over the limit, at which the drive should have tripped long before."""
 
 
 class MeanCurrent:
@@ -132,7 +132,7 @@ class Measurement:
 
     def _check_current(self, capture: Capture, segment: str) -> None:
         peak = float(np.sqrt(np.max(np.einsum("na,na->n", capture.i_ab, capture.i_ab))))
-        if peak > OVERSHOOT * self._limits.current_a:
+        if peak > MAX_CURRENT_RATIO * self._limits.current_a:
             raise DriveFault(
                 FaultCause.OVERCURRENT,
                 f"{segment}: {peak:.3g} A measured, the limit is {self._limits.current_a:.3g} A, and the drive went on",

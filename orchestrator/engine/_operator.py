@@ -12,7 +12,7 @@ from orchestrator.engine._remote import RemoteOperator
 from orchestrator.presentation.sentences import cut, visible
 from protocols import InputError, OperatorAnswered, OperatorAsked, RunAborted
 
-WORDS = "I have made the bench safe"
+SAFE_BENCH_WORDS = "I have made the bench safe"
 """By which a procedure's own answers count on a real drive; kept in the journal."""
 
 
@@ -30,7 +30,7 @@ class AbsentOperator:
     Parameters
     ----------
     words : str, optional
-        `WORDS`, spelled out: the procedure's answers count on a real drive as well. By default on simulated ones only.
+        `SAFE_BENCH_WORDS`: the procedure's answers count on a real drive too. Default: on simulated ones only.
 
     Raises
     ------
@@ -39,8 +39,8 @@ class AbsentOperator:
     """
 
     def __init__(self, words: str | None = None) -> None:
-        if words not in (None, WORDS):
-            raise InputError("--unattended", "", f'expected "{WORDS}", spelled out; got {cut(repr(words))}')
+        if words not in (None, SAFE_BENCH_WORDS):
+            raise InputError("--unattended", "", f'expected "{SAFE_BENCH_WORDS}", spelled out; got {cut(repr(words))}')
         self.words = words
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
@@ -72,7 +72,7 @@ class TerminalOperator:
 class Questions:
     """Puts questions to the operator, and keeps them and their answers in the journal.
 
-    On a real drive a procedure does not answer for a person, unless whoever started the run has given `WORDS`.
+    On a real drive a procedure answers for a person only where the run was started with `SAFE_BENCH_WORDS`.
     """
 
     def __init__(self, operator: Operator, interrupts: Interrupts, log: RunLog, *, simulated: bool) -> None:
@@ -94,7 +94,9 @@ class Questions:
             return
         if answered and isinstance(self._operator, AbsentOperator):
             problem = "the procedure's own answer counts on a simulated drive only"
-            raise RunAborted(f'nobody is there to answer: {prompt} ({problem}, or with --unattended "{WORDS}")')
+            raise RunAborted(
+                f'nobody is there to answer: {prompt} ({problem}, or with --unattended "{SAFE_BENCH_WORDS}")'
+            )
         self._log.before_prompt()
         agreed = self._operator.confirm(prompt, self._interrupts)
         through = self._operator.through if isinstance(self._operator, RemoteOperator) else ""

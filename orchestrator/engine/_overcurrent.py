@@ -16,11 +16,11 @@ from orchestrator.config import PlannedPoint, nominal_ripple_a
 from orchestrator.stages import flux_swing_wb, ripple_a
 from protocols import GatesOff, Injection, Limits, Motor, RecordingReader, Segment, SegmentStage
 
-WRONG_INDUCTANCE_RATIO = 2.0
+MAX_RIPPLE_RATIO = 2.0
 """Measured over the nameplate's ripple from which on the inductance is the cause: iron saturates by 20 to 60 %."""
-MOST_INJECTIONS_READ = 5
+MAX_INJECTIONS_READ = 5
 """A lock check's: at rest and under torque."""
-SMALLEST_CURRENT_SHARE = 0.3
+MIN_CURRENT_RATIO = 0.3
 """Of the set-point: less is no measurement of this motor, and other sensors are wanted."""
 _PEAK_OVER_RMS = {"square": math.sqrt(3.0), "sine": math.sqrt(2.0)}
 """Of the current ripple that the injected waveform makes."""
@@ -72,7 +72,7 @@ def ripple_ratio(recording: RecordingReader, motor: Motor, noise: SensorNoise | 
     """
     stages = (SegmentStage.LOCK_CHECK, SegmentStage.INJECTION)
     segments = [segment for segment in recording.segments() if segment.stage in stages]
-    ratios = (_ripple_ratio(recording, segment, motor, noise) for segment in segments[:MOST_INJECTIONS_READ])
+    ratios = (_ripple_ratio(recording, segment, motor, noise) for segment in segments[:MAX_INJECTIONS_READ])
     return min((one for one in ratios if one is not None), key=lambda one: one.ratio, default=None)
 
 
@@ -126,7 +126,7 @@ def explain_overcurrent(
     budget = f"{asked_a:.3g} A were commanded{_noise_words(noise, noise_a, rows)}"
     if nominal_a > 0.0:
         budget += f", the nameplate's ripple is {nominal_a:.2g} A"
-    wrong = seen is not None and seen.ratio > WRONG_INDUCTANCE_RATIO
+    wrong = seen is not None and seen.ratio > MAX_RIPPLE_RATIO
     if seen is not None and wrong and (nominal_a > 0.0 or asked_a + noise_a < limit_a):
         return f"{budget}; {_wrong_inductance(seen, motor)}"
     if asked_a + noise_a + swing_a < limit_a:
@@ -158,7 +158,7 @@ def _too_noisy(point: PlannedPoint, limit_a: float, noise_a: float, swing_a: flo
     needed_a = asked_a + noise_a + swing_a
     room_a = limit_a - noise_a - swing_a
     raised = f"limits.current_a of {_up(needed_a):g} A, where motor and drive bear it"
-    if room_a < SMALLEST_CURRENT_SHARE * asked_a:
+    if room_a < MIN_CURRENT_RATIO * asked_a:
         return f"the noise reaches the trip; that needs quieter sensors, or {raised}"
     return (
         f"the noise reaches the trip; currents of {_down(room_a):g} A at most in stages.{point.stage_index} end "

@@ -29,9 +29,9 @@ from protocols import (
 
 T = TypeVar("T")
 
-SAFE = "current ramped down, drive disarmed"
+DISARMED_TEXT = "current ramped down, drive disarmed"
 
-WAY_OUT_S = 10.0
+SHUTDOWN_TIMEOUT_S = 10.0
 """How long ramping down, and disarming, may take before the drive is given up."""
 
 
@@ -144,7 +144,7 @@ class PowerStage:
         self._keeper = None
         failures = {"ramping down": failed_ramp, "disarming": self.unsafe}
         failed = "; ".join(f"{deed} failed ({error})" for deed, error in failures.items() if error is not None)
-        return f"{failed}; {self._what_is_left()}" if failed else SAFE
+        return f"{failed}; {self._what_is_left()}" if failed else DISARMED_TEXT
 
     def _what_is_left(self) -> str:
         """What makes a drive safe that ignored a command."""
@@ -167,7 +167,7 @@ class PowerStage:
 
     def _attempt(self, call: Callable[[], None]) -> FluxbenchError | None:
         try:
-            with as_drive_errors(self._capabilities.name), self._interrupts.deadline(WAY_OUT_S):
+            with as_drive_errors(self._capabilities.name), self._interrupts.deadline(SHUTDOWN_TIMEOUT_S):
                 call()
         except FluxbenchError as error:
             return error

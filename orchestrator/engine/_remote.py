@@ -20,8 +20,8 @@ from typing import Any
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.presentation.sentences import shown
 
-LONGEST_LINE = 1 << 16
-LOOK_S = 0.2
+MAX_LINE_BYTES = 1 << 16
+POLL_PERIOD_S = 0.2
 
 
 class RemoteOperator:
@@ -48,7 +48,7 @@ class RemoteOperator:
         while True:
             interrupts.check()
             try:
-                question, answer = self._answers.get(timeout=LOOK_S)
+                question, answer = self._answers.get(timeout=POLL_PERIOD_S)
             except queue.Empty:
                 continue
             if question == prompt and answer in ("yes", "no"):
@@ -68,7 +68,7 @@ class RemoteOperator:
     def _listen(self, interrupts: Interrupts) -> None:
         heard_s, kept = time.monotonic(), b""
         while not self._done.is_set():
-            if not select.select([self._descriptor], [], [], LOOK_S)[0]:
+            if not select.select([self._descriptor], [], [], POLL_PERIOD_S)[0]:
                 if time.monotonic() - heard_s > self._silence_s:
                     return interrupts.stop(f"the operator's {self.through} has been silent for {self._silence_s:g} s")
                 continue
@@ -78,7 +78,7 @@ class RemoteOperator:
             *lines, kept = (kept + data).split(b"\n")
             for line in lines:
                 self._take(_object(line), interrupts)
-            heard_s, kept = time.monotonic(), kept[-LONGEST_LINE:]
+            heard_s, kept = time.monotonic(), kept[-MAX_LINE_BYTES:]
         return None
 
     def _take(self, message: dict[str, Any], interrupts: Interrupts) -> None:

@@ -40,7 +40,7 @@ from protocols import (
     StreamSetup,
 )
 
-STREAMS_READY_S = 5.0
+STREAM_START_TIMEOUT_S = 5.0
 """How long streams may take to be made before a run begins without waiting for them."""
 NOTHING_LEFT = "the run is finished: there is nothing left to do"
 
@@ -213,7 +213,7 @@ def _commission(
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
     # While streams load what they draw with, a heartbeat comes late: not with the drive energised.
-    dispatcher.drain(STREAMS_READY_S)
+    dispatcher.drain(STREAM_START_TIMEOUT_S)
     log = RunLog(run.journal, dispatcher)
     who = services.operator, services.interrupts
     outcome = Commissioning(run, plan, drive, capabilities, plugins, *who, log, thermometer).execute()

@@ -35,11 +35,11 @@ from protocols import (
     Waveform,
 )
 
-SAMPLES_PER_PERIOD = 20
+ROWS_PER_PERIOD = 20
 """Rows in one injection period: a whole number, so that the kit's spectra have no leakage."""
-LATE_PERIODS = 10
-"""Injection periods that the kit discards where it wants a ripple that has settled."""
-FEWEST_PERIODS = 5
+DISCARDED_PERIODS = 10
+"""Injection periods that the kit discards where the ripple has to be settled."""
+MIN_PERIODS_PER_TURN = 5
 """Injection periods in one turn of the injected vector, also on a drive that samples slowly."""
 
 
@@ -68,12 +68,12 @@ class Sizes:
         rated = min(motor.rated_current_a or 0.5 * capabilities.max_current_a, capabilities.max_current_a)
         longest = capabilities.longest_capture_s or math.inf
         row_s = 1.0 / capabilities.sampling_frequency_hz
-        frequency = capabilities.sampling_frequency_hz / SAMPLES_PER_PERIOD
+        frequency = capabilities.sampling_frequency_hz / ROWS_PER_PERIOD
         amplitude = 0.1 * capabilities.max_voltage_v
         if motor.d_inductance_h is not None:
             amplitude = injection_voltage_v(rated, motor.d_inductance_h, frequency)
-        periods = max(FEWEST_PERIODS, int(0.5 * frequency))
-        room_s = min(longest, (capabilities.longest_injection_s or math.inf) - LATE_PERIODS / frequency)
+        periods = max(MIN_PERIODS_PER_TURN, int(0.5 * frequency))
+        room_s = min(longest, (capabilities.longest_injection_s or math.inf) - DISCARDED_PERIODS / frequency)
         if room_s < math.inf:
             periods = max(1, min(periods, int(room_s * frequency * (1.0 + 1e-9))))
         injection_s = periods / frequency

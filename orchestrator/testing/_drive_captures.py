@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.testing._drive_bench import LATE_PERIODS, SAMPLES_PER_PERIOD, DriveBench, Session
+from orchestrator.testing._drive_bench import DISCARDED_PERIODS, ROWS_PER_PERIOD, DriveBench, Session
 from orchestrator.testing._kit import bounded
 from orchestrator.testing._waveforms import (
     angle_between,
@@ -102,11 +102,11 @@ class DriveCaptureChecks(DriveBench):
             session.requires("injection")
             if waveform not in session.capabilities.injection_waveforms:
                 pytest.skip(f"this drive claims no {waveform} wave")
-            late_s = LATE_PERIODS / session.sizes.frequency_hz
+            late_s = DISCARDED_PERIODS / session.sizes.frequency_hz
             excitation = session.sizes.injection(waveform=waveform, rotor_angle_rad=SIXTY_DEGREES, discard_s=late_s)
             measured = session.measure(excitation)
             found = find_injection(
-                measured.v_ab, session.capabilities.sampling_frequency_hz, excitation.waveform, SAMPLES_PER_PERIOD
+                measured.v_ab, session.capabilities.sampling_frequency_hz, excitation.waveform, ROWS_PER_PERIOD
             )
             assert math.isclose(found.frequency_hz, excitation.frequency_hz, rel_tol=1e-3), (
                 f"injects {found.frequency_hz:.2f} Hz instead of {excitation.frequency_hz:.2f} Hz"
@@ -132,7 +132,7 @@ class DriveCaptureChecks(DriveBench):
             reached = complex_dq(measured.i_ab, 0.0).mean()
             allowed = 0.5 * abs(target) or 2.0 * self.near(session)
             assert abs(reached - target) < allowed, f"ripples about {reached:.3f} A instead of {target:.3f} A"
-            follows = ripple_follows_flux(measured.v_ab, measured.i_ab, SAMPLES_PER_PERIOD)
+            follows = ripple_follows_flux(measured.v_ab, measured.i_ab, ROWS_PER_PERIOD)
             assert follows > 0.5, f"the ripple current follows the integral of the voltage with {follows:.2f} only"
 
     def test_steps_turn_round_where_the_current_meets_its_limit(self, tmp_path: Path) -> None:

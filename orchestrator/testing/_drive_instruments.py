@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from orchestrator.numerics.alignment import alignment_of
-from orchestrator.testing._drive_bench import LATE_PERIODS, SAMPLES_PER_PERIOD, DriveBench, Session
+from orchestrator.testing._drive_bench import DISCARDED_PERIODS, ROWS_PER_PERIOD, DriveBench, Session
 from orchestrator.testing._waveforms import complex_dq, folded, share_at_the_end_of_the_scale
 from protocols import Drive
 
@@ -37,10 +37,12 @@ class _Tolerances:
 
 _TOLERANCES = _Tolerances()
 
-BUS = (0.6, 1.6)
-"""The bus as measured against the nominal one: rectified mains and batteries move by a third."""
-HELD_OF_RATED, OF_RATED = 0.55, 0.9
-"""Where a ripple is held, and how far it reaches, to see the readings up to there."""
+BUS_LIMITS_RATIO = (0.6, 1.6)
+"""Measured over nominal bus voltage: rectified mains and batteries vary by a third."""
+HELD_CURRENT_RATIO = 0.55
+"""Current at which the kit injects, over the rated one."""
+PEAK_CURRENT_RATIO = 0.9
+"""Peak of that ripple over the rated current: the check sees readings up to there."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +95,10 @@ class DriveInstrumentChecks(DriveBench):
             ohm = self.setup().motor.stator_resistance_ohm
             if session.sizes.waveform != "square" and ohm is None:
                 pytest.skip("a sine tells one row from the next with the nameplate's resistance only")
-            excitation = session.sizes.injection(discard_s=LATE_PERIODS / session.sizes.frequency_hz)
+            excitation = session.sizes.injection(discard_s=DISCARDED_PERIODS / session.sizes.frequency_hz)
             measured = session.measure(excitation)
             turn = excitation.rotation_hz / session.capabilities.sampling_frequency_hz
-            i_ab, v_ab = (folded(x, turn, SAMPLES_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
+            i_ab, v_ab = (folded(x, turn, ROWS_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
             found = alignment_of(i_ab, v_ab, ohm=ohm)
             assert found is not None, "the steps of the current are explained by the voltage of no row near to them"
             assert found.explained >= _TOLERANCES.explained, (
@@ -119,7 +121,7 @@ class DriveInstrumentChecks(DriveBench):
             assert abs(bus_v - shown_v) <= 0.1 * shown_v, (
                 f"captures have a bus of {bus_v:.1f} V, telemetry {shown_v:.1f} V"
             )
-            assert BUS[0] * nominal_v <= bus_v <= BUS[1] * nominal_v, (
+            assert BUS_LIMITS_RATIO[0] * nominal_v <= bus_v <= BUS_LIMITS_RATIO[1] * nominal_v, (
                 f"captures have a bus of {bus_v:.1f} V, the drive says {nominal_v:.1f} V of itself: a scale is wrong"
             )
 
@@ -188,12 +190,12 @@ class DriveInstrumentChecks(DriveBench):
         with self.armed(tmp_path) as session:
             session.requires("injection")
             sizes = session.sizes
-            target_a = 0.0 if session.capabilities.injects_at_zero_only else HELD_OF_RATED * sizes.rated_a
-            discard_s = LATE_PERIODS / sizes.frequency_hz
+            target_a = 0.0 if session.capabilities.injects_at_zero_only else HELD_CURRENT_RATIO * sizes.rated_a
+            discard_s = DISCARDED_PERIODS / sizes.frequency_hz
             excitation = sizes.injection(target_d_a=target_a, target_q_a=0.0, discard_s=discard_s)
             ripple = complex_dq(session.measure(excitation).i_ab, 0.0)
             reach_a = float(np.abs(ripple - ripple.mean()).max())
-            times = min((OF_RATED * sizes.rated_a - target_a) / reach_a, _TOLERANCES.most_times)
+            times = min((PEAK_CURRENT_RATIO * sizes.rated_a - target_a) / reach_a, _TOLERANCES.most_times)
             times = min(times, 0.4 * session.capabilities.max_voltage_v / excitation.amplitude_v)
             if times > 1.0:
                 excitation = excitation.model_copy(update={"amplitude_v": times * excitation.amplitude_v})

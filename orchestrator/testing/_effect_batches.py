@@ -12,9 +12,9 @@ import numpy as np
 
 from protocols import Correction, Effect, EffectParameters, SignalBatch, Signals, hook_of
 
-SAME = 1e-9
-"""Of the largest value of an array, a difference that is rounding."""
-BOUNDS = (0.0, 0.1, 0.15, 0.6, 1.0)
+ROUNDING_RATIO = 1e-9
+"""Difference by rounding, over an array's largest value."""
+SEGMENT_BOUNDS = (0.0, 0.1, 0.15, 0.6, 1.0)
 """Where the kit's signals are cut into segments."""
 
 
@@ -77,7 +77,7 @@ def _settings(effect: Effect) -> tuple[EffectParameters, EffectParameters]:
 def _segments(signals: Signals) -> list[Signals]:
     """Pieces of some signals, which differ in all that segments of a recording may differ in."""
     n = len(signals.v_dc)
-    ends = [round(part * n) for part in BOUNDS]
+    ends = [round(part * n) for part in SEGMENT_BOUNDS]
     pieces = []
     for k, (first, end) in enumerate(pairwise(ends)):
         update: dict[str, Any] = {
@@ -111,7 +111,7 @@ def _compare(call: str, batch: SignalBatch, found: object, alone: Sequence[Corre
             part = batch.slice_of(k)
             expected = one.arrays.get(name, np.zeros((1, *tail)) if there is None else there[part])
             off = float(np.abs(whole[part] - expected).max())
-            assert off <= SAME * float(np.abs(expected).max()), (
+            assert off <= ROUNDING_RATIO * float(np.abs(expected).max()), (
                 f"{call}: {name} of segment {k} of {len(alone)} differs by {off:.2g} from what the segment alone "
                 "becomes: does it look beyond a segment's ends, or take one's sampling or PWM frequency for all?"
             )

@@ -22,7 +22,7 @@ from protocols import (
     ResistanceEstimate,
 )
 
-TURN_RAD = math.pi / 3.0
+FRAME_TURN_RAD = math.pi / 3.0
 """Sixty degrees permute the phases and their signs: a model of the bridge in phase currents stays the same."""
 MAP_VALUES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 
@@ -111,7 +111,7 @@ class EstimatorConformance(Kit, ABC):
 
     def test_turning_the_stator_frame_changes_nothing(self, found: Estimate) -> None:
         straight = _numbers(found)
-        askew = _numbers(self._estimate(turned(self.recording(), TURN_RAD)))
+        askew = _numbers(self._estimate(turned(self.recording(), FRAME_TURN_RAD)))
         assert straight.keys() == askew.keys()
         for name in straight:
             allowed = bounded("frame_tolerance", self.frame_tolerance, 0.01) * (50.0 if "std" in name else 1.0)

@@ -136,8 +136,8 @@ def _torques(psi_ab: Array, i_ab: Array, factor: float) -> Array:
     return out
 
 
-NO_TIME = 1e-3
-"""Of a sample period, a lag that is none; and no matrix exponential tells it beside a lag of many."""
+MIN_LAG_SAMPLES = 1e-3
+"""A shorter lag counts as none, since no matrix exponential resolves it beside a lag of many samples."""
 
 
 def _swinging(x: Array, lag_s: float, inertia_s2: float, batch: SignalBatch) -> Array:
@@ -146,7 +146,7 @@ def _swinging(x: Array, lag_s: float, inertia_s2: float, batch: SignalBatch) -> 
     y = _late(x, lag_s, batch)
     for rate_hz, segments in by_value(batch.sampling_frequency_hz):
         step_s = 1.0 / rate_hz
-        if inertia_s2 > lag_s * NO_TIME * step_s:
+        if inertia_s2 > lag_s * MIN_LAG_SAMPLES * step_s:
             second_order(y, x, batch.starts, segments, *_spring(lag_s, inertia_s2, step_s))
     return y
 

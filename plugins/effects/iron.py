@@ -38,7 +38,7 @@ class EddyCurrents(BatchEffect):
     where commands act late within it. In the flexible form
     the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods:
     read in the zero vector, a current without a lag is hardly there. The part `diffused` of it sinks into a sheet as a
-    field does, in a ladder of paths: the m-th of `LADDER` has 1/m^2 of the conductance and follows within lag_s / m^2.
+    field does, in a ladder of `EDDY_PATHS`: the m-th has 1/m^2 of the conductance and follows within lag_s / m^2.
     And the conductance is (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on
     one axis alone.
     Sources: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238; the
@@ -76,7 +76,7 @@ class EddyCurrents(BatchEffect):
         return Correction(i_m_ab=i_m_ab, v_ab=v_ab)
 
 
-LADDER = 4
+EDDY_PATHS = 4
 """Paths of a field that sinks into a sheet; the last has what is left, for all that are faster."""
 
 
@@ -85,12 +85,12 @@ def _paths(late: float, diffused: float) -> Array:
 
     `late` is the slowest one's lag in sample periods; without one a single path has all, and the others nothing.
     """
-    rungs = np.arange(1.0, LADDER + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
+    rungs = np.arange(1.0, EDDY_PATHS + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
     parts = diffused * 6.0 / (math.pi * rungs) ** 2
     parts[-1] = 0.0
     parts[-1] = diffused - parts.sum()
     parts[0] += 1.0 - diffused
-    paths = np.zeros((LADDER if diffused > 0.0 else 1, 4))
+    paths = np.zeros((EDDY_PATHS if diffused > 0.0 else 1, 4))
     paths[: len(rungs)] = [(part, *_path(late / rung**2)) for part, rung in zip(parts, rungs, strict=True)]
     return paths
 
@@ -164,8 +164,8 @@ def _without_eddies(
     return i_out, v_out
 
 
-FORGOTTEN = 0.25
-"""Of a stop's limit, the standard deviation of what is not known of it where a segment begins."""
+INITIAL_STATE_STD_RATIO = 0.25
+"""Standard deviation of a stop's unknown initial state over its limit."""
 
 
 class Hysteresis(RandomBatchEffect):
@@ -223,7 +223,7 @@ class Hysteresis(RandomBatchEffect):
         for stop in (0, 2):
             for axis in range(2):
                 off = np.zeros((3, 2))
-                off[stop, axis] = FORGOTTEN
+                off[stop, axis] = INITIAL_STATE_STD_RATIO
                 directions.append(Correction(i_m_ab=batch.i_m_ab - p.half_width_a * (held(off) - known)))
         return directions
 

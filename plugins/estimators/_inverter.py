@@ -21,12 +21,12 @@ from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
 from orchestrator.numerics.types import Array
 from protocols import InverterLoss
 
-THRESHOLDS = 2e-3, 0.2
-"""Of the largest current: where the step's threshold is looked for."""
-ASIDE = 0.2
-"""What the abruptness is moved by, to see what it does."""
-THRESHOLD_ASIDES = math.log(THRESHOLDS[1] / THRESHOLDS[0]) / (2.0 * math.log(1.05) * math.sqrt(12.0))
-"""Standard deviation of a threshold that may be anywhere among these, in tenths of itself."""
+THRESHOLD_RATIOS = 2e-3, 0.2
+"""Range of the step's threshold, over the largest current."""
+ABRUPTNESS_STEP = 0.2
+"""Step of the abruptness for its finite difference."""
+THRESHOLD_STD_STEPS = math.log(THRESHOLD_RATIOS[1] / THRESHOLD_RATIOS[0]) / (2.0 * math.log(1.05) * math.sqrt(12.0))
+"""Standard deviation of a threshold anywhere in this range, in tenths of itself."""
 
 
 def step_ab(i_ab: Array, threshold_a: float, abruptness: float = 0.0) -> Array:
@@ -120,7 +120,8 @@ def _asides(i_ab: Array, threshold: float, abruptness: float) -> list[Array]:
     """What a tenth of its threshold and two tenths of its abruptness do to the step, shape (n, 2) each."""
     return [
         step_ab(i_ab, 1.05 * threshold, abruptness) - step_ab(i_ab, threshold / 1.05, abruptness),
-        step_ab(i_ab, threshold, abruptness + 0.5 * ASIDE) - step_ab(i_ab, threshold, abruptness - 0.5 * ASIDE),
+        step_ab(i_ab, threshold, abruptness + 0.5 * ABRUPTNESS_STEP)
+        - step_ab(i_ab, threshold, abruptness - 0.5 * ABRUPTNESS_STEP),
     ]
 
 
@@ -153,7 +154,7 @@ class _Held:
     def _best_threshold(self, largest: float, abruptness: float) -> float:
         from scipy.optimize import minimize_scalar
 
-        places = np.geomspace(*THRESHOLDS, 24) * largest
+        places = np.geomspace(*THRESHOLD_RATIOS, 24) * largest
         coarse = float(min(places, key=lambda t: self.left((float(t), abruptness))))
         near = (coarse / 1.3, coarse * 1.3)
         return float(minimize_scalar(lambda t: self.left((t, abruptness)), bounds=near, method="bounded").x)
@@ -231,7 +232,9 @@ def fit_voltage(
     # Where the inverter loses next to nothing no reading determines its shape: it is one of the expected ones.
     known = np.zeros(design.shape[1])
     if asides:
-        known[-2:] = variance / np.array([THRESHOLD_ASIDES, np.ptp(abruptness) / (ASIDE * math.sqrt(12.0))]) ** 2
+        known[-2:] = (
+            variance / np.array([THRESHOLD_STD_STEPS, np.ptp(abruptness) / (ABRUPTNESS_STEP * math.sqrt(12.0))]) ** 2
+        )
     covariance = variance * held.walk.covariance(design, known)
     losses = slice(drifted, None)
     return VoltageFit(

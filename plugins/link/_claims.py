@@ -9,8 +9,8 @@ from plugins.wire import BlockLayout, DriveFacts, Measurement, Phase, PowerState
 from protocols import DriveFault, FaultCause
 
 ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
-OVERSHOOT = 1.5
-"""Current in a reading that a drive should long have tripped on, against the limit."""
+MAX_CURRENT_RATIO = 1.5
+"""Current of a reading over the limit, at which the drive should have tripped long before."""
 
 
 def require_sound(
@@ -27,7 +27,7 @@ def require_sound(
     if measurement is None or limit_a is None:
         return
     current_a = scale_a * math.hypot(measurement.i_d, measurement.i_q)
-    if current_a > OVERSHOOT * limit_a:
+    if current_a > MAX_CURRENT_RATIO * limit_a:
         detail = f"the drive reads {current_a:.3g} A, the limit is {limit_a:.3g} A, and it went on"
         raise DriveFault(FaultCause.OVERCURRENT, detail)
 

@@ -19,7 +19,7 @@ from plugins.link._machine import Machine, longest_capture, row_format
 from plugins.link._options import LinkOptions
 from plugins.link._port import Port, SharedPort
 from plugins.link._running import Program
-from plugins.link._timeline import CLOCK, SIMULATED, Timeline
+from plugins.link._timeline import CLOCK_KEY, SIMULATED_CLOCK, Timeline
 from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
     NO_TEMPERATURE_C,
@@ -114,7 +114,7 @@ class LinkDrive(DriveShell):
         machine = Machine(capabilities_of(own, description, None), facts, layout, demodulated)
         require_memory(facts, layout, row_format(machine).row_bytes)
         fs = machine.capabilities.sampling_frequency_hz
-        is_simulated = description.get(CLOCK) == SIMULATED
+        is_simulated = description.get(CLOCK_KEY) == SIMULATED_CLOCK
         self._timeline = Timeline(host, fs, is_simulated)
         longest_s = longest_capture(machine, host.link.port.bulk_rate(layout))
         learned = {"longest_capture_s": longest_s, "clock_is_simulated": is_simulated}

@@ -10,7 +10,7 @@ from plugins.link._link import Link
 from plugins.link._reading import read_whole
 from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
-    DESCRIPTION,
+    DESCRIPTION_CAPTURE,
     PROTOCOL_MAJOR,
     Ack,
     AckStatus,
@@ -163,7 +163,7 @@ class Host:
     def description(self, own: Mapping[str, float], layout: BlockLayout) -> dict[str, str]:
         """The drive's names for itself."""
         length = int(own["description_bytes"])
-        data = read_whole(self, DESCRIPTION, length, layout) if length else b""
+        data = read_whole(self, DESCRIPTION_CAPTURE, length, layout) if length else b""
         return parse_description(bytes(data))
 
     # What there is to know now

@@ -37,7 +37,7 @@ _FROM_DRIVE = frame_id("Status")
 """Lower identifiers are the host's own, which some buses hand back."""
 
 
-PROGRESS_S = 0.1
+PROGRESS_PERIOD_S = 0.1
 """Period of a program's progress."""
 
 
@@ -67,7 +67,7 @@ class Link:
         self.port, self.news = port, News()
         self._period_s = telemetry_s
         self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
-        self._progress_gate = TelemetryGate(PROGRESS_S)
+        self._progress_gate = TelemetryGate(PROGRESS_PERIOD_S)
         self._replies: deque[Ack | ParameterValue] = deque(maxlen=TIMEOUTS.most_replies)
         self._bulk: deque[Frame] = deque(maxlen=TIMEOUTS.most_bulk)
         self._bulk_ids = {frame_id("Bulk"), frame_id("BulkFD"), frame_id("BulkEnd")}

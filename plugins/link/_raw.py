@@ -12,7 +12,7 @@ from plugins.link._reading import Reader
 from plugins.wire import NO_TEMPERATURE_C, CaptureFormat, Channel, RowFormat
 from protocols import Capture, DriveFault, FaultCause
 
-_MOST = 32767
+_MAX_INT16 = 32767
 """Largest count of int16."""
 
 
@@ -82,7 +82,7 @@ class RawRead:
 def clipped_rows(data: bytes | memoryview, channels: int) -> int:
     """Rows of int16 counts that have one at the end of its scale, where converters and scales saturate."""
     counts = np.frombuffer(data, dtype="<i2").reshape(-1, channels)
-    at_the_end = (counts >= _MOST) | (counts <= -_MOST)
+    at_the_end = (counts >= _MAX_INT16) | (counts <= -_MAX_INT16)
     return int(np.count_nonzero(at_the_end.any(axis=1)))
 
 

@@ -26,8 +26,10 @@ from plugins.wire import (
 )
 from protocols import Capture, DriveFault, DriveRefused, Excitation, FaultCause, Injection
 
-SHORTEST_S, LONGEST_S = 0.1, 0.25
-"""Length of a block, the last one apart."""
+MIN_BLOCK_S = 0.1
+"""Shortest block but the last."""
+MAX_BLOCK_S = 0.25
+"""Longest block."""
 
 
 class Program:
@@ -95,7 +97,7 @@ class Program:
             if start is not None and finished:
                 self._timeline.ends(start, self._rows)
             while start is not None and self._due(given, finished):
-                stop = min(self._source.ready, given + round(LONGEST_S * self._fs))
+                stop = min(self._source.ready, given + round(MAX_BLOCK_S * self._fs))
                 yield self._source.block(given, stop, seconds_of_tick(start) + given / self._fs)
                 given, told_s = stop, time.monotonic()
             if time.monotonic() - told_s > TIMEOUTS.quiet_s:
@@ -105,7 +107,7 @@ class Program:
 
     def _due(self, given: int, finished: bool) -> bool:
         ready = self._source.ready - given
-        return ready > 0 and (finished or ready >= round(SHORTEST_S * self._fs))
+        return ready > 0 and (finished or ready >= round(MIN_BLOCK_S * self._fs))
 
     def _start_tick(self) -> int:
         return int(self._host.read("capture_start_low")) + 65536 * int(self._host.read("capture_start_high"))

@@ -15,10 +15,11 @@ from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import Unwrapped
 from protocols import DriveFault, FaultCause
 
-CLOCK, SIMULATED = "clock", "simulated"
-"""Key and value of an emulated drive's description."""
-SLACK = 2
-"""Samples that roundings of a tick may make."""
+CLOCK_KEY = "clock"
+SIMULATED_CLOCK = "simulated"
+"""Value of `CLOCK_KEY` in an emulated drive's description."""
+TICK_ROUNDING_SAMPLES = 2
+"""Largest rounding of a tick."""
 _HOST_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 """Goes on while the machine sleeps, as the drive's does."""
 
@@ -71,7 +72,7 @@ class Timeline:
     def begins(self, tick: int) -> int:
         """Row 0 of a capture, without wraps; raises `DriveFault` (wrong_data) where the one before had not ended."""
         start = self._unwrapped(tick)
-        if self._has_captured and start < self._captured - SLACK:
+        if self._has_captured and start < self._captured - TICK_ROUNDING_SAMPLES:
             early_s = (self._captured - start) / self._fs
             raise DriveFault(FaultCause.WRONG_DATA, f"the capture starts {early_s:.3g} s before the last one has ended")
         self._captured, self._has_captured = start, True
@@ -80,7 +81,7 @@ class Timeline:
     def ends(self, start: int, rows: int) -> None:
         """All rows are captured; raises `DriveFault` (wrong_data) where the drive's clock is not there yet."""
         end, now = start + rows, self.now()
-        if now < end - SLACK:
+        if now < end - TICK_ROUNDING_SAMPLES:
             message = f"the drive's clock stands {(end - now) / self._fs:.3g} s before the end of what it has captured"
             raise DriveFault(FaultCause.WRONG_DATA, message)
         self._captured = end

@@ -15,12 +15,12 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.wire._blocks import LONGEST_CAPTURE, WINDOWS, BlockLayout
+from plugins.wire._blocks import MAX_CAPTURE_BYTES, WINDOW_COUNT, BlockLayout
 from plugins.wire._codec import Frame, decode, frame_id
 from plugins.wire._messages import Ack, AckStatus, BulkEnd, Op, ReadBlock
 from protocols import DriveFault, FaultCause, InputError
 
-_TRUSTED_WINDOWS = WINDOWS // 2
+_TRUSTED_WINDOWS = WINDOW_COUNT // 2
 """Answers to older requests are no longer taken, and no more requests are sent without an end of any: tags come round
 again, and this capture and the one before it must not mean different blocks by one."""
 
@@ -61,18 +61,18 @@ class CaptureAssembly:
         requests_each: int = 24,
         passes: int = 3,
     ) -> None:
-        if not 0 <= length <= LONGEST_CAPTURE:
+        if not 0 <= length <= MAX_CAPTURE_BYTES:
             raise InputError("wire", "length", f"a capture of {length} bytes cannot be addressed")
         self.capture, self.length, self.layout = capture, length, layout
-        self.next_window = first_window % WINDOWS
+        self.next_window = first_window % WINDOW_COUNT
         self._blocks_each = min(blocks_each, layout.most)
         self._requests_each = min(requests_each, _TRUSTED_WINDOWS)
         self._passes_left = passes
         blocks = -(-length // layout.block)
         self._data = np.zeros((blocks, layout.block), dtype=np.uint8)
         self._have = np.zeros(blocks, dtype=np.bool_)
-        self._base = np.zeros(WINDOWS, dtype=np.int64)
-        self._count = np.full(WINDOWS, -1, dtype=np.int64)  # -1: answers with this tag are not taken
+        self._base = np.zeros(WINDOW_COUNT, dtype=np.int64)
+        self._count = np.full(WINDOW_COUNT, -1, dtype=np.int64)  # -1: answers with this tag are not taken
         self._trusted: deque[int] = deque()
         self._waiting_for: list[int] = []  # in the order of asking
         self._unended: list[int] = []  # the same, with those that were given up and may come all the same
@@ -168,7 +168,7 @@ class CaptureAssembly:
 
     def _request(self, first: int, count: int) -> ReadBlock:
         window = self.next_window
-        self.next_window = (window + 1) % WINDOWS
+        self.next_window = (window + 1) % WINDOW_COUNT
         if len(self._trusted) == _TRUSTED_WINDOWS:
             self._count[self._trusted.popleft()] = -1
         self._trusted.append(window)

@@ -12,7 +12,7 @@ from typing import Any
 
 from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._ports import PtyPort, Unit
-from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, frame_id, from_bus, heard_by_drive, on_bus
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, frame_id, from_bus, heard_by_drive, on_bus
 from protocols import InputError
 
 _CAN_HEAD, _CAN_START, _CAN_END = struct.Struct("<BIBI"), 0xAA, 0xBB
@@ -38,7 +38,7 @@ class SerialCanPort(PtyPort):
         self._node, self._bytes = node, b""
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CLASSIC
+        return CLASSIC_LAYOUT
 
     def coded(self, frame: Frame) -> Unit:
         head = _CAN_HEAD.pack(_CAN_START, 0, len(frame.payload), on_bus(frame.frame_id, self._node))
@@ -118,7 +118,7 @@ class CanPort:
             self._bus.set_filters(heard_by_drive(node))
         self._readable = _readable(self._bus)
         self._errors = (can.CanError, OSError)
-        self._bulk_ids = {frame_id(CLASSIC.name), frame_id(CAN_FD.name)}
+        self._bulk_ids = {frame_id(CLASSIC_LAYOUT.name), frame_id(CAN_FD_LAYOUT.name)}
 
     def publish(self) -> None:
         """A bus is there for all."""
@@ -128,7 +128,7 @@ class CanPort:
         return None
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CAN_FD if self._fd else CLASSIC
+        return CAN_FD_LAYOUT if self._fd else CLASSIC_LAYOUT
 
     def coded(self, frame: Frame) -> Unit:
         return frame

@@ -19,7 +19,7 @@ from plugins.commands.emulator._telemetry import Telemetry
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
 from plugins.wire import (
-    DESCRIPTION,
+    DESCRIPTION_CAPTURE,
     NO_TEMPERATURE_C,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
@@ -97,7 +97,7 @@ class Device:
         inputs = Inputs(own.interlocks, self._settings.interlocks)
         self.power = PowerStage(self.rig, clock, self._settings.speed, log, self._settings.directory, inputs.read)
         text = _describe(own.motor_name or motor.name, seed, own.interlocks)
-        self._description = CaptureSource.complete_with(DESCRIPTION, text.encode())
+        self._description = CaptureSource.complete_with(DESCRIPTION_CAPTURE, text.encode())
         self._layout = layout(self._settings.block_bytes)
         self._facts = facts_of_rig(self.rig, self._settings, text)
         self._file = RegisterFile(capability_registers(own, self._facts))
@@ -384,7 +384,7 @@ class Device:
             yield Ack(self._ledger.session, request.window, Op.READ_BLOCK, answer, self.power.state)
 
     def _source(self, number: int) -> CaptureSource | None:
-        if number == DESCRIPTION:
+        if number == DESCRIPTION_CAPTURE:
             return self._description
         return self.power.capture.source(number) if self.power.capture is not None else None
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from orchestrator.registry import PluginKind, installed
 from orchestrator.runs import RunDirectory, private_directory
-from plugins.commands.mystery._drawing import LEAST_ANGLE_RAD
+from plugins.commands.mystery._drawing import MIN_ANGLE_RAD
 from protocols import InputError, Strict
 
 NOTHING = "nothing"
@@ -94,7 +94,7 @@ def brought_about(run: Path) -> Effects:
     from plugins.drives.simulated import misalignment
 
     angle = misalignment(private_directory(run.resolve()))
-    if angle is None or abs(angle) < LEAST_ANGLE_RAD:
+    if angle is None or abs(angle) < MIN_ANGLE_RAD:
         return {}
     return {"rotor_misalignment": {"angle_rad": angle}}
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from plugins.link import Host, Link, Port, link_errors
 from plugins.link._host import fault_names
-from plugins.wire import NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
+from plugins.wire import MAX_NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
 from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultCause
 
 _NOT_PROBED = ("serial", "virtual")
@@ -102,7 +102,7 @@ def can_bus(interface: str, channel: str, bitrate: int, fd: bool) -> LinkName:
         return CanPort(interface, channel, bitrate, node=node, fd=fd)
 
     settings = {"name": "can", "interface": interface, "channel": channel, "bitrate": bitrate, "fd": fd}
-    return LinkName(f"{interface}:{channel}", settings, opened, NODES)
+    return LinkName(f"{interface}:{channel}", settings, opened, MAX_NODES)
 
 
 def links_of_this_machine(baud_rate: int, bitrate: int, fd: bool) -> list[LinkName]:

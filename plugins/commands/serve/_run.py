@@ -21,8 +21,8 @@ from protocols import FluxbenchError
 
 PROGRAM = (sys.executable, "-P", "-c", "from orchestrator.cli import main; main()")
 """`fluxbench`, whatever stands in the folder that it is started in."""
-ON_ITS_WAY_OUT = ("stopping", "finished", "faulted", "aborted")
-LONGEST_LINE = 1 << 24
+ENDING_STATES = ("stopping", "finished", "faulted", "aborted")
+MAX_LINE_BYTES = 1 << 24
 
 
 class NotNowError(FluxbenchError):
@@ -133,7 +133,7 @@ class RunOfThePage:
     async def _insist(self, process: subprocess.Popen[bytes]) -> None:
         """Signal a run that ignores messages: while it starts, or hangs."""
         await asyncio.sleep(self._pace.heeds_s)
-        if process.poll() is None and (self._view["picture"] or {}).get("state") not in ON_ITS_WAY_OUT:
+        if process.poll() is None and (self._view["picture"] or {}).get("state") not in ENDING_STATES:
             process.send_signal(signal.SIGINT)
 
     async def _follow(self, process: subprocess.Popen[bytes]) -> None:
@@ -168,7 +168,7 @@ class RunOfThePage:
 
 
 async def _reader(pipe: IO[bytes] | None) -> asyncio.StreamReader:
-    reader = asyncio.StreamReader(limit=LONGEST_LINE)
+    reader = asyncio.StreamReader(limit=MAX_LINE_BYTES)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), pipe)
     return reader
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, from_bus, heard_by_host, on_bus
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, from_bus, heard_by_host, on_bus
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 _DAMAGED = (ValueError, TypeError, struct.error)
 """What python-can's own parsers let through when a frame was cut off."""
-_CLASSIC_BLOCK_BITS, _FD_SLOW_BITS, _FD_FAST_BITS = 135.0, 36.0, 680.0
+_CLASSIC_BLOCK_BITS = 135.0
 """Bits on the bus for one block with the worst stuffing (docs/wire.md, Bandwidth)."""
+_FD_SLOW_BITS = 36.0
+_FD_FAST_BITS = 680.0
 _FILTERS_IN_KERNEL = "socketcan"
 """Other interfaces of python-can filter frame by frame, after all the work is done."""
-_OWN_RATE = ("virtual", "udp_multicast")
-"""Interfaces that know no bit rate."""
+_WITHOUT_BIT_RATE = ("virtual", "udp_multicast")
+"""Interfaces without a bit rate."""
 
 
 class CanPort:
@@ -81,7 +83,7 @@ class CanPort:
         self.where = f"{interface}:{channel}" + (f" node {node}" if node else "")
         self._can: Any = can
         self._node = node
-        self._fd, self._rates = fd, None if interface in _OWN_RATE else (bitrate, data_bitrate)
+        self._fd, self._rates = fd, None if interface in _WITHOUT_BIT_RATE else (bitrate, data_bitrate)
         arguments: dict[str, Any] = {"bitrate": bitrate}
         if fd:
             arguments |= {"fd": True, "data_bitrate": data_bitrate}
@@ -104,7 +106,7 @@ class CanPort:
         self._errors = 0
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CAN_FD if self._fd else CLASSIC
+        return CAN_FD_LAYOUT if self._fd else CLASSIC_LAYOUT
 
     def bulk_rate(self, layout: BlockLayout) -> float | None:
         if self._rates is None:
@@ -176,7 +178,7 @@ class CanPort:
 
 def classic_rate(bitrate: int) -> float:
     """Bytes of captures a second on a bus of classic frames."""
-    return CanPort.for_blocks * CLASSIC.block * bitrate / _CLASSIC_BLOCK_BITS
+    return CanPort.for_blocks * CLASSIC_LAYOUT.block * bitrate / _CLASSIC_BLOCK_BITS
 
 
 def _widen_buffer(bus: can.BusABC) -> int | None:

@@ -32,11 +32,26 @@ from protocols import (
     Telemetry,
 )
 
-VERSION = (0, 5)
-ALIVE_S, RAMP_S, DIE_OUT_S, TRIES, LATE_S = 0.2, 0.5, 0.01, 10, 0.05
-OVER_LIMIT, ZERO, LEAST, ASTRAY, MODULATION = 1.1, 0.02, 0.05, 0.3, 0.8
-"""Parts: of the run's limits, what trips, what is no current, and what is no error of one; of a current, how far it
-may be off; of the bus, what the board modulates."""
+FIRMWARE_VERSION = (0, 5)
+KEEPALIVE_PERIOD_S = 0.2
+"""Longest time without a block."""
+MAX_RAMP_S = 0.5
+"""Time in which the current has to fall to zero."""
+CURRENT_DECAY_S = 0.01
+"""Time for the rest of the current to decay."""
+MAX_CAPTURE_ATTEMPTS = 10
+MAX_READING_DELAY_S = 0.05
+"""A reading that is later than this starts the capture anew."""
+TRIP_RATIO = 1.1
+"""Measured current or voltage over its limit, above which the drive trips."""
+ZERO_CURRENT_RATIO = 0.02
+"""Current over its limit, below which it counts as zero."""
+MIN_CURRENT_ERROR_RATIO = 0.05
+"""Deviation from the set-point over the current limit, below which it is no error."""
+MAX_CURRENT_ERROR_RATIO = 0.3
+"""Deviation from the set-point over the set-point, above which it is an error."""
+MAX_MODULATION_RATIO = 0.8
+"""Voltage over bus voltage, times the root of three, that the board modulates."""
 
 
 class OdriveOptions(Strict):
@@ -96,7 +111,7 @@ class OdriveDrive(DriveShell):
         o = self._options
         self._line = line = Properties(o.port, o.baud_rate)
         version = tuple(map(int, line.read(["fw_version_major", "fw_version_minor", "fw_version_revision"])))
-        if version[:2] != VERSION:
+        if version[:2] != FIRMWARE_VERSION:
             raise DriveRefused(f"{line.where}: firmware {'.'.join(map(str, version))}, 0.5 is needed")
         self._axis = axis = Axis(line, o.axis)
         axis.learn()
@@ -117,7 +132,7 @@ class OdriveDrive(DriveShell):
             pwm_frequencies_hz=(24_000.0,),
             dc_bus_voltage_v=bus_v,
             max_current_a=axis.own_limit_a,
-            max_voltage_v=MODULATION * bus_v / math.sqrt(3.0),
+            max_voltage_v=MAX_MODULATION_RATIO * bus_v / math.sqrt(3.0),
             heeds_bandwidth=False,
             excitations=frozenset(("hold",)),
             watchdog_s=o.watchdog_s,
@@ -188,7 +203,7 @@ class OdriveDrive(DriveShell):
             axis.hold(*cmath.polar(self._target))
             until_s = time.monotonic() + hold.settle_s
             while (left_s := until_s - time.monotonic()) > 0.0:
-                time.sleep(min(left_s, ALIVE_S))
+                time.sleep(min(left_s, KEEPALIVE_PERIOD_S))
                 yield self._alive()
             rows, start_s = yield from self._rows(axis, hold.rows(fs), limits)
         except DriveFault as fault:
@@ -207,16 +222,16 @@ class OdriveDrive(DriveShell):
     def _rows(self, axis: Axis, count: int, limits: Limits) -> Generator[Capture, None, tuple[np.ndarray, float]]:
         """Readings, one each period; all anew where one comes later than a direct current bears."""
         fs = self.own.sampling_frequency_hz
-        for _ in range(TRIES):
+        for _ in range(MAX_CAPTURE_ATTEMPTS):
             rows, start_s = list[np.ndarray](), time.monotonic()
             told_s = start_s
             while len(rows) < count:
                 time.sleep(max(0.0, start_s + len(rows) / fs - time.monotonic()))
                 rows.append(axis.reading())
                 self._watch(axis, rows[-1], limits)
-                if time.monotonic() > start_s + len(rows) / fs + LATE_S:
+                if time.monotonic() > start_s + len(rows) / fs + MAX_READING_DELAY_S:
                     break
-                if time.monotonic() - told_s > ALIVE_S:
+                if time.monotonic() - told_s > KEEPALIVE_PERIOD_S:
                     told_s = time.monotonic()
                     yield self._alive()
             else:
@@ -229,12 +244,12 @@ class OdriveDrive(DriveShell):
 
     def _watch(self, axis: Axis, row: np.ndarray, limits: Limits) -> None:
         i, v = math.hypot(row[0], row[1]), math.hypot(row[2], row[3])
-        if i > OVER_LIMIT * limits.current_a:
+        if i > TRIP_RATIO * limits.current_a:
             raise DriveFault(FaultCause.OVERCURRENT, f"{i:.3g} A flow, the limit is {limits.current_a:g} A")
-        if v > OVER_LIMIT * limits.voltage_v:
+        if v > TRIP_RATIO * limits.voltage_v:
             raise DriveFault(FaultCause.INTERNAL, f"{v:.3g} V are commanded, the limit is {limits.voltage_v:g} V")
         off = abs(complex(row[0], row[1]) - self._target)
-        if off > max(ASTRAY * abs(self._target), LEAST * limits.current_a):
+        if off > max(MAX_CURRENT_ERROR_RATIO * abs(self._target), MIN_CURRENT_ERROR_RATIO * limits.current_a):
             self._require_sound(axis)
             message = f"{i:.3g} A flow, {off:.3g} A off the set-point of {abs(self._target):.3g} A"
             raise DriveFault(FaultCause.INTERNAL, f"{message}: the board limits it, or the rotor has turned")
@@ -262,11 +277,13 @@ class OdriveDrive(DriveShell):
         if self.limits is None:
             return
         axis.hold(0.0, cmath.phase(self._target))
-        self._target, deadline = 0j, time.monotonic() + RAMP_S
-        while axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO * self.limits.current_a:
+        self._target, deadline = 0j, time.monotonic() + MAX_RAMP_S
+        while (
+            axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO_CURRENT_RATIO * self.limits.current_a
+        ):
             if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {RAMP_S:g} s of ramping down")
-        time.sleep(DIE_OUT_S)
+                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {MAX_RAMP_S:g} s of ramping down")
+        time.sleep(CURRENT_DECAY_S)
 
     def switch_off(self) -> None:
         """Idle, and the board's settings as they were."""

@@ -16,8 +16,8 @@ KIND_OF: Mapping[SegmentStage, ExcitationKind] = {
     SegmentStage.LOCK_CHECK: "injection",
     SegmentStage.INJECTION: "injection",
 }
-ALIKE = 0.01
-"""Relative difference of two settings that count as one, and of two currents against the rated one."""
+SETTING_TOLERANCE_RATIO = 0.01
+"""Relative difference of equal settings; of currents, over the rated one."""
 
 _FIELDS: Mapping[ExcitationKind, tuple[str, ...]] = {
     "gates_off": (),
@@ -47,7 +47,7 @@ def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_
         return False
     if segment.samples < excitation.rows(manifest.drive.sampling_frequency_hz):
         return False
-    if abs(math.remainder(segment.rotor_angle_rad - excitation.rotor_angle_rad, math.tau)) > ALIKE:
+    if abs(math.remainder(segment.rotor_angle_rad - excitation.rotor_angle_rad, math.tau)) > SETTING_TOLERANCE_RATIO:
         return False
     wanted, settings = excitation.model_dump(), segment.settings
     pwm_hz = settings.get("pwm_frequency_hz") or manifest.drive.pwm_frequency_hz
@@ -66,7 +66,7 @@ def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_
 def _alike(wanted: float | None, recorded: Any, scale: float) -> bool:
     if wanted is None or not isinstance(recorded, int | float):
         return True
-    return abs(wanted - recorded) <= ALIKE * max(abs(wanted), abs(recorded), scale)
+    return abs(wanted - recorded) <= SETTING_TOLERANCE_RATIO * max(abs(wanted), abs(recorded), scale)
 
 
 def in_words(excitation: Excitation) -> str:

@@ -33,7 +33,7 @@ from protocols import (
     Telemetry,
 )
 
-TRUTH = "truth.json"
+TRUTH_FILE = "truth.json"
 
 
 class SimulatedDrive(DriveShell):
@@ -59,7 +59,7 @@ class SimulatedDrive(DriveShell):
         self._made = rig = Rig(self._options, setup.motor, setup.seed)
         if setup.private_directory is not None:
             truth = describe(rig.nameplate, self._plant.plant, setup.seed)
-            write_json(setup.private_directory / TRUTH, truth)
+            write_json(setup.private_directory / TRUTH_FILE, truth)
         rig.warm_up()
         return rig.capabilities
 

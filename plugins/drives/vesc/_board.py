@@ -15,13 +15,13 @@ from plugins.drives.vesc._link import Link
 from plugins.drives.vesc._packets import Command, Sampling, Values, numbers_in, rows_of
 from protocols import DriveFault, DriveRefused, FaultCause
 
-ANSWER_S = 1.0
-CONSOLE_S = 0.55
-"""Between two lines to the Lisp console: what comes within half a second after a line is passed over without a word."""
-RELEASE_S = 1.1
-"""After a tone was begun the bridge stays on for a second, whatever the command."""
-FOC = 2
-WITH_INJECTION_OF_ITS_OWN = range(3, 9)
+ANSWER_TIMEOUT_S = 1.0
+CONSOLE_PERIOD_S = 0.55
+"""Time between two lines to the Lisp console, which silently drops a line within half a second of another."""
+TONE_RELEASE_S = 1.1
+"""Time after a tone's start during which the bridge stays on, whatever the command."""
+FOC_MOTOR_TYPE = 2
+INJECTING_SENSOR_MODES = range(3, 9)
 """Sensor modes FOC_SENSOR_MODE_HFI to HFI_V5."""
 
 
@@ -62,7 +62,7 @@ class Board:
 
     def version(self) -> tuple[int, int, str]:
         """Firmware's version, and the board's name."""
-        answer = self._link.ask(bytes([Command.FW_VERSION]), Command.FW_VERSION, ANSWER_S)
+        answer = self._link.ask(bytes([Command.FW_VERSION]), Command.FW_VERSION, ANSWER_TIMEOUT_S)
         if len(answer) < 4:
             raise DriveFault(FaultCause.WRONG_DATA, f"{self._link.where}: a version of {len(answer)} octets")
         return answer[1], answer[2], answer[3:].split(b"\0")[0].decode("latin1")
@@ -103,7 +103,7 @@ class Board:
 
     def values(self) -> Values:
         """A reading, of all that has been since the one before."""
-        return Values.of(self._link.ask(Values.question(), Command.GET_VALUES_SELECTIVE, ANSWER_S))
+        return Values.of(self._link.ask(Values.question(), Command.GET_VALUES_SELECTIVE, ANSWER_TIMEOUT_S))
 
     def alive(self) -> None:
         """What the board's own timeout hears."""
@@ -116,7 +116,7 @@ class Board:
         self._link.send(bytes([Command.TERMINAL_CMD]) + text.encode() + b"\0")
         output = ""
         while not output.endswith("OK\n"):
-            answer = self._link.take(Command.PRINT, ANSWER_S)
+            answer = self._link.take(Command.PRINT, ANSWER_TIMEOUT_S)
             if answer is None:
                 raise DriveFault(
                     FaultCause.NO_ANSWER, f"{self._link.where}: {text!r} has no answer; {output.strip()!r}"
@@ -139,7 +139,7 @@ class Board:
     def row_rate_hz(self) -> float:
         """What the board's rows say of their rate, to 10 Hz below."""
         self.sample(Sampling.NOW, 1)
-        row = self.row(ANSWER_S)
+        row = self.row(ANSWER_TIMEOUT_S)
         if row is None:
             raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: samples no rows")
         return float(rows_of([row])["rate"][0])
@@ -153,7 +153,7 @@ class Board:
             f"(progn (foc-play-stop) (foc-play-tone 0 {frequency_hz:.6f} {amplitude_v:.6f}) "
             f"(foc-openloop 0.0 {60.0 * turns_hz:.6f}) (sleep {lasts_s:.3f}) (foc-play-stop))"
         )
-        self.released_s = time.monotonic() + RELEASE_S
+        self.released_s = time.monotonic() + TONE_RELEASE_S
 
     # The console
 
@@ -162,7 +162,7 @@ class Board:
         expression = f"(progn {before} (list {query}))"
         self._link.forget(Command.LISP_PRINT)
         self._evaluate(expression)
-        deadline, output = time.monotonic() + ANSWER_S, ""
+        deadline, output = time.monotonic() + ANSWER_TIMEOUT_S, ""
         while (left := deadline - time.monotonic()) > 0.0:
             answer = self._link.take(Command.LISP_PRINT, left)
             if answer is None:
@@ -175,7 +175,7 @@ class Board:
         raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: no answer to {expression!r}; {output!r}")
 
     def _evaluate(self, expression: str) -> None:
-        time.sleep(max(0.0, self._sent_s + CONSOLE_S - time.monotonic()))
+        time.sleep(max(0.0, self._sent_s + CONSOLE_PERIOD_S - time.monotonic()))
         self._link.send(bytes([Command.LISP_REPL_CMD]) + expression.encode() + b"\0")
         self._sent_s = time.monotonic()
 

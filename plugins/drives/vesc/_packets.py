@@ -12,7 +12,7 @@ import numpy as np
 
 from protocols import DriveFault, FaultCause
 
-LONGEST = 512
+MAX_PAYLOAD_BYTES = 512
 """Octets of a payload (PACKET_MAX_PL_LEN)."""
 SHORT, LONG, END = 2, 3, 3
 
@@ -90,7 +90,7 @@ def _first(data: bytes, at: int) -> tuple[bytes | None, int]:
     if len(data) - at < start:
         return None, 0
     n = int.from_bytes(data[at + 1 : at + start])
-    if not (1 if start == SHORT else 255) <= n <= LONGEST:
+    if not (1 if start == SHORT else 255) <= n <= MAX_PAYLOAD_BYTES:
         return None, 1
     begin, end = at + start, at + start + n
     if len(data) < end + 3:

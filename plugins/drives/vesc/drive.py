@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field
 
 from orchestrator.driving import DriveShell, in_blocks, keepalive
 from plugins.drives.vesc import _rows
-from plugins.drives.vesc._board import FOC, WITH_INJECTION_OF_ITS_OWN, Board, Settings
+from plugins.drives.vesc._board import FOC_MOTOR_TYPE, INJECTING_SENSOR_MODES, Board, Settings
 from plugins.drives.vesc._link import Link
 from plugins.drives.vesc._packets import Sampling, Values, rows_of
 from protocols import (
@@ -37,18 +37,28 @@ from protocols import (
 )
 
 KINDS: frozenset[ExcitationKind] = frozenset({"gates_off", "hold", "injection"})
-OLDEST = (6, 6)
-MOST_ROWS, FOR_INJECTION, BEFORE_THE_FRAME_TURNS = 1000, 600, 100
-"""Of the board's memory; of an injection, which has to wait for up to half a turn for its direction; until it turns."""
+OLDEST_FIRMWARE = (6, 6)
+MEMORY_ROWS = 1000
+"""Rows that the board's memory holds."""
+MAX_INJECTION_ROWS = 600
+"""Rows of an injection, which waits up to half a turn for its direction."""
 RATE_STEP_HZ = 10.0
-ALIVE_S = 0.2
-ROWS_S = 10.0
-"""For the rows to come over a slow line: 50 kB."""
-RAMP_S, STEP_S = 0.5, 0.01
-FREE_A, MISSED = 0.05, 0.3
-"""Below the one the board lets go (`cc_min_current`); by this part of a current the board has not held it."""
-OVERCURRENT, OF_ITS_OWN = 1.5, 0.05
-"""The board trips at this part of the run's limit; never below this part of what it trips at by itself."""
+"""Resolution of the rate that the rows give."""
+KEEPALIVE_PERIOD_S = 0.2
+"""Longest time without a block."""
+MAX_UPLOAD_S = 10.0
+"""Time for the rows to come over a slow line: 50 kB."""
+MAX_RAMP_S = 0.5
+"""Time in which the current has to fall to zero."""
+POLL_PERIOD_S = 0.01
+MIN_HELD_CURRENT_A = 0.05
+"""Current below which the board lets go (`cc_min_current`)."""
+MAX_CURRENT_ERROR_RATIO = 0.3
+"""Deviation of the mean current over its set-point, above which it is an error."""
+TRIP_RATIO = 1.5
+"""The board's trip current over the run's current limit."""
+MIN_TRIP_RATIO = 0.05
+"""Smallest trip current over the board's own one."""
 FAULTS: dict[int, tuple[FaultCause, str]] = {
     1: (FaultCause.BUS_VOLTAGE, "over voltage"),
     2: (FaultCause.BUS_VOLTAGE, "under voltage"),
@@ -112,8 +122,8 @@ class VescDrive(DriveShell):
         self._link = link = Link(o.port, o.baud_rate)
         self._board = board = Board(link)
         major, minor, name = board.version()
-        if (major, minor) < OLDEST:
-            needed = ".".join(f"{n:02d}" for n in OLDEST).lstrip("0")
+        if (major, minor) < OLDEST_FIRMWARE:
+            needed = ".".join(f"{n:02d}" for n in OLDEST_FIRMWARE).lstrip("0")
             raise DriveRefused(f"{link.where}: firmware {major}.{minor:02d} of {name!r}, {needed} or newer is needed")
         self._settings = settings = board.settings()
         _require_usable(settings, link.where)
@@ -132,15 +142,15 @@ class VescDrive(DriveShell):
             voltage_delay_samples=0.5 * fs / pwm,
             max_current_a=settings.own_limit_a,
             max_voltage_v=settings.max_duty * bus_v / math.sqrt(3.0),
-            longest_capture_s=MOST_ROWS / fs,
+            longest_capture_s=MEMORY_ROWS / fs,
             injection_waveforms=frozenset(("sine",)),
             injects_at_zero_only=True,
-            longest_injection_s=FOR_INJECTION / fs,
+            longest_injection_s=MAX_INJECTION_ROWS / fs,
             heeds_bandwidth=False,
             excitations=KINDS,
             watchdog_s=o.watchdog_s,
             watchdog_covers=KINDS - {"gates_off"},
-            notes=(f"{name}, firmware {major}.{minor:02d}; {MOST_ROWS} rows at a time (docs/vesc.md)",),
+            notes=(f"{name}, firmware {major}.{minor:02d}; {MEMORY_ROWS} rows at a time (docs/vesc.md)",),
         )
 
     def release(self) -> None:
@@ -181,7 +191,7 @@ class VescDrive(DriveShell):
             board.apply(
                 min(limits.current_a / own.current_max_a, own.max_scale),
                 min(limits.current_a / abs(own.current_min_a), own.min_scale),
-                min(max(OVERCURRENT * limits.current_a, OF_ITS_OWN * own.abs_current_a), own.abs_current_a),
+                min(max(TRIP_RATIO * limits.current_a, MIN_TRIP_RATIO * own.abs_current_a), own.abs_current_a),
                 1e3 * self._options.watchdog_s,
             )
             board.alive()
@@ -189,21 +199,21 @@ class VescDrive(DriveShell):
             deadline = self._beaten_s + self._options.watchdog_s
             while (now := board.values()).timed_out and time.monotonic() < deadline:
                 board.alive()
-                time.sleep(STEP_S)
+                time.sleep(POLL_PERIOD_S)
             self._require_sound(now)
         except DriveFault as fault:
             raise self.trip(fault) from None
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Begin it as its rows are drawn; refuses a current that the board would let go."""
-        if 0.0 < excitation.longest_current_a < FREE_A:
-            raise DriveRefused(f"{excitation.longest_current_a:g} A: below {FREE_A:g} A a VESC lets go")
+        if 0.0 < excitation.longest_current_a < MIN_HELD_CURRENT_A:
+            raise DriveRefused(f"{excitation.longest_current_a:g} A: below {MIN_HELD_CURRENT_A:g} A a VESC lets go")
         if isinstance(excitation, Hold):
             return self._tripping(self._held(excitation))
         if isinstance(excitation, GatesOff):
             return self._tripping(self._off(excitation))
         assert isinstance(excitation, Injection)
-        if 0.0 < excitation.rotation_hz * FOR_INJECTION / self.own.sampling_frequency_hz < 1.0 - 1e-6:
+        if 0.0 < excitation.rotation_hz * MAX_INJECTION_ROWS / self.own.sampling_frequency_hz < 1.0 - 1e-6:
             raise DriveRefused(f"the injected direction turns at {excitation.rotation_hz:g} Hz: no turn fits the rows")
         return self._tripping(self._injected(excitation))
 
@@ -211,7 +221,7 @@ class VescDrive(DriveShell):
         """A reading of the last hundredth of a second."""
         board = self._connected()
         board.values()
-        time.sleep(STEP_S)
+        time.sleep(POLL_PERIOD_S)
         now = board.values()
         if self.limits is not None and not self.latched and (fault := self._fault(now)) is not None:
             self.trip(fault)
@@ -231,14 +241,14 @@ class VescDrive(DriveShell):
         """A target of zero: the board lets go within a millisecond."""
         board = self._connected()
         board.hold(0.0, math.degrees(cmath.phase(self._target)))
-        self._target, deadline = 0j, time.monotonic() + RAMP_S
+        self._target, deadline = 0j, time.monotonic() + MAX_RAMP_S
         board.values()
         while True:
-            time.sleep(STEP_S)
-            if abs(board.values().i) <= FREE_A:
+            time.sleep(POLL_PERIOD_S)
+            if abs(board.values().i) <= MIN_HELD_CURRENT_A:
                 return
             if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {RAMP_S:g} s of ramping down")
+                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {MAX_RAMP_S:g} s of ramping down")
 
     def switch_off(self) -> None:
         """Let go, wait until a tone's second is over, and put the board's settings back."""
@@ -269,7 +279,7 @@ class VescDrive(DriveShell):
         if size:
             turn = cmath.exp(1j * angle)
             inside = i / turn
-            if abs(inside.mean() - size) > MISSED * size:
+            if abs(inside.mean() - size) > MAX_CURRENT_ERROR_RATIO * size:
                 message = f"set-point {size:.4g} A, measured {inside.mean():.4g} A: the board limits it, or has let go"
                 raise DriveFault(FaultCause.INTERNAL, message)
             own = self._own_settings()
@@ -288,15 +298,15 @@ class VescDrive(DriveShell):
     def _injected(self, e: Injection) -> Generator[Capture]:
         """A tone along q of a frame that turns, from the bridge's first period on: so its rows are the wave's own."""
         board, own, fs = self._connected(), self._own_settings(), self.own.sampling_frequency_hz
-        frequency, count = e.frequency_hz * _rows.BESIDE, e.rows(fs)
+        frequency, count = e.frequency_hz * _rows.TONE_FREQUENCY_RATIO, e.rows(fs)
         self.ramp()
         self._rotor_angle_rad = e.rotor_angle_rad
         yield from self._waiting(max(e.settle_s, board.released_s - time.monotonic()))
-        board.sample(Sampling.START, MOST_ROWS)
-        board.tone(frequency, e.amplitude_v, e.rotation_hz, MOST_ROWS / fs + 0.05)
-        rows, start_s, now = yield from self._come(MOST_ROWS)
+        board.sample(Sampling.START, MEMORY_ROWS)
+        board.tone(frequency, e.amplitude_v, e.rotation_hz, MEMORY_ROWS / fs + 0.05)
+        rows, start_s, now = yield from self._come(MEMORY_ROWS)
         frame, begin = _rows.turning_frame(rows, e.rotation_hz, 1.0 / fs)
-        place, voltage = _rows.tone(MOST_ROWS, frequency, e.amplitude_v, 1.0 / fs)
+        place, voltage = _rows.tone(MEMORY_ROWS, frequency, e.amplitude_v, 1.0 / fs)
         i, turn = _rows.currents(rows), np.exp(1j * frame)
         moved = _rows.control(i / turn, 0.0, (own.proportional, own.integral), 1.0 / fs)
         late_s = e.discard_s
@@ -306,7 +316,7 @@ class VescDrive(DriveShell):
             e.rotor_angle_rad + 2.0 * math.pi * e.rotation_hz * late_s,
             e.frequency_hz * late_s,
             max(begin, round(late_s * fs)),
-            MOST_ROWS - count,
+            MEMORY_ROWS - count,
             e.frequency_hz / fs,
         )
         chosen = slice(at, at + count)
@@ -326,11 +336,13 @@ class VescDrive(DriveShell):
         self._require_sound(now)
         payloads: list[bytes] = []
         while len(payloads) < count:
-            row = board.row(ALIVE_S)
+            row = board.row(KEEPALIVE_PERIOD_S)
             if row is not None:
                 payloads.append(row)
-            elif time.monotonic() - begun_s > ROWS_S:
-                raise DriveFault(FaultCause.NO_ANSWER, f"{len(payloads)} rows of {count} came within {ROWS_S:g} s")
+            elif time.monotonic() - begun_s > MAX_UPLOAD_S:
+                raise DriveFault(
+                    FaultCause.NO_ANSWER, f"{len(payloads)} rows of {count} came within {MAX_UPLOAD_S:g} s"
+                )
             if row is None or len(payloads) % 100 == 0:
                 yield self._alive()
         self._require_sound(board.values())
@@ -339,7 +351,7 @@ class VescDrive(DriveShell):
     def _waiting(self, wait_s: float) -> Generator[Capture]:
         until_s = time.monotonic() + wait_s
         while (left_s := until_s - time.monotonic()) > 0.0:
-            time.sleep(min(left_s, ALIVE_S))
+            time.sleep(min(left_s, KEEPALIVE_PERIOD_S))
             yield self._alive()
 
     def _blocks(self, i: _rows.Vectors, v: _rows.Vectors, start_s: float, bus_v: float) -> Iterator[Capture]:
@@ -394,9 +406,9 @@ class VescDrive(DriveShell):
 
 
 def _require_usable(settings: Settings, where: str) -> None:
-    if settings.motor_type != FOC:
+    if settings.motor_type != FOC_MOTOR_TYPE:
         raise DriveRefused(f"{where}: its motor type is not FOC")
-    if settings.sensor_mode in WITH_INJECTION_OF_ITS_OWN:
+    if settings.sensor_mode in INJECTING_SENSOR_MODES:
         raise DriveRefused(f"{where}: its sensor mode injects (HFI), into everything; choose another for the run")
     if settings.inverted:
         raise DriveRefused(f"{where}: its motor direction is inverted, and angles with it; undo that for the run")

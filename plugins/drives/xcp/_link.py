@@ -29,8 +29,8 @@ IDENTIFICATION = {
     "IDF_REL_ODT_NUMBER_ABS_DAQ_LIST_NUMBER_WORD_ALIGNED": 4,
 }
 TIMESTAMP = {"NO_TIME_STAMP": 0, "S1": 1, "S2": 2, "S4": 4}
-KEPT_ROWS = 200_000
-"""Rows that wait to be taken: a host that is later than so many sees a gap."""
+MAX_WAITING_ROWS = 200_000
+"""Rows that wait for the host; a host that is later sees a gap."""
 SOCKET_BYTES = 4_000_000
 """Requested buffer of the system for a host that is busy."""
 
@@ -65,7 +65,7 @@ class Arrivals:
 
     def __init__(self, daq: Any) -> None:
         self._daq = daq
-        self._frames: deque[bytes] = deque(maxlen=KEPT_ROWS)
+        self._frames: deque[bytes] = deque(maxlen=MAX_WAITING_ROWS)
         self._newest: tuple[float, bytes] = (0.0, b"")
         self.xcp_master: Any = None
 

@@ -35,11 +35,13 @@ from protocols import (
 )
 
 KINDS: frozenset[ExcitationKind] = frozenset({"gates_off", "hold", "trapezoid", "injection"})
-POLL_S = 0.01
-SHORTEST_S, LONGEST_S = 0.1, 0.25
-"""Of a block; signs of life come as seldom as the longest."""
+POLL_PERIOD_S = 0.01
+MIN_BLOCK_S = 0.1
+"""Shortest block but the last."""
+MAX_BLOCK_S = 0.25
+"""Longest block, and longest time without one."""
 STALL_TIMEOUT_S = 2.0
-"""For rows that do not come, beyond what a program takes."""
+"""Time beyond a program's own after which missing rows are a fault."""
 
 
 class XcpOptions(Strict):
@@ -245,17 +247,17 @@ class XcpDrive(DriveShell):
     def _captures(self, excitation: Excitation, number: int) -> Iterator[Capture]:
         """Blocks of the rows that it captures; raises `DriveFault` for a trip, a gap, or rows that stay away."""
         link, fs = self._connected(), self.own.sampling_frequency_hz
-        wanted, longest = excitation.rows(fs), round(LONGEST_S * fs)
+        wanted, longest = excitation.rows(fs), round(MAX_BLOCK_S * fs)
         stream, waiting = Stream(number), np.zeros(0, link.layout.row)
         told_s, waited_s = time.monotonic(), AttentiveClock()
         most_s = STALL_TIMEOUT_S + 1.5 * (excitation.settling_s + excitation.captured_s)
         while wanted:
             waiting = np.concatenate([waiting, self._next_rows(stream)])
-            while len(waiting) >= min(wanted, SHORTEST_S * fs) and wanted:
+            while len(waiting) >= min(wanted, MIN_BLOCK_S * fs) and wanted:
                 yield self._capture(waiting[:longest])
                 wanted, waiting = wanted - len(waiting[:longest]), waiting[longest:]
                 told_s = time.monotonic()
-            if time.monotonic() - told_s > LONGEST_S:
+            if time.monotonic() - told_s > MAX_BLOCK_S:
                 told_s = time.monotonic()
                 yield keepalive(self._count() / fs - self._origin_s, fs)
             if waited_s() > most_s:
@@ -263,7 +265,7 @@ class XcpDrive(DriveShell):
 
     def _next_rows(self, stream: Stream) -> Rows:
         """What has been captured since; raises `DriveFault` where the ECU has tripped or rows are missing."""
-        time.sleep(POLL_S)
+        time.sleep(POLL_PERIOD_S)
         try:
             return stream.captured(self._connected().take())
         except DriveFault as fault:

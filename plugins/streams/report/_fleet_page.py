@@ -21,8 +21,8 @@ _ABOUT = {
     "Limits": "Cpk by the whole sample’s standard deviation, interval by Bissell; share by Clopper and Pearson.",
     "Unlike the others": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
     "95 times of 100; by one quantity alone where it is not in the distance.",
-    "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: beside all batches and quantities that "
-    "were asked.",
+    "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: significant among all tested batches "
+    "and quantities.",
     "Over time": "By the median of all slopes (Theil and Sen). Chart: an exponentially weighted moving average about "
     "the median, with limits that it leaves once in 500 recordings by chance.",
 }

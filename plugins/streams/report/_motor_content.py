@@ -18,7 +18,7 @@ from plugins.streams.report._content import Line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
 TORQUE_HEAD = ("torque", "i_d", "i_q", "length", "angle from d")
-COPPER_PER_K = 0.00393
+COPPER_COEFFICIENT_PER_K = 0.00393
 """Relative change of copper's resistance a kelvin, at 20 degrees Celsius."""
 
 
@@ -51,7 +51,7 @@ def _at_20_c(found: ResistanceEstimate, ambient_c: float | None) -> str:
     """By copper's coefficient, from the first reading, which the winding's own heat has not reached yet."""
     if ambient_c is None:
         return "not known: the room's temperature was not given (--ambient)"
-    cold = found.first_ohm / (1.0 + COPPER_PER_K * (ambient_c - 20.0))
+    cold = found.first_ohm / (1.0 + COPPER_COEFFICIENT_PER_K * (ambient_c - 20.0))
     return f"{quantity(cold, 'ohm', 4)}, if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
 
 

@@ -18,7 +18,7 @@ HEAD = (
     "axis off by up to",
     "left with the map’s turn",
 )
-ALIKE_PERCENT = 1.0
+AGREEMENT_PERCENT = 1.0
 """Ripple and map agree where neither inductance differs by more: what a drive's control does not feel."""
 
 
@@ -35,7 +35,7 @@ def note(material: Material) -> str:
     most = max(abs(value or 0.0) for one in seen for value in (one.l_dd_percent, one.l_qq_percent))
     worst, left = (max(getattr(one, name) or 0.0 for one in seen) for name in ("angle_error_rad", "left_by_map_rad"))
     map_ = f"the large-signal map (by {seen[0].method})"
-    if most <= ALIKE_PERCENT:
+    if most <= AGREEMENT_PERCENT:
         first = f"A small ripple sees the slopes of {map_}, within {fixed(most, 1)} %: one map serves both."
     else:
         first = (

@@ -58,7 +58,7 @@ def stage(drive: Any, interrupts: Interrupts) -> PowerStage:
 @pytest.fixture(autouse=True)
 def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_power, "LEASE_S", 0.2)
-    monkeypatch.setattr(_power, "WAY_OUT_S", 0.2)
+    monkeypatch.setattr(_power, "SHUTDOWN_TIMEOUT_S", 0.2)
 
 
 def test_a_drive_that_never_yields_is_given_up_and_ramped_down() -> None:

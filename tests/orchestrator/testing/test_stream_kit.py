@@ -182,13 +182,13 @@ MUTATIONS: list[tuple[type[ExampleStream], str]] = [
 def test_fails_a_stream_that_breaks_the_contract(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stream: type[ExampleStream], check: str
 ) -> None:
-    for timeout in ("HANGS_S", "THREADS_END_S"):
+    for timeout in ("CALL_TIMEOUT_S", "THREADS_END_S"):
         monkeypatch.setattr(f"orchestrator.testing._stream.{timeout}", 1.0)
     assert failures(kit_for(stream), tmp_path, only=check), f"{stream.__name__} passes {check}"
 
 
 def test_a_stream_that_hangs_is_waited_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("orchestrator.testing._stream.HANGS_S", 0.5)
+    monkeypatch.setattr("orchestrator.testing._stream.CALL_TIMEOUT_S", 0.5)
     begun = time.monotonic()
     found = failures(kit_for(HangsAtTheEnd), tmp_path)
     assert time.monotonic() - begun < 3.0

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.engine import WORDS
+from orchestrator.engine import SAFE_BENCH_WORDS
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import PointDone, RunEnded
@@ -82,7 +82,7 @@ class Bench:
         else:
             words = ("resume", self._run)
         armed = len(self.machine.events("armed"))
-        process = start_fluxbench(*words, "--quiet", "--unattended", WORDS)
+        process = start_fluxbench(*words, "--quiet", "--unattended", SAFE_BENCH_WORDS)
         wait_until(lambda: len(self.machine.events("armed")) > armed or process.poll() is not None)
         return process
 

@@ -11,7 +11,7 @@ import pytest
 
 from plugins.link._link import Link
 from plugins.wire import (
-    CLASSIC,
+    CLASSIC_LAYOUT,
     Ack,
     AckStatus,
     BlockLayout,
@@ -42,7 +42,7 @@ class FakePort:
         self.closed = False
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CLASSIC
+        return CLASSIC_LAYOUT
 
     def bulk_rate(self, layout: BlockLayout) -> float | None:
         return None

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plugins.wire import Frame, SerialDecoder, all_to_serial, decode, to_serial
-from plugins.wire._framing import LONGEST_PAYLOAD
+from plugins.wire._framing import MAX_PAYLOAD_BYTES
 
 frames = st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=600))
 
@@ -58,10 +58,10 @@ def test_a_line_without_zeros_does_not_fill_the_memory() -> None:
 
 
 def test_the_longest_frame_passes_and_a_longer_one_does_not() -> None:
-    longest = Frame(5, random.Random(1).randbytes(LONGEST_PAYLOAD))
+    longest = Frame(5, random.Random(1).randbytes(MAX_PAYLOAD_BYTES))
     decoder = SerialDecoder()
     assert decoder.feed(to_serial(longest)) == [longest]
-    assert decoder.feed(to_serial(Frame(5, bytes(LONGEST_PAYLOAD + 1)))) == []
+    assert decoder.feed(to_serial(Frame(5, bytes(MAX_PAYLOAD_BYTES + 1)))) == []
     assert decoder.bad_frames == 1
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from plugins.wire import (
-    HEARTBEAT_S,
+    HEARTBEAT_PERIOD_S,
     PROTOCOL_MAJOR,
     Ack,
     AckStatus,
@@ -97,7 +97,7 @@ class Host:
     def receive(self, timeout_s: float = 0.01) -> list[Frame]:
         """Everything that is there; heartbeats go out meanwhile."""
         now_s = time.monotonic()
-        if self.beating and now_s - self._beat_s >= HEARTBEAT_S:
+        if self.beating and now_s - self._beat_s >= HEARTBEAT_PERIOD_S:
             self._beat_s = now_s
             self.send(self.conversation.heartbeat(now_s))
         frames: list[Frame] = self.link.receive(timeout_s)

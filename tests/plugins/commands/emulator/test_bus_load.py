@@ -8,7 +8,7 @@ import time
 import can
 import pytest
 
-from plugins.wire import TELEMETRY_S, frame_id
+from plugins.wire import TELEMETRY_PERIOD_S, frame_id
 from protocols import Injection, Limits
 from tests.plugins.commands.emulator.buses import connected, emulated
 from tests.plugins.link.bench import beating
@@ -84,7 +84,7 @@ def capture_live() -> int:
     """Run the injection; rows that came before its end."""
     with connected("load", fd=False, capture="demodulated") as drive, beating(drive):
         assert drive._host is not None
-        drive._host.write({"telemetry_period_s": TELEMETRY_S}, anew=True)  # as often as on a bench
+        drive._host.write({"telemetry_period_s": TELEMETRY_PERIOD_S}, anew=True)  # as often as on a bench
         drive.arm(Limits(current_a=4.0, voltage_v=150.0))
         sizes = [len(block) for block in drive.execute(INJECTION)]
         drive.disarm()

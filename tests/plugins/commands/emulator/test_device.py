@@ -12,8 +12,8 @@ import pytest
 from plugins.commands.emulator import Device, DeviceSettings
 from plugins.drives.simulated import SimulatedOptions
 from plugins.wire import (
-    CLASSIC,
-    HEARTBEAT_S,
+    CLASSIC_LAYOUT,
+    HEARTBEAT_PERIOD_S,
     PROTOCOL_MAJOR,
     Ack,
     AckStatus,
@@ -79,7 +79,7 @@ def injection(**changes: Any) -> Injection:
 
 
 def classic(block_bytes: int) -> BlockLayout:
-    return CLASSIC
+    return CLASSIC_LAYOUT
 
 
 class Desk:
@@ -151,7 +151,7 @@ class Desk:
         for _ in range(round(seconds / 2e-3)):
             self.now_s += 2e-3
             self.device.power.guard(self.now_s)
-            if self.beating and self.now_s - beat_s >= HEARTBEAT_S:
+            if self.beating and self.now_s - beat_s >= HEARTBEAT_PERIOD_S:
                 beat_s = self.now_s
                 self.device.receive([encode(self.conversation.heartbeat(self.now_s))])
             self.device.turn()

@@ -9,7 +9,7 @@ import pytest
 
 from plugins.commands.emulator._line import Losses, Lossy, Outbox
 from plugins.commands.emulator._ports import Unit
-from plugins.wire import CLASSIC, BlockLayout, Frame, SerialDecoder, to_serial
+from plugins.wire import CLASSIC_LAYOUT, BlockLayout, Frame, SerialDecoder, to_serial
 
 
 class Sink:
@@ -27,7 +27,7 @@ class Sink:
         pass
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CLASSIC
+        return CLASSIC_LAYOUT
 
     def coded(self, frame: Frame) -> Unit:
         return to_serial(frame)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from plugins.drives.can import CanDrive, CanOptions
 from plugins.drives.can._port import CanPort, classic_rate
 from plugins.drives.can._slcan import SlcanPort
-from plugins.wire import CLASSIC, Frame
+from plugins.wire import CLASSIC_LAYOUT, Frame
 from protocols import DriveSetup, InputError, Motor
 from tests.support.tiny import MOTOR
 
@@ -168,7 +168,7 @@ def test_settings_that_are_not_heeded_here_are_left_to_python_can(more: dict[str
     options = CanOptions(interface="slcan", channel=line.path, settings={**AWAKE, **more})
     opened = CanDrive(DriveSetup(motor=Motor(**MOTOR), options=options, seed=1)).open_port()
     assert type(opened) is kind
-    assert opened.layout(0) is CLASSIC
-    assert opened.bulk_rate(CLASSIC) == pytest.approx(RATE)
+    assert opened.layout(0) is CLASSIC_LAYOUT
+    assert opened.bulk_rate(CLASSIC_LAYOUT) == pytest.approx(RATE)
     opened.close()
     line.close()

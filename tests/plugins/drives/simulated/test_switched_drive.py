@@ -35,7 +35,7 @@ def switched(**plant: Any) -> dict[str, Any]:
 
 def readings(s: SensingParameters, i_a: np.ndarray, i_b: np.ndarray, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """(alpha, beta) and the phases as the sensors read them."""
-    x, n = np.zeros(layout.LENGTH), len(i_a)
+    x, n = np.zeros(layout.STATE_LENGTH), len(i_a)
     noise = np.random.default_rng(seed).standard_normal((n, 6)).astype(np.float32)
     phases, found = np.zeros((n, 3), np.float32), np.zeros((n, 2))
     for k in range(n):

@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.runs import RunDirectory
 from plugins.streams.report._collect import Material, Paths, collect
-from plugins.streams.report._motor_content import COPPER_PER_K, motor_lines
+from plugins.streams.report._motor_content import COPPER_COEFFICIENT_PER_K, motor_lines
 from plugins.streams.report._page import render
 from protocols import About, Remark
 from tests.plugins.streams.example_run import a_run_directory
@@ -62,7 +62,7 @@ def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Ma
     warm = Material(**{**vars(material), "record": record.model_copy(update={"procedure": procedure})})
     assert material.estimates is not None
     assert material.estimates.resistance is not None
-    cold = material.estimates.resistance.first_ohm / (1.0 + 25.0 * COPPER_PER_K)
+    cold = material.estimates.resistance.first_ohm / (1.0 + 25.0 * COPPER_COEFFICIENT_PER_K)
     assert lines(warm)["R_s at 20 °C"].startswith(f"{cold:.4g} Ω")
 
 
