@@ -204,11 +204,11 @@ class Commissioning:
             if excitation is None:
                 self._log.publish(self._queue.suffice(index), durable=True)
                 return
-            asked_for = self._queue.allowed(point, excitation)
+            point_as_run = self._queue.allowed(point, excitation)
             if self._machine.state != measuring.name:  # it stood down to compute
                 self._machine.fire(measuring.trigger)
             self._power.arm()
-            self._measure_point(point, asked_for, partial(stage.after_point, at_work))
+            self._measure_point(point, point_as_run, partial(stage.after_point, at_work))
 
     def _skipped(self, index: int, refusal: DriveRefused) -> int:
         """Nobody has written an experiment that this program proposed: where the drive refuses it, the run is complete.

@@ -117,25 +117,25 @@ def explain_overcurrent(
         Of an injection measured before.
     """
     excitation, limit_a = point.excitation, limits.current_a
-    asked_a, nominal_a = excitation.longest_current_a, nominal_ripple_a(excitation, motor)
+    set_point_a, nominal_a = excitation.longest_current_a, nominal_ripple_a(excitation, motor)
     if isinstance(excitation, GatesOff):
         return "no current is driven with the gates off: offset, noise or scale of the sensors reach the trip alone"
     rows = round((excitation.settling_s + excitation.captured_s) * sampling_frequency_hz)
     noise_a = noise.peak_a(rows) + noise.offset_a if noise is not None else 0.0
     swing_a = nominal_a * (max(seen.ratio, 1.0) if seen is not None else 1.0)
-    budget = f"{asked_a:.3g} A were commanded{_noise_words(noise, noise_a, rows)}"
+    budget = f"{set_point_a:.3g} A were commanded{_noise_words(noise, noise_a, rows)}"
     if nominal_a > 0.0:
         budget += f", the nameplate's ripple is {nominal_a:.2g} A"
     wrong = seen is not None and seen.ratio > MAX_RIPPLE_RATIO
-    if seen is not None and wrong and (nominal_a > 0.0 or asked_a + noise_a < limit_a):
+    if seen is not None and wrong and (nominal_a > 0.0 or set_point_a + noise_a < limit_a):
         return f"{budget}; {_wrong_inductance(seen, motor)}"
-    if asked_a + noise_a + swing_a < limit_a:
+    if set_point_a + noise_a + swing_a < limit_a:
         return (
             f"{budget}: together less than limits.current_a of {limit_a:g} A; {_unseen(point, motor, limit_a, noise_a)}"
         )
     if noise_a >= swing_a:
         return f"{budget}: {_too_noisy(point, limit_a, noise_a, swing_a)}"
-    return f"{budget}: the ripple reaches the trip; {_weaker(point, limit_a - asked_a - noise_a, swing_a)}"
+    return f"{budget}: the ripple reaches the trip; {_weaker(point, limit_a - set_point_a - noise_a, swing_a)}"
 
 
 def _noise_words(noise: SensorNoise | None, noise_a: float, rows: int) -> str:
@@ -154,15 +154,15 @@ def _wrong_inductance(seen: RippleRatio, motor: Motor) -> str:
 
 
 def _too_noisy(point: PlannedPoint, limit_a: float, noise_a: float, swing_a: float) -> str:
-    asked_a = point.excitation.longest_current_a
-    needed_a = asked_a + noise_a + swing_a
+    set_point_a = point.excitation.longest_current_a
+    needed_a = set_point_a + noise_a + swing_a
     room_a = limit_a - noise_a - swing_a
     raised = f"limits.current_a of {_up(needed_a):g} A, where motor and drive bear it"
-    if room_a < MIN_CURRENT_RATIO * asked_a:
+    if room_a < MIN_CURRENT_RATIO * set_point_a:
         return f"the noise reaches the trip; that needs quieter sensors, or {raised}"
     return (
         f"the noise reaches the trip; currents of {_down(room_a):g} A at most in stages.{point.stage_index} end "
-        f"that, or {raised}, with these {asked_a:.3g} A written into the stage: left out, they grow with the limit"
+        f"that, or {raised}, with these {set_point_a:.3g} A written into the stage: left out, they grow with the limit"
     )
 
 

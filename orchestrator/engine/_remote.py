@@ -66,10 +66,10 @@ class RemoteOperator:
             thread.join()
 
     def _listen(self, interrupts: Interrupts) -> None:
-        heard_s, kept = time.monotonic(), b""
+        received_s, kept = time.monotonic(), b""
         while not self._done.is_set():
             if not select.select([self._descriptor], [], [], POLL_PERIOD_S)[0]:
-                if time.monotonic() - heard_s > self._silence_s:
+                if time.monotonic() - received_s > self._silence_s:
                     return interrupts.stop(f"the operator's {self.through} has been silent for {self._silence_s:g} s")
                 continue
             data = os.read(self._descriptor, 4096)
@@ -78,7 +78,7 @@ class RemoteOperator:
             *lines, kept = (kept + data).split(b"\n")
             for line in lines:
                 self._take(_object(line), interrupts)
-            heard_s, kept = time.monotonic(), kept[-MAX_LINE_BYTES:]
+            received_s, kept = time.monotonic(), kept[-MAX_LINE_BYTES:]
         return None
 
     def _take(self, message: dict[str, Any], interrupts: Interrupts) -> None:

@@ -49,15 +49,15 @@ PEAK_CURRENT_RATIO = 0.9
 class ClockReading:
     """The drive's clock between two looks at the host's [s]."""
 
-    asked_s: float
-    told_s: float
+    sent_s: float
+    reading_s: float
     answered_s: float
 
     @classmethod
     def of(cls, drive: Drive) -> ClockReading:
-        asked_s = time.monotonic()
-        told_s = drive.telemetry().time_s
-        return cls(asked_s, told_s, time.monotonic())
+        sent_s = time.monotonic()
+        reading_s = drive.telemetry().time_s
+        return cls(sent_s, reading_s, time.monotonic())
 
 
 class DriveInstrumentChecks(DriveBench):
@@ -69,7 +69,7 @@ class DriveInstrumentChecks(DriveBench):
                 pytest.skip("the drive says that its time is its own (clock_is_simulated)")
             before = [ClockReading.of(session.drive) for _ in range(4)]
             self._require_no_haste(session)
-            time.sleep(max(0.0, before[0].asked_s + 2.0 - time.monotonic()))
+            time.sleep(max(0.0, before[0].sent_s + 2.0 - time.monotonic()))
             after = [ClockReading.of(session.drive) for _ in range(4)]
         off = clock_off(before, after)
         assert abs(off) <= _TOLERANCES.clock_part, (
@@ -145,9 +145,9 @@ class DriveInstrumentChecks(DriveBench):
         measured = session.measure(session.sizes.hold(pwm_frequency_hz=frequency_hz))
         off = abs(complex_dq(measured.i_ab, 0.0).mean() - complex(1.0, 0.5) * session.sizes.current_a)
         assert off <= self.near(session), f"misses its target by {off:.3f} A at {frequency_hz} Hz"
-        told_hz = session.drive.telemetry().pwm_frequency_hz
-        assert told_hz is None or math.isclose(told_hz, frequency_hz, rel_tol=1e-4), (
-            f"a PWM frequency of {frequency_hz:g} Hz was requested, {told_hz:g} Hz is at work"
+        reported_hz = session.drive.telemetry().pwm_frequency_hz
+        assert reported_hz is None or math.isclose(reported_hz, frequency_hz, rel_tol=1e-4), (
+            f"a PWM frequency of {frequency_hz:g} Hz was requested, {reported_hz:g} Hz is at work"
         )
         v = complex_dq(measured.v_ab, 0.0)
         parts = np.array([part.mean() for part in np.array_split(v, min(10, len(v)))])
@@ -216,9 +216,9 @@ def clock_off(before: list[ClockReading], after: list[ClockReading]) -> float:
     A reading was taken between question and answer. What is the same by the earliest questions and by the latest
     answers is not the host's business.
     """
-    drive_s = after[0].asked_s - before[0].asked_s
-    by_questions = min(r.told_s - r.asked_s for r in after) - min(r.told_s - r.asked_s for r in before)
-    by_answers = max(r.told_s - r.answered_s for r in after) - max(r.told_s - r.answered_s for r in before)
+    host_s = after[0].sent_s - before[0].sent_s
+    by_questions = min(r.reading_s - r.sent_s for r in after) - min(r.reading_s - r.sent_s for r in before)
+    by_answers = max(r.reading_s - r.answered_s for r in after) - max(r.reading_s - r.answered_s for r in before)
     if by_questions * by_answers <= 0.0:
         return 0.0
-    return min(by_questions, by_answers, key=abs) / drive_s
+    return min(by_questions, by_answers, key=abs) / host_s

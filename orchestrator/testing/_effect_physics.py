@@ -51,13 +51,13 @@ class EffectPhysicsChecks(ABC):
     def _amplitudes(self) -> list[EffectParameter]:
         return [p for p in self.make_effect().Parameters.declared() if p.role is ParameterRole.AMPLITUDE]
 
-    def _asked(self, signals: Signals, values: Mapping[str, float]) -> Correction:
+    def _correction(self, signals: Signals, values: Mapping[str, float]) -> Correction:
         effect = self.make_effect()
         return effect.correct(signals, effect.Parameters(**values))
 
     def test_changes_only_what_its_layer_is_about(self) -> None:
         layer = self.make_effect().layer
-        others = sorted(set(self._asked(self.signals(), self._typical()).arrays) - CHANGES[layer])
+        others = sorted(set(self._correction(self.signals(), self._typical()).arrays) - CHANGES[layer])
         assert not others, f"an effect of the layer {layer.name} changes {', '.join(others)}: the layer is wrong"
 
     def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
@@ -65,7 +65,7 @@ class EffectPhysicsChecks(ABC):
         if effect.layer is not EffectLayer.CURRENT_SENSORS:
             return  # nothing to check
         off = replace(self.signals(), v_ab=np.zeros_like(self.signals().v_ab), bridge_on=False)
-        changed = sorted(set(self._asked(off, self._typical()).arrays) - {"i_ab"})
+        changed = sorted(set(self._correction(off, self._typical()).arrays) - {"i_ab"})
         assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"
 
     def test_a_machine_of_another_size_behaves_alike(self) -> None:
@@ -73,9 +73,9 @@ class EffectPhysicsChecks(ABC):
         effect, signals = self.make_effect(), self.signals()
         declared = effect.Parameters.declared()
         larger = {p.name: p.typical * _factor(p.unit) for p in declared}
-        here = signals.corrected(self._asked(signals, self._typical()))
+        here = signals.corrected(self._correction(signals, self._typical()))
         there = _scaled(signals)
-        apart = largest_change(_scaled(here), there.corrected(self._asked(there, larger)))
+        apart = largest_change(_scaled(here), there.corrected(self._correction(there, larger)))
         effect_size = largest_change(signals, here)
         assert apart <= 1e-6 * max(effect_size, 1e-3), (
             f"with {CURRENT_SCALE:g} times the current and {VOLTAGE_SCALE:g} times the voltage a signal changes by "
@@ -88,7 +88,7 @@ class EffectPhysicsChecks(ABC):
         signals = self.signals()
         for p in self._amplitudes():
             array = {"V": "v_ab", "A": "i_ab"}.get(p.unit)
-            changed = self._asked(signals, self._neutral() | self._shapes() | {p.name: p.typical}).arrays
+            changed = self._correction(signals, self._neutral() | self._shapes() | {p.name: p.typical}).arrays
             if array is None or array not in changed:
                 continue
             by = float(np.abs(changed[array] - getattr(signals, array)).max()) / abs(p.typical)
@@ -112,7 +112,9 @@ class EffectPhysicsChecks(ABC):
     def _moved(self, p: EffectParameter, one: float, other: float) -> float:
         """Length of the way between what two sizes of an amplitude make of the signals, the others typical."""
         signals = self.signals()
-        a, b = (signals.corrected(self._asked(signals, self._typical() | {p.name: _at(p, x)})) for x in (one, other))
+        a, b = (
+            signals.corrected(self._correction(signals, self._typical() | {p.name: _at(p, x)})) for x in (one, other)
+        )
         ways = [np.linalg.norm(getattr(b, n) - getattr(a, n)) / _size(getattr(signals, n)) for n in SIGNAL_ARRAYS]
         return float(np.linalg.norm(ways))
 
@@ -120,7 +122,7 @@ class EffectPhysicsChecks(ABC):
         if any("s" in unit_powers(p.unit) for p in self.make_effect().Parameters.declared()):
             return
         signals = self.signals()
-        now, then = (s.corrected(self._asked(s, self._typical())) for s in (signals, _later(signals)))
+        now, then = (s.corrected(self._correction(s, self._typical())) for s in (signals, _later(signals)))
         change = largest_change(now, then)
         assert change <= 1e-9, (
             f"1000 s later it changes a signal by {change:.2g} otherwise, but none of its parameters is per second: "
@@ -133,7 +135,7 @@ class EffectPhysicsChecks(ABC):
         parameters = used.Parameters(**self._typical())
         for earlier in (self.signals(), exciting_signals(seed=7)):
             used.correct(earlier, parameters)
-        fresh = signals.corrected(self._asked(signals, self._typical()))
+        fresh = signals.corrected(self._correction(signals, self._typical()))
         assert largest_change(fresh, signals.corrected(used.correct(signals, parameters))) == 0.0, (
             "what came before a segment changes it: effects are pure functions"
         )
@@ -145,7 +147,7 @@ class EffectPhysicsChecks(ABC):
             len(took) < 4 and min(took) > MAX_EVALUATION_S and sum(took) < 8.0
         ):  # the first one may compile
             begun = time.perf_counter()
-            self._asked(signals, self._typical())
+            self._correction(signals, self._typical())
             took.append(time.perf_counter() - begun)
         assert min(took) <= MAX_EVALUATION_S, (
             f"{min(took):.2f} s for a second of samples ({MAX_EVALUATION_S} s allowed)"

@@ -174,7 +174,7 @@ def fit_voltage(
     pwm_hz: Array,
     heat: Array | None = None,
     *,
-    strong_share: float = 0.2,
+    strong_current_ratio: float = 0.2,
     long_gap: float = 8.0,
     abruptness: Sequence[float] = (-1.0, -0.5, 0.0, 0.4, 0.7, 1.0, 1.4),
 ) -> VoltageFit:
@@ -186,7 +186,7 @@ def fit_voltage(
     time_s, pwm_hz : array, shape (n,)
     heat : array, shape (n,), optional
         What the currents had brought the winding by then, in any unit: R_s may rise with it.
-    strong_share : float
+    strong_current_ratio : float
         Of the largest current: what is held at less says little of R_s.
     long_gap : float
         Times the usual time between two holds: the winding cools in a longer one, and R_s may jump.
@@ -197,7 +197,7 @@ def fit_voltage(
     """
     length = np.linalg.norm(i_ab, axis=1)
     largest = float(length.max())
-    strong = length > strong_share * largest
+    strong = length > strong_current_ratio * largest
     sizes = len(np.unique(np.round(length / max(largest, 1e-12), 2)))
     frequencies = sorted(set(pwm_hz.tolist())) if sizes >= 3 and len(i_ab) >= 6 else []
     both_ways = len(i_ab) >= 2 and bool((i_ab @ i_ab[int(np.argmax(length))] < 0).any())

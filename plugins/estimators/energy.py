@@ -25,16 +25,16 @@ class EnergyEstimator:
 
     Attributes
     ----------
-    noises, correlated : float
-        What the energy leaves of the inductances is spoken of where it is so many times their noise, and so much alike
-        at neighbouring points: noise is neither.
-    sure : float
-        Standard deviations beyond which a share of dead time at a point is spoken of; there are some hundred points.
+    misfit_sigmas, misfit_correlation : float
+        A remark reports the residual inductances where they exceed the noise by this factor, and correlate by this
+        much at neighbouring points: noise does neither.
+    significance_sigmas : float
+        Standard deviations beyond which a share of dead time counts; there are some hundred points.
     """
 
-    noises: float = 3.0
-    correlated: float = 0.5
-    sure: float = 4.0
+    misfit_sigmas: float = 3.0
+    misfit_correlation: float = 0.5
+    significance_sigmas: float = 4.0
 
     name: ClassVar[str] = "energy"
     summary: ClassVar[str] = "flux map of one energy, fitted to injection and integration together"
@@ -84,7 +84,7 @@ class EnergyEstimator:
                 "ripple does not pass; the map has the sweeps' flux, its inductances are those along the map"
             )
             add("hysteresis", text, less_percent=less)
-        if fit.scales[0] > self.noises and fit.correlation > self.correlated:
+        if fit.scales[0] > self.misfit_sigmas and fit.correlation > self.misfit_correlation:
             text = (
                 "what the energy leaves of the inductances is {noises:.0f} times their noise and alike at "
                 "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
@@ -111,7 +111,7 @@ class EnergyEstimator:
             return 0.0
         axes = [0, 2]
         share = np.abs(fit.taken_out[:, axes] / inductance[: len(fit.taken_out), axes])
-        significant = np.abs(fit.taken_out[:, axes]) > self.sure * fit.taken_out_std[:, axes]
+        significant = np.abs(fit.taken_out[:, axes]) > self.significance_sigmas * fit.taken_out_std[:, axes]
         return float(share[significant].max(initial=0.0))
 
 

@@ -85,22 +85,22 @@ class InjectionEstimator:
 
     Attributes
     ----------
-    same_frequency, same_ripple : float
-        Relative differences within which injections are one: what a drive's clock and a point's inductance change.
-    coverage : float
-        Of the most points: with fewer an injection makes no map, however small its ripple.
-    probes : int
+    frequency_tolerance, ripple_tolerance : float
+        Relative differences within which injections count as one: a drive's clock and a point's inductance change.
+    min_coverage : float
+        Points over the most points, below which an injection makes no map, however small its ripple.
+    transient_points : int
         Points whose transients are measured; the slowest counts.
-    steepest : float
+    max_inductance_ratio : float
         Ratio of an inductance at two successive points beyond which a remark calls them too far apart:
         with up to 1.6 maps came out within 0.2 % of the rated flux, rms, with 2.6 1.8 % off.
     """
 
-    same_frequency: float = 0.03
-    same_ripple: float = 0.2
-    coverage: float = 0.8
-    probes: int = 3
-    steepest: float = 2.0
+    frequency_tolerance: float = 0.03
+    ripple_tolerance: float = 0.2
+    min_coverage: float = 0.8
+    transient_points: int = 3
+    max_inductance_ratio: float = 2.0
 
     name: ClassVar[str] = "injection"
     summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
@@ -115,7 +115,7 @@ class InjectionEstimator:
             problem = skipped[0] if skipped else "no segment of stage injection"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
         most = max(len(group.ripples) for group in groups)
-        chosen = min((g for g in groups if len(g.ripples) >= self.coverage * most), key=lambda g: g.size)
+        chosen = min((g for g in groups if len(g.ripples) >= self.min_coverage * most), key=lambda g: g.size)
         points = invert(chosen.ripples)
         flux = integrate(points, recording.manifest.name)
         flux_map = _gridded(recording, points, flux)
@@ -126,7 +126,7 @@ class InjectionEstimator:
             points=FluxPoints(i_dq=points.current, psi_dq=flux.psi + magnet, segment=tuple(chosen.segments)),
             checks=check_map(flux_map, rated, _misfit(points)),
             remarks=(
-                *_too_far_apart(points, self.steepest),
+                *_too_far_apart(points, self.max_inductance_ratio),
                 *_remarks(groups, chosen, points, flux),
                 *(Remark(code="time_constant", text=one) for one in recording_notes(recording.manifest)),
                 *(Remark(code="skipped", text=one) for one in skipped),
@@ -150,7 +150,7 @@ class InjectionEstimator:
 
         seen = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
         ripples: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, seen, strict=True))
-        for point in by_point([one for _, one in ripples if isinstance(one, OneWay)], self.same_frequency):
+        for point in by_point([one for _, one in ripples if isinstance(one, OneWay)], self.frequency_tolerance):
             first = point[0].segment
             if shows_both_axes(point):
                 ripples.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
@@ -173,7 +173,7 @@ class InjectionEstimator:
         self, recording: RecordingReader, segments: Sequence[Segment], resistance_ohm: float | None
     ) -> float | None:
         """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
-        probes = segments[:: max(1, math.ceil(len(segments) / self.probes))]
+        probes = segments[:: max(1, math.ceil(len(segments) / self.transient_points))]
         ripples = each_capture(
             recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0, resistance_ohm=resistance_ohm)
         )
@@ -181,8 +181,8 @@ class InjectionEstimator:
 
     def _alike(self, one: Ripple, other: Ripple) -> bool:
         """Whether two ripples are of one frequency and size."""
-        same_frequency = math.isclose(other.frequency_hz, one.frequency_hz, rel_tol=self.same_frequency)
-        return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.same_ripple)
+        same_frequency = math.isclose(other.frequency_hz, one.frequency_hz, rel_tol=self.frequency_tolerance)
+        return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.ripple_tolerance)
 
 
 def _seen(group: _Group) -> IncrementalInductances:

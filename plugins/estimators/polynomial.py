@@ -34,12 +34,12 @@ class PolynomialEstimator:
 
     Attributes
     ----------
-    enough_percent : float
+    max_error_percent : float
         Of the rated flux, rms: a polynomial that is nearer to the flexible energy can stand for it; that is what maps
         by different methods differ by on a sound bench.
     """
 
-    enough_percent: float = 0.5
+    max_error_percent: float = 0.5
 
     name: ClassVar[str] = "polynomial"
     summary: ClassVar[str] = "flux map of the paper's polynomial energy, with its coefficients"
@@ -69,7 +69,7 @@ class PolynomialEstimator:
             ),
             checks=check_map(flux_map, rated, measured.misfit(fit)),
             form=_form(fit),
-            remarks=_remarks(fit, energy, measured.current, rated, self.enough_percent),
+            remarks=_remarks(fit, energy, measured.current, rated, self.max_error_percent),
         )
 
 

@@ -37,7 +37,7 @@ class Reader:
             requests_each=port.requests_each,
         )
         self._clock = AttentiveClock()
-        self._asked_s = self._heard_s = 0.0
+        self._requested_s = self._received_s = 0.0
         self._rounds, self._before = 0, -1
         self._timeout_s = TIMEOUTS.upload_s
 
@@ -53,14 +53,14 @@ class Reader:
         mine = assembly.take(self._link.bulk(wait_s))
         now_s = self._clock()
         if mine or not wanted:
-            self._heard_s = now_s
-        if now_s - self._heard_s > TIMEOUTS.upload_lost_s:
+            self._received_s = now_s
+        if now_s - self._received_s > TIMEOUTS.upload_lost_s:
             raise DriveFault(
                 FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {TIMEOUTS.upload_lost_s:g} s"
             )
         if wanted and not assembly.waiting and not assembly.exhausted:
             self._timeout_s = TIMEOUTS.upload_s
-        elif now_s - max(self._heard_s, self._asked_s) > self._timeout_s:
+        elif now_s - max(self._received_s, self._requested_s) > self._timeout_s:
             assembly.give_up()
             self._timeout_s = min(2.0 * self._timeout_s, TIMEOUTS.most_upload_s)
         return assembly.result()
@@ -69,7 +69,7 @@ class Reader:
         assembly = self.assembly
         complete = available >= assembly.length
         is_round = not assembly.waiting
-        if not complete and self._clock() - self._asked_s < TIMEOUTS.live_s:
+        if not complete and self._clock() - self._requested_s < TIMEOUTS.live_s:
             return
         if not complete and is_round and not assembly.missing(available):
             return
@@ -80,7 +80,7 @@ class Reader:
             self._count_round()
         self._host.next_window = assembly.next_window
         self._link.send(*requests)
-        self._asked_s = self._clock()
+        self._requested_s = self._clock()
 
     def _count_round(self) -> None:
         assembly = self.assembly

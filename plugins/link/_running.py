@@ -85,7 +85,7 @@ class Program:
         Raises `DriveFault` where the drive trips, is lost, or sends what does not fit.
         """
         given, start = 0, None
-        told_s = time.monotonic()
+        yielded_s = time.monotonic()
         finished = False
         while not finished:
             progress = self._watch()
@@ -99,11 +99,11 @@ class Program:
             while start is not None and self._due(given, finished):
                 stop = min(self._source.ready, given + round(MAX_BLOCK_S * self._fs))
                 yield self._source.block(given, stop, seconds_of_tick(start) + given / self._fs)
-                given, told_s = stop, time.monotonic()
-            if time.monotonic() - told_s > TIMEOUTS.quiet_s:
+                given, yielded_s = stop, time.monotonic()
+            if time.monotonic() - yielded_s > TIMEOUTS.quiet_s:
                 tick = self._host.link.news.tick
                 yield keepalive(seconds_of_tick(self._timeline.count(tick.tick)) if tick else 0.0, self._fs)
-                told_s = time.monotonic()
+                yielded_s = time.monotonic()
 
     def _due(self, given: int, finished: bool) -> bool:
         ready = self._source.ready - given

@@ -28,8 +28,8 @@ class Reading(NamedTuple):
     """A tick, counted without wraps, and the times on the host's clock between which it was taken [s]."""
 
     tick: int
-    asked_s: float
-    had_s: float
+    sent_s: float
+    received_s: float
 
 
 class Timeline:
@@ -87,9 +87,9 @@ class Timeline:
         self._captured = end
 
     def _read(self) -> Reading:
-        asked_s = time.clock_gettime(_HOST_CLOCK)
+        sent_s = time.clock_gettime(_HOST_CLOCK)
         tick = self._host.tick().tick
-        return Reading(self._unwrapped(tick), asked_s, time.clock_gettime(_HOST_CLOCK))
+        return Reading(self._unwrapped(tick), sent_s, time.clock_gettime(_HOST_CLOCK))
 
     def _problem(self, reading: Reading) -> str:
         if self._last is None:
@@ -99,7 +99,7 @@ class Timeline:
             return f"went back by {-passed_s:.3g} s"
         if self._is_simulated:
             return ""
-        least_s, most_s = reading.asked_s - self._last.had_s, reading.had_s - self._last.asked_s
+        least_s, most_s = reading.sent_s - self._last.received_s, reading.received_s - self._last.sent_s
         if passed_s > (1.0 + TIMEOUTS.clock_part) * most_s + TIMEOUTS.clock_s:
             return f"jumped by {passed_s:.3g} s in {most_s:.3g} s"
         if passed_s < (1.0 - TIMEOUTS.clock_part) * least_s - TIMEOUTS.clock_s:

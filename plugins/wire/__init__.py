@@ -54,7 +54,7 @@ from plugins.wire._messages import (
     StopReason,
     Tick,
 )
-from plugins.wire._nodes import MAX_NODES, from_bus, heard_by_drive, heard_by_host, on_bus
+from plugins.wire._nodes import MAX_NODES, filters_of_drive, filters_of_host, from_bus, on_bus
 from plugins.wire._program import (
     capture_registers,
     drive_fault,
@@ -150,10 +150,10 @@ __all__ = [
     "drive_fault",
     "encode",
     "facts_of",
+    "filters_of_drive",
+    "filters_of_host",
     "frame_id",
     "from_bus",
-    "heard_by_drive",
-    "heard_by_host",
     "interlock_text",
     "interlocks_line",
     "limit_registers",

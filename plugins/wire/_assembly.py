@@ -126,7 +126,7 @@ class CaptureAssembly:
         """Runs (first block, count) that are missing below `available` bytes (default: all), near ones merged."""
         return _runs(~self._have[: self._blocks_within(available)])
 
-    def _unasked(self, available: int | None) -> list[tuple[int, int]]:
+    def _not_requested(self, available: int | None) -> list[tuple[int, int]]:
         """The same without what is under way."""
         absent = ~self._have[: self._blocks_within(available)]
         for window in self._waiting_for:
@@ -149,7 +149,7 @@ class CaptureAssembly:
         if 2 * room < self._requests_each or self.exhausted:
             return []
         room = min(room, _TRUSTED_WINDOWS - len(self._unended))
-        runs = self._unasked(available)
+        runs = self._not_requested(available)
         if not runs:
             return [] if self.waiting else [self._request(0, 0)]
         if self.waiting and sum(count for _, count in runs) < self._blocks_each:

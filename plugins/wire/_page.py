@@ -181,10 +181,10 @@ def _link(name: str, bits: str, rate: float, point: int) -> tuple[str, str, str,
     return name, bits, f"{rate / 1e3:.0f}", f"{point / rate:.1f} s"
 
 
-def bus_load(rates_hz: Mapping[int, float], rows_hz: float, asked_hz: float, *, stuffed: bool) -> float:
+def bus_load(rates_hz: Mapping[int, float], rows_hz: float, requests_hz: float, *, stuffed: bool) -> float:
     """Load of a 1 Mbit/s bus by telemetry (frames a second, by length) and ripple rows at this request rate."""
     telemetry = sum(rate * classic_bits(size, stuffed=stuffed) for size, rate in rates_hz.items())
-    frames_hz = rows_hz * _RIPPLE_ROW_BYTES / CLASSIC_LAYOUT.block + 2.0 * asked_hz
+    frames_hz = rows_hz * _RIPPLE_ROW_BYTES / CLASSIC_LAYOUT.block + 2.0 * requests_hz
     return (telemetry + frames_hz * classic_bits(8, stuffed=stuffed)) / 1e6
 
 

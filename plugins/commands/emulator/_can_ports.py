@@ -12,7 +12,7 @@ from typing import Any
 
 from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._ports import PtyPort, Unit
-from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, frame_id, from_bus, heard_by_drive, on_bus
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, filters_of_drive, frame_id, from_bus, on_bus
 from protocols import InputError
 
 _CAN_HEAD, _CAN_START, _CAN_END = struct.Struct("<BIBI"), 0xAA, 0xBB
@@ -115,7 +115,7 @@ class CanPort:
         except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
             raise InputError("--can", f"{interface}:{channel}", f"cannot be opened: {error}") from None
         if interface == _FILTERS_IN_KERNEL:
-            self._bus.set_filters(heard_by_drive(node))
+            self._bus.set_filters(filters_of_drive(node))
         self._readable = _readable(self._bus)
         self._errors = (can.CanError, OSError)
         self._bulk_ids = {frame_id(CLASSIC_LAYOUT.name), frame_id(CAN_FD_LAYOUT.name)}
@@ -124,7 +124,7 @@ class CanPort:
         """A bus is there for all."""
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         return None
 
     def layout(self, block_bytes: int) -> BlockLayout:

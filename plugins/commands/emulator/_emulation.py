@@ -58,7 +58,7 @@ class Emulation:
         self._outbox.pump(time.monotonic())
 
     def _notice(self) -> None:
-        connected = self._port.heard_of
+        connected = self._port.connected
         if connected is not None and connected != self._connected:
             if self._connected is not None or connected:
                 self._log("link", open=connected)

@@ -24,7 +24,7 @@ class Port(Protocol):
     """A link that is open."""
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         """Whether a host has the other end open; None where that cannot be known."""
         ...
 
@@ -85,7 +85,7 @@ class PtyPort:
             raise InputError(str(self._path), "", f"cannot be made a link: {error.strerror}") from None
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         return self._connected
 
     def layout(self, block_bytes: int) -> BlockLayout:

@@ -1,4 +1,4 @@
-"""What the device says of itself unasked, each message at its own pace. Holds no state but counters."""
+"""The device sends telemetry by itself, each message at its own period. Holds no state but counters."""
 
 from __future__ import annotations
 

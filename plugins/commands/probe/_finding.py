@@ -160,12 +160,12 @@ def _found(name: LinkName, node: int) -> Found:
         port = name.open(node)
     link = Link(port, Found.longest_period_s)
     try:
-        return _asked(name, node, link)
+        return _identified(name, node, link)
     finally:
         link.close()
 
 
-def _asked(name: LinkName, node: int, link: Link) -> Found:
+def _identified(name: LinkName, node: int, link: Link) -> Found:
     host = Host(link, Found.answer_s if name.most == 1 else Found.node_answer_s)
     major = host.read("protocol_major")
     if major != PROTOCOL_MAJOR:

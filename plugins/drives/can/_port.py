@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, from_bus, heard_by_host, on_bus
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, filters_of_host, from_bus, on_bus
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ class CanPort:
         except (NotImplementedError, TypeError, ValueError) as error:
             raise InputError("the drive's bus", self.where, str(error).splitlines()[0]) from error
         if interface == _FILTERS_IN_KERNEL:
-            self._bus.set_filters(heard_by_host(node))
+            self._bus.set_filters(filters_of_host(node))
         unread = _widen_buffer(self._bus)
         self.requests_each, self.blocks_each = (8, 512) if fd else (4, 256)
         if unread is not None:

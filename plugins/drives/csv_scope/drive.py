@@ -217,7 +217,7 @@ class CsvScopeDrive(DriveShell):
 
     def _waiting(self, stem: str, answer: str, longest_s: float | None) -> Iterator[None]:
         """Until the answer is there, with a look around now and then; raises `DriveFault` for a fault, or in vain."""
-        folder, begun_s, told_s = self._options.folder, time.monotonic(), time.monotonic()
+        folder, begun_s, yielded_s = self._options.folder, time.monotonic(), time.monotonic()
         path, fault = folder / f"{stem}.{answer}", folder / f"{stem}.fault"
         while not self._is_whole(path):
             if self._is_whole(fault):
@@ -226,8 +226,8 @@ class CsvScopeDrive(DriveShell):
             now_s = time.monotonic()
             if longest_s is not None and now_s - begun_s > longest_s:
                 raise self._latched(DriveFault(FaultCause.NO_ANSWER, f"{path}: has not come for {longest_s:g} s"))
-            if now_s - told_s > self.alive_s:
-                told_s = now_s
+            if now_s - yielded_s > self.alive_s:
+                yielded_s = now_s
                 yield
             time.sleep(self.poll_s)
 

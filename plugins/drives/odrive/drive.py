@@ -224,15 +224,15 @@ class OdriveDrive(DriveShell):
         fs = self.own.sampling_frequency_hz
         for _ in range(MAX_CAPTURE_ATTEMPTS):
             rows, start_s = list[np.ndarray](), time.monotonic()
-            told_s = start_s
+            yielded_s = start_s
             while len(rows) < count:
                 time.sleep(max(0.0, start_s + len(rows) / fs - time.monotonic()))
                 rows.append(axis.reading())
                 self._watch(axis, rows[-1], limits)
                 if time.monotonic() > start_s + len(rows) / fs + MAX_READING_DELAY_S:
                     break
-                if time.monotonic() - told_s > KEEPALIVE_PERIOD_S:
-                    told_s = time.monotonic()
+                if time.monotonic() - yielded_s > KEEPALIVE_PERIOD_S:
+                    yielded_s = time.monotonic()
                     yield self._alive()
             else:
                 time.sleep(max(0.0, start_s + count / fs - time.monotonic()))  # the last row has a period as well

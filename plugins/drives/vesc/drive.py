@@ -416,10 +416,10 @@ def _require_usable(settings: Settings, where: str) -> None:
         raise DriveRefused(f"{where}: its current limits are {settings.current_min_a:g} and {settings.own_limit_a:g} A")
 
 
-def _rate(zero_vectors_hz: float, told_hz: float, where: str) -> float:
+def _rate(zero_vectors_hz: float, row_rate_hz: float, where: str) -> float:
     """Control periods a second: every zero vector or every other, by what rows say of their rate."""
     for rate_hz in (0.5 * zero_vectors_hz, zero_vectors_hz):
-        if 0.0 <= rate_hz - told_hz <= 2.0 * RATE_STEP_HZ:
+        if 0.0 <= rate_hz - row_rate_hz <= 2.0 * RATE_STEP_HZ:
             return rate_hz
-    message = f"rows of {told_hz:g} Hz at foc_f_zv {zero_vectors_hz:g} Hz"
+    message = f"rows of {row_rate_hz:g} Hz at foc_f_zv {zero_vectors_hz:g} Hz"
     raise DriveRefused(f"{where}: {message}; every zero vector or every other was expected")

@@ -221,8 +221,8 @@ class Link:
 
     def newest(self) -> np.void:
         """A row that comes from now on; raises `DriveFault` where none does in time."""
-        asked_s, waited_s = time.monotonic(), AttentiveClock()
-        while self._rows.newest[0] <= asked_s:
+        requested_s, waited_s = time.monotonic(), AttentiveClock()
+        while self._rows.newest[0] <= requested_s:
             self.check()
             if waited_s() > self._timeout_s:
                 raise self._lose(f"no row for {self._timeout_s:g} s")

@@ -249,16 +249,16 @@ class XcpDrive(DriveShell):
         link, fs = self._connected(), self.own.sampling_frequency_hz
         wanted, longest = excitation.rows(fs), round(MAX_BLOCK_S * fs)
         stream, waiting = Stream(number), np.zeros(0, link.layout.row)
-        told_s, waited_s = time.monotonic(), AttentiveClock()
+        yielded_s, waited_s = time.monotonic(), AttentiveClock()
         most_s = STALL_TIMEOUT_S + 1.5 * (excitation.settling_s + excitation.captured_s)
         while wanted:
             waiting = np.concatenate([waiting, self._next_rows(stream)])
             while len(waiting) >= min(wanted, MIN_BLOCK_S * fs) and wanted:
                 yield self._capture(waiting[:longest])
                 wanted, waiting = wanted - len(waiting[:longest]), waiting[longest:]
-                told_s = time.monotonic()
-            if time.monotonic() - told_s > MAX_BLOCK_S:
-                told_s = time.monotonic()
+                yielded_s = time.monotonic()
+            if time.monotonic() - yielded_s > MAX_BLOCK_S:
+                yielded_s = time.monotonic()
                 yield keepalive(self._count() / fs - self._origin_s, fs)
             if waited_s() > most_s:
                 raise self.trip(DriveFault(FaultCause.PROGRAM_TOO_LONG, f"{excitation.kind}: its rows do not come"))

@@ -55,7 +55,7 @@ class Picture:
         self._progress = Progress(run)
         self._log: deque[tuple[str, str]] = deque(maxlen=lines)
         self._facts: dict[str, Any] = {"about": [], "limit_a": None, "motor": "", "drive": ""}
-        self._asked, self._question = 0, ""
+        self._question_number, self._question = 0, ""
         self._resistance_ohm = 0.0
         self._latest: SamplesCaptured | None = None
         self._reached: list[list[float]] = []
@@ -81,7 +81,7 @@ class Picture:
             case PointDone():
                 self._finish_point(message)
             case OperatorAsked():
-                self._asked, self._question = self._asked + 1, message.prompt
+                self._question_number, self._question = self._question_number + 1, message.prompt
             case OperatorAnswered():
                 self._question = ""
             case MapEstimated():
@@ -172,7 +172,7 @@ class Picture:
         """Its number, the prompt as the answer has to name it, and as it may be shown."""
         if not self._question:
             return None
-        return {"number": self._asked, "prompt": self._question, "text": shown(self._question)}
+        return {"number": self._question_number, "prompt": self._question, "text": shown(self._question)}
 
     def _outcome(self) -> dict[str, Any] | None:
         if self._ended is None:

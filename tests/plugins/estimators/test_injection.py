@@ -60,7 +60,7 @@ def test_the_smaller_ripple_makes_the_map_and_the_other_is_compared() -> None:
 def test_points_between_which_the_motor_saturates_are_said_to_be_too_far_apart() -> None:
     found = injection_of(False)
     assert "too_far_apart" not in {far.code for far in found.remarks}
-    strict = InjectionEstimator(steepest=1.05).estimate(clean(), EstimationContext())
+    strict = InjectionEstimator(max_inductance_ratio=1.05).estimate(clean(), EstimationContext())
     (far,) = [far for far in strict.remarks if far.code == "too_far_apart"]
     assert float(far.values["ratio"] or 0.0) > 1.05
     apart = [
@@ -103,8 +103,8 @@ def test_a_drives_delay_is_taken_from_the_manifest() -> None:
     delayed = MemoryRecording(recording.manifest.model_copy(update={"drive": drive}), late)
     again = InjectionEstimator().estimate(delayed, EstimationContext()).map
     np.testing.assert_allclose(again.psi_q, injection_of(False).map.psi_q, atol=5e-4)
-    untold = InjectionEstimator().estimate(MemoryRecording(recording.manifest, late), EstimationContext()).map
-    assert np.nanmax(np.abs(untold.psi_q - again.psi_q)) > 5e-3
+    undeclared = InjectionEstimator().estimate(MemoryRecording(recording.manifest, late), EstimationContext()).map
+    assert np.nanmax(np.abs(undeclared.psi_q - again.psi_q)) > 5e-3
 
 
 def test_the_transient_after_the_start_is_seen_in_the_data_not_on_the_nameplate() -> None:

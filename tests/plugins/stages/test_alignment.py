@@ -154,7 +154,7 @@ def read_without_current(pm400: Bench, *readings: tuple[float, float]) -> Memory
     return MemoryRecording(manifest, captures)
 
 
-def asked_for(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
+def chosen_point(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
     """The alignment's point at 90 degrees, as it is run after these readings."""
     (point,) = plan_of(pm400, {"kind": "alignment", "angle_rad": math.pi / 2, "current_a": 2.0}).points
     stage = AlignmentStage(angle_rad=math.pi / 2, current_a=2.0)
@@ -180,7 +180,7 @@ def test_an_offset_that_will_turn_the_rotor_on_the_way_down_is_told(
 
 
 def test_what_the_sensors_read_without_current_is_added_in_the_rotors_frame(pm400: Bench) -> None:
-    point = asked_for(pm400, (0.5, 0.5), (0.02, 0.05))
+    point = chosen_point(pm400, (0.5, 0.5), (0.02, 0.05))
     assert isinstance(point.excitation, Hold)
     assert (point.excitation.current_d_a, point.excitation.current_q_a) == pytest.approx((2.05, -0.02))
     assert (point.settings["current_d_a"], point.settings["current_q_a"]) == pytest.approx((2.05, -0.02))
@@ -191,7 +191,7 @@ def test_what_the_sensors_read_without_current_is_added_in_the_rotors_frame(pm40
 def test_nothing_is_added_without_a_reading_or_to_one_that_is_no_offset(
     pm400: Bench, readings: list[tuple[float, float]]
 ) -> None:
-    point = asked_for(pm400, *readings)
+    point = chosen_point(pm400, *readings)
     assert point.settings == {"current_d_a": 2.0, "current_q_a": 0.0}
 
 

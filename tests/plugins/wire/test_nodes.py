@@ -7,7 +7,7 @@ import itertools
 import can
 import pytest
 
-from plugins.wire import MAX_NODES, frame_id, from_bus, heard_by_drive, heard_by_host, on_bus
+from plugins.wire import MAX_NODES, filters_of_drive, filters_of_host, frame_id, from_bus, on_bus
 from plugins.wire._dbc import dbc_text, layouts, message_database
 
 LOWEST_OF_DRIVES = frame_id("Status")
@@ -33,9 +33,9 @@ def test_the_filters_pass_what_is_taken(node: int) -> None:
     with can.Bus(channel="filters", interface="virtual", ignore_config=True) as bus:
         for identifier in range(0x200):
             message = can.Message(arbitration_id=identifier, is_extended_id=False)
-            bus.set_filters(heard_by_host(node))
+            bus.set_filters(filters_of_host(node))
             assert bus._matches_filters(message) == (identifier % MAX_NODES == node)
-            bus.set_filters(heard_by_drive(node))
+            bus.set_filters(filters_of_drive(node))
             wanted = from_bus(identifier, node) is not None and identifier < LOWEST_OF_DRIVES
             assert bus._matches_filters(message) == wanted
 

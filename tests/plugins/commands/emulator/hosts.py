@@ -126,8 +126,8 @@ class Host:
         for _ in range(60):
             self.messages.clear()
             self.send(request)
-            asked_s = time.monotonic()
-            while time.monotonic() - asked_s < 0.05:
+            sent_s = time.monotonic()
+            while time.monotonic() - sent_s < 0.05:
                 self.receive()
                 for message in self.messages:
                     if isinstance(message, (Ack, ParameterValue)) and answers(message, request):

@@ -20,7 +20,7 @@ class Sink:
         self.taken: list[Unit] = []
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         return True
 
     def publish(self) -> None:

@@ -246,14 +246,14 @@ class Console:
     """LispBM's console: one expression at a time, answers within half a second, deaf for half a second after each."""
 
     def __init__(self, firmware: Firmware) -> None:
-        self._firmware, self._heard_s = firmware, -math.inf
+        self._firmware, self._received_s = firmware, -math.inf
 
     def receive(self, text: str) -> None:
         """Evaluate on a thread of its own; a fast second line is passed over without a word."""
         begun_s = time.monotonic()
-        if begun_s - self._heard_s <= DEAF_S:
+        if begun_s - self._received_s <= DEAF_S:
             return
-        self._heard_s = begun_s
+        self._received_s = begun_s
 
         def evaluate() -> None:
             value = self._value(_parsed(text))
