@@ -220,8 +220,8 @@ class EffectParameters:
     def declared(cls) -> tuple[EffectParameter, ...]:
         """What the fields say: amplitudes first, then shapes, then refinements."""
         fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # its sub-classes are dataclasses
-        found = [EffectParameter(name=field.name, **field.metadata) for field in fields]
-        return tuple(sorted(found, key=lambda p: list(ParameterRole).index(p.role)))
+        parameters = [EffectParameter(name=field.name, **field.metadata) for field in fields]
+        return tuple(sorted(parameters, key=lambda p: list(ParameterRole).index(p.role)))
 
 
 _ROLES = "declared without a role: expected amplitude(...), shape(...) or refinement(...)"
@@ -433,4 +433,4 @@ FORMER_HOOKS: Mapping[str, EffectHook] = MappingProxyType(
 def hook_of(effect: Effect, hook: EffectHook) -> Callable[..., Any] | None:
     """The effect's own method of this name, or of its former name; None where it has neither."""
     names = (hook, *(former for former, today in FORMER_HOOKS.items() if today == hook))
-    return next((found for name in names if (found := getattr(effect, name, None)) is not None), None)
+    return next((method for name in names if (method := getattr(effect, name, None)) is not None), None)

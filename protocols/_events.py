@@ -170,7 +170,7 @@ class RunEnded(Strict):
     reason: str
     run: str
     """Name of the run directory, which may have been moved since."""
-    estimates: Annotated[EstimationReport | None, BeforeValidator(lambda found: found or None)] = None
+    estimates: Annotated[EstimationReport | None, BeforeValidator(lambda report: report or None)] = None
     """None where nothing was estimated; older journals have an empty object there."""
 
 

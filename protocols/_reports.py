@@ -457,7 +457,7 @@ class EstimatorsReport(Lenient):
     @property
     def measured_symmetry(self) -> str | None:
         """The best method whose map has parity and reciprocity not by construction; None where all have."""
-        return next((method for method, made in self.maps.items() if made.basis is not Basis.ENERGY), None)
+        return next((method for method, report in self.maps.items() if report.basis is not Basis.ENERGY), None)
 
 
 class DeliveredModel(Lenient):

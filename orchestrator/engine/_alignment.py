@@ -42,15 +42,15 @@ class AlignmentCheck:
         """Raise `DriveFault` (wrong_data) where the voltage of another row makes the current."""
         if not self._i:
             return
-        found = alignment_of(np.concatenate(self._i), np.concatenate(self._v), most_samples=CHECKED_ROWS)
+        fit = alignment_of(np.concatenate(self._i), np.concatenate(self._v), most_samples=CHECKED_ROWS)
         self.begin()
-        if found is None or found.explained < MIN_EXPLAINED_RATIO:
+        if fit is None or fit.explained < MIN_EXPLAINED_RATIO:
             return
         self._is_decided = True
-        if abs(found.lag_rows - self._lag_rows) > MAX_LAG_ERROR_ROWS:
+        if abs(fit.lag_rows - self._lag_rows) > MAX_LAG_ERROR_ROWS:
             raise DriveFault(
                 FaultCause.WRONG_DATA,
-                f"{segment}: the current follows the voltage of row k from t_k + {found.lag_rows:.1f} Ts on, the drive "
+                f"{segment}: the current follows the voltage of row k from t_k + {fit.lag_rows:.1f} Ts on, the drive "
                 f"says voltage_delay_samples {self._lag_rows:g}: its rows are not of one instant, and every flux would "
                 "be wrong; correct it in the drive (its conformance kit shows the same)",
             )

@@ -307,14 +307,14 @@ class Commissioning:
         fault, point = outcome.error, self._tripped_at
         if not isinstance(fault, DriveFault) or fault.cause is not FaultCause.OVERCURRENT or point is None:
             return outcome
-        procedure, noise, seen = self._queue.plan.procedure, None, None
+        procedure, noise, ripple = self._queue.plan.procedure, None, None
         if self._queue.done:
             with suppress(FluxbenchError, OSError):  # what cannot be read explains nothing
                 recording = open_recording(self._run.path)
                 noise = sensor_noise(recording)
-                seen = ripple_ratio(recording, procedure.motor, noise)
+                ripple = ripple_ratio(recording, procedure.motor, noise)
         hint = explain_overcurrent(
-            point, procedure.motor, procedure.limits, self._capabilities.sampling_frequency_hz, noise, seen
+            point, procedure.motor, procedure.limits, self._capabilities.sampling_frequency_hz, noise, ripple
         )
         explained = DriveFault(fault.cause, f"{point.id}: {fault.detail}; {hint}")
         return replace(outcome, reason=str(explained), error=explained)

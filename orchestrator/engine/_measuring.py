@@ -123,12 +123,12 @@ class Measurement:
         return segment, mean.dq()
 
     def _temperature(self, segment: str) -> LoggedTemperature:
-        found = LoggedTemperature(self._thermometer)
-        if found.missing and not self._missed:
+        temperature = LoggedTemperature(self._thermometer)
+        if temperature.missing and not self._missed:
             message = "the thermometer says nothing, or nothing new: without it until it does"
             self._log.publish(Note(level="warning", text=f"{segment}: {message}"))
-        self._missed = found.missing
-        return found
+        self._missed = temperature.missing
+        return temperature
 
     def _check_current(self, capture: Capture, segment: str) -> None:
         peak = float(np.sqrt(np.max(np.einsum("na,na->n", capture.i_ab, capture.i_ab))))

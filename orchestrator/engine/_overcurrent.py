@@ -98,7 +98,7 @@ def explain_overcurrent(
     limits: Limits,
     sampling_frequency_hz: float,
     noise: SensorNoise | None = None,
-    seen: RippleRatio | None = None,
+    ripple: RippleRatio | None = None,
 ) -> str:
     """Say in one line what reached the trip, with its numbers, and what ends it.
 
@@ -113,7 +113,7 @@ def explain_overcurrent(
         How often the drive compares its readings.
     noise : SensorNoise, optional
         As measured before.
-    seen : RippleRatio, optional
+    ripple : RippleRatio, optional
         Of an injection measured before.
     """
     excitation, limit_a = point.excitation, limits.current_a
@@ -122,13 +122,13 @@ def explain_overcurrent(
         return "no current is driven with the gates off: offset, noise or scale of the sensors reach the trip alone"
     rows = round((excitation.settling_s + excitation.captured_s) * sampling_frequency_hz)
     noise_a = noise.peak_a(rows) + noise.offset_a if noise is not None else 0.0
-    swing_a = nominal_a * (max(seen.ratio, 1.0) if seen is not None else 1.0)
+    swing_a = nominal_a * (max(ripple.ratio, 1.0) if ripple is not None else 1.0)
     budget = f"{set_point_a:.3g} A were commanded{_noise_words(noise, noise_a, rows)}"
     if nominal_a > 0.0:
         budget += f", the nameplate's ripple is {nominal_a:.2g} A"
-    wrong = seen is not None and seen.ratio > MAX_RIPPLE_RATIO
-    if seen is not None and wrong and (nominal_a > 0.0 or set_point_a + noise_a < limit_a):
-        return f"{budget}; {_wrong_inductance(seen, motor)}"
+    wrong = ripple is not None and ripple.ratio > MAX_RIPPLE_RATIO
+    if ripple is not None and wrong and (nominal_a > 0.0 or set_point_a + noise_a < limit_a):
+        return f"{budget}; {_wrong_inductance(ripple, motor)}"
     if set_point_a + noise_a + swing_a < limit_a:
         return (
             f"{budget}: together less than limits.current_a of {limit_a:g} A; {_unseen(point, motor, limit_a, noise_a)}"
@@ -144,12 +144,12 @@ def _noise_words(noise: SensorNoise | None, noise_a: float, rows: int) -> str:
     return f", noise and offset reach {noise_a:.2g} A ({noise.longest_a:.2g} A rms with the gates off, {rows} rows)"
 
 
-def _wrong_inductance(seen: RippleRatio, motor: Motor) -> str:
+def _wrong_inductance(ripple: RippleRatio, motor: Motor) -> str:
     known = {"d": motor.d_inductance_h, "q": motor.q_inductance_h}
-    true = " and ".join(f"{axis}_inductance_h {h / seen.ratio:.2g}" for axis, h in known.items() if h is not None)
+    true = " and ".join(f"{axis}_inductance_h {h / ripple.ratio:.2g}" for axis, h in known.items() if h is not None)
     return (
-        f"in {seen.segment} the ripple was {seen.ratio:.2g} times the nameplate's: its inductance is too large, or the "
-        f"iron saturates by as much; with {true} H (half of what is measured line to line) the plan fits the motor"
+        f"in {ripple.segment} the ripple was {ripple.ratio:.2g} times the nameplate's: its inductance is too large, or "
+        f"the iron saturates by as much; with {true} H (half of what is measured line to line) the plan fits the motor"
     )
 
 

@@ -92,8 +92,8 @@ class PointQueue:
 
     def factor(self, index: int) -> float | None:
         """By how much the injection of a stage is weaker than planned; None where nothing of it is measured yet."""
-        found = (factor_of(point, self.done[point.id]) for point in self.plan.points_of(index) if point.id in self.done)
-        return next((factor for factor in found if factor is not None), None)
+        every = (factor_of(point, self.done[point.id]) for point in self.plan.points_of(index) if point.id in self.done)
+        return next((factor for factor in every if factor is not None), None)
 
     def passed(self, index: int) -> bool:
         """Whether the run passed this stage before it was resumed: its questions and results are in the journal."""

@@ -141,9 +141,9 @@ def _length(excitation: Injection) -> float:
 
 def _rim(injections: Sequence[Injection]) -> list[Injection]:
     """The outermost points in eight directions, each once."""
-    found: dict[tuple[float, float], Injection] = {}
+    outer: dict[tuple[float, float], Injection] = {}
     for k in range(_RULES.directions):
         d, q = math.cos(2 * math.pi * k / _RULES.directions), math.sin(2 * math.pi * k / _RULES.directions)
         outermost = max(injections, key=lambda e: d * e.target_d_a + q * e.target_q_a)
-        found[(outermost.target_d_a, outermost.target_q_a)] = outermost
-    return list(found.values())
+        outer[(outermost.target_d_a, outermost.target_q_a)] = outermost
+    return list(outer.values())

@@ -105,23 +105,23 @@ class DriveCaptureChecks(DriveBench):
             late_s = DISCARDED_PERIODS / session.sizes.frequency_hz
             excitation = session.sizes.injection(waveform=waveform, rotor_angle_rad=SIXTY_DEGREES, discard_s=late_s)
             measured = session.measure(excitation)
-            found = find_injection(
+            ripple = find_injection(
                 measured.v_ab, session.capabilities.sampling_frequency_hz, excitation.waveform, ROWS_PER_PERIOD
             )
-            assert math.isclose(found.frequency_hz, excitation.frequency_hz, rel_tol=1e-3), (
-                f"injects {found.frequency_hz:.2f} Hz instead of {excitation.frequency_hz:.2f} Hz"
+            assert math.isclose(ripple.frequency_hz, excitation.frequency_hz, rel_tol=1e-3), (
+                f"injects {ripple.frequency_hz:.2f} Hz instead of {excitation.frequency_hz:.2f} Hz"
             )
-            assert abs(found.rotation_hz - excitation.rotation_hz) < 0.1 * excitation.rotation_hz, (
-                f"rotates at {found.rotation_hz:.3f} Hz instead of {excitation.rotation_hz:.3f} Hz"
+            assert abs(ripple.rotation_hz - excitation.rotation_hz) < 0.1 * excitation.rotation_hz, (
+                f"rotates at {ripple.rotation_hz:.3f} Hz instead of {excitation.rotation_hz:.3f} Hz"
             )
             allowed = bounded("voltage_tolerance", self.voltage_tolerance, 0.1)
-            assert math.isclose(found.amplitude_v, excitation.amplitude_v, rel_tol=allowed), (
-                f"injects {found.amplitude_v:.2f} V instead of {excitation.amplitude_v:.2f} V"
+            assert math.isclose(ripple.amplitude_v, excitation.amplitude_v, rel_tol=allowed), (
+                f"injects {ripple.amplitude_v:.2f} V instead of {excitation.amplitude_v:.2f} V"
             )
             expected = SIXTY_DEGREES + 2.0 * math.pi * excitation.rotation_hz * late_s
-            assert angle_between(found.direction_rad, expected) <= bounded(
+            assert angle_between(ripple.direction_rad, expected) <= bounded(
                 "angle_tolerance_rad", self.angle_tolerance_rad, 0.2
-            ), f"starts at {math.degrees(found.direction_rad):.1f} degrees, expected {math.degrees(expected):.1f}"
+            ), f"starts at {math.degrees(ripple.direction_rad):.1f} degrees, expected {math.degrees(expected):.1f}"
 
     def test_injection_ripples_about_its_target(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:

@@ -99,15 +99,15 @@ class DriveInstrumentChecks(DriveBench):
             measured = session.measure(excitation)
             turn = excitation.rotation_hz / session.capabilities.sampling_frequency_hz
             i_ab, v_ab = (folded(x, turn, ROWS_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
-            found = alignment_of(i_ab, v_ab, ohm=ohm)
-            assert found is not None, "the steps of the current are explained by the voltage of no row near to them"
-            assert found.explained >= _TOLERANCES.explained, (
-                f"after an edge of the voltage the current's slope takes several rows to change ({found.explained:.0%} "
+            fit = alignment_of(i_ab, v_ab, ohm=ohm)
+            assert fit is not None, "the steps of the current are explained by the voltage of no row near to them"
+            assert fit.explained >= _TOLERANCES.explained, (
+                f"after an edge of the voltage the current's slope takes several rows to change ({fit.explained:.0%} "
                 "of its steps are the voltage's): the readings are smoothed"
             )
             declared = session.capabilities.voltage_delay_samples
-            assert abs(found.lag_rows - declared) <= _TOLERANCES.rows_apart, (
-                f"v = R i + L di/dt holds with v[k] acting from t_k + {found.lag_rows:.2f} Ts, the drive says "
+            assert abs(fit.lag_rows - declared) <= _TOLERANCES.rows_apart, (
+                f"v = R i + L di/dt holds with v[k] acting from t_k + {fit.lag_rows:.2f} Ts, the drive says "
                 f"{declared:g} (voltage_delay_samples): its voltage stands in the wrong row, or the delay is missing"
             )
 

@@ -100,9 +100,9 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
 
     def test_a_correction_is_returned_in_the_shape_of_the_signals(self) -> None:
         effect, signals = self.make_effect(), self.signals()
-        found: object = effect.correct(signals, effect.Parameters(**self._values("typical")))
-        assert isinstance(found, Correction), f"correct returned {type(found).__name__} instead of a Correction"
-        for name, array in found.arrays.items():
+        result: object = effect.correct(signals, effect.Parameters(**self._values("typical")))
+        assert isinstance(result, Correction), f"correct returned {type(result).__name__} instead of a Correction"
+        for name, array in result.arrays.items():
             shape = getattr(signals, name).shape
             assert array.shape == shape, f"{name} has shape {array.shape} instead of {shape}"
             assert array.dtype.kind == "f", f"{name} is of type {array.dtype}"

@@ -46,9 +46,9 @@ class EffectBatchChecks(ABC):
         batch = SignalBatch.of(_segments(self.signals()))
         for parameters in _settings(effect):
             alone = [of_segment(signals, parameters) for signals in batch.segments]
-            found = of_batch(batch, parameters)
-            assert {len(found)} == set(map(len, alone)), "random_directions_batch returns another number of directions"
-            for m, direction in enumerate(found):
+            directions = of_batch(batch, parameters)
+            assert {len(directions)} == set(map(len, alone)), "random_directions_batch returns another number"
+            for m, direction in enumerate(directions):
                 _compare(f"random_directions_batch, number {m}", batch, direction, [one[m] for one in alone])
 
     def test_a_batch_is_not_modified(self) -> None:
@@ -97,12 +97,12 @@ def _segments(signals: Signals) -> list[Signals]:
     return pieces[::-1]
 
 
-def _compare(call: str, batch: SignalBatch, found: object, alone: Sequence[Correction]) -> None:
+def _compare(call: str, batch: SignalBatch, result: object, alone: Sequence[Correction]) -> None:
     """Complains where a correction of a batch is not that of each segment alone."""
-    assert isinstance(found, Correction), f"{call} returned {type(found).__name__} instead of a Correction"
-    for name in sorted(set(found.arrays).union(*(one.arrays for one in alone))):
+    assert isinstance(result, Correction), f"{call} returned {type(result).__name__} instead of a Correction"
+    for name in sorted(set(result.arrays).union(*(one.arrays for one in alone))):
         there = getattr(batch, name)
-        whole = np.asarray(found.arrays.get(name, there))
+        whole = np.asarray(result.arrays.get(name, there))
         tail = () if name in ("v_dc", "theta_rad", "resistance_ohm") else (2,)
         shape = (batch.samples, *tail)
         assert np.shape(whole) == shape, f"{call}: {name} has shape {np.shape(whole)} instead of {shape}"

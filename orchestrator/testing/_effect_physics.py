@@ -179,8 +179,8 @@ def _scaled(signals: Signals) -> Signals:
         "resistance_ohm": "ohm",
         "heat_j": "W",
     }
-    found = {name: getattr(signals, name) for name in units}
-    update: dict[str, Any] = {name: x * _factor(units[name]) for name, x in found.items() if x is not None}
+    arrays = {name: getattr(signals, name) for name in units}
+    update: dict[str, Any] = {name: x * _factor(units[name]) for name, x in arrays.items() if x is not None}
     if signals.losses is not None:
         update["losses"] = replace(signals.losses, power_w=signals.losses.power_w * _factor("W"))
     if signals.motor is not None:

@@ -47,10 +47,10 @@ def commission(
 
 def percent(text: str) -> float:
     """The number of a percentage; raises `InputError`."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
-    if found is None or float(found[1]) <= 0.0:
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
+    if match is None or float(match[1]) <= 0.0:
         raise InputError("fluxbench commission", "--until", f"{text!r}; expected a percentage, such as 0.2%")
-    return float(found[1])
+    return float(match[1])
 
 
 def command(arguments: Sequence[str]) -> int:

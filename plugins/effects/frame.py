@@ -156,8 +156,8 @@ def _spring(lag_s: float, inertia_s2: float, step_s: float) -> tuple[Array, Arra
     # In y and its rate over the natural frequency both states are of one size, however fast they are.
     natural = 1.0 / math.sqrt(inertia_s2)
     state = np.array([[0.0, natural], [-natural, -lag_s * natural**2]])
-    force, seen = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]])
-    phi, gamma, out, through, _ = cont2discrete((state, force, seen, np.zeros((1, 1))), step_s, method="foh")
+    force, output = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]])
+    phi, gamma, out, through, _ = cont2discrete((state, force, output, np.zeros((1, 1))), step_s, method="foh")
     above, below = ss2tf(phi, gamma, out, through)
     return above[0].copy(), below, lfilter_zi(above[0], below)
 

@@ -217,10 +217,10 @@ class DeadTime(BatchEffect, RemarkingEffect):
         if drive.pwm_frequency_hz is None:
             return {}
         dead_time_s = p.voltage_v / (drive.pwm_frequency_hz * drive.dc_bus_voltage_v)
-        found = {"dead_time": (dead_time_s, "s")}
+        quantities = {"dead_time": (dead_time_s, "s")}
         if p.charged > 0.0 or p.switched > 0.0:
-            found["charge_of_a_swing"] = (p.threshold_a * abs(dead_time_s), "C")
-        return found
+            quantities["charge_of_a_swing"] = (p.threshold_a * abs(dead_time_s), "C")
+        return quantities
 
     def remarks(self, p: Parameters) -> list[Remark]:
         """Which leg's dead time is none of the others'."""

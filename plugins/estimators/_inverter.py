@@ -105,8 +105,8 @@ class VoltageFit:
             rows += [volts * aside.mean(axis=0) for aside in _asides(i_ab, self.threshold_a, self.abruptness)]
         if not rows:
             return 0.0
-        seen: Array = np.array(rows) @ along
-        return float(np.sqrt(max(float(seen @ self.loss_covariance @ seen), 0.0)))
+        gradient: Array = np.array(rows) @ along
+        return float(np.sqrt(max(float(gradient @ self.loss_covariance @ gradient), 0.0)))
 
     def _nearest(self, pwm_hz: float) -> float | None:
         return min(self.error_v, key=lambda f: abs(f - pwm_hz), default=None)

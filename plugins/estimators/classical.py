@@ -145,8 +145,8 @@ class ClassicalEstimator:
         columns = np.full((len(nodes), 5), np.nan)
         spreads = np.full((len(nodes), 5), np.nan)
         columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
-        drawn = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
-        spreads[inside[:-1]] = np.sqrt(np.mean(np.square(drawn), axis=0))
+        quantities = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
+        spreads[inside[:-1]] = np.sqrt(np.mean(np.square(quantities), axis=0))
         return as_map("classical", Basis.INTEGRATION, recording.manifest.motor, axes, columns, spreads), level[0, :2]
 
     def _error_draws(self, network: Network) -> Array:

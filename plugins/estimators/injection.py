@@ -132,7 +132,7 @@ class InjectionEstimator:
                 *(Remark(code="skipped", text=one) for one in skipped),
             ),
             inductances=points,
-            incremental=tuple(_seen(group) for group in sorted(groups, key=lambda g: (g.frequency_hz, g.size))),
+            incremental=tuple(_incremental(group) for group in sorted(groups, key=lambda g: (g.frequency_hz, g.size))),
         )
 
     def _groups(
@@ -142,14 +142,14 @@ class InjectionEstimator:
         segments = recording.segments(SegmentStage.INJECTION)
         time_constant_s = self._time_constant(recording, segments, resistance_ohm)
         known = {"time_constant_s": time_constant_s, "resistance_ohm": resistance_ohm}
-        found: list[_Group] = []
+        groups: list[_Group] = []
         skipped = []
 
         def ripple_of(segment: Segment, capture: Capture, *beside: Capture) -> Ripple | str:
             return _ripple(recording, segment, capture, *beside, **known, loss=loss)
 
-        seen = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
-        ripples: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, seen, strict=True))
+        results = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
+        ripples: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, results, strict=True))
         for point in by_point([one for _, one in ripples if isinstance(one, OneWay)], self.frequency_tolerance):
             first = point[0].segment
             if shows_both_axes(point):
@@ -162,12 +162,12 @@ class InjectionEstimator:
             if isinstance(ripple, str):
                 skipped.append(ripple)
                 continue
-            group = next((g for g in found if self._alike(g.ripples[0], ripple)), None)
+            group = next((g for g in groups if self._alike(g.ripples[0], ripple)), None)
             if group is None:
-                found.append(group := _Group([], []))
+                groups.append(group := _Group([], []))
             group.segments.append(segment.id)
             group.ripples.append(ripple)
-        return sorted(found, key=lambda g: -len(g.ripples)), skipped
+        return sorted(groups, key=lambda g: -len(g.ripples)), skipped
 
     def _time_constant(
         self, recording: RecordingReader, segments: Sequence[Segment], resistance_ohm: float | None
@@ -185,13 +185,13 @@ class InjectionEstimator:
         return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.ripple_tolerance)
 
 
-def _seen(group: _Group) -> IncrementalInductances:
-    found = invert(group.ripples)
+def _incremental(group: _Group) -> IncrementalInductances:
+    inverse = invert(group.ripples)
     return IncrementalInductances(
         frequency_hz=group.frequency_hz,
         amplitude_v=float(np.median([r.amplitude_v for r in group.ripples])),
-        i_dq=found.current,
-        inductance=np.stack([found.matrix[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], axis=1),
+        i_dq=inverse.current,
+        inductance=np.stack([inverse.matrix[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], axis=1),
     )
 
 
@@ -309,13 +309,13 @@ def _misfit(points: Inductances) -> Array | None:
 
 def _too_far_apart(points: Inductances, steepest: float) -> list[Remark]:
     """Where an inductance changes so much between two points of a line that no rule of integration knows the flux."""
-    found = []
+    steps = []
     for line in straight_lines(points.current):
         diagonal = np.einsum("nii->ni", points.matrix[line])
         ratio = np.maximum(diagonal[1:] / diagonal[:-1], diagonal[:-1] / diagonal[1:])
         step, axis = divmod(int(np.argmax(ratio)), 2)
-        found.append((float(ratio[step, axis]), axis, points.current[line[step]], points.current[line[step + 1]]))
-    if not found or (worst := max(found, key=lambda one: one[0]))[0] <= steepest:
+        steps.append((float(ratio[step, axis]), axis, points.current[line[step]], points.current[line[step + 1]]))
+    if not steps or (worst := max(steps, key=lambda one: one[0]))[0] <= steepest:
         return []
     ratio_there, axis, start, end = worst
     text = (

@@ -107,9 +107,9 @@ class ResistanceEstimator:
             used = sorted([*used, *self._means(recording)], key=lambda one: one[1].start_s)
             fit = self._fit(recording, used)
         strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > self.strong_current_ratio * largest]
-        found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
-        found += self._injected(recording, fit, self.strong_current_ratio * largest)
-        readings = tuple(sorted(found, key=lambda reading: reading.start_s))
+        every = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
+        every += self._injected(recording, fit, self.strong_current_ratio * largest)
+        readings = tuple(sorted(every, key=lambda reading: reading.start_s))
         if not readings or not np.isfinite(fit.resistance_ohm):
             raise NotMeasuredError(recording.manifest.name, "segments", "what was held determines no resistance")
         value, low, high, beside = _with_known(known, fit, self._doubt(recording, fit, largest))
@@ -152,8 +152,8 @@ class ResistanceEstimator:
     def _means(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
         """The means under injection, as if they had been held: where a current stands, the inverter keeps as much."""
         injected = recording.segments(SegmentStage.INJECTION)
-        found = each_capture(recording, injected, lambda s, c: (s, self._mean(c)))
-        return [(s, mean) for s, mean in found if mean is not None]
+        means = each_capture(recording, injected, lambda s, c: (s, self._mean(c)))
+        return [(s, mean) for s, mean in means if mean is not None]
 
     def _holds(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
         delay = recording.manifest.drive.voltage_delay_samples or 0.0
@@ -182,8 +182,8 @@ class ResistanceEstimator:
             if any(abs(_pwm_hz(recording, s) - f) <= self.pwm_tolerance_ratio * f for f in fit.error_v)
         ]
         some = known[:: max(1, -(-len(known) // self.max_injection_readings))]
-        found = each_capture(recording, some, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), least_a))
-        return [reading for reading in found if reading is not None]
+        means = each_capture(recording, some, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), least_a))
+        return [reading for reading in means if reading is not None]
 
     def _mean_reading(
         self, fit: VoltageFit, capture: Capture, pwm_hz: float, least_a: float
@@ -271,8 +271,8 @@ def _with_known(
 def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
     delay = recording.manifest.drive.voltage_delay_samples or 0.0
     sweeps = recording.segments(SegmentStage.CLASSICAL)
-    found = each_capture(recording, sweeps, lambda s, c: find_dwells(c, s.rotor_angle_rad, delay))
-    return [(s, d) for s, dwells in zip(sweeps, found, strict=True) for d in dwells]
+    dwells_of = each_capture(recording, sweeps, lambda s, c: find_dwells(c, s.rotor_angle_rad, delay))
+    return [(s, d) for s, dwells in zip(sweeps, dwells_of, strict=True) for d in dwells]
 
 
 def _pwm_hz(recording: RecordingReader, segment: Segment) -> float:

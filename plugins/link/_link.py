@@ -138,17 +138,17 @@ class Link:
 
     def reply(self, wanted: Callable[[Message], bool], timeout_s: float) -> Ack | ParameterValue | None:
         """The reply that is wanted; others are late copies, and dropped."""
-        found: list[Ack | ParameterValue] = []
+        matching: list[Ack | ParameterValue] = []
 
         def look() -> bool:
-            while self._replies and not found:
+            while self._replies and not matching:
                 reply = self._replies.popleft()
                 if wanted(reply):
-                    found.append(reply)
-            return bool(found)
+                    matching.append(reply)
+            return bool(matching)
 
         self.wait(look, timeout_s)
-        return found[0] if found else None
+        return matching[0] if matching else None
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until it is so, which is looked at whenever something came; raises where the link is lost."""

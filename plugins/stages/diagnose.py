@@ -70,11 +70,11 @@ class DiagnoseStage(Stage):
         try:
             run.publish(compared(recording, self), durable=True)
             run.enter(DIAGNOSING)
-            found, proposal = diagnosed(recording, self, run)
+            diagnosis, proposal = diagnosed(recording, self, run)
         except NotMeasuredError as error:
             run.publish(Note(level="warning", text=f"no diagnosis: {error}"))
             return
-        run.publish(found, durable=True)
+        run.publish(diagnosis, durable=True)
         if proposal is not None:
             run.enter(PROPOSING)
             self._propose(run, proposal)
@@ -150,10 +150,10 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
     if diagnosis.estimates is not None:
         run.conclude(diagnosis.estimates)
     message = Diagnosed(round=run.appended, report=kept.report, words=kept.words)
-    found = diagnosis.report.next_experiment
-    if found is None:
+    experiment = diagnosis.report.next_experiment
+    if experiment is None:
         return message, None
-    return message, ExperimentProposed(**found.model_dump(), round=run.appended, accepted=False)
+    return message, ExperimentProposed(**experiment.model_dump(), round=run.appended, accepted=False)
 
 
 class _Waiting:
@@ -167,8 +167,8 @@ class _Waiting:
             self._next_s = self._clock() + 1.0
             self._run.publish(UnderWay(text=text))
 
-    def keep(self, found: InterimResult) -> None:
-        self._run.publish(UnderWay(text=found.sentence, is_result=True))
+    def keep(self, result: InterimResult) -> None:
+        self._run.publish(UnderWay(text=result.sentence, is_result=True))
 
 
 def _lock_question(procedure: Procedure) -> OperatorStage:

@@ -44,7 +44,7 @@ def page() -> str:
         "load": lambda: _live_load(database),
     }
     template = (files("protocols") / "wire" / "page.md").read_text(encoding="utf-8")
-    return re.sub(r"<!-- insert: (\w+) -->", lambda found: inserts[found[1]](), template)
+    return re.sub(r"<!-- insert: (\w+) -->", lambda match: inserts[match[1]](), template)
 
 
 # Tables

@@ -174,7 +174,7 @@ def reconstruct(
 
     i = [between(rows.mean, axis) + between(rows.ripple, axis) * g for axis in (0, 1)]
     if rows.curvature is not None:
-        bent = g * g - mean_square(grid.waveform)
-        i = [i[axis] + between(rows.curvature, axis) * bent for axis in (0, 1)]
+        curvature = g * g - mean_square(grid.waveform)
+        i = [i[axis] + between(rows.curvature, axis) * curvature for axis in (0, 1)]
     v = [base_v_dq[axis] + between(rows.v, axis) * f for axis in (0, 1)]
     return np.column_stack(i), np.column_stack(v)

@@ -133,8 +133,8 @@ class RippleMemory:
         counts = demodulate(self._i[:count], self._v[:count], self.base_v, tail).counts(self._scales)
         self._i, self._v = self._i[count:], self._v[count:]
         self.source.append(counts.tobytes())
-        made, self._made = self._made, upto
-        return list(_live(counts.tolist(), made))
+        begin, self._made = self._made, upto
+        return list(_live(counts.tolist(), begin))
 
     def _believed(self, ab: Real) -> NDArray[np.float64]:
         dq = (ab[:, 0].astype(np.float64) + 1j * ab[:, 1]) * self._turn

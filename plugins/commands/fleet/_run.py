@@ -50,13 +50,13 @@ def run(
     began, tell = time.monotonic(), Waiting()
     plan = _plan(do, mapping, keep)
     settings = ClusterSettings(scheduler=scheduler, **({} if jobs is None else {"jobs": jobs}))
-    found = find_sources(sources, files=plan.mapping is not None, limit=limit, tell=tell)
+    recordings = find_sources(sources, files=plan.mapping is not None, limit=limit, tell=tell)
     with FleetTable.opened(out, forget_failed=retry_failed) as table:
-        job = FleetJob(found, table, plan, tell)
+        job = FleetJob(recordings, table, plan, tell)
         if job.todo:
             with connected(settings) as client:
                 if not as_json:
-                    what = f"{len(job.todo)} of {plural(len(found), 'recording')} to do"
+                    what = f"{len(job.todo)} of {plural(len(recordings), 'recording')} to do"
                     print(f"{what}; watch them on {client.dashboard_link}")
                 for _ in job.rows(client):
                     pass
@@ -103,5 +103,5 @@ def _print_row(report: JobReport) -> None:
     again = f", {report.known_failed} of them failed (--retry-failed does those again)" if report.known_failed else ""
     words += [f"{report.known} known{again}"] if report.known else []
     words += [f"{report.same} the same as another"] if report.same else []
-    found = plural(report.sources, "recording")
-    print(shown(f"{report.table}: {found}: {'; '.join(words)}; {duration(report.seconds)}"))
+    count = plural(report.sources, "recording")
+    print(shown(f"{report.table}: {count}: {'; '.join(words)}; {duration(report.seconds)}"))

@@ -115,13 +115,13 @@ def procedure_of(number: int) -> Procedure:
     from plugins.commands.mystery._drawing import draw
     from protocols import DriveChoice, ProcedureMotor
 
-    drawn = draw(number)
+    bench = draw(number)
     return load_procedure(str(Path(__file__).with_name("campaign.yaml"))).model_copy(
         update={
-            "motor": ProcedureMotor.model_validate(drawn.motor),
-            "limits": drawn.limits,
-            "drive": DriveChoice.model_validate({"name": "simulated", "plant": drawn.plant}),
-            "seed": drawn.seed,
+            "motor": ProcedureMotor.model_validate(bench.motor),
+            "limits": bench.limits,
+            "drive": DriveChoice.model_validate({"name": "simulated", "plant": bench.plant}),
+            "seed": bench.seed,
         }
     )
 
@@ -171,7 +171,7 @@ def _fitted(path: Path) -> dict[str, dict[str, float]]:
 
     effects = read_model(path).effects if has_model(path) else ()
     return {
-        effect.name: {name: found.value for name, found in effect.parameters.items() if found.fitted}
+        effect.name: {name: parameter.value for name, parameter in effect.parameters.items() if parameter.fitted}
         for effect in effects
     }
 

@@ -85,8 +85,8 @@ def sealed_effects(run: Path) -> Effects:
         Where there is no run, or its secrets are gone.
     """
     plant: Mapping[str, Any] = RunDirectory.open(run).procedure().drive.options["plant"]
-    found = {name: parameters for name, parameters in plant.get("effects", {}).items() if parameters is not None}
-    return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in found.items()}
+    hidden = {name: parameters for name, parameters in plant.get("effects", {}).items() if parameters is not None}
+    return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in hidden.items()}
 
 
 def brought_about(run: Path) -> Effects:
@@ -99,19 +99,19 @@ def brought_about(run: Path) -> Effects:
     return {"rotor_misalignment": {"angle_rad": angle}}
 
 
-def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, brought: Effects | None = None) -> Verdict:
+def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, extra: Effects | None = None) -> Verdict:
     """Hold guesses against what is hidden.
 
     Parameters
     ----------
     fitted : mapping
         Parameters of the recording's model: they replace sizes that were not given.
-    brought : mapping, optional
+    extra : mapping, optional
         What the run brought about (`brought_about`): right where it is guessed, as large as it came to be, and not
         missing where it is not.
     """
     guesses = tuple(guesses)
-    true = {**hidden, **(brought or {})}
+    true = {**hidden, **(extra or {})}
     right = tuple(guess.name for guess in guesses if guess.name in true)
     sizes = (_size(guess, true[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in true)
     return Verdict(

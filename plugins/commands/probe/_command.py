@@ -33,20 +33,20 @@ def probe(
 
     named = [serial_line(port, baud_rate) for port in serial or ()]
     named += [can_bus(*_split(bus), bitrate, fd) for bus in can or ()]
-    found: list[Found] = []
+    drives: list[Found] = []
     silent: list[tuple[LinkName, str]] = []
     for link in named or links_of_this_machine(baud_rate, bitrate, fd):
         try:
             for drive in found_on(link):
                 if isinstance(drive, Found):
-                    found.append(drive)
+                    drives.append(drive)
                 else:
                     silent.append((link, str(drive)))
         except DriveError as error:
             silent.append((link, str(error)))
-    if named and not found:
+    if named and not drives:
         raise DriveError("; ".join(why for _, why in silent))
-    _print(found, silent, as_json)
+    _print(drives, silent, as_json)
     return 0
 
 
@@ -64,18 +64,18 @@ def _split(bus: str) -> tuple[str, str]:
     return interface, channel
 
 
-def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
+def _print(drives: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
     from orchestrator.presentation.sentences import cut, one_line, visible
 
     if as_json:
         import json
 
         looked = [{"link": link.text, "why": why} for link, why in silent]
-        print(visible(json.dumps({"drives": [drive.as_json() for drive in found], "no_drive": looked})))
+        print(visible(json.dumps({"drives": [drive.as_json() for drive in drives], "no_drive": looked})))
         return
-    for drive in found:
+    for drive in drives:
         print("\n".join(one_line(cut(line)) for line in _description(drive)))
-    if not found:
+    if not drives:
         print("No drive answered.")
     for link, why in silent:
         print(one_line(cut(f"no drive on {link.text}: {why}")))

@@ -65,7 +65,7 @@ class Found:
     def as_json(self) -> dict[str, Any]:
         """The same for `--json`."""
         status = self.status
-        seen = status and {
+        telemetry = status and {
             "state": status.state.name.lower(),
             "cause": None if status.cause is Fault.NONE else status.cause.name.lower(),
             "faults": self.faults,
@@ -78,7 +78,7 @@ class Found:
             "description": self.description,
             "capabilities": self.capabilities.model_dump(mode="json"),
             "registers": self.registers,
-            "telemetry": seen,
+            "telemetry": telemetry,
         }
 
 
@@ -139,20 +139,20 @@ def found_on(name: LinkName) -> list[Found | DriveError]:
 
     Raises `DriveFault` where the link cannot be opened or nobody answers.
     """
-    found: list[Found | DriveError] = []
+    results: list[Found | DriveError] = []
     silence: DriveFault | None = None
     for node in range(name.most):
         try:
-            found.append(_found(name, node))
+            results.append(_found(name, node))
         except DriveFault as fault:
             if fault.cause is not FaultCause.NO_ANSWER:
                 raise
             silence = silence or fault
         except DriveRefused as refusal:
-            found.append(refusal)
-    if silence is not None and not found:
+            results.append(refusal)
+    if silence is not None and not results:
         raise silence
-    return found
+    return results
 
 
 def _found(name: LinkName, node: int) -> Found:

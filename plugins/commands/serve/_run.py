@@ -64,14 +64,14 @@ class RunOfThePage:
 
     async def views(self) -> AsyncIterator[dict[str, Any]]:
         """How it stands, now and whenever that has changed, until the server closes; whoever is slow misses some."""
-        seen: dict[str, Any] | None = None
+        last: dict[str, Any] | None = None
         while not self._is_closed:
-            if seen is self._view:
+            if last is self._view:
                 async with self._changed:
                     with suppress(TimeoutError):  # sent again now and then: a browser may have gone
                         await asyncio.wait_for(self._changed.wait(), 10.0)
-            seen = self._view
-            yield seen
+            last = self._view
+            yield last
 
     async def start(self, words: Sequence[str]) -> None:
         """Start `fluxbench` with these words; raises `NotNowError` while another run is going."""

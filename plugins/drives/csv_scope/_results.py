@@ -37,12 +37,12 @@ COLUMNS = (
 def read_columns(path: Path) -> dict[str, Any]:
     """The mapping's sections about columns; raises `InputError` where the file is none."""
     try:
-        found = yaml.safe_load(read_text(path))
+        mapping = yaml.safe_load(read_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise InputError(str(path), "", f"cannot be read as a mapping: {str(error).splitlines()[0]}") from None
-    if not isinstance(found, dict) or not {"current", "voltage"} <= found.keys():
+    if not isinstance(mapping, dict) or not {"current", "voltage"} <= mapping.keys():
         raise InputError(str(path), "", "expected the sections current and voltage of an import's mapping")
-    return {name: found[name] for name in COLUMNS if name in found}
+    return {name: mapping[name] for name in COLUMNS if name in mapping}
 
 
 def read_result(

@@ -248,5 +248,5 @@ def _fault_in(path: Path) -> DriveFault:
     text = path.read_text(encoding="utf-8", errors="replace").strip() or "the player says that something is wrong"
     cause, _, detail = text.splitlines()[0].partition(":")
     known = {one.value: one for one in FaultCause}
-    found = known.get(cause.strip())
-    return DriveFault(found or FaultCause.INTERNAL, (detail.strip() or cause) if found else text.splitlines()[0])
+    match = known.get(cause.strip())
+    return DriveFault(match or FaultCause.INTERNAL, (detail.strip() or cause) if match else text.splitlines()[0])

@@ -17,10 +17,10 @@ _SAFE_TIMEOUTS = (Mode.STOPPED, Mode.ZERO_VELOCITY, Mode.BRAKE)
 
 def require_known(versions: Mapping[str, int], where: str) -> None:
     """Raises `DriveRefused` where the board's registers may mean something else than they do here."""
-    found = versions.get("register_map_version")
-    if found != BOUNDS.register_map:
+    version = versions.get("register_map_version")
+    if version != BOUNDS.register_map:
         raise DriveRefused(
-            f"{where}: register map {found}, expected {BOUNDS.register_map}; update it (moteus_tool --flash)"
+            f"{where}: register map {version}, expected {BOUNDS.register_map}; update it (moteus_tool --flash)"
         )
 
 

@@ -130,9 +130,9 @@ class Holding:
 
     async def _require_angle(self, theta_rad: float) -> None:
         self._guard.check(await self._board.reading())
-        found = await self._board.theta()
-        if not abs(math.remainder(found - theta_rad, 2.0 * math.pi)) <= BOUNDS.angle_rad:
-            message = f"the board works at an electrical angle of {found:.4f} rad instead of {theta_rad:.4f} rad"
+        board_rad = await self._board.theta()
+        if not abs(math.remainder(board_rad - theta_rad, 2.0 * math.pi)) <= BOUNDS.angle_rad:
+            message = f"the board works at an electrical angle of {board_rad:.4f} rad instead of {theta_rad:.4f} rad"
             raise DriveFault(FaultCause.WRONG_DATA, f"{message}; servopos limits, or a firmware that counts otherwise")
 
     async def _look(self, target: Target) -> tuple[Reading, complex]:

@@ -223,8 +223,8 @@ def _symmetrised(table: FluxTable) -> tuple[Array, Array]:
     mirror = np.array([1.0, -1.0])
     apart = np.abs(table.i_dq[:, None, :] - (table.i_dq * mirror)[None, :, :]).sum(axis=2)
     twin = np.argmin(apart, axis=1)
-    found = apart[np.arange(len(twin)), twin] < 1e-6 * table.reach_a
-    psi = np.where(found[:, None], 0.5 * (table.psi_dq + (table.psi_dq * mirror)[twin]), table.psi_dq)
+    has_twin = apart[np.arange(len(twin)), twin] < 1e-6 * table.reach_a
+    psi = np.where(has_twin[:, None], 0.5 * (table.psi_dq + (table.psi_dq * mirror)[twin]), table.psi_dq)
     return np.vstack((table.i_dq, table.i_dq * mirror)), np.vstack((psi, psi * mirror))
 
 

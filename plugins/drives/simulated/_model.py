@@ -41,15 +41,15 @@ def as_modelled(plant: Plant) -> tuple[Plant, FluxTable | None]:
 
 
 def _effects(model: MotorModel) -> Effects:
-    found = {}
+    effects = {}
     for effect in model.effects:
         field = Effects.model_fields.get(effect.name)
         if field is None:
             raise InputError(OPTION_KEY, effect.name, "the simulated plant has no effect of that name")
         known = get_args(field.annotation)[0].model_fields
-        found[effect.name] = {name: p.value for name, p in effect.parameters.items() if name in known}
+        effects[effect.name] = {name: p.value for name, p in effect.parameters.items() if name in known}
     try:
-        return Effects.model_validate(found)
+        return Effects.model_validate(effects)
     except ValidationError as error:
         wrong = error.errors()[0]
         message = f"{wrong['msg'][:1].lower()}{wrong['msg'][1:]}, and the model says {wrong['input']!r}"

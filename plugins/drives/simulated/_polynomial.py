@@ -73,14 +73,14 @@ def nameplate_energy(options: NameplateMagnetics, psi_m: float, l_d: float, l_q:
         cross = h[2][1] / (h[2][0] * h[2][2] - h[2][1] ** 2) / np.sqrt(l_d * l_q)
         return (np.array([fall_d, fall_q, cross]) - target)[wanted]
 
-    found = np.zeros(0)
+    values = np.zeros(0)
     if wanted.any():
         start = np.array([0.5, 0.8, 0.15])[wanted]
         solution = least_squares(miss, start, bounds=(0.0, 20.0), xtol=1e-12, ftol=1e-12)
         if float(np.abs(solution.fun).max()) > 1e-3:
             raise InputError(OPTION_KEY, "", "no energy of this form falls as d_fall, q_fall and cross say together")
-        found = solution.x
-    return polynomial_energy(psi_m, l_d, l_q, coefficients(found), 3.0 * rated_a)
+        values = solution.x
+    return polynomial_energy(psi_m, l_d, l_q, coefficients(values), 3.0 * rated_a)
 
 
 def _scaled(strengths: Array, unit: tuple[float, float], l_d: float, l_q: float, rated_a: float) -> Array:

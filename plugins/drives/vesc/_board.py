@@ -169,9 +169,9 @@ class Board:
                 break
             output = answer[1:].rstrip(b"\0").decode("latin1")
             if output.startswith("> ("):
-                found = numbers_in(output)
-                if len(found) == count:
-                    return found
+                numbers = numbers_in(output)
+                if len(numbers) == count:
+                    return numbers
         raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: no answer to {expression!r}; {output!r}")
 
     def _evaluate(self, expression: str) -> None:

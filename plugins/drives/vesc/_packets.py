@@ -70,16 +70,16 @@ class Decoder:
 
     def feed(self, octets: bytes) -> list[bytes]:
         """The payloads that are whole now."""
-        data, at, found = self._waiting + octets, 0, []
+        data, at, payloads = self._waiting + octets, 0, []
         while at < len(data):
             payload, used = _first(data, at)
             if payload is not None:
-                found.append(payload)
+                payloads.append(payload)
             elif used == 0:
                 break
             at += used
         self._waiting = data[at:]
-        return found
+        return payloads
 
 
 def _first(data: bytes, at: int) -> tuple[bytes | None, int]:

@@ -149,10 +149,10 @@ class Picture:
             self._take_map(recommended)
 
     def _take_map(self, message: MapEstimated) -> None:
-        found = message.estimate
-        self._maps[found.map.method] = message
-        zero = np.array(list(flux_at_zero(found.map).values()))
-        self._show_flux(plain(found.map.method), found.points.i_dq, found.points.psi_dq - zero)
+        estimate = message.estimate
+        self._maps[estimate.map.method] = message
+        zero = np.array(list(flux_at_zero(estimate.map).values()))
+        self._show_flux(plain(estimate.map.method), estimate.points.i_dq, estimate.points.psi_dq - zero)
 
     def _show_flux(self, by: str, i_dq: RealArray, psi_dq: RealArray) -> None:
         rows = np.column_stack([i_dq, 1e3 * psi_dq])

@@ -171,8 +171,8 @@ def with_zero_sequence(i_abc: RealArray, residual_abc: RealArray) -> RealArray:
     if len(i_abc) <= len(knots):
         return residual_abc
     hats = np.stack([np.interp(i_abc, knots, unit) for unit in np.eye(len(knots))], axis=-1)
-    seen = hats - hats.mean(axis=1, keepdims=True)
-    curve = np.linalg.lstsq(seen.reshape(-1, len(knots)), residual_abc.ravel(), rcond=1e-6)[0]
+    centred = hats - hats.mean(axis=1, keepdims=True)
+    curve = np.linalg.lstsq(centred.reshape(-1, len(knots)), residual_abc.ravel(), rcond=1e-6)[0]
     return np.asarray(residual_abc + (hats @ curve).mean(axis=1, keepdims=True))
 
 

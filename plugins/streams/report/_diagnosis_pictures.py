@@ -18,23 +18,23 @@ if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
 
 
-def diagnosis_pictures(found: SavedDiagnosis) -> Iterator[Picture]:
+def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
     """The ladder first, then what the residual looks like, then the waveforms behind it."""
-    ladder, floor = found.report.ladder, found.report.noise_floor.rms_v
+    ladder, floor = diagnosis.report.ladder, diagnosis.report.noise_floor.rms_v
     if ladder and floor:
         caption = (
             f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {quantity(floor, 'V')}."
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
-    yield from _joint(found)
-    if found.steps:
-        before, after = found.steps[0], found.steps[-1]
+    yield from _joint(diagnosis)
+    if diagnosis.steps:
+        before, after = diagnosis.steps[0], diagnosis.steps[-1]
         yield from _residuals(before, after)
         yield from _waveforms(before, after)
 
 
-def _joint(found: SavedDiagnosis) -> Iterator[Picture]:
-    entries = findings.joint(found)
+def _joint(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
+    entries = findings.joint(diagnosis)
     if entries:
         caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
         yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))

@@ -42,9 +42,9 @@ def write_fleet_report(report: FleetReport, folder: Path) -> tuple[Path, Path]:
 
 def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) -> str:
     """The page as text, with so many quantities drawn and so many rows of each table."""
-    found, pairs = report.judgement, report.pairs
+    judgement, pairs = report.judgement, report.pairs
     tables = [(title, _ABOUT[title], rows) for title, make in SECTIONS.items() if (rows := make(report))]
-    drawn = sorted((one for one in report.quantities if one.histogram is not None), key=lambda one: not one.of_motor)
+    shown = sorted((one for one in report.quantities if one.histogram is not None), key=lambda one: not one.of_motor)
     return filled(
         "fleet.html",
         title=Path(report.table).name,
@@ -52,13 +52,13 @@ def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) ->
         remarks=[typographic(remark.text) for remark in report.remarks],
         counts=count_rows(report),
         judgement=_judgement(report),
-        judged=[] if found is None else judgement_rows(found),
+        judged=[] if judgement is None else judgement_rows(judgement),
         pairs="" if pairs is None else f"{plural(pairs.count, 'motor')} measured twice, {pairs.unpaired} once.",
         paired=[] if pairs is None else pair_rows(pairs),
         changed=[] if pairs is None else change_rows(pairs),
         tables=tables,
         most_rows=most_rows,
-        pictures=list(_pictures(report, drawn[:most_pictures])),
+        pictures=list(_pictures(report, shown[:most_pictures])),
     )
 
 
@@ -72,24 +72,24 @@ def _under(report: FleetReport) -> str:
 
 
 def _judgement(report: FleetReport) -> dict[str, str] | None:
-    found = report.judgement
-    if found is None:
+    counts = report.judgement
+    if counts is None:
         return None
-    mood = "bad" if found.failed else "warning" if found.unsure or found.not_measured else "good"
+    mood = "bad" if counts.failed else "warning" if counts.unsure or counts.not_measured else "good"
     detail = (
-        f"{found.failed} fail, {found.unsure} are undecided within their intervals, {found.not_measured} not measured."
+        f"{counts.failed} fail, {counts.unsure} are undecided by their intervals, {counts.not_measured} not measured."
     )
-    return {"mood": mood, "head": f"{found.passed} of {report.recordings} pass", "detail": detail}
+    return {"mood": mood, "head": f"{counts.passed} of {report.recordings} pass", "detail": detail}
 
 
-def _pictures(report: FleetReport, drawn: Sequence[FleetQuantity]) -> Iterator[Picture]:
+def _pictures(report: FleetReport, quantities: Sequence[FleetQuantity]) -> Iterator[Picture]:
     if report.distances is None:
         yield Picture("Robust distance", "Not drawn: too few complete recordings.")
     else:
         count, of = report.distances.counted, len(report.distances.quantities)
         caption = f"Of {of} quantities; middle and scatter by {count} recordings."
         yield Picture("Robust distance", caption, distance_figure(report.distances))
-    for one in drawn:
+    for one in quantities:
         limits = " Dashed: the limits of the file." if one.capability is not None else ""
         caption = f"Known of {one.count} of {one.asked} recordings.{limits}"
         yield Picture(one.label, caption, quantity_figure(one))

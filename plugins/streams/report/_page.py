@@ -118,23 +118,23 @@ def _shown(value: object) -> object:
 
 def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
     """The diagnosis' part of the page; None where there was none."""
-    found = material.diagnosis
-    if found is None:
+    diagnosis = material.diagnosis
+    if diagnosis is None:
         return None
     return {
-        "verdict": findings.verdict(found),
-        "reasons": findings.reasons(found),
-        "slots": list(findings.filled_slots(found)),
-        "accuracy": findings.accuracy(found),
-        "search": findings.search_moves(found),
-        "pictures": list(diagnosis_pictures(found)) if draws else [],
-        "ladder": findings.ladder_rows(found),
-        "effects": findings.effect_rows(found),
-        "alike": findings.alike_rows(found),
-        "leftover": findings.leftover_rows(found),
-        "leftover_text": findings.leftover_text(found),
-        "experiment": findings.experiment(found),
-        "remarks": findings.remarks(found),
+        "verdict": findings.verdict(diagnosis),
+        "reasons": findings.reasons(diagnosis),
+        "slots": list(findings.filled_slots(diagnosis)),
+        "accuracy": findings.accuracy(diagnosis),
+        "search": findings.search_moves(diagnosis),
+        "pictures": list(diagnosis_pictures(diagnosis)) if draws else [],
+        "ladder": findings.ladder_rows(diagnosis),
+        "effects": findings.effect_rows(diagnosis),
+        "alike": findings.alike_rows(diagnosis),
+        "leftover": findings.leftover_rows(diagnosis),
+        "leftover_text": findings.leftover_text(diagnosis),
+        "experiment": findings.experiment(diagnosis),
+        "remarks": findings.remarks(diagnosis),
     }
 
 
@@ -148,7 +148,7 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     yield _resistance_picture(material)
     for axis, other in (("d", "q"), ("q", "d")):
         title = f"ψ_{axis} over i_{axis}, i_{other} held"
-        known = {m: found for m, found in material.maps.items() if np.isfinite(found.psi_d).any()}
+        known = {m: grid for m, grid in material.maps.items() if np.isfinite(grid.psi_d).any()}
         if not known:
             yield Picture(title, "Not drawn: no flux map was made.")
         else:
@@ -221,12 +221,12 @@ def _difference_picture(material: Material) -> Picture:
 
 
 def _first_by(basis: Basis, maps: dict[str, FluxMap]) -> FluxMap | None:
-    return next((found for found in maps.values() if found.basis is basis), None)
+    return next((grid for grid in maps.values() if grid.basis is basis), None)
 
 
 def _methods_in_words(maps: dict[str, FluxMap]) -> str:
     if _first_by(Basis.INTEGRATION, maps) is not None and _first_by(Basis.INJECTION, maps) is not None:
-        others = [name for name, found in maps.items() if found.basis not in BASIS_LINES]
+        others = [name for name, grid in maps.items() if grid.basis not in BASIS_LINES]
         dotted = f" Dotted: {', '.join(others)}." if others else ""
         return f"Dashed: classical, solid: injection, with its 95 % band.{dotted} Counted from zero current."
     return f"By {', '.join(maps)} alone. Counted from zero current."

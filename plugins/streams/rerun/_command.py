@@ -180,11 +180,11 @@ def _browse(runs: Sequence[Path], web: bool, port: int | None) -> int:
     """Serve the catalogue and open it."""
     from plugins.streams.rerun._making import whole_view
 
-    found = [whole_view(run, _tell) for run in runs]
+    views = [whole_view(run, _tell) for run in runs]
     try:
-        return _show_catalogue([one.file for one in found], web, port)
+        return _show_catalogue([one.file for one in views], web, port)
     finally:
-        for one in found:
+        for one in views:
             one.remove()
 
 

@@ -70,8 +70,8 @@ def is_stale(directory: Path, file: Path) -> bool:
     """Whether something was found out after the view was made, and there is what to make it of."""
     if not any((directory / name).is_file() for name in ("run.json", "recording.json")):
         return False
-    found = (result.stat().st_mtime for result in (directory / "results").glob("*"))
-    return max(found, default=0.0) > file.stat().st_mtime + 1.0
+    times = (result.stat().st_mtime for result in (directory / "results").glob("*"))
+    return max(times, default=0.0) > file.stat().st_mtime + 1.0
 
 
 def make_view(directory: Path) -> Found:
@@ -79,8 +79,8 @@ def make_view(directory: Path) -> Found:
     try:
         if is_run(directory) and os.access(directory, os.W_OK):
             with tempfile.TemporaryDirectory(prefix=".view-", dir=directory) as name:
-                made = _replayed(directory, Path(name))
-                return Found(made.replace(directory / FILE_NAME))
+                view = _replayed(directory, Path(name))
+                return Found(view.replace(directory / FILE_NAME))
         return _made_elsewhere(directory)
     except OSError as error:
         raise StorageError(f"{directory / FILE_NAME}: cannot be written: {error.strerror or error}") from error

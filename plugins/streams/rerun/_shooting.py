@@ -131,6 +131,6 @@ def _settled(viewer: ViewerClient, tab: str, views: set[str]) -> Shot:
     while (png := viewer.take_screenshot()) != last and time.monotonic() < deadline:
         last = png
         time.sleep(0.15)
-    seen = [view for view in viewer.get_state().views if view.view_id in views]
-    complaints = tuple(f"{view.name}: {r.severity}: {r.summary}" for view in seen for r in view.reports)
-    return Shot(tab, png, complaints, tuple(seen))
+    shown = [view for view in viewer.get_state().views if view.view_id in views]
+    complaints = tuple(f"{view.name}: {r.severity}: {r.summary}" for view in shown for r in view.reports)
+    return Shot(tab, png, complaints, tuple(shown))

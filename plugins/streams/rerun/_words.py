@@ -20,14 +20,14 @@ def page(path: str, when: When, text: str) -> Entry:
     return entry(path, when, rr.TextDocument(visible(text), media_type=rr.MediaType.MARKDOWN), array_bytes=len(text))
 
 
-def resistance_page(found: ResistanceEstimate) -> str:
+def resistance_page(estimate: ResistanceEstimate) -> str:
     """R_s, its course and its notes."""
     rows = [
-        ("R_s", resistance(found)),
-        ("course", resistance_course(found)),
-        ("readings", str(len(found.readings))),
+        ("R_s", resistance(estimate)),
+        ("course", resistance_course(estimate)),
+        ("readings", str(len(estimate.readings))),
     ]
-    remarks = (f"- {one_line(remark.text)}" for remark in found.remarks)
+    remarks = (f"- {one_line(remark.text)}" for remark in estimate.remarks)
     return "\n\n".join(["# Stator resistance", markdown_table(("", ""), rows), *remarks])
 
 
@@ -35,8 +35,8 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
     """The checks that need no truth, each method's, beside the paper's."""
     head = ("method", "crossings d", "crossings q", "parity d", "parity q", "reciprocity")
     rows = [
-        (name, *_axes(found.checks.crossings), *_axes(found.checks.parity), percent(found.checks.reciprocity_percent))
-        for name, found in maps.items()
+        (name, *_axes(entry.checks.crossings), *_axes(entry.checks.parity), percent(entry.checks.reciprocity_percent))
+        for name, entry in maps.items()
     ]
     rows.append(("the paper's", *_axes(PAPER_CROSSINGS), "", "", ""))
     parts = [
@@ -47,8 +47,8 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
     ]
     if lock is not None:
         parts.append(f"**Rotor:** {one_line(lock.summary)}")
-    for found in maps.values():
-        parts += [f"- {one_line(remark.text)}" for remark in found.remarks]
+    for one in maps.values():
+        parts += [f"- {one_line(remark.text)}" for remark in one.remarks]
     return "\n\n".join(parts)
 
 
