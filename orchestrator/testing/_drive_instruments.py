@@ -21,18 +21,18 @@ from protocols import Drive
 
 @dataclass(frozen=True)
 class _Tolerances:
-    """How far a drive's time, rows and readings may be off."""
+    """Largest errors of a drive's time, rows and readings."""
 
-    clock_part: float = 0.005
-    """A quartz is off by a ten thousandth, and by a hundred times that its map is still within half a per cent."""
-    rows_apart: float = 0.25
-    """What the ripple's own shape may look like."""
-    explained: float = 0.93
-    """Of the steps of the ripple; simulated: 0.9999, 0.97 with a mean over 3 rows, 0.95 over 4, 0.86 over 8."""
-    clipped: float = 0.03
-    """Rows that may stand at the largest reading; simulated: 0.003 of a rotating ripple."""
-    most_times: float = 5.0
-    """The kit's injection, at most, however small its ripple is."""
+    clock_error_ratio: float = 0.005
+    """A quartz is off by 1e-4; at a hundred times that the flux map is still within half a per cent."""
+    lag_error_rows: float = 0.25
+    """Largest apparent shift by the ripple's own shape."""
+    min_explained_ratio: float = 0.93
+    """Smallest explained share of steps; simulated: 0.9999, 0.97 with a mean over 3 rows, 0.95 over 4, 0.86 over 8."""
+    max_clipped_ratio: float = 0.03
+    """Largest share of rows at the largest reading; simulated: 0.003 of a rotating ripple."""
+    max_injection_ratio: float = 5.0
+    """Largest multiple of the kit's injection, however small the ripple."""
 
 
 _TOLERANCES = _Tolerances()
@@ -72,7 +72,7 @@ class DriveInstrumentChecks(DriveBench):
             time.sleep(max(0.0, before[0].sent_s + 2.0 - time.monotonic()))
             after = [ClockReading.of(session.drive) for _ in range(4)]
         off = clock_off(before, after)
-        assert abs(off) <= _TOLERANCES.clock_part, (
+        assert abs(off) <= _TOLERANCES.clock_error_ratio, (
             f"the drive's clock runs {100 * off:+.2f} % against the host's: a wrong sampling frequency, or a time that "
             "is its own (then say clock_is_simulated)"
         )
@@ -85,7 +85,7 @@ class DriveInstrumentChecks(DriveBench):
         begun = time.monotonic()
         session.measure(hold)
         took, least = time.monotonic() - begun, hold.settling_s + hold.captured_s
-        assert took >= (1.0 - _TOLERANCES.clock_part) * least - 2e-3, (
+        assert took >= (1.0 - _TOLERANCES.clock_error_ratio) * least - 2e-3, (
             f"a hold of {least:.3f} s was over after {took:.3f} s: rows come faster than the sampling frequency says"
         )
 
@@ -101,12 +101,12 @@ class DriveInstrumentChecks(DriveBench):
             i_ab, v_ab = (folded(x, turn, ROWS_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
             fit = alignment_of(i_ab, v_ab, ohm=ohm)
             assert fit is not None, "the steps of the current are explained by the voltage of no row near to them"
-            assert fit.explained >= _TOLERANCES.explained, (
+            assert fit.explained >= _TOLERANCES.min_explained_ratio, (
                 f"after an edge of the voltage the current's slope takes several rows to change ({fit.explained:.0%} "
                 "of its steps are the voltage's): the readings are smoothed"
             )
             declared = session.capabilities.voltage_delay_samples
-            assert abs(fit.lag_rows - declared) <= _TOLERANCES.rows_apart, (
+            assert abs(fit.lag_rows - declared) <= _TOLERANCES.lag_error_rows, (
                 f"v = R i + L di/dt holds with v[k] acting from t_k + {fit.lag_rows:.2f} Ts, the drive says "
                 f"{declared:g} (voltage_delay_samples): its voltage stands in the wrong row, or the delay is missing"
             )
@@ -195,7 +195,7 @@ class DriveInstrumentChecks(DriveBench):
             excitation = sizes.injection(target_d_a=target_a, target_q_a=0.0, discard_s=discard_s)
             ripple = complex_dq(session.measure(excitation).i_ab, 0.0)
             reach_a = float(np.abs(ripple - ripple.mean()).max())
-            times = min((PEAK_CURRENT_RATIO * sizes.rated_a - target_a) / reach_a, _TOLERANCES.most_times)
+            times = min((PEAK_CURRENT_RATIO * sizes.rated_a - target_a) / reach_a, _TOLERANCES.max_injection_ratio)
             times = min(times, 0.4 * session.capabilities.max_voltage_v / excitation.amplitude_v)
             if times > 1.0:
                 excitation = excitation.model_copy(update={"amplitude_v": times * excitation.amplitude_v})
@@ -204,7 +204,7 @@ class DriveInstrumentChecks(DriveBench):
                 return  # it says so
             share, name = share_at_the_end_of_the_scale(measured.i_ab)
             peak_a = float(np.hypot(*measured.i_ab.T).max())
-            assert share <= _TOLERANCES.clipped, (
+            assert share <= _TOLERANCES.max_clipped_ratio, (
                 f"{share:.0%} of the rows stand at the largest reading of {name}, in a ripple up to {peak_a:.3g} A: "
                 f"clipped below the rated {session.sizes.rated_a:.3g} A, and clipped_rows does not say so"
             )

@@ -16,6 +16,6 @@ class AttentiveClock:
     def __call__(self) -> float:
         """Seconds since it was made."""
         now_s = time.monotonic()
-        self._total_s += min(now_s - self._seen_s, TIMEOUTS.held_s)
+        self._total_s += min(now_s - self._seen_s, TIMEOUTS.max_scheduling_gap_s)
         self._seen_s = now_s
         return self._total_s

@@ -68,8 +68,8 @@ class Link:
         self._period_s = telemetry_s
         self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
         self._progress_gate = TelemetryGate(PROGRESS_PERIOD_S)
-        self._replies: deque[Ack | ParameterValue] = deque(maxlen=TIMEOUTS.most_replies)
-        self._bulk: deque[Frame] = deque(maxlen=TIMEOUTS.most_bulk)
+        self._replies: deque[Ack | ParameterValue] = deque(maxlen=TIMEOUTS.max_replies)
+        self._bulk: deque[Frame] = deque(maxlen=TIMEOUTS.max_bulk_frames)
         self._bulk_ids = {frame_id("Bulk"), frame_id("BulkFD"), frame_id("BulkEnd")}
         self._bulk_end, self._has_ended = frame_id("BulkEnd"), False
         self._changed, self._sending = threading.Condition(), threading.Lock()
@@ -124,11 +124,11 @@ class Link:
 
     def try_to_send(self, *messages: Message) -> None:
         """Send what the link takes at once, lost or not; returns at once and never raises."""
-        if not self._sending.acquire(timeout=TIMEOUTS.beat_s):
+        if not self._sending.acquire(timeout=TIMEOUTS.heartbeat_s):
             return
         try:
             with link_errors(self.port.where):
-                self.port.send([encode(message) for message in messages], TIMEOUTS.beat_s)
+                self.port.send([encode(message) for message in messages], TIMEOUTS.heartbeat_s)
         except DriveFault as fault:
             self.lose(fault)
         finally:
@@ -156,7 +156,7 @@ class Link:
         with self._changed:
             while not held and (left_s := timeout_s - clock()) > 0.0:
                 held = self._changed.wait_for(
-                    lambda: self._lost is not None or condition(), min(left_s, TIMEOUTS.listen_s)
+                    lambda: self._lost is not None or condition(), min(left_s, TIMEOUTS.receive_s)
                 )
             held = held or condition()
         self.check()
@@ -164,7 +164,7 @@ class Link:
 
     def bulk(self, timeout_s: float) -> Sequence[Frame]:
         """What came of uploads since the last call, waiting for many blocks or the end of an answer."""
-        self.wait(lambda: self._has_ended or len(self._bulk) >= TIMEOUTS.many_bulk, timeout_s)
+        self.wait(lambda: self._has_ended or len(self._bulk) >= TIMEOUTS.wake_bulk_frames, timeout_s)
         with self._changed:
             taken = list(self._bulk)
             self._bulk.clear()
@@ -178,7 +178,7 @@ class Link:
             while not self._over.is_set():
                 begun_s = time.monotonic()
                 with link_errors(self.port.where):
-                    frames = self.port.receive(TIMEOUTS.listen_s)
+                    frames = self.port.receive(TIMEOUTS.receive_s)
                 self._sort(frames)
                 self._count_silence(time.monotonic() - begun_s)
         except DriveFault as fault:
@@ -188,7 +188,7 @@ class Link:
 
     def _count_silence(self, turn_s: float) -> None:
         """Only time in which somebody listened counts: this process may have been stopped, or kept waiting."""
-        self._silent_s += min(turn_s, 2.0 * TIMEOUTS.listen_s)
+        self._silent_s += min(turn_s, 2.0 * TIMEOUTS.receive_s)
         if self._silent_s > STALE_PERIODS * self._period_s and self.news.statuses and self._lost is None:
             message = f"the drive is silent: no status for {STALE_PERIODS} periods of {self._period_s:g} s"
             self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {message}"))

@@ -62,14 +62,14 @@ class Reader:
             self._timeout_s = TIMEOUTS.upload_s
         elif now_s - max(self._received_s, self._requested_s) > self._timeout_s:
             assembly.give_up()
-            self._timeout_s = min(2.0 * self._timeout_s, TIMEOUTS.most_upload_s)
+            self._timeout_s = min(2.0 * self._timeout_s, TIMEOUTS.max_upload_s)
         return assembly.result()
 
     def _ask(self, available: int) -> None:
         assembly = self.assembly
         complete = available >= assembly.length
         is_round = not assembly.waiting
-        if not complete and self._clock() - self._requested_s < TIMEOUTS.live_s:
+        if not complete and self._clock() - self._requested_s < TIMEOUTS.live_read_period_s:
             return
         if not complete and is_round and not assembly.missing(available):
             return
@@ -86,13 +86,13 @@ class Reader:
         assembly = self.assembly
         self._rounds = 0 if assembly.received != self._before else self._rounds + 1
         self._before = assembly.received
-        if self._rounds > TIMEOUTS.rounds:
+        if self._rounds > TIMEOUTS.max_upload_rounds:
             raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
 
 
 def read_whole(host: Host, capture: int, length: int, layout: BlockLayout) -> memoryview:
     """A capture that is complete on the drive."""
     reader = Reader(host, capture, length, layout)
-    while (data := reader.turn(length, TIMEOUTS.listen_s)) is None:
+    while (data := reader.turn(length, TIMEOUTS.receive_s)) is None:
         pass
     return data

@@ -91,7 +91,7 @@ class Program:
             progress = self._watch()
             started = progress is not None and progress.phase in (Phase.CAPTURING, Phase.COMPLETE)
             complete = self._is_complete(progress)
-            finished = self._source.turn(progress.rows if progress else 0, complete, TIMEOUTS.listen_s)
+            finished = self._source.turn(progress.rows if progress else 0, complete, TIMEOUTS.receive_s)
             if start is None and (started or complete):
                 start = self._timeline.begins(self._start_tick())
             if start is not None and finished:
@@ -100,7 +100,7 @@ class Program:
                 stop = min(self._source.ready, given + round(MAX_BLOCK_S * self._fs))
                 yield self._source.block(given, stop, seconds_of_tick(start) + given / self._fs)
                 given, yielded_s = stop, time.monotonic()
-            if time.monotonic() - yielded_s > TIMEOUTS.quiet_s:
+            if time.monotonic() - yielded_s > TIMEOUTS.keepalive_period_s:
                 tick = self._host.link.news.tick
                 yield keepalive(seconds_of_tick(self._timeline.count(tick.tick)) if tick else 0.0, self._fs)
                 yielded_s = time.monotonic()
@@ -143,11 +143,11 @@ class Program:
         now_s, excitation = self._clock(), self._excitation
         if (progress is not None and self._seen.takes(progress)) or self._is_complete(progress):
             self._moved_s = now_s
-        timeout_s = TIMEOUTS.stuck_s + excitation.settling_s
+        timeout_s = TIMEOUTS.no_progress_s + excitation.settling_s
         if now_s - self._moved_s > timeout_s:
             message = f"{excitation.kind}: no progress for {timeout_s:.3g} s ({self._seen.phase.name.lower()})"
             raise DriveFault(FaultCause.NO_ANSWER, message)
-        most_s = TIMEOUTS.stuck_s + TIMEOUTS.slow * (excitation.settling_s + excitation.captured_s)
+        most_s = TIMEOUTS.no_progress_s + TIMEOUTS.max_duration_ratio * (excitation.settling_s + excitation.captured_s)
         if now_s > most_s and not self._is_complete(progress):
             message = f"{excitation.kind}: not at its end after {most_s:.3g} s ({self._seen.phase.name.lower()})"
             raise DriveFault(FaultCause.PROGRAM_TOO_LONG, message)

@@ -100,8 +100,8 @@ class Timeline:
         if self._is_simulated:
             return ""
         least_s, most_s = reading.sent_s - self._last.received_s, reading.received_s - self._last.sent_s
-        if passed_s > (1.0 + TIMEOUTS.clock_part) * most_s + TIMEOUTS.clock_s:
+        if passed_s > (1.0 + TIMEOUTS.clock_error_ratio) * most_s + TIMEOUTS.clock_error_s:
             return f"jumped by {passed_s:.3g} s in {most_s:.3g} s"
-        if passed_s < (1.0 - TIMEOUTS.clock_part) * least_s - TIMEOUTS.clock_s:
+        if passed_s < (1.0 - TIMEOUTS.clock_error_ratio) * least_s - TIMEOUTS.clock_error_s:
             return f"went on by {passed_s:.3g} s in {least_s:.3g} s"
         return ""

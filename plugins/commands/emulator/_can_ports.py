@@ -168,7 +168,7 @@ class CanPort:
     def receive(self, timeout_s: float) -> list[Frame]:
         frames: list[Frame] = []
         wait_s = timeout_s
-        for _ in range(BOUNDS.frames_each):
+        for _ in range(BOUNDS.max_received_frames):
             if self._readable is not None and not self._readable.poll(1e3 * wait_s):
                 break
             message = self._received(0.0 if self._readable is not None else wait_s)
@@ -185,7 +185,7 @@ class CanPort:
         try:
             return self._bus.recv(wait_s)
         except (*self._errors, ValueError, TypeError):  # a damaged frame, or a bus that is down
-            time.sleep(BOUNDS.nobody_s)
+            time.sleep(BOUNDS.reconnect_period_s)
             return None
 
     def close(self) -> None:

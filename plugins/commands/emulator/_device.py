@@ -375,7 +375,7 @@ class Device:
     def _read_blocks(self, request: ReadBlock) -> Iterator[Message]:
         source = self._source(request.capture)
         # An answer may be shorter than its request; a link must never keep the watchdog waiting.
-        request = request._replace(blocks=min(request.blocks, max(1, BOUNDS.answer_bytes // self._layout.block)))
+        request = request._replace(blocks=min(request.blocks, max(1, BOUNDS.max_answer_bytes // self._layout.block)))
         answer = AckStatus.NOT_CAPTURED if source is None else source.answer(request, self._layout)
         if isinstance(answer, Answer):
             self.bulk += [Frame(self._layout.frame_id, payload) for payload in answer.payloads]

@@ -44,7 +44,7 @@ class Emulation:
         device, power = self._device, self._device.power
         wait_s = device.wait_s()
         if not self._outbox.empty:
-            wait_s = min(BOUNDS.backlog_s, wait_s) if self._outbox.blocked else 0.0
+            wait_s = min(BOUNDS.backlog_period_s, wait_s) if self._outbox.blocked else 0.0
         power.guard(time.monotonic())
         frames = self._lossy(self._port.receive(wait_s))
         self._notice()

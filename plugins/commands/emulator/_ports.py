@@ -131,11 +131,11 @@ class PtyPort:
             return []
         if not events[0][1] & select.POLLIN:
             self._lost()
-            time.sleep(min(timeout_s, BOUNDS.nobody_s))
+            time.sleep(min(timeout_s, BOUNDS.reconnect_period_s))
             return []
         self._connected = not events[0][1] & select.POLLHUP
         try:
-            return self._decoded(os.read(self._master, BOUNDS.read_bytes))
+            return self._decoded(os.read(self._master, BOUNDS.max_read_bytes))
         except OSError:
             self._lost()
             return []

@@ -167,7 +167,7 @@ class PowerStage:
             self.trip(Fault.INTERLOCK, float(self.open_interlocks))
         if self.energised and self._watchdog is not None and self._watchdog.expired(now_s):
             self.trip(Fault.WATCHDOG, now_s - self._fed_s, self._watchdog.limit_s, since_s=self._fed_s)
-        if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > BOUNDS.safe_within_s:
+        if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > BOUNDS.max_trip_delay_s:
             self._gates_off()
 
     def trip(
@@ -227,7 +227,7 @@ class PowerStage:
     def advance(self) -> list[Message]:
         """Let the plant's time pass as far as it is due; returns live ripple rows."""
         begun_s, messages = self._clock(), list[Message]()
-        while self._is_due() and self._clock() - begun_s < BOUNDS.attended_s:
+        while self._is_due() and self._clock() - begun_s < BOUNDS.max_turn_s:
             messages += self._step()
         return messages
 
@@ -245,7 +245,7 @@ class PowerStage:
             return ramping or self._recording or self.state in (PowerState.RUNNING, PowerState.STOPPING)
         anchor_s, ticks = self._anchor
         behind = (self._clock() - anchor_s) * self.speed * self._fs - (self.rig.ticks - ticks)
-        if behind > BOUNDS.forgiven_s * self.speed * self._fs + self._next:
+        if behind > BOUNDS.max_catch_up_s * self.speed * self._fs + self._next:
             self._anchor = (self._clock(), self.rig.ticks)
             return True
         return behind >= self._next

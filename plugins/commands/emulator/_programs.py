@@ -112,7 +112,7 @@ class Programs:
     def _judge(self, excitation: Excitation) -> AckStatus:
         """Whether the limits, and the device's own, allow it."""
         own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
-        if isinstance(excitation, Trapezoid) and excitation.periods > BOUNDS.most_periods:
+        if isinstance(excitation, Trapezoid) and excitation.periods > BOUNDS.max_trapezoid_periods:
             return AckStatus.TOO_LONG
         if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * SINGLE_PRECISION_RATIO:
             return AckStatus.TOO_LONG

@@ -46,7 +46,7 @@ class Telemetry:
             i_d, i_q = (max(-32768, min(32767, round(i / scale_a))) for i in shown[:2])
             yield Measurement(self._measurement, i_d, i_q, _volts(shown[2]), open_interlocks)
         if now_s >= self._tick_due_s:
-            self._tick_due_s = now_s + BOUNDS.tick_s
+            self._tick_due_s = now_s + BOUNDS.tick_period_s
             yield self.tick(now_s, ticks)
 
     def wait_s(self, now_s: float) -> float:
@@ -63,7 +63,7 @@ class Telemetry:
         if not changed and not (running and now_s >= self._progress_due_s):
             return
         self._phase = (phase, capture)
-        self._progress_due_s = now_s + BOUNDS.progress_s
+        self._progress_due_s = now_s + BOUNDS.progress_period_s
         self._progress = (self._progress + 1) % 256
         yield Progress(self._progress, phase, capture, rows)
 

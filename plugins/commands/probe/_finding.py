@@ -35,14 +35,14 @@ class LinkName:
 class Found:
     """A drive that answered."""
 
-    answer_s: ClassVar[float] = 0.4
-    """A drive that has not answered after so long is not there."""
-    node_answer_s: ClassVar[float] = 0.2
+    answer_timeout_s: ClassVar[float] = 0.4
+    """Time after which a silent drive counts as absent."""
+    node_answer_timeout_s: ClassVar[float] = 0.2
     """The same for each drive that might be on a bus: most are not there."""
-    telemetry_s: ClassVar[float] = 0.3
-    """What a reading may take to come."""
+    telemetry_timeout_s: ClassVar[float] = 0.3
+    """Time in which a reading has to come."""
     longest_period_s: ClassVar[float] = 10.0
-    """Telemetry may be as slow as this, and the drive is not lost."""
+    """Longest supported period of telemetry."""
 
     link: LinkName
     node: int
@@ -166,7 +166,7 @@ def _found(name: LinkName, node: int) -> Found:
 
 
 def _identified(name: LinkName, node: int, link: Link) -> Found:
-    host = Host(link, Found.answer_s if name.most == 1 else Found.node_answer_s)
+    host = Host(link, Found.answer_timeout_s if name.most == 1 else Found.node_answer_timeout_s)
     major = host.read("protocol_major")
     if major != PROTOCOL_MAJOR:
         where = link.port.where
@@ -175,6 +175,6 @@ def _identified(name: LinkName, node: int, link: Link) -> Found:
     scales = facts_of(own).scales
     description = host.description(own, link.layout(int(own["bulk_block_bytes"])))
     news = link.news
-    link.wait(lambda: news.status is not None and news.measurement is not None, Found.telemetry_s)
+    link.wait(lambda: news.status is not None and news.measurement is not None, Found.telemetry_timeout_s)
     current = news.measurement and (scales.current_a * news.measurement.i_d, scales.current_a * news.measurement.i_q)
     return Found(name, node, capabilities_of(own, description, None), description, own, news.status, current)

@@ -33,10 +33,10 @@ class NotNowError(FluxbenchError):
 class Pace:
     """Period of looking at a run and of its keepalives; how long it may take to stop [s]."""
 
-    look_s: float = 0.1
-    beat_s: float = 1.0
-    heeds_s: float = 1.0
-    last_words_s: float = 2.0
+    poll_period_s: float = 0.1
+    keepalive_period_s: float = 1.0
+    stop_timeout_s: float = 1.0
+    output_timeout_s: float = 2.0
 
 
 class RunOfThePage:
@@ -132,7 +132,7 @@ class RunOfThePage:
 
     async def _insist(self, process: subprocess.Popen[bytes]) -> None:
         """Signal a run that ignores messages: while it starts, or hangs."""
-        await asyncio.sleep(self._pace.heeds_s)
+        await asyncio.sleep(self._pace.stop_timeout_s)
         if process.poll() is None and (self._view["picture"] or {}).get("state") not in ENDING_STATES:
             process.send_signal(signal.SIGINT)
 
@@ -143,11 +143,11 @@ class RunOfThePage:
         complained = asyncio.ensure_future((await _reader(process.stderr)).read())
         looks = 0
         while process.poll() is None:
-            if looks % round(self._pace.beat_s / self._pace.look_s) == 0:
+            if looks % round(self._pace.keepalive_period_s / self._pace.poll_period_s) == 0:
                 self._send({})
             looks += 1
-            await asyncio.sleep(self._pace.look_s)
-        await asyncio.wait({shown, complained}, timeout=self._pace.last_words_s)
+            await asyncio.sleep(self._pace.poll_period_s)
+        await asyncio.wait({shown, complained}, timeout=self._pace.output_timeout_s)
         self._ear.close()
         errors = complained.result().decode("utf-8", "replace").strip() if complained.done() else ""
         code = process.returncode

@@ -154,10 +154,10 @@ class Board:
     async def enabled(self) -> None:
         """Wait until the power stage is on. Raises `DriveFault` where it does not come on."""
         loop = asyncio.get_running_loop()
-        deadline = loop.time() + BOUNDS.enable_s
+        deadline = loop.time() + BOUNDS.enable_timeout_s
         while (now := await self.reading()).mode in STARTING:
             if loop.time() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"the power stage is not on after {BOUNDS.enable_s:g} s")
+                raise DriveFault(FaultCause.NO_ANSWER, f"the power stage is not on after {BOUNDS.enable_timeout_s:g} s")
             await asyncio.sleep(0.005)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None:
@@ -210,7 +210,7 @@ class Board:
     async def _exchange(self, command: Any) -> Any:
         """One exchange; by USB the library would wait for ever."""
         try:
-            return await asyncio.wait_for(self._controller.execute(command), BOUNDS.answer_s)
+            return await asyncio.wait_for(self._controller.execute(command), BOUNDS.answer_timeout_s)
         except TimeoutError as error:
             raise self._silent() from error
 
@@ -220,7 +220,7 @@ class Board:
         async def whole() -> T:
             async with self._talk:
                 try:
-                    return await asyncio.wait_for(talk(), BOUNDS.talk_s)
+                    return await asyncio.wait_for(talk(), BOUNDS.stream_timeout_s)
                 except TimeoutError as error:
                     raise self._silent() from error
 

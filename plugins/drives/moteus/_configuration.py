@@ -18,9 +18,9 @@ _SAFE_TIMEOUTS = (Mode.STOPPED, Mode.ZERO_VELOCITY, Mode.BRAKE)
 def require_known(versions: Mapping[str, int], where: str) -> None:
     """Raises `DriveRefused` where the board's registers may mean something else than they do here."""
     version = versions.get("register_map_version")
-    if version != BOUNDS.register_map:
+    if version != BOUNDS.register_map_version:
         raise DriveRefused(
-            f"{where}: register map {version}, expected {BOUNDS.register_map}; update it (moteus_tool --flash)"
+            f"{where}: register map {version}, expected {BOUNDS.register_map_version}; update it (moteus_tool --flash)"
         )
 
 
@@ -71,7 +71,7 @@ class Configuration:
             pwm_frequencies_hz=(self.pwm_frequency_hz,),
             dc_bus_voltage_v=bus_v,
             max_current_a=self.max_current_a,
-            max_voltage_v=BOUNDS.voltage * bus_v,
+            max_voltage_v=BOUNDS.max_modulation_ratio * bus_v,
             excitations=frozenset({"hold"}),
             watchdog_s=options.watchdog_s if covered else None,
             watchdog_covers=frozenset({"hold"}) if covered else frozenset(),

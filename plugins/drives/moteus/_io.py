@@ -54,7 +54,7 @@ class Io:
             return await asyncio.wait_for(work(), timeout_s)
 
         future = self.start(timed)
-        self.wait(future, timeout_s + BOUNDS.round_trip_s)
+        self.wait(future, timeout_s + BOUNDS.loop_timeout_s)
         return self.result(future)
 
     def start(self, work: Callable[[], Coroutine[Any, Any, T]]) -> concurrent.futures.Future[T]:
@@ -69,7 +69,7 @@ class Io:
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
                 return False
-            concurrent.futures.wait([future], min(left_s, BOUNDS.look_s))
+            concurrent.futures.wait([future], min(left_s, BOUNDS.poll_period_s))
         return True
 
     def result(self, future: concurrent.futures.Future[T]) -> T:

@@ -93,18 +93,18 @@ class MoteusDrive(DriveShell):
         numbers = io.call(board.numbers, self._options.connect_timeout_s)
         configuration = Configuration.of(numbers, self.setup.motor, self._options.where)
         self._frame, self._own_limit_a = configuration.frame, configuration.max_current_a
-        bus_v = io.call(board.reading, BOUNDS.call_s).bus_v
+        bus_v = io.call(board.reading, BOUNDS.call_timeout_s).bus_v
         self._origin_s = time.monotonic()
         return configuration.capabilities(self._options, versions.get("firmware_version", 0), bus_v)
 
     def _take_up(self, board: Board, io: Io) -> None:
         """Find the board stopped; a time-out is over, for its host is gone, and a fault stays unless seen to."""
-        now = io.call(board.reading, BOUNDS.call_s)
+        now = io.call(board.reading, BOUNDS.call_timeout_s)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is None and now.mode != Mode.STOPPED:
             raise DriveRefused(f"{self._options.where} is in mode {now.mode}: somebody else drives it; stop it first")
         if fault is not None and (now.mode == Mode.TIMEOUT or self._options.clear_fault):
-            io.call(board.stop, BOUNDS.call_s)
+            io.call(board.stop, BOUNDS.call_timeout_s)
         elif fault is not None:
             self.latch(fault)
 
@@ -142,7 +142,7 @@ class MoteusDrive(DriveShell):
             return await board.theta()
 
         try:
-            zero_rad = io.call(energised, BOUNDS.call_s)
+            zero_rad = io.call(energised, BOUNDS.call_timeout_s)
         except DriveFault as fault:
             raise self.trip(fault) from None
         self._frame = replace(self._frame, zero_rad=zero_rad)
@@ -168,7 +168,7 @@ class MoteusDrive(DriveShell):
         self._held, self._rotor_angle_rad = target, hold.rotor_angle_rad
         under_way = io.start(lambda: holding.run(target, hold.settle_s, hold.rows(fs)))
         try:
-            while not io.wait(under_way, BOUNDS.quiet_s):
+            while not io.wait(under_way, BOUNDS.keepalive_period_s):
                 yield keepalive(time.monotonic() - self._origin_s, fs)
             taken = io.result(under_way)
         except DriveFault as fault:
@@ -180,7 +180,7 @@ class MoteusDrive(DriveShell):
     def telemetry(self) -> Telemetry:
         """A reading, now; with the power stage off the bridge is open and the board's amplifiers say nothing."""
         board, io = self._connected()
-        now = io.call(board.reading, BOUNDS.call_s)
+        now = io.call(board.reading, BOUNDS.call_timeout_s)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None and not self.latched:
             self.trip(fault)
@@ -201,31 +201,31 @@ class MoteusDrive(DriveShell):
         board, io = self._connected()
         if board.setpoint is None or self.limits is None:
             return
-        io.call(lambda: board.hold(Setpoint(self._frame.position(self._held.theta_rad), 0.0)), BOUNDS.call_s)
-        deadline = time.monotonic() + BOUNDS.ramp_s
+        io.call(lambda: board.hold(Setpoint(self._frame.position(self._held.theta_rad), 0.0)), BOUNDS.call_timeout_s)
+        deadline = time.monotonic() + BOUNDS.max_ramp_s
         while True:
-            now = io.call(board.reading, BOUNDS.call_s)
+            now = io.call(board.reading, BOUNDS.call_timeout_s)
             if now.mode != Mode.POSITION:
                 return
-            if math.hypot(now.d_a, now.q_a) <= BOUNDS.zero * self.limits.current_a:
+            if math.hypot(now.d_a, now.q_a) <= BOUNDS.zero_current_ratio * self.limits.current_a:
                 break
             if time.monotonic() > deadline:
                 raise DriveFault(
-                    FaultCause.NO_ANSWER, f"a current still flows after {BOUNDS.ramp_s:g} s of ramping down"
+                    FaultCause.NO_ANSWER, f"a current still flows after {BOUNDS.max_ramp_s:g} s of ramping down"
                 )
-        time.sleep(BOUNDS.die_out_s)
+        time.sleep(BOUNDS.current_decay_s)
 
     def switch_off(self) -> None:
         """Power stage off, and the board's own current limit put back."""
         board, io = self._connected()
         if not self.latched:
             self._notice(board, io)
-        io.call(board.stop, BOUNDS.call_s)
-        io.call(lambda: board.limit_current(self._own_limit_a), BOUNDS.call_s)
+        io.call(board.stop, BOUNDS.call_timeout_s)
+        io.call(lambda: board.limit_current(self._own_limit_a), BOUNDS.call_timeout_s)
 
     def _notice(self, board: Board, io: Io) -> None:
         """Latch what the board is about to forget when it is stopped."""
-        now = io.call(board.reading, BOUNDS.call_s)
+        now = io.call(board.reading, BOUNDS.call_timeout_s)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None:
             self.latch(fault)
@@ -233,7 +233,7 @@ class MoteusDrive(DriveShell):
     def forget_fault(self) -> None:
         """The board stays stopped, which clears its fault."""
         board, io = self._connected()
-        io.call(board.stop, BOUNDS.call_s)
+        io.call(board.stop, BOUNDS.call_timeout_s)
 
     def set_brake(self, engaged: bool) -> None:
         """Refused: mode 15 of a moteus shorts the phases, which holds no rotor."""

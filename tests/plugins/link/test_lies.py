@@ -124,7 +124,7 @@ def test_a_capture_that_cannot_be_a_new_one_is_refused(lie: Lie, message: str) -
 
 
 def test_a_program_that_never_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("plugins.link._running.TIMEOUTS", type(TIMEOUTS)(stuck_s=0.2, slow=0.0))
+    monkeypatch.setattr("plugins.link._running.TIMEOUTS", type(TIMEOUTS)(no_progress_s=0.2, max_duration_ratio=0.0))
     numbers = count(1)
 
     def lie(message: Message) -> Message:
