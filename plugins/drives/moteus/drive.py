@@ -13,7 +13,8 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from orchestrator.driving import DriveShell, in_blocks, keepalive
+from orchestrator.driving import in_blocks
+from orchestrator.polled_drive import PolledDrive
 from plugins.drives.moteus._board import Board, Setpoint, library
 from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._configuration import Configuration, require_known
@@ -38,7 +39,7 @@ from protocols import (
 )
 
 
-class MoteusDrive(DriveShell):
+class MoteusDrive(PolledDrive):
     """A moteus as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -63,8 +64,6 @@ class MoteusDrive(DriveShell):
         self._frame = Frame(2, 1, 1.0)
         self._own_limit_a = math.inf
         self._held = Target(0.0, 0.0)
-        self._rotor_angle_rad = 0.0
-        self._origin_s = 0.0
 
     # Link
 
@@ -94,7 +93,7 @@ class MoteusDrive(DriveShell):
         configuration = Configuration.of(numbers, self.setup.motor, self._options.where)
         self._frame, self._own_limit_a = configuration.frame, configuration.max_current_a
         bus_v = io.call(board.reading, BOUNDS.call_timeout_s).bus_v
-        self._origin_s = time.monotonic()
+        self.origin_s = time.monotonic()
         return configuration.capabilities(self._options, versions.get("firmware_version", 0), bus_v)
 
     def _take_up(self, board: Board, io: Io) -> None:
@@ -122,17 +121,9 @@ class MoteusDrive(DriveShell):
 
     # Power stage
 
-    @property
-    def faults(self) -> tuple[str, ...]:
-        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
-
-    def check_link(self) -> None:
-        """Raises `DriveFault` where the link is lost."""
-        self._connected()
-
     def energise(self, limits: Limits) -> None:
         """Give the board its current limit, switch its power stage on at zero current, and learn its angle."""
-        board, io = self._connected()
+        board, io = self.connected()
 
         async def energised() -> float:
             await board.stop()
@@ -160,35 +151,35 @@ class MoteusDrive(DriveShell):
         return self._captures(excitation, self.limits)
 
     def _captures(self, hold: Hold, limits: Limits) -> Iterator[Capture]:
-        board, io = self._connected()
+        board, io = self.connected()
         fs, target = self.own.sampling_frequency_hz, Target.of(hold)
         holding = Holding(board, self._frame, Guard(limits, self._options.watchdog_s), fs)
         if target.current_a == 0.0:
             target = replace(target, theta_rad=hold.rotor_angle_rad)
-        self._held, self._rotor_angle_rad = target, hold.rotor_angle_rad
+        self._held, self.rotor_angle_rad = target, hold.rotor_angle_rad
         under_way = io.start(lambda: holding.run(target, hold.settle_s, hold.rows(fs)))
         try:
             while not io.wait(under_way, BOUNDS.keepalive_period_s):
-                yield keepalive(time.monotonic() - self._origin_s, fs)
+                yield self.keepalive()
             taken = io.result(under_way)
         except DriveFault as fault:
             raise self.trip(fault) from None
         finally:
             under_way.cancel()
-        yield from in_blocks(taken.capture(fs, self._origin_s))
+        yield from in_blocks(taken.capture(fs, self.origin_s))
 
     def telemetry(self) -> Telemetry:
         """A reading, now; with the power stage off the bridge is open and the board's amplifiers say nothing."""
-        board, io = self._connected()
+        board, io = self.connected()
         now = io.call(board.reading, BOUNDS.call_timeout_s)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None and not self.latched:
             self.trip(fault)
         flowing = now.mode == Mode.POSITION and self.state is DriveState.ARMED
-        i = self._frame.stator(now.d_a, now.q_a, self._held.theta_rad - self._rotor_angle_rad) if flowing else 0j
+        i = self._frame.stator(now.d_a, now.q_a, self._held.theta_rad - self.rotor_angle_rad) if flowing else 0j
         return Telemetry(
             state=self.state if flowing or self.latched else DriveState.DISARMED,
-            time_s=time.monotonic() - self._origin_s,
+            time_s=self.now_s(),
             i_d_a=i.real,
             i_q_a=i.imag,
             v_dc_v=now.bus_v,
@@ -198,7 +189,7 @@ class MoteusDrive(DriveShell):
 
     def ramp(self) -> None:
         """Zero current at the angle held, under the board's current control."""
-        board, io = self._connected()
+        board, io = self.connected()
         if board.setpoint is None or self.limits is None:
             return
         io.call(lambda: board.hold(Setpoint(self._frame.position(self._held.theta_rad), 0.0)), BOUNDS.call_timeout_s)
@@ -217,7 +208,7 @@ class MoteusDrive(DriveShell):
 
     def switch_off(self) -> None:
         """Power stage off, and the board's own current limit put back."""
-        board, io = self._connected()
+        board, io = self.connected()
         if not self.latched:
             self._notice(board, io)
         io.call(board.stop, BOUNDS.call_timeout_s)
@@ -232,25 +223,17 @@ class MoteusDrive(DriveShell):
 
     def forget_fault(self) -> None:
         """The board stays stopped, which clears its fault."""
-        board, io = self._connected()
+        board, io = self.connected()
         io.call(board.stop, BOUNDS.call_timeout_s)
 
     def set_brake(self, engaged: bool) -> None:
         """Refused: mode 15 of a moteus shorts the phases, which holds no rotor."""
         raise DriveRefused("a moteus has no brake that holds a rotor; lock it by hand")
 
-    # Clock
-
-    def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the motor remembers by itself."""
-
-    def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
-        self._origin_s = time.monotonic() - start_s
-
     # What the methods share
 
-    def _connected(self) -> tuple[Board, Io]:
+    def connected(self) -> tuple[Board, Io]:
+        """The board and its loop; raises `DriveRefused` where it is not connected, `DriveFault` where it is lost."""
         if self._io is None or self._board is None:
             raise DriveRefused("not connected")
         self._io.check()

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, in_blocks, keepalive
+from orchestrator.polled_drive import PolledDrive
 from plugins.drives.odrive._axis import CLOSED_LOOP, IDLE, Axis, Errors
 from plugins.drives.odrive._properties import Properties
 from protocols import (
@@ -33,8 +33,6 @@ from protocols import (
 )
 
 FIRMWARE_VERSION = (0, 5)
-KEEPALIVE_PERIOD_S = 0.2
-"""Longest time without a block."""
 MAX_RAMP_S = 0.5
 """Time in which the current has to fall to zero."""
 CURRENT_DECAY_S = 0.01
@@ -70,7 +68,7 @@ class OdriveOptions(Strict):
     """Forget the errors that the board has latched, on connecting: after somebody has seen to their cause."""
 
 
-class OdriveDrive(DriveShell):
+class OdriveDrive(PolledDrive):
     """An axis of an ODrive as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -94,7 +92,6 @@ class OdriveDrive(DriveShell):
         self._options: OdriveOptions = setup.options
         self._line: Properties | None = None
         self._axis: Axis | None = None
-        self._target, self._rotor_angle_rad, self._origin_s = 0j, 0.0, 0.0
 
     # Link
 
@@ -124,7 +121,7 @@ class OdriveDrive(DriveShell):
         bus_v = axis.bus_v()
         if bus_v <= 0.0:
             raise DriveFault(FaultCause.BUS_VOLTAGE, f"{line.where}: reads a bus of {bus_v:g} V")
-        self._origin_s = time.monotonic()
+        self.origin_s = time.monotonic()
         return Capabilities(
             name="odrive",
             sampling_frequency_hz=o.sampling_frequency_hz,
@@ -168,19 +165,9 @@ class OdriveDrive(DriveShell):
 
     # Power stage
 
-    @property
-    def faults(self) -> tuple[str, ...]:
-        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
-
-    def check_link(self) -> None:
-        """Raises `DriveFault` where the line is lost or the axis has tripped."""
-        axis = self._connected()
-        if self.limits is not None and not self.latched:
-            self._require_sound(axis)
-
     def energise(self, limits: Limits) -> None:
         """The board's own current limit and watchdog, then closed loop at no torque."""
-        axis = self._connected()
+        axis = self.connected()
         try:
             axis.switch_on(min(limits.current_a, axis.own_limit_a), self._options.watchdog_s)
         except DriveFault as fault:
@@ -193,31 +180,16 @@ class OdriveDrive(DriveShell):
         needed_v = excitation.longest_current_a * (self.setup.motor.stator_resistance_ohm or 0.0)
         if needed_v > self.limits.voltage_v:
             raise DriveRefused(f"needs {needed_v:.3g} V by the nameplate's resistance, above the limit")
-        return self._held(excitation, self.limits)
+        return self.tripping(self._held(excitation, self.limits))
 
     def _held(self, hold: Hold, limits: Limits) -> Generator[Capture]:
-        axis, fs = self._connected(), self.own.sampling_frequency_hz
-        self._rotor_angle_rad = hold.rotor_angle_rad
-        self._target = complex(*hold.start_dq_a) * cmath.exp(1j * hold.rotor_angle_rad)
-        try:
-            axis.hold(*cmath.polar(self._target))
-            until_s = time.monotonic() + hold.settle_s
-            while (left_s := until_s - time.monotonic()) > 0.0:
-                time.sleep(min(left_s, KEEPALIVE_PERIOD_S))
-                yield self._alive()
-            rows, start_s = yield from self._rows(axis, hold.rows(fs), limits)
-        except DriveFault as fault:
-            raise self.trip(fault) from None
-        rows = rows.astype(np.float32)
-        yield from in_blocks(
-            Capture(
-                start_s=start_s - self._origin_s,
-                sampling_frequency_hz=fs,
-                i_ab=rows[:, :2],
-                v_ab=rows[:, 2:4],
-                v_dc=rows[:, 4],
-            )
-        )
+        axis = self.connected()
+        self.aim(hold)
+        axis.hold(*cmath.polar(self.target_a))
+        yield from self.waiting(hold.settle_s)
+        rows, start_s = yield from self._rows(axis, hold.rows(self.own.sampling_frequency_hz), limits)
+        i, v = (rows[:, k] + 1j * rows[:, k + 1] for k in (0, 2))
+        yield from self.blocks(i, v, start_s - self.origin_s, rows[:, 4])
 
     def _rows(self, axis: Axis, count: int, limits: Limits) -> Generator[Capture, None, tuple[np.ndarray, float]]:
         """Readings, one each period; all anew where one comes later than a direct current bears."""
@@ -228,56 +200,49 @@ class OdriveDrive(DriveShell):
             while len(rows) < count:
                 time.sleep(max(0.0, start_s + len(rows) / fs - time.monotonic()))
                 rows.append(axis.reading())
-                self._watch(axis, rows[-1], limits)
+                self._watch(rows[-1], limits)
                 if time.monotonic() > start_s + len(rows) / fs + MAX_READING_DELAY_S:
                     break
-                if time.monotonic() - yielded_s > KEEPALIVE_PERIOD_S:
+                if time.monotonic() - yielded_s > self.keepalive_period_s:
                     yielded_s = time.monotonic()
-                    yield self._alive()
+                    yield self.keepalive()
             else:
                 time.sleep(max(0.0, start_s + count / fs - time.monotonic()))  # the last row has a period as well
-                self._require_sound(axis)
+                self.require_sound(self.board_fault())
                 return np.array(rows), start_s
-            yield self._alive()
+            yield self.keepalive()
         message = f"readings come late at {fs:g} Hz; choose a lower sampling_frequency_hz"
         raise DriveFault(FaultCause.NO_ANSWER, message)
 
-    def _watch(self, axis: Axis, row: np.ndarray, limits: Limits) -> None:
+    def _watch(self, row: np.ndarray, limits: Limits) -> None:
         i, v = math.hypot(row[0], row[1]), math.hypot(row[2], row[3])
         if i > TRIP_RATIO * limits.current_a:
             raise DriveFault(FaultCause.OVERCURRENT, f"{i:.3g} A flow, the limit is {limits.current_a:g} A")
         if v > TRIP_RATIO * limits.voltage_v:
             raise DriveFault(FaultCause.INTERNAL, f"{v:.3g} V are commanded, the limit is {limits.voltage_v:g} V")
-        off = abs(complex(row[0], row[1]) - self._target)
-        if off > max(MAX_CURRENT_ERROR_RATIO * abs(self._target), MIN_CURRENT_ERROR_RATIO * limits.current_a):
-            self._require_sound(axis)
-            message = f"{i:.3g} A flow, {off:.3g} A off the set-point of {abs(self._target):.3g} A"
+        off = abs(complex(row[0], row[1]) - self.target_a)
+        if off > max(MAX_CURRENT_ERROR_RATIO * abs(self.target_a), MIN_CURRENT_ERROR_RATIO * limits.current_a):
+            self.require_sound(self.board_fault())
+            message = f"{i:.3g} A flow, {off:.3g} A off the set-point of {abs(self.target_a):.3g} A"
             raise DriveFault(FaultCause.INTERNAL, f"{message}: the board limits it, or the rotor has turned")
 
     def telemetry(self) -> Telemetry:
         """A reading, now; while the axis is idle no current is measured, and none is given."""
-        axis = self._connected()
-        if self.limits is not None and not self.latched and (fault := self._fault(axis)) is not None:
+        axis = self.connected()
+        if self.limits is not None and not self.latched and (fault := self.board_fault()) is not None:
             self.trip(fault)
         alpha, beta, _, _, bus_v = axis.reading()
         flowing = axis.state() == CLOSED_LOOP
-        i = complex(alpha, beta) * cmath.exp(-1j * self._rotor_angle_rad) if flowing else 0j
-        return Telemetry(
-            state=self.state,
-            time_s=time.monotonic() - self._origin_s,
-            i_d_a=i.real,
-            i_q_a=i.imag,
-            v_dc_v=bus_v,
-            faults=self.faults,
-        )
+        i = complex(alpha, beta) * cmath.exp(-1j * self.rotor_angle_rad) if flowing else 0j
+        return self.reading(i, bus_v)
 
     def ramp(self) -> None:
         """No torque, and wait until the current is gone."""
-        axis = self._connected()
+        axis = self.connected()
         if self.limits is None:
             return
-        axis.hold(0.0, cmath.phase(self._target))
-        self._target, deadline = 0j, time.monotonic() + MAX_RAMP_S
+        axis.hold(0.0, cmath.phase(self.target_a))
+        self.target_a, deadline = 0j, time.monotonic() + MAX_RAMP_S
         while (
             axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO_CURRENT_RATIO * self.limits.current_a
         ):
@@ -287,16 +252,18 @@ class OdriveDrive(DriveShell):
 
     def switch_off(self) -> None:
         """Idle, and the board's settings as they were."""
-        axis = self._connected()
+        axis = self.connected()
         if axis.state() == CLOSED_LOOP:
             self.ramp()
         axis.switch_off()
 
     def forget_fault(self) -> None:
         """Clear the board's own errors; the axis stays idle."""
-        self._connected().clear()
+        self.connected().clear()
 
-    def _fault(self, axis: Axis) -> DriveFault | None:
+    def board_fault(self) -> DriveFault | None:
+        """The axis' errors, or its leaving closed loop."""
+        axis = self.connected()
         errors = axis.errors()
         if errors:
             return _fault(errors, self._options.watchdog_s)
@@ -304,26 +271,10 @@ class OdriveDrive(DriveShell):
             return DriveFault(FaultCause.INTERNAL, "the axis has left closed loop: somebody else drives it")
         return None
 
-    def _require_sound(self, axis: Axis) -> None:
-        fault = self._fault(axis)
-        if fault is not None:
-            raise self.trip(fault)
-
-    # Clock
-
-    def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the motor remembers by itself."""
-
-    def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
-        self._origin_s = time.monotonic() - start_s
-
     # What the methods share
 
-    def _alive(self) -> Capture:
-        return keepalive(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
-
-    def _connected(self) -> Axis:
+    def connected(self) -> Axis:
+        """The axis; raises `DriveRefused` where it is not connected, `DriveFault` where the line is lost."""
         if self._line is None or self._axis is None:
             raise DriveRefused("not connected")
         self._line.check()
