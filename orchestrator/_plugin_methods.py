@@ -6,10 +6,10 @@ import inspect
 from typing import Any
 
 from orchestrator._validation import nearest
-from protocols import EFFECT_HOOKS, Effect
+from protocols import EFFECT_HOOKS, FORMER_HOOKS, Effect
 
 
-def method_problem(plugin: type[Any], method: str, contract: type[Any]) -> str | None:
+def method_problem(plugin: type[Any], method: str, contract: type[Any], declared_as: str = "") -> str | None:
     """Why a plugin's method cannot be called as its contract declares it, in a few words; None where it can.
 
     Parameters
@@ -20,9 +20,11 @@ def method_problem(plugin: type[Any], method: str, contract: type[Any]) -> str |
         The method's name.
     contract : type
         The protocol or base class that declares it.
+    declared_as : str
+        Its name there, where the plugin uses a former one.
     """
     found = getattr(plugin, method, None)
-    arguments = list(inspect.signature(getattr(contract, method)).parameters)
+    arguments = list(inspect.signature(getattr(contract, declared_as or method)).parameters)
     if not callable(found):
         return f"is missing: write def {method}({', '.join(arguments)})"
     passed = arguments[1:]
@@ -51,13 +53,17 @@ def hook_problem(plugin: type[Any]) -> str | None:
     known = [*required, *EFFECT_HOOKS]
     for name in dir(plugin):
         member = getattr(plugin, name, None)
-        if not name.startswith("_") and name not in known and callable(member) and not inspect.isclass(member):
+        is_known = name in known or name in FORMER_HOOKS
+        if not name.startswith("_") and not is_known and callable(member) and not inspect.isclass(member):
             near = nearest(name, known)
             meant = f"did you mean {near!r}?" if near else "a method of its own begins with an underscore"
             return f"method {name!r} is never called: an effect has {', '.join(known)}; {meant}"
-    for hook, contract in EFFECT_HOOKS.items():
-        member = getattr(plugin, hook, None)
-        problem = None if member is None else method_problem(plugin, hook, contract)
+    for hook, today in (*((hook, hook) for hook in EFFECT_HOOKS), *FORMER_HOOKS.items()):
+        if getattr(plugin, hook, None) is None:
+            continue
+        if hook != today and getattr(plugin, today, None) is not None:
+            return f"method {hook!r} is the former name of {today!r}, and the effect has both"
+        problem = method_problem(plugin, hook, EFFECT_HOOKS[today], today)
         if problem is not None:
             return f"method {hook!r} {problem}"
     return None

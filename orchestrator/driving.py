@@ -34,7 +34,7 @@ from protocols import (
     VoltageSteps,
 )
 
-SINGLE = 1.0 + 1e-6
+SINGLE_PRECISION_RATIO = 1.0 + 1e-6
 """A number that went over a wire as a single may be off by its rounding (6e-8); it counts as the same."""
 
 
@@ -94,8 +94,16 @@ class DriveShell(ABC):
         """PWM off."""
         self.ramp()
 
-    def attend(self) -> None:
-        """What arming and executing begin with; raises `DriveFault` where the link is lost or the drive has tripped."""
+    def check_link(self) -> None:
+        """Raise `DriveFault` where the link is lost or the drive has tripped; arming and executing begin with it."""
+
+    attend = check_link
+    """Its former name, which sub-classes may go on overriding."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        if "attend" in vars(cls):
+            cls.check_link = vars(cls)["attend"]  # type: ignore[method-assign]
 
     def forget_fault(self) -> None:
         """Clear the fault that the drive itself keeps."""
@@ -114,7 +122,7 @@ class DriveShell(ABC):
 
     @property
     def own(self) -> Capabilities:
-        """What it said of itself; raises `DriveRefused` where it is not connected."""
+        """Its declared capabilities; raises `DriveRefused` where it is not connected."""
         if self._own is None:
             raise DriveRefused("not connected")
         return self._own
@@ -133,7 +141,7 @@ class DriveShell(ABC):
     def trip(self, fault: DriveFault) -> DriveFault:
         """Latch a fault and switch off, as far as the drive can still be reached; returned to be raised."""
         self.latch(fault)
-        with suppress(DriveError):  # the fault that is being told is the better news
+        with suppress(DriveError):  # the fault being raised matters more
             self._power_off()
         return fault
 
@@ -156,7 +164,7 @@ class DriveShell(ABC):
         Raises `DriveRefused` where a limit is above the drive's own or a fault is latched.
         """
         own = self.own
-        self.attend()
+        self.check_link()
         if self.faults:
             raise DriveRefused(f"a fault is latched ({', '.join(self.faults)}); clear it first")
         refuse_limits(limits, own)
@@ -170,10 +178,10 @@ class DriveShell(ABC):
     def execute(self, excitation: Excitation) -> Generator[Capture]:
         """Check the excitation, then run it as the iterator is drawn from."""
         own = self.own
-        self.attend()
+        self.check_link()
         if self.limits is None or self.faults:
-            told = ", ".join((self.state.value, *self.faults))
-            raise DriveRefused(f"not armed ({told})")
+            reason = ", ".join((self.state.value, *self.faults))
+            raise DriveRefused(f"not armed ({reason})")
         if excitation.kind not in own.excitations and excitation.kind in self.why_not:
             raise DriveRefused(f"this drive has no {excitation.kind}: {self.why_not[excitation.kind]}")
         refuse_excitation(excitation, self.limits, own, self.setup.motor.stator_resistance_ohm or 0.0)
@@ -238,7 +246,7 @@ def refuse_limits(limits: Limits, own: Capabilities) -> None:
         ("current", "A", limits.current_a, own.max_current_a),
         ("voltage", "V", limits.voltage_v, own.max_voltage_v),
     ):
-        if not wanted <= most * SINGLE:
+        if not wanted <= most * SINGLE_PRECISION_RATIO:
             raise DriveRefused(f"{quantity} limit {wanted:g} {unit} is above the drive's own {most:g} {unit}")
 
 
@@ -256,27 +264,29 @@ def refuse_excitation(excitation: Excitation, limits: Limits, own: Capabilities,
         if isinstance(value, float) and not math.isfinite(value):
             raise DriveRefused(f"{field} is not a finite number")
     pwm = excitation.pwm_frequency_hz
-    if pwm is not None and not any(math.isclose(pwm, f, rel_tol=SINGLE - 1.0) for f in own.pwm_frequencies_hz):
+    if pwm is not None and not any(
+        math.isclose(pwm, f, rel_tol=SINGLE_PRECISION_RATIO - 1.0) for f in own.pwm_frequencies_hz
+    ):
         choices = ", ".join(f"{f:g}" for f in own.pwm_frequencies_hz)
         raise DriveRefused(f"PWM frequency {pwm:g} Hz; this drive has {choices} Hz")
     captured_s = excitation.captured_s
     if excitation.rows(own.sampling_frequency_hz) < 1:
         raise DriveRefused(f"nothing to capture: {captured_s:g} s is less than a sample")
-    if own.longest_capture_s is not None and captured_s > own.longest_capture_s * SINGLE:
+    if own.longest_capture_s is not None and captured_s > own.longest_capture_s * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"capture of {captured_s:g} s is longer than the drive's {own.longest_capture_s:g} s")
     whole_s = excitation.settling_s + captured_s
-    if own.longest_excitation_s is not None and whole_s > own.longest_excitation_s * SINGLE:
+    if own.longest_excitation_s is not None and whole_s > own.longest_excitation_s * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"{whole_s:g} s with settling are longer than the drive's {own.longest_excitation_s:g} s")
     current_a = excitation.longest_current_a
-    if current_a > limits.current_a * SINGLE:
+    if current_a > limits.current_a * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"current {current_a:.4g} A is above the limit of {limits.current_a:g} A")
-    if isinstance(excitation, VoltageSteps) and excitation.voltage_v > limits.voltage_v * SINGLE:
+    if isinstance(excitation, VoltageSteps) and excitation.voltage_v > limits.voltage_v * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"steps of {excitation.voltage_v:.4g} V are above the limit of {limits.voltage_v:g} V")
     if isinstance(excitation, Injection):
         _refuse_injection(excitation, own)
         # on open loop: current control saturates by itself
         voltage_v = excitation.amplitude_v + resistance_ohm * current_a
-        if voltage_v > limits.voltage_v * SINGLE:
+        if voltage_v > limits.voltage_v * SINGLE_PRECISION_RATIO:
             raise DriveRefused(
                 f"injection of {excitation.amplitude_v:g} V at {current_a:.4g} A needs {voltage_v:.4g} V, "
                 f"above the limit of {limits.voltage_v:g} V"
@@ -289,7 +299,7 @@ def _refuse_injection(e: Injection, own: Capabilities) -> None:
     if own.injects_at_zero_only and e.longest_current_a > 0.0:
         raise DriveRefused("this drive injects at zero current only")
     whole_s, longest_s = e.discard_s + e.captured_s, own.longest_injection_s
-    if longest_s is not None and whole_s > longest_s * SINGLE:
+    if longest_s is not None and whole_s > longest_s * SINGLE_PRECISION_RATIO:
         raise DriveRefused(f"an injection of {whole_s:g} s is longer than the drive's {longest_s:g} s")
 
 
@@ -303,11 +313,15 @@ def in_blocks(capture: Capture, longest_s: float = 0.25, rows: int | None = None
         yield Capture(start_s=capture.start_s + first / fs, sampling_frequency_hz=fs, **arrays)
 
 
-def sign_of_life(time_s: float, sampling_frequency_hz: float) -> Capture:
+def keepalive(time_s: float, sampling_frequency_hz: float) -> Capture:
     """A block without rows, from a drive that has nothing to hand out yet."""
     none = np.zeros((0, 2))
     fields = {"i_ab": none, "v_ab": none, "v_dc": np.zeros(0)}
     return Capture(start_s=time_s, sampling_frequency_hz=sampling_frequency_hz, **fields)
+
+
+sign_of_life = keepalive
+"""The former name, for drives that import it."""
 
 
 def _close(blocks: Iterator[Capture] | None) -> None:

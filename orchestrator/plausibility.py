@@ -35,10 +35,10 @@ MOTOR_RANGES: Mapping[str, Range] = {
     "pm_flux_wb": (0.0, 100.0),
 }
 """In the fields' own units: from the smallest watch's motor to the largest ship's, and some decades more."""
-_OF_INDUCTANCE = (("mH", 1e-3), ("uH", 1e-6))
+_INDUCTANCE_UNITS = (("mH", 1e-3), ("uH", 1e-6))
 OTHER_UNITS: Mapping[str, Sequence[tuple[str, float]]] = {
-    "d_inductance_h": _OF_INDUCTANCE,
-    "q_inductance_h": _OF_INDUCTANCE,
+    "d_inductance_h": _INDUCTANCE_UNITS,
+    "q_inductance_h": _INDUCTANCE_UNITS,
     "stator_resistance_ohm": (("milliohm", 1e-3),),
     "pm_flux_wb": (("mWb", 1e-3),),
     "rated_power_w": (("kW", 1e3),),
@@ -51,10 +51,10 @@ DRIVE_RANGES: Mapping[str, Range] = {
     "sampling_frequency_hz": (1.0, 1e6),
     "pwm_frequency_hz": (100.0, 1e6),
 }
-"""What means the same in every drive that has it; a board that is asked for each reading samples from 1 Hz on."""
+"""Options that mean the same in every drive; a board that answers single reads samples from 1 Hz on."""
 TWO_TURNS_RAD = 4.0 * math.pi
 """Angles as they are written are less; degrees are mostly more."""
-HEXAGON = 2.0 / 3.0
+MAX_VOLTAGE_RATIO = 2.0 / 3.0
 """Longest voltage vector of a bridge, in bus voltages: the hexagon's corner."""
 
 
@@ -84,22 +84,22 @@ class Bounds:
     inductance: Range
 
 
-DOUBTED = Bounds(
+PLAUSIBLE_BOUNDS = Bounds(
     rated_currents=(0.01, 20.0),
     bus_voltages=(2e-4, 5.0),
     bus=(0.3, 3.0),
     resistance=(0.02, 100.0),
     inductance=(0.01, 100.0),
 )
-"""Beyond which an import asks whether the mapping is meant: a slip of a thousand shows, whatever the bench."""
-REFUSED = Bounds(
+"""Beyond these an import questions the mapping: a slip of a thousand shows, whatever the bench."""
+POSSIBLE_BOUNDS = Bounds(
     rated_currents=(0.0, 50.0),
     bus_voltages=(2e-5, 10.0),
     bus=(0.02, 20.0),
     resistance=(0.02, 1000.0),
     inductance=(0.01, 100.0),
 )
-"""Beyond which a recording is not computed with: five rated currents under a gain that is wrong by ten pass."""
+"""Beyond these a recording is refused: five rated currents under a gain that is wrong by ten pass."""
 
 
 def within(value: float, bounds: Range, unit: float = 1.0) -> bool:
@@ -159,10 +159,10 @@ def slow_part(x: NDArray[_Real], rate_hz: float, window_s: float = 0.02) -> NDAr
     return means
 
 
-SLOW_VOLTAGE = 1e-3
-"""Of a waveform's voltage, below which its slow part is what is left of whole periods, and tells nothing."""
-DRIVING = 0.3
-"""Of R_s, that voltage over current has to be for their angle to mean anything: less leaves a current that decays."""
+MIN_SLOW_VOLTAGE_RATIO = 1e-3
+"""Slow part of a waveform's voltage over the whole, below which it is a remainder of whole periods."""
+MIN_OHMIC_RATIO = 0.3
+"""Voltage over current, in R_s, below which their angle means nothing: the current only decays."""
 
 
 def apart_rad(

@@ -1,7 +1,7 @@
 """Plugins by entry point: listed without importing, loaded one at a time, held against their contract when loaded.
 
 A built-in plugin has no privilege here that a third-party one lacks, and a broken one costs
-nothing until it is asked for.
+nothing until it is loaded.
 """
 
 from __future__ import annotations
@@ -120,8 +120,8 @@ def make_plugins(kind: PluginKind, names: Iterable[str] | None = None) -> list[A
     PluginError
         What `Installed.load` raises.
     """
-    found = Installed(kind)
-    return [found.load(name)() for name in (names if names is not None else [info.name for info in found.plugins])]
+    plugins = Installed(kind)
+    return [plugins.load(name)() for name in (names if names is not None else [info.name for info in plugins.plugins])]
 
 
 _NO_EFFECT = (
@@ -149,15 +149,15 @@ def load_effects_file(path: Path) -> list[type[Any]]:
     except (Exception, SystemExit) as error:
         raise PluginError(str(path), "", f"does not run: {_reason(error)}") from error
     own = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
-    found = [c for c in own if hasattr(c, "correct")]
-    if not found:
+    effects = [c for c in own if hasattr(c, "correct")]
+    if not effects:
         raise PluginError(str(path), "", _NO_EFFECT)
-    for plugin in found:
+    for plugin in effects:
         name = str(getattr(plugin, "name", plugin.__name__))
         _check_contract(
             PluginInfo(kind=PluginKind.EFFECTS, name=name, distribution="?", version="?", module=str(path)), plugin
         )
-    return found
+    return effects
 
 
 def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseModel:
@@ -202,7 +202,7 @@ def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
     try:
         plugin = entry.load()
     except (Exception, SystemExit) as error:
-        # An import runs foreign code: it may raise anything, and what it raises is said, not hidden.
+        # An import runs foreign code: it may raise anything, and the error names it.
         raise PluginError(info.kind.value, str(info), f"does not load: {_reason(error)}") from error
     if not isinstance(plugin, type):
         raise PluginError(info.kind.value, str(info), f"expected a class, got {type(plugin).__name__}")

@@ -1,7 +1,7 @@
 """Hands what happens in a run to the streams, without ever waiting for one of them.
 
 Each stream lives on a thread of its own behind a bounded queue that drops its oldest entry; what
-a stream raises is counted and told at the end. A viewer that fails never touches the run.
+a stream raises is counted and reported at the end. A viewer that fails never touches the run.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from protocols import Message, SamplesCaptured, Stream
 T = TypeVar("T")
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-_THREADS = "stream "
+_THREAD_PREFIX = "stream "
 """How the names of the streams' threads begin."""
 
 
@@ -54,13 +54,13 @@ class StreamTally:
             return ""
         counted = f"{self.delivered} delivered, {self.dropped} dropped, {self.errors} errors"
         first = f" (first: {self.first_error})" if self.first_error else ""
-        said = [counted + first] if self.has_failed or self.dropped else []
-        return f"stream {self.name}: {'; '.join([*said, *self.notes])}"
+        problems = [counted + first] if self.has_failed or self.dropped else []
+        return f"stream {self.name}: {'; '.join([*problems, *self.notes])}"
 
 
 def has_unfinished_streams() -> bool:
     """Whether a stream's thread is still at work in this process, though nobody waits for it any more."""
-    return any(thread.name.startswith(_THREADS) for thread in threading.enumerate())
+    return any(thread.name.startswith(_THREAD_PREFIX) for thread in threading.enumerate())
 
 
 class Dispatcher:
@@ -95,7 +95,7 @@ class Dispatcher:
     ) -> Sequence[StreamTally]:
         """Deliver what is queued, close the streams, and say how each fared.
 
-        What takes longer than `silent_s` is told, by default on standard error where that is a terminal. A stop
+        A delay beyond `silent_s` is reported, by default on standard error where that is a terminal. A stop
         signal (Ctrl-C) ends the waiting: streams that are still at work are left unfinished.
         """
         for listener in self._listeners:
@@ -112,18 +112,18 @@ class Dispatcher:
 
 @contextmanager
 def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Whether a signal asked to stop since the block began; the handlers before are put back."""
-    asked = threading.Event()
+    """Whether a stop signal came since the block began; restores the previous handlers."""
+    stop_event = threading.Event()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        asked.set()
+        stop_event.set()
 
     if threading.current_thread() is not threading.main_thread():
-        yield asked.is_set  # signals are the main thread's alone
+        yield stop_event.is_set  # signals are the main thread's alone
         return
     before = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
     try:
-        yield asked.is_set
+        yield stop_event.is_set
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -147,7 +147,7 @@ class _Listener:
         self._delivered = self._dropped = self._errors = 0
         self._first_error = ""
         self._notes: tuple[str, ...] = ()
-        self._thread = threading.Thread(target=self._work, name=f"{_THREADS}{name}", daemon=True)
+        self._thread = threading.Thread(target=self._work, name=f"{_THREAD_PREFIX}{name}", daemon=True)
 
     def start(self) -> None:
         self._thread.start()

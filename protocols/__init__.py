@@ -1,4 +1,4 @@
-"""What is said between the parts of fluxbench: pydantic models and typing protocols.
+"""The contracts between the parts of fluxbench: pydantic models and typing protocols.
 
 No engine and no I/O beyond the package's own data. Motor and recording are the file formats,
 procedure is what a person writes, drive, stage, estimator, effect and stream are the five plugin kinds,
@@ -37,6 +37,7 @@ from protocols._drive import (
 )
 from protocols._effects import (
     EFFECT_HOOKS,
+    FORMER_HOOKS,
     PLAIN_UNITS,
     SCALED_UNITS,
     BatchEffect,
@@ -232,6 +233,7 @@ from protocols._verdict import (
 
 __all__ = [
     "EFFECT_HOOKS",
+    "FORMER_HOOKS",
     "PLAIN_UNITS",
     "SCALED_UNITS",
     "About",

@@ -136,8 +136,8 @@ class ArrayModel(BaseModel):
 def shapes_of(holder: type) -> dict[str, Shape]:
     """The shape of each field of a class that is annotated with one, also of those that may be None."""
     hints = get_type_hints(holder, include_extras=True)
-    found = {name: _shape_in(hint) for name, hint in hints.items()}
-    return {name: shape for name, shape in found.items() if shape is not None}
+    shapes = {name: _shape_in(hint) for name, hint in hints.items()}
+    return {name: shape for name, shape in shapes.items() if shape is not None}
 
 
 def arrays_problem(shapes: Mapping[str, Shape], optional: Collection[str], holder: object) -> tuple[str, str] | None:
@@ -168,6 +168,6 @@ def lengths_problem(shapes: Mapping[str, Shape], holder: object) -> tuple[str, s
 
 
 def _shape_in(hint: Any) -> Shape | None:
-    found = (m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Shape))
+    shapes = (m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Shape))
     inner = (_shape_in(part) for part in get_args(hint))
-    return next(found, None) or next((shape for shape in inner if shape is not None), None)
+    return next(shapes, None) or next((shape for shape in inner if shape is not None), None)

@@ -1,4 +1,4 @@
-"""The drive: what it says it can do, what it is asked to do, and what it hands back.
+"""The drive: its capabilities, its excitations, and the captures that it returns.
 
 The drive executes whole excitations: the control loop and the injection run on its side, at its
 own rate. The engine never sits in a control loop.
@@ -42,7 +42,7 @@ class Capabilities(Strict):
     sampling_frequency_hz: Positive
     pwm_frequency_hz: Positive
     pwm_frequencies_hz: tuple[Positive, ...]
-    """All that can be asked for; holds `pwm_frequency_hz`."""
+    """All that it supports; holds `pwm_frequency_hz`."""
     dc_bus_voltage_v: Positive
     voltage_delay_samples: NonNegative = 0.0
     max_current_a: Positive
@@ -62,7 +62,7 @@ class Capabilities(Strict):
     rotation_step_hz: Positive | None = None
     """Their direction rotates at whole multiples of it; None: at any frequency."""
     heeds_bandwidth: bool = True
-    """Whether current control is tuned to the `CurrentControl` that is asked for; else it is the drive's own."""
+    """Whether the drive tunes its current control to the excitation's `CurrentControl`; else it keeps its own."""
     excitations: frozenset[ExcitationKind]
     watchdog_s: Positive | None
     """The drive goes to its safe state when no heartbeat came for this long; None: it has no dead man."""

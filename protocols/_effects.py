@@ -120,7 +120,7 @@ class EffectParameter:
     other_form: float | None = None
     """Of a refinement or a shape: where a second form stands, so unlike the first that a fit begins at each of them."""
     detail: bool = False
-    """Of a refinement: asked only once the others bring nothing more, for it can stand in for them, and less well."""
+    """Of a refinement: the search tries it after all others, because it can imitate them."""
 
     def problem(self) -> str | None:
         """What would make no sense to a fit, in a few words; None where all is well."""
@@ -220,8 +220,8 @@ class EffectParameters:
     def declared(cls) -> tuple[EffectParameter, ...]:
         """What the fields say: amplitudes first, then shapes, then refinements."""
         fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # its sub-classes are dataclasses
-        found = [EffectParameter(name=field.name, **field.metadata) for field in fields]
-        return tuple(sorted(found, key=lambda p: list(ParameterRole).index(p.role)))
+        parameters = [EffectParameter(name=field.name, **field.metadata) for field in fields]
+        return tuple(sorted(parameters, key=lambda p: list(ParameterRole).index(p.role)))
 
 
 _ROLES = "declared without a role: expected amplitude(...), shape(...) or refinement(...)"
@@ -242,9 +242,9 @@ class Effect(Protocol):
     """One sentence: what it does to the residual."""
     layer: ClassVar[EffectLayer]
     needs: ClassVar[tuple[Contrast, ...]]
-    """Contrasts without which it cannot be told from an effect that needs the same one; mostly none."""
+    """Contrasts that separate it from another effect which needs the same one; mostly none."""
     gauge: ClassVar[str]
-    """What no measurement of this kind can show, said wherever the effect is named; empty where nothing."""
+    """What no measurement of this kind can show; each report that names the effect prints it. Empty: nothing."""
 
     @property
     def Parameters(self) -> type[EffectParameters]:
@@ -339,7 +339,7 @@ class DriveQuantitiesEffect(Protocol):
 class RandomDirectionsEffect(Protocol):
     """An effect that cannot know all of what it does, such as what iron remembers of before a segment."""
 
-    def doubts(self, signals: Signals, parameters: Any, /) -> Sequence[Correction]:
+    def random_directions(self, signals: Signals, parameters: Any, /) -> Sequence[Correction]:
         """Random directions: what one standard deviation of each unknown quantity would change of a segment.
 
         Called wherever `Effect.correct` is, with the bridge on. The segment is expected to have noise of these forms;
@@ -385,8 +385,8 @@ class BatchEffect(Protocol):
 class RandomDirectionsBatchEffect(Protocol):
     """A `RandomDirectionsEffect` that is evaluated on many segments in a single call."""
 
-    def doubts_batch(self, batch: SignalBatch, parameters: Any, /) -> Sequence[Correction]:
-        """What `RandomDirectionsEffect.doubts` returns of each segment, laid end to end.
+    def random_directions_batch(self, batch: SignalBatch, parameters: Any, /) -> Sequence[Correction]:
+        """What `RandomDirectionsEffect.random_directions` returns of each segment, laid end to end.
 
         Called in its place. Each correction changes every segment by that segment's own standard deviation.
 
@@ -405,7 +405,9 @@ class RandomDirectionsBatchEffect(Protocol):
         ...
 
 
-EffectHook = Literal["shows_in", "measured", "remarks", "derived", "doubts", "correct_batch", "doubts_batch"]
+EffectHook = Literal[
+    "shows_in", "measured", "remarks", "derived", "random_directions", "correct_batch", "random_directions_batch"
+]
 """The name of a method that an effect may have."""
 
 EFFECT_HOOKS: Mapping[EffectHook, type] = MappingProxyType(
@@ -414,15 +416,21 @@ EFFECT_HOOKS: Mapping[EffectHook, type] = MappingProxyType(
         "measured": MeasurableEffect,
         "remarks": RemarkingEffect,
         "derived": DriveQuantitiesEffect,
-        "doubts": RandomDirectionsEffect,
+        "random_directions": RandomDirectionsEffect,
         "correct_batch": BatchEffect,
-        "doubts_batch": RandomDirectionsBatchEffect,
+        "random_directions_batch": RandomDirectionsBatchEffect,
     }
 )
 """Every method that an effect may have, and the protocol that declares it."""
 
 
+FORMER_HOOKS: Mapping[str, EffectHook] = MappingProxyType(
+    {"doubts": "random_directions", "doubts_batch": "random_directions_batch"}
+)
+"""Former names of such methods, which effects may go on using, and today's."""
+
+
 def hook_of(effect: Effect, hook: EffectHook) -> Callable[..., Any] | None:
-    """The effect's own method of this name, or None where it has none."""
-    found: Callable[..., Any] | None = getattr(effect, hook, None)
-    return found
+    """The effect's own method of this name, or of its former name; None where it has neither."""
+    names = (hook, *(former for former, today in FORMER_HOOKS.items() if today == hook))
+    return next((method for name in names if (method := getattr(effect, name, None)) is not None), None)

@@ -76,7 +76,7 @@ class FaultCause(StrEnum):
     PROGRAM_TOO_LONG = "program_too_long"
     EMERGENCY_STOP = "emergency_stop"
     STILL_ARMED = "still_armed"
-    """Its power stage is on after it was told to switch it off."""
+    """Its power stage is on after the command to switch it off."""
     INTERNAL = "internal"
 
 
@@ -105,6 +105,6 @@ class RunAborted(FluxbenchError):
 
 
 class RunInterrupted(FluxbenchError):
-    """A signal asked the run to stop; the drive was ramped down and disarmed."""
+    """A signal stopped the run; the drive was ramped down and disarmed."""
 
     exit_code: ClassVar[int] = 130

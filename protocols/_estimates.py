@@ -189,7 +189,7 @@ class EstimationContext:
     @property
     def resistance(self) -> ResistanceEstimate | None:
         """The one with the narrowest interval."""
-        return min(self.of(ResistanceEstimate), key=lambda found: found.high - found.low, default=None)
+        return min(self.of(ResistanceEstimate), key=lambda estimate: estimate.high - estimate.low, default=None)
 
 
 @runtime_checkable

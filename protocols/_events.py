@@ -60,7 +60,7 @@ class StagesAppended(Strict):
 
     kind: Literal["stages_appended"] = "stages_appended"
     by: int | None
-    """Place of the stage that asked for them. None: a person went on with the finished run."""
+    """Index of the stage that appended them. None: a person extended the finished run."""
     stages: tuple[StageEntry, ...]
 
 
@@ -170,7 +170,7 @@ class RunEnded(Strict):
     reason: str
     run: str
     """Name of the run directory, which may have been moved since."""
-    estimates: Annotated[EstimationReport | None, BeforeValidator(lambda found: found or None)] = None
+    estimates: Annotated[EstimationReport | None, BeforeValidator(lambda report: report or None)] = None
     """None where nothing was estimated; older journals have an empty object there."""
 
 

@@ -1,4 +1,4 @@
-"""The excitations: what a drive is asked to play, whole, with the control loop and the injection on its side."""
+"""The excitations: programs that a drive runs as a whole, with the control loop and the injection on its side."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class _Excitation(Strict):
 
     @property
     def longest_current_a(self) -> float:
-        """Longest current vector that is asked for [A peak], the injection's ripple left out."""
+        """Longest current vector of the set-points [A peak], without the injection's ripple."""
         return math.hypot(*self.start_dq_a)
 
     def rows(self, sampling_frequency_hz: float) -> int:

@@ -63,9 +63,9 @@ class About(Strict):
     def lines(self) -> list[tuple[str, str]]:
         """Label and text of all that is given."""
         ambient = "" if self.ambient_c is None else f"{self.ambient_c:g} °C"
-        told = [("serial", self.serial), ("operator", self.operator), ("ambient", ambient)]
-        told += [("instruments", "; ".join(self.instruments)), ("tags", ", ".join(self.tags))]
-        return [(label, text) for label, text in (*told, ("notes", "; ".join(self.notes))) if text]
+        labelled = [("serial", self.serial), ("operator", self.operator), ("ambient", ambient)]
+        labelled += [("instruments", "; ".join(self.instruments)), ("tags", ", ".join(self.tags))]
+        return [(label, text) for label, text in (*labelled, ("notes", "; ".join(self.notes))) if text]
 
 
 class ThermometerChoice(Strict):
@@ -104,7 +104,7 @@ class Procedure(Strict):
     control: CurrentControl = CurrentControl()
     thermometer: ThermometerChoice | None = None
     interlocks: tuple[str, ...] = ()
-    """Interlock inputs that the drive has to have; all that it has are asked before arming and between points."""
+    """Interlock inputs that the drive must have; the engine reads all inputs before arming and between points."""
     accept_no_watchdog: Literal["I stand beside the drive and can cut its power"] | None = None
     """A drive without a dead man is refused unless this sentence is written out."""
     stages: Annotated[tuple[StageEntry, ...], Field(min_length=1)]

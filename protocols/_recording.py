@@ -76,7 +76,7 @@ class DriveRecord(Lenient):
 
 
 class Segment(Lenient):
-    """One uninterrupted stretch of samples and what was asked for in it."""
+    """One uninterrupted stretch of samples, and the excitation's settings."""
 
     id: SegmentId
     stage: SegmentStage
@@ -85,7 +85,7 @@ class Segment(Lenient):
     rotor_angle_rad: float = 0.0
     """The electrical angle that the operator believes in."""
     settings: dict[str, Any] = Field(default_factory=dict)
-    """What was asked for, never what was reached."""
+    """The set-points, never the values that were reached."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
     clipped_rows: Annotated[int, Field(ge=0)] = 0
     """Rows in which a reading or a voltage stood at the end of its scale: there was more than it says."""

@@ -291,7 +291,7 @@ class InductanceRange(Lenient):
 
 
 class MapReport(Lenient):
-    """What is told of one flux map beside its file."""
+    """Facts of one flux map beside its file."""
 
     basis: Basis | None = None
     checks: MapChecks
@@ -371,8 +371,8 @@ class MapCriteria(Lenient):
     parity_percent: float = 5.0
     """Largest break of the symmetry in i_q, which a wrong rotor angle makes; as large as what crossings may be."""
     reciprocity_percent: float = 10.0
-    """By which the slopes of a map that is not symmetric by construction may differ, of its inductance: where they were
-    told from too little, it was a third and more."""
+    """By which the slopes of a map that is not symmetric by construction may differ, of its inductance; with too few
+    points it was a third and more."""
     energy_percent: float = 2.0
     """rms by which an energy may be off the map by a method that errs; one that is off all of them is wrong itself."""
     least_flux_ratio: float = 0.01
@@ -457,7 +457,7 @@ class EstimatorsReport(Lenient):
     @property
     def measured_symmetry(self) -> str | None:
         """The best method whose map has parity and reciprocity not by construction; None where all have."""
-        return next((method for method, made in self.maps.items() if made.basis is not Basis.ENERGY), None)
+        return next((method for method, report in self.maps.items() if report.basis is not Basis.ENERGY), None)
 
 
 class DeliveredModel(Lenient):

@@ -65,7 +65,7 @@ class StageContext:
     index: int
     """Place of the stage among all, for errors and notes."""
     sampling_frequency_hz: float
-    """The drive's, or a nominal one where no drive was asked."""
+    """The drive's, or a nominal one where no drive is connected."""
     later: Sequence[Stage] = ()
     """The filled stages after it, for a stage that `looks_ahead`."""
     notes: list[str] = field(default_factory=list)
@@ -103,7 +103,7 @@ class Stage(Strict):
         return ()
 
     def as_run(self, run: StageRun, planned: Sequence[Excitation]) -> Iterator[Excitation]:
-        """The planned excitations that are left as they are to be run, each asked for when those before are measured.
+        """Yield the remaining planned excitations as they are to be run, each after those before it are measured.
 
         What differs from the plan is of the same kind, no longer than planned, and within what limits and drive allow:
         whoever runs it sees to that. Where they end early, what was measured is enough. The drive is armed, and holds
@@ -197,7 +197,7 @@ class StageRun(Protocol):
         """Stand the drive down and be in one of the stage's own `working` states."""
         ...
 
-    def say(self, message: Message, *, durable: bool = False) -> None:
+    def publish(self, message: Message, *, durable: bool = False) -> None:
         """Tell journal and streams; `durable` returns when it is on the disk."""
         ...
 
@@ -213,7 +213,7 @@ class StageRun(Protocol):
         ...
 
     def check(self) -> None:
-        """Raise `RunInterrupted` where a stop was asked for; to be called several times a second."""
+        """Raise `RunInterrupted` after a request to stop; to be called several times a second."""
         ...
 
     def plan(self, stages: Sequence[StageEntry]) -> None:

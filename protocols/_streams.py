@@ -42,7 +42,7 @@ class Stream(Protocol):
     def __init__(self, setup: StreamSetup) -> None: ...
 
     def receive(self, message: Message) -> None:
-        """Take one message. What is raised here is counted and said at the end, never passed on."""
+        """Take one message. The dispatcher counts what this raises, reports it at the end, and never passes it on."""
         ...
 
     def close(self) -> None:

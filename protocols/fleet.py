@@ -68,10 +68,10 @@ class FleetVersions(Lenient):
 
 
 class FleetRow(Lenient):
-    """One recording; null is what was not asked for or not got."""
+    """One recording; null means not requested, or not available."""
 
     key: str
-    """Hash of the recording's content, of what was asked for and of fluxbench's version; no two rows have the same."""
+    """Hash of the recording's content, the requested steps and fluxbench's version; unique in a table."""
     source: str
     """Where it is: a path or URL."""
     name: str | None = None
@@ -84,7 +84,7 @@ class FleetRow(Lenient):
     started_at: AwareDatetime | None = None
     recorded_samples: int | None = None
     content_sha256: str | None = None
-    """Of the recording's files alone: the same whatever was asked for."""
+    """Of the recording's files alone, whatever steps were requested."""
     fingerprint: str | None = None
     """Of names, sizes and times in the listing: what is the same there is not opened again."""
     asked: tuple[str, ...] = ()

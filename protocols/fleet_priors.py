@@ -17,7 +17,7 @@ class NormalPrior(Strict):
     """Between motors, with what the mean itself is uncertain by; in `unit`, as the mean."""
     unit: str
     recordings: Annotated[int, Field(ge=1)]
-    """That it was told from."""
+    """That it was estimated from."""
 
 
 class EffectPrior(Strict):

@@ -75,9 +75,9 @@ class Drift(Lenient):
     low: float
     high: float
     chance: float
-    """Of a trend so clear without any (Kendall), before it is weighed against how many were asked."""
+    """Of a trend this clear by chance (Kendall), before the correction for the number of tests."""
     drifts: bool
-    """Whether it is there, beside all quantities that were asked (Holm, 5 %)."""
+    """Whether the trend is significant among all tested quantities (Holm, 5 %)."""
 
 
 class BatchShift(Lenient):
@@ -91,7 +91,7 @@ class BatchShift(Lenient):
     high: float
     chance: float
     shifted: bool
-    """Whether it is there, beside all batches and quantities that were asked (Holm, 5 %)."""
+    """Whether the difference is significant among all tested batches and quantities (Holm, 5 %)."""
 
 
 class ChartPoint(Lenient):
@@ -204,7 +204,7 @@ class Distances(Lenient):
 
 
 class NotPassed(Lenient):
-    """A recording that failed, or of which it cannot be said."""
+    """A recording that failed, or whose interval includes the limit."""
 
     recording: FleetRecording
     judgement: Judgement
@@ -237,7 +237,7 @@ class PairChange(Lenient):
     """95 % interval of the difference, from both own intervals; null where one has none."""
     high: Number
     significant: bool
-    """Beyond both intervals, beside all differences that were asked (Holm, 5 %); or an effect that came or went."""
+    """Significant among all tested differences (Holm, 5 %), or an effect that appeared or disappeared."""
 
 
 class PairedQuantity(Lenient):

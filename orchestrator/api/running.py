@@ -59,7 +59,7 @@ def run(
     """
     # Who only reads a recording has no need of the engine.
     from orchestrator.config import load_procedure
-    from orchestrator.engine import AbsentOperator, Crew, Interrupts, handling_signals, start_run
+    from orchestrator.engine import AbsentOperator, Interrupts, RunServices, handling_signals, start_run
 
     if not isinstance(procedure, Procedure):
         overrides, motor_file = as_overrides(settings or {}), None if motor is None else Path(motor)
@@ -70,8 +70,8 @@ def run(
     with ExitStack() as stack:
         on_main = threading.current_thread() is threading.main_thread()  # no other thread may handle signals
         interrupts = stack.enter_context(handling_signals()) if on_main else Interrupts()
-        crew = Crew(operator or AbsentOperator(unattended), interrupts, {name: {} for name in streams})
-        error = start_run(procedure, path, crew).outcome.error
+        services = RunServices(operator or AbsentOperator(unattended), interrupts, {name: {} for name in streams})
+        error = start_run(procedure, path, services).outcome.error
     if error is not None:
         error.add_note(f"the run is kept in {path}")
         raise error

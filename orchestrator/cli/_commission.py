@@ -16,10 +16,10 @@ from orchestrator.config import read_procedure
 from orchestrator.engine import (
     NOTHING_LEFT,
     AbsentOperator,
-    Crew,
     Operator,
     RemoteOperator,
     RunResult,
+    RunServices,
     TerminalOperator,
     extend_run,
     handling_signals,
@@ -86,7 +86,7 @@ def run(
     if audience.console_mode == "auto":
         say_notes(loaded.readings)
     with loaded.naming_its_places():
-        return _with_crew(lambda crew: start_run(loaded.procedure, path, crew), audience)
+        return _with_services(lambda services: start_run(loaded.procedure, path, services), audience)
 
 
 def run_further(source: Path, rounds: int, audience: Audience) -> int:
@@ -94,23 +94,23 @@ def run_further(source: Path, rounds: int, audience: Audience) -> int:
     from orchestrator.cli._further import next_stages
 
     path, stages = next_stages(source, rounds)
-    return _with_crew(lambda crew: extend_run(path, stages, crew), audience)
+    return _with_services(lambda services: extend_run(path, stages, services), audience)
 
 
 def resume(path: Path, audience: Audience) -> int:
-    """Continue an interrupted run; energises only after the operator's confirmation."""
-    return _with_crew(lambda crew: resume_run(path, crew), audience)
+    """Go on with an interrupted run; energises only on the operator's word."""
+    return _with_services(lambda services: resume_run(path, services), audience)
 
 
-def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> int:
-    # A viewer's library would write log lines to the terminal; the streams' tally has the relevant ones.
+def _with_services(commission: Callable[[RunServices], RunResult], audience: Audience) -> int:
+    # A viewer's library would write its own words to the terminal; what matters of them is in the streams' tally.
     os.environ.setdefault("RUST_LOG", "off")
     operator = _operator(audience)
     with ExitStack() as stack:
         interrupts = stack.enter_context(handling_signals())
         if isinstance(operator, RemoteOperator):
             stack.enter_context(operator.listening(interrupts))
-        result = commission(Crew(operator, interrupts, audience.options()))
+        result = commission(RunServices(operator, interrupts, audience.options()))
     troubles = [tally.trouble for tally in result.streams if tally.trouble]
     if troubles and result.outcome.error is None:
         _warn("; ".join(troubles))

@@ -3,14 +3,14 @@
 from orchestrator.engine._commissioning import Commissioning, Outcome
 from orchestrator.engine._heartbeat import HeartbeatKeeper, host_gap
 from orchestrator.engine._interrupts import Interrupts, handling_signals
-from orchestrator.engine._operator import WORDS, AbsentOperator, Operator, TerminalOperator
+from orchestrator.engine._operator import SAFE_BENCH_WORDS, AbsentOperator, Operator, TerminalOperator
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import PowerStage
 from orchestrator.engine._remote import RemoteOperator
 from orchestrator.engine._session import (
     NOTHING_LEFT,
-    Crew,
     RunResult,
+    RunServices,
     connected_drive,
     extend_run,
     resume_run,
@@ -28,11 +28,10 @@ from orchestrator.engine._states import (
 
 __all__ = [
     "NOTHING_LEFT",
+    "SAFE_BENCH_WORDS",
     "TERMINAL",
-    "WORDS",
     "AbsentOperator",
     "Commissioning",
-    "Crew",
     "HeartbeatKeeper",
     "Interrupts",
     "Operator",
@@ -40,6 +39,7 @@ __all__ = [
     "PowerStage",
     "RemoteOperator",
     "RunResult",
+    "RunServices",
     "State",
     "StateMachine",
     "StateTable",

@@ -16,18 +16,18 @@ from collections import deque
 from contextlib import suppress
 from pathlib import Path
 
-HEAD = struct.Struct("<dH")
+BEAT_HEADER = struct.Struct("<dH")
 """Instant on the monotonic clock, and the length of what is to be written then."""
-REAL_TIME = 10
-_ALL_MEMORY = 3
+REAL_TIME_PRIORITY = 10
+_LOCK_ALL_MEMORY = 3
 
 
 def with_priority() -> bytes:
     """Ask for what the system gives: b"r" real time, b"n" a better nice value, b"p" plain."""
     with suppress(OSError, AttributeError):  # then it may be swapped out
-        ctypes.CDLL(None).mlockall(_ALL_MEMORY)
+        ctypes.CDLL(None).mlockall(_LOCK_ALL_MEMORY)
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME))
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
         return b"r"
     except (OSError, AttributeError):
         pass
@@ -41,8 +41,8 @@ def with_priority() -> bytes:
 def is_stopped(process: int) -> bool:
     """Whether somebody has stopped it (SIGSTOP, Ctrl-Z, a debugger); False where the system does not tell."""
     try:
-        told = Path(f"/proc/{process}/stat").read_bytes()
-        return told.rpartition(b")")[2].split()[0] in (b"T", b"t")
+        status = Path(f"/proc/{process}/stat").read_bytes()
+        return status.rpartition(b")")[2].split()[0] in (b"T", b"t")
     except (OSError, IndexError):
         return False
 
@@ -59,12 +59,12 @@ def beat(link: int) -> None:
             if not data:
                 return
             handed += data
-            while len(handed) >= HEAD.size:
-                at_s, length = HEAD.unpack_from(handed)
-                if len(handed) < HEAD.size + length:
+            while len(handed) >= BEAT_HEADER.size:
+                at_s, length = BEAT_HEADER.unpack_from(handed)
+                if len(handed) < BEAT_HEADER.size + length:
                     break
-                due.append((at_s, handed[HEAD.size : HEAD.size + length]))
-                handed = handed[HEAD.size + length :]
+                due.append((at_s, handed[BEAT_HEADER.size : BEAT_HEADER.size + length]))
+                handed = handed[BEAT_HEADER.size + length :]
         latest = None
         while due and due[0][0] <= time.monotonic():
             latest = due.popleft()[1]

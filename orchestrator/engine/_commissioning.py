@@ -13,14 +13,14 @@ from functools import partial
 from typing import Literal
 
 from orchestrator.config import Plan, PlannedPoint, nameplate_doubts
-from orchestrator.engine._agenda import Agenda
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._measuring import Measurement
 from orchestrator.engine._operator import Operator, Questions
 from orchestrator.engine._overcurrent import explain_overcurrent, ripple_ratio, sensor_noise
 from orchestrator.engine._plugins import UsedPlugins
-from orchestrator.engine._power import SAFE, PowerStage, as_drive_errors
+from orchestrator.engine._point_queue import PointQueue
+from orchestrator.engine._power import DISARMED_TEXT, PowerStage, as_drive_errors
 from orchestrator.engine._probing import RippleProbe, weakened
 from orchestrator.engine._stage_run import Engine, StageAtWork
 from orchestrator.engine._states import StateMachine, Trigger, table_of
@@ -108,11 +108,11 @@ class Commissioning:
         self._measurement = Measurement(run, self._power, log, interrupts, capabilities, limits, thermometer)
         self._probe = RippleProbe(self._power, limits, plan.procedure.motor, interrupts)
         self._machine = StateMachine(table_of(plan.stages), self._on_change)
-        self._agenda = Agenda(run, plan, capabilities)
+        self._queue = PointQueue(run, plan, capabilities)
         self._engine = Engine(
             run,
             capabilities,
-            self._agenda,
+            self._queue,
             self._machine,
             self._power,
             log,
@@ -133,7 +133,7 @@ class Commissioning:
         try:
             self._begin()
             index = 0
-            while index < len(self._agenda.stages):  # one at work may append to them
+            while index < len(self._queue.stages):  # one at work may append to them
                 index = self._enter(index)
             outcome = Outcome("finished", "every stage is done", None)
         except (RunInterrupted, RunAborted) as error:
@@ -145,11 +145,11 @@ class Commissioning:
             outcome = Outcome("faulted", str(plugin_error), plugin_error)
         except BaseException as error:  # a defect: the drive comes first, the traceback after
             outcome = Outcome("faulted", f"{type(error).__name__}: {error}", error)
-        return self._leave(outcome)
+        return self._shutdown(outcome)
 
     def _begin(self) -> None:
-        procedure = self._agenda.plan.procedure
-        self._log.say(
+        procedure = self._queue.plan.procedure
+        self._log.publish(
             RunStarted(
                 run=self._run.path.name,
                 name=procedure.name,
@@ -158,16 +158,16 @@ class Commissioning:
                 limits=procedure.limits,
                 drive=self._capabilities.name,
                 stages=len(procedure.stages),
-                points=self._agenda.points,
-                points_done=len(self._agenda.done),
-                seconds=self._agenda.seconds_left,
+                points=self._queue.points,
+                points_done=len(self._queue.done),
+                seconds=self._queue.seconds_left,
             )
         )
         for doubt in nameplate_doubts(procedure.motor):
-            self._log.say(Note(level="warning", text=doubt))
+            self._log.publish(Note(level="warning", text=doubt))
         self._machine.fire(Trigger.CONNECT)
         self._power.verify_at_rest()
-        last = max(self._agenda.done.values(), key=lambda segment: segment.start_s, default=None)
+        last = max(self._queue.done.values(), key=lambda segment: segment.start_s, default=None)
         if last is not None and isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
                 self._drive.restore(last.id, self._run.end_s())
@@ -175,68 +175,68 @@ class Commissioning:
     def _enter(self, index: int) -> int:
         """Measure what is left of a stage, and let it work on that; returns the stage that is next."""
         self._interrupts.check()
-        stage = self._agenda.stages[index]
-        at_work = StageAtWork(index, self._engine, self._conclude)
-        left = self._agenda.points_left(index)
+        stage = self._queue.stages[index]
+        at_work = StageAtWork(index, self._engine, self._keep_estimates)
+        left = self._queue.points_left(index)
         if left and stage.measuring is not None:
-            self._log.say(StageStarted(index=index, stage=stage.name, title=stage.title, points=len(left)))
+            self._log.publish(StageStarted(index=index, stage=stage.name, title=stage.title, points=len(left)))
             self._machine.fire(stage.measuring.trigger)
             self._power.arm()
             try:
                 self._measure_points(index, stage.measuring, at_work, self._within_limits(index, left))
             except DriveRefused as refusal:
                 return self._skipped(index, refusal)
-        if self._agenda.has_work(index):
+        if self._queue.has_work(index):
             if not left:
-                self._log.say(StageStarted(index=index, stage=stage.name, title=stage.title, points=0))
+                self._log.publish(StageStarted(index=index, stage=stage.name, title=stage.title, points=0))
             stage.work(at_work)
         return index + 1
 
     def _measure_points(
         self, index: int, measuring: StageState, at_work: StageAtWork, points: list[PlannedPoint]
     ) -> None:
-        stage = self._agenda.stages[index]
-        asked = stage.as_run(at_work, [point.excitation for point in points])
+        stage = self._queue.stages[index]
+        excitations = stage.as_run(at_work, [point.excitation for point in points])
         for point in points:
             if self._interrupts.pause_wanted:
                 self._pause(measuring)
-            excitation = next(asked, None)
+            excitation = next(excitations, None)
             if excitation is None:
-                self._log.say(self._agenda.suffice(index), durable=True)
+                self._log.publish(self._queue.suffice(index), durable=True)
                 return
-            asked_for = self._agenda.allowed(point, excitation)
+            point_as_run = self._queue.allowed(point, excitation)
             if self._machine.state != measuring.name:  # it stood down to compute
                 self._machine.fire(measuring.trigger)
             self._power.arm()
-            self._measure_point(point, asked_for, partial(stage.after_point, at_work))
+            self._measure_point(point, point_as_run, partial(stage.after_point, at_work))
 
     def _skipped(self, index: int, refusal: DriveRefused) -> int:
         """Nobody has written an experiment that this program proposed: where the drive refuses it, the run is complete.
 
         What was appended with it, to work on what it would have measured, is passed over too.
         """
-        end = self._agenda.end_of_appended(index)
+        end = self._queue.end_of_appended(index)
         if end is None:
             raise refusal
-        told = f"stages.{index} was proposed, and the drive refuses it: {refusal}; passed over"
-        self._log.say(Note(level="warning", text=told))
+        message = f"stages.{index} was proposed, and the drive refuses it: {refusal}; passed over"
+        self._log.publish(Note(level="warning", text=message))
         return end
 
     def _within_limits(self, index: int, left: list[PlannedPoint]) -> list[PlannedPoint]:
         """The points with their injection as weak as the ripple at the rim makes necessary."""
-        factor = self._agenda.factor(index)
+        factor = self._queue.factor(index)
         if factor is None:
             factor = self._probe.factor(left)
             if factor < 1.0:
-                told = (
+                message = (
                     f"the ripple at the rim is stronger than the nameplate says: injection at {factor:.0%} of the plan"
                 )
-                self._log.say(Note(level="info", text=told))
+                self._log.publish(Note(level="info", text=message))
         return [weakened(point, factor) for point in left]
 
     def _measure_point(self, planned: PlannedPoint, point: PlannedPoint, after: Callable[[Segment], None]) -> None:
         target_d_a, target_q_a = point.target if point.target is not None else (None, None)
-        self._log.say(
+        self._log.publish(
             PointStarted(
                 id=point.id,
                 stage_index=point.stage_index,
@@ -252,53 +252,53 @@ class Commissioning:
         if isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
                 self._drive.checkpoint(point.id)
-        self._agenda.tick_off(planned, segment)
-        self._log.say(
+        self._queue.mark_done(planned, segment)
+        self._log.publish(
             PointDone(
                 id=point.id,
                 stage_index=point.stage_index,
                 segment=segment,
                 achieved_d_a=achieved_d_a,
                 achieved_q_a=achieved_q_a,
-                points_done=len(self._agenda.done),
-                points=self._agenda.points,
-                seconds_left=self._agenda.seconds_left,
+                points_done=len(self._queue.done),
+                points=self._queue.points,
+                seconds_left=self._queue.seconds_left,
             ),
             durable=True,
         )
 
-    def _conclude(self, estimates: EstimationReport) -> None:
+    def _keep_estimates(self, estimates: EstimationReport) -> None:
         self._summary = estimates
 
     def _pause(self, measuring: StageState) -> None:
-        self._engine.stand_down("a pause was asked for")
+        self._engine.stand_down("a pause was requested")
         self._machine.fire(Trigger.PAUSE)
         self._log.before_prompt()
         self._interrupts.wait_until_resumed()
         self._machine.fire(measuring.trigger, "the operator let it go on")
         self._power.arm()
 
-    def _leave(self, outcome: Outcome) -> Outcome:
-        """Stop, whatever has happened; what can no longer be written is told in the reason."""
+    def _shutdown(self, outcome: Outcome) -> Outcome:
+        """Stop, whatever has happened; the reason names what can no longer be written."""
         trouble: list[str] = []
         try:
             if self._machine.may(Trigger.STOP):  # else it was on its way when something failed
-                trouble.append(self._last_word(lambda: self._machine.fire(Trigger.STOP, outcome.reason)))
+                trouble.append(self._attempt(lambda: self._machine.fire(Trigger.STOP, outcome.reason)))
         finally:  # a defect comes after the drive
             stood_down = self._power.stand_down()
         if stood_down:
-            level: Literal["info", "error"] = "info" if stood_down == SAFE else "error"
-            trouble.append(self._last_word(lambda: self._log.say(Note(level=level, text=stood_down))))
+            level: Literal["info", "error"] = "info" if stood_down == DISARMED_TEXT else "error"
+            trouble.append(self._attempt(lambda: self._log.publish(Note(level=level, text=stood_down))))
         if self._power.unsafe is not None and outcome.ending != "faulted":
             outcome = Outcome("faulted", stood_down, self._power.unsafe, outcome.estimates)
-        if self._agenda.done:
-            trouble.append(self._last_word(self._keep_manifest))
+        if self._queue.done:
+            trouble.append(self._attempt(self._keep_manifest))
         outcome = self._explained(outcome)
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         ending = self._ending(outcome)
-        self._last_word(lambda: self._machine.fire(ENDINGS[ending], reason))
+        self._attempt(lambda: self._machine.fire(ENDINGS[ending], reason))
         ended = RunEnded(outcome=ending, reason=reason, run=self._run.path.name, estimates=self._summary)
-        trouble.append(self._last_word(lambda: self._log.say(ended, durable=True)))
+        trouble.append(self._attempt(lambda: self._log.publish(ended, durable=True)))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         return Outcome(self._ending(outcome), reason, outcome.error or self._unwritten, self._summary)
 
@@ -307,14 +307,14 @@ class Commissioning:
         fault, point = outcome.error, self._tripped_at
         if not isinstance(fault, DriveFault) or fault.cause is not FaultCause.OVERCURRENT or point is None:
             return outcome
-        procedure, noise, seen = self._agenda.plan.procedure, None, None
-        if self._agenda.done:
+        procedure, noise, ripple = self._queue.plan.procedure, None, None
+        if self._queue.done:
             with suppress(FluxbenchError, OSError):  # what cannot be read explains nothing
                 recording = open_recording(self._run.path)
                 noise = sensor_noise(recording)
-                seen = ripple_ratio(recording, procedure.motor, noise)
+                ripple = ripple_ratio(recording, procedure.motor, noise)
         hint = explain_overcurrent(
-            point, procedure.motor, procedure.limits, self._capabilities.sampling_frequency_hz, noise, seen
+            point, procedure.motor, procedure.limits, self._capabilities.sampling_frequency_hz, noise, ripple
         )
         explained = DriveFault(fault.cause, f"{point.id}: {fault.detail}; {hint}")
         return replace(outcome, reason=str(explained), error=explained)
@@ -329,7 +329,7 @@ class Commissioning:
         except RecordingError as error:  # what this run itself has written cannot be read: that is the disk's fault
             raise StorageError(str(error)) from error
 
-    def _last_word(self, call: Callable[[], object]) -> str:
+    def _attempt(self, call: Callable[[], object]) -> str:
         """Do one thing of the way out; a disk that is full must not keep the next from being done."""
         try:
             call()
@@ -341,4 +341,4 @@ class Commissioning:
         return ""
 
     def _on_change(self, source: str, target: str, reason: str) -> None:
-        self._log.say(StateChanged(source=source, target=target, reason=reason), durable=True)
+        self._log.publish(StateChanged(source=source, target=target, reason=reason), durable=True)

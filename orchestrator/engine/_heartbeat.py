@@ -20,16 +20,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import ClassVar, Self
 
-from orchestrator.engine._beater import HEAD, worst_gap
+from orchestrator.engine._beater import BEAT_HEADER, worst_gap
 from protocols import Drive, RelayedDrive
 
 LEASE_S = 5.0
 """How long the run's thread may be busy (writing a capture to a slow disk) before beating stops."""
-AHEAD_S = 3.0
+BEATS_AHEAD_S = 3.0
 """Beats that are handed over at a time: longer than a busy host keeps this process waiting, within any lease."""
-BEATS_A_WATCHDOG = 4
+BEATS_PER_WATCHDOG = 4
 _BEATER = str(Path(__file__).with_name("_beater.py"))
-_ALONE = (sys.executable, "-I", "-S", _BEATER)
+_BEATER_COMMAND = (sys.executable, "-I", "-S", _BEATER)
 """Without site-packages it is there in some hundredths of a second."""
 
 
@@ -47,7 +47,7 @@ class HeartbeatKeeper:
 
     def __init__(self, drive: Drive, watchdog_s: float | None) -> None:
         self._drive = drive
-        self._period_s = None if watchdog_s is None else watchdog_s / BEATS_A_WATCHDOG
+        self._period_s = None if watchdog_s is None else watchdog_s / BEATS_PER_WATCHDOG
         self._expiry = 0.0
         self._done = threading.Event()
         self._thread: threading.Thread | None = None
@@ -89,7 +89,7 @@ class HeartbeatKeeper:
                     self._drive.heartbeat()
                 continue
             handed_s = max(handed_s, now)
-            while handed_s + self._period_s < min(now + AHEAD_S, self._expiry):
+            while handed_s + self._period_s < min(now + BEATS_AHEAD_S, self._expiry):
                 handed_s += self._period_s
                 if not self._relay.hand(handed_s):
                     self._relay = None  # it has died: this thread goes on
@@ -104,7 +104,7 @@ class _Relay:
     def __init__(self, drive: RelayedDrive, outlet: int) -> None:
         self._drive = drive
         self._process = subprocess.Popen(
-            [*_ALONE, str(outlet)],
+            [*_BEATER_COMMAND, str(outlet)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -137,9 +137,9 @@ class _Relay:
     def hand(self, at_s: float) -> bool:
         """Have a beat written at this instant; False where nobody is there to do it."""
         assert self._process.stdin is not None
-        said = self._drive.heartbeat_at(at_s)
+        beat = self._drive.heartbeat_at(at_s)
         try:
-            self._process.stdin.write(HEAD.pack(at_s, len(said)) + said)
+            self._process.stdin.write(BEAT_HEADER.pack(at_s, len(beat)) + beat)
         except OSError:
             return False
         return True
@@ -169,7 +169,7 @@ class HostGap:
     @property
     def keeps_s(self) -> float:
         """The shortest watchdog that a beat every quarter of it keeps through such a gap, doubled to be sure."""
-        return max(2.0 * self.worst_s * BEATS_A_WATCHDOG / (BEATS_A_WATCHDOG - 1), self.shortest_s)
+        return max(2.0 * self.worst_s * BEATS_PER_WATCHDOG / (BEATS_PER_WATCHDOG - 1), self.shortest_s)
 
 
 def host_gap(drive: Drive, seconds: float = 1.0) -> HostGap:
@@ -177,9 +177,9 @@ def host_gap(drive: Drive, seconds: float = 1.0) -> HostGap:
     relayed = isinstance(drive, RelayedDrive) and drive.heartbeat_outlet() is not None and os.name == "posix"
     if relayed:
         with suppress(OSError, subprocess.SubprocessError, ValueError):
-            command = [*_ALONE, "measure", str(seconds)]
-            told = subprocess.run(command, capture_output=True, text=True, timeout=seconds + 10.0, check=True).stdout
-            priority, worst = told.split()
+            command = [*_BEATER_COMMAND, "measure", str(seconds)]
+            output = subprocess.run(command, capture_output=True, text=True, timeout=seconds + 10.0, check=True).stdout
+            priority, worst = output.split()
             return HostGap(float(worst), f"a process of {_PRIORITIES[priority]} priority")
     return HostGap(worst_gap(seconds), "a thread, for this link cannot be shared,")
 

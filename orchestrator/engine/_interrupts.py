@@ -19,7 +19,7 @@ STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 class Interrupts:
-    """What was asked of a run from outside; safe to call from any thread or handler.
+    """Requests to a run from outside; safe to call from any thread or handler.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class Interrupts:
         self._resumed.set()
 
     def check(self) -> None:
-        """Raise `RunInterrupted` where a stop was asked for."""
+        """Raise `RunInterrupted` after a request to stop."""
         if self._stop is not None:
             raise RunInterrupted(self._stop)
 

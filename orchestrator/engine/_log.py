@@ -21,7 +21,7 @@ class RunLog:
     def __init__(self, journal: Journal, dispatcher: Dispatcher) -> None:
         self._journal, self._dispatcher = journal, dispatcher
 
-    def say(self, message: Message, *, durable: bool = False) -> None:
+    def publish(self, message: Message, *, durable: bool = False) -> None:
         """Publish; `durable` returns only when the journal is on the disk.
 
         Raises `StorageError` where the journal can no longer be written; the streams have the

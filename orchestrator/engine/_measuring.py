@@ -17,8 +17,8 @@ from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, Note, SamplesCaptured, Segment
 
-OVERSHOOT = 1.5
-"""Current in samples that a drive should long have tripped on, against the limit."""
+MAX_CURRENT_RATIO = 1.5
+"""Current of a sample over the limit, at which the drive should have tripped long before."""
 
 
 class MeanCurrent:
@@ -83,7 +83,7 @@ class Measurement:
         StorageError
             The disk does not take it.
         RunInterrupted
-            A stop was asked for.
+            A stop was requested.
         """
         angle = point.excitation.rotor_angle_rad
         mean = MeanCurrent(angle)
@@ -99,8 +99,8 @@ class Measurement:
                 writer.append(capture)
                 self._check_current(capture, point.id)
                 mean.add(capture)
-                self._alignment.hear(point.excitation, capture)
-                self._log.say(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
+                self._alignment.update(point.excitation, capture)
+                self._log.publish(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
             self._interrupts.check()
             self._check_length(point, mean.samples)
             self._power.require_interlocks()
@@ -118,21 +118,21 @@ class Measurement:
         )
         if mean.clipped_rows:
             rows = f"{mean.clipped_rows} of {mean.samples} rows"
-            told = f"{point.id}: {rows} stand at the end of the drive's scale: clipped"
-            self._log.say(Note(level="warning", text=told))
+            message = f"{point.id}: {rows} stand at the end of the drive's scale: clipped"
+            self._log.publish(Note(level="warning", text=message))
         return segment, mean.dq()
 
     def _temperature(self, segment: str) -> LoggedTemperature:
-        found = LoggedTemperature(self._thermometer)
-        if found.missing and not self._missed:
-            told = "the thermometer says nothing, or nothing new: without it until it does"
-            self._log.say(Note(level="warning", text=f"{segment}: {told}"))
-        self._missed = found.missing
-        return found
+        temperature = LoggedTemperature(self._thermometer)
+        if temperature.missing and not self._missed:
+            message = "the thermometer says nothing, or nothing new: without it until it does"
+            self._log.publish(Note(level="warning", text=f"{segment}: {message}"))
+        self._missed = temperature.missing
+        return temperature
 
     def _check_current(self, capture: Capture, segment: str) -> None:
         peak = float(np.sqrt(np.max(np.einsum("na,na->n", capture.i_ab, capture.i_ab))))
-        if peak > OVERSHOOT * self._limits.current_a:
+        if peak > MAX_CURRENT_RATIO * self._limits.current_a:
             raise DriveFault(
                 FaultCause.OVERCURRENT,
                 f"{segment}: {peak:.3g} A measured, the limit is {self._limits.current_a:.3g} A, and the drive went on",
@@ -141,4 +141,4 @@ class Measurement:
     def _check_length(self, point: PlannedPoint, samples: int) -> None:
         expected = point.excitation.rows(self._capabilities.sampling_frequency_hz)
         if abs(samples - expected) > 1:
-            raise DriveFault(FaultCause.WRONG_DATA, f"{point.id}: {samples} samples came, {expected} were asked for")
+            raise DriveFault(FaultCause.WRONG_DATA, f"{point.id}: {samples} samples came, {expected} were requested")

@@ -12,7 +12,7 @@ from orchestrator.engine._remote import RemoteOperator
 from orchestrator.formatting.sentences import cut, visible
 from protocols import InputError, OperatorAnswered, OperatorAsked, RunAborted
 
-WORDS = "I have made the bench safe"
+SAFE_BENCH_WORDS = "I have made the bench safe"
 """By which a procedure's own answers count on a real drive; kept in the journal."""
 
 
@@ -20,7 +20,7 @@ class Operator(Protocol):
     """A person, or what stands in for one."""
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
-        """Ask and wait; True for yes. Raises `RunInterrupted` where a stop is asked for meanwhile."""
+        """Ask and wait; True for yes. Raises `RunInterrupted` after a request to stop."""
         ...
 
 
@@ -30,7 +30,7 @@ class AbsentOperator:
     Parameters
     ----------
     words : str, optional
-        `WORDS`, spelled out: the procedure's answers count on a real drive as well. By default on simulated ones only.
+        `SAFE_BENCH_WORDS`: the procedure's answers count on a real drive too. Default: on simulated ones only.
 
     Raises
     ------
@@ -39,8 +39,8 @@ class AbsentOperator:
     """
 
     def __init__(self, words: str | None = None) -> None:
-        if words not in (None, WORDS):
-            raise InputError("--unattended", "", f'expected "{WORDS}", spelled out; got {cut(repr(words))}')
+        if words not in (None, SAFE_BENCH_WORDS):
+            raise InputError("--unattended", "", f'expected "{SAFE_BENCH_WORDS}", spelled out; got {cut(repr(words))}')
         self.words = words
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
@@ -72,7 +72,7 @@ class TerminalOperator:
 class Questions:
     """Puts questions to the operator, and keeps them and their answers in the journal.
 
-    On a real drive a procedure does not answer for a person, unless whoever started the run has said `WORDS`.
+    On a real drive a procedure answers for a person only where the run was started with `SAFE_BENCH_WORDS`.
     """
 
     def __init__(self, operator: Operator, interrupts: Interrupts, log: RunLog, *, simulated: bool) -> None:
@@ -88,17 +88,19 @@ class Questions:
         RunAborted
             The answer is no, or nobody is there.
         """
-        self._log.say(OperatorAsked(prompt=prompt))
+        self._log.publish(OperatorAsked(prompt=prompt))
         if answered and self._canned_counts:
-            self._log.say(OperatorAnswered(answer="yes", by="procedure", words=self._words or ""), durable=True)
+            self._log.publish(OperatorAnswered(answer="yes", by="procedure", words=self._words or ""), durable=True)
             return
         if answered and isinstance(self._operator, AbsentOperator):
             problem = "the procedure's own answer counts on a simulated drive only"
-            raise RunAborted(f'nobody is there to answer: {prompt} ({problem}, or with --unattended "{WORDS}")')
+            raise RunAborted(
+                f'nobody is there to answer: {prompt} ({problem}, or with --unattended "{SAFE_BENCH_WORDS}")'
+            )
         self._log.before_prompt()
         agreed = self._operator.confirm(prompt, self._interrupts)
         through = self._operator.through if isinstance(self._operator, RemoteOperator) else ""
-        told = OperatorAnswered(answer="yes" if agreed else "no", by="operator", through=through)
-        self._log.say(told, durable=True)
+        answer = OperatorAnswered(answer="yes" if agreed else "no", by="operator", through=through)
+        self._log.publish(answer, durable=True)
         if not agreed:
-            raise RunAborted(f"the operator said no to: {prompt}")
+            raise RunAborted(f"the operator answered no to: {prompt}")

@@ -16,11 +16,11 @@ from orchestrator.config import PlannedPoint, nominal_ripple_a
 from orchestrator.stages import flux_swing_wb, ripple_a
 from protocols import GatesOff, Injection, Limits, Motor, RecordingReader, Segment, SegmentStage
 
-WRONG_INDUCTANCE_RATIO = 2.0
+MAX_RIPPLE_RATIO = 2.0
 """Measured over the nameplate's ripple from which on the inductance is the cause: iron saturates by 20 to 60 %."""
-MOST_INJECTIONS_READ = 5
+MAX_INJECTIONS_READ = 5
 """A lock check's: at rest and under torque."""
-SMALLEST_CURRENT_SHARE = 0.3
+MIN_CURRENT_RATIO = 0.3
 """Of the set-point: less is no measurement of this motor, and other sensors are wanted."""
 _PEAK_OVER_RMS = {"square": math.sqrt(3.0), "sine": math.sqrt(2.0)}
 """Of the current ripple that the injected waveform makes."""
@@ -72,7 +72,7 @@ def ripple_ratio(recording: RecordingReader, motor: Motor, noise: SensorNoise | 
     """
     stages = (SegmentStage.LOCK_CHECK, SegmentStage.INJECTION)
     segments = [segment for segment in recording.segments() if segment.stage in stages]
-    ratios = (_ripple_ratio(recording, segment, motor, noise) for segment in segments[:MOST_INJECTIONS_READ])
+    ratios = (_ripple_ratio(recording, segment, motor, noise) for segment in segments[:MAX_INJECTIONS_READ])
     return min((one for one in ratios if one is not None), key=lambda one: one.ratio, default=None)
 
 
@@ -98,7 +98,7 @@ def explain_overcurrent(
     limits: Limits,
     sampling_frequency_hz: float,
     noise: SensorNoise | None = None,
-    seen: RippleRatio | None = None,
+    ripple: RippleRatio | None = None,
 ) -> str:
     """Say in one line what reached the trip, with its numbers, and what ends it.
 
@@ -113,29 +113,29 @@ def explain_overcurrent(
         How often the drive compares its readings.
     noise : SensorNoise, optional
         As measured before.
-    seen : RippleRatio, optional
+    ripple : RippleRatio, optional
         Of an injection measured before.
     """
     excitation, limit_a = point.excitation, limits.current_a
-    asked_a, nominal_a = excitation.longest_current_a, nominal_ripple_a(excitation, motor)
+    set_point_a, nominal_a = excitation.longest_current_a, nominal_ripple_a(excitation, motor)
     if isinstance(excitation, GatesOff):
         return "no current is driven with the gates off: offset, noise or scale of the sensors reach the trip alone"
     rows = round((excitation.settling_s + excitation.captured_s) * sampling_frequency_hz)
     noise_a = noise.peak_a(rows) + noise.offset_a if noise is not None else 0.0
-    swing_a = nominal_a * (max(seen.ratio, 1.0) if seen is not None else 1.0)
-    budget = f"{asked_a:.3g} A were asked for{_noise_words(noise, noise_a, rows)}"
+    swing_a = nominal_a * (max(ripple.ratio, 1.0) if ripple is not None else 1.0)
+    budget = f"{set_point_a:.3g} A were commanded{_noise_words(noise, noise_a, rows)}"
     if nominal_a > 0.0:
         budget += f", the nameplate's ripple is {nominal_a:.2g} A"
-    wrong = seen is not None and seen.ratio > WRONG_INDUCTANCE_RATIO
-    if seen is not None and wrong and (nominal_a > 0.0 or asked_a + noise_a < limit_a):
-        return f"{budget}; {_wrong_inductance(seen, motor)}"
-    if asked_a + noise_a + swing_a < limit_a:
+    wrong = ripple is not None and ripple.ratio > MAX_RIPPLE_RATIO
+    if ripple is not None and wrong and (nominal_a > 0.0 or set_point_a + noise_a < limit_a):
+        return f"{budget}; {_wrong_inductance(ripple, motor)}"
+    if set_point_a + noise_a + swing_a < limit_a:
         return (
             f"{budget}: together less than limits.current_a of {limit_a:g} A; {_unseen(point, motor, limit_a, noise_a)}"
         )
     if noise_a >= swing_a:
         return f"{budget}: {_too_noisy(point, limit_a, noise_a, swing_a)}"
-    return f"{budget}: the ripple reaches the trip; {_weaker(point, limit_a - asked_a - noise_a, swing_a)}"
+    return f"{budget}: the ripple reaches the trip; {_weaker(point, limit_a - set_point_a - noise_a, swing_a)}"
 
 
 def _noise_words(noise: SensorNoise | None, noise_a: float, rows: int) -> str:
@@ -144,25 +144,25 @@ def _noise_words(noise: SensorNoise | None, noise_a: float, rows: int) -> str:
     return f", noise and offset reach {noise_a:.2g} A ({noise.longest_a:.2g} A rms with the gates off, {rows} rows)"
 
 
-def _wrong_inductance(seen: RippleRatio, motor: Motor) -> str:
+def _wrong_inductance(ripple: RippleRatio, motor: Motor) -> str:
     known = {"d": motor.d_inductance_h, "q": motor.q_inductance_h}
-    true = " and ".join(f"{axis}_inductance_h {h / seen.ratio:.2g}" for axis, h in known.items() if h is not None)
+    true = " and ".join(f"{axis}_inductance_h {h / ripple.ratio:.2g}" for axis, h in known.items() if h is not None)
     return (
-        f"in {seen.segment} the ripple was {seen.ratio:.2g} times the nameplate's: its inductance is too large, or the "
-        f"iron saturates by as much; with {true} H (half of what is measured line to line) the plan fits the motor"
+        f"in {ripple.segment} the ripple was {ripple.ratio:.2g} times the nameplate's: its inductance is too large, or "
+        f"the iron saturates by as much; with {true} H (half of what is measured line to line) the plan fits the motor"
     )
 
 
 def _too_noisy(point: PlannedPoint, limit_a: float, noise_a: float, swing_a: float) -> str:
-    asked_a = point.excitation.longest_current_a
-    needed_a = asked_a + noise_a + swing_a
+    set_point_a = point.excitation.longest_current_a
+    needed_a = set_point_a + noise_a + swing_a
     room_a = limit_a - noise_a - swing_a
     raised = f"limits.current_a of {_up(needed_a):g} A, where motor and drive bear it"
-    if room_a < SMALLEST_CURRENT_SHARE * asked_a:
+    if room_a < MIN_CURRENT_RATIO * set_point_a:
         return f"the noise reaches the trip; that needs quieter sensors, or {raised}"
     return (
         f"the noise reaches the trip; currents of {_down(room_a):g} A at most in stages.{point.stage_index} end "
-        f"that, or {raised}, with these {asked_a:.3g} A written into the stage: left out, they grow with the limit"
+        f"that, or {raised}, with these {set_point_a:.3g} A written into the stage: left out, they grow with the limit"
     )
 
 

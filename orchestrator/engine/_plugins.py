@@ -23,7 +23,7 @@ class UsedPlugins:
     """
 
     def __init__(self, stages: Iterable[Stage]) -> None:
-        self._made: dict[tuple[str, str], Any] = {}
+        self._loaded: dict[tuple[str, str], Any] = {}
         self.take(stages)
 
     def take(self, stages: Iterable[Stage]) -> None:
@@ -34,9 +34,9 @@ class UsedPlugins:
             named = {use.name for use in uses if use.kind == kind}
             if None in named:
                 named |= {info.name for info in installed.plugins}
-            for name in named - {None} - {made for of, made in self._made if of == kind}:
-                self._made[kind, str(name)] = installed.load(str(name))()
+            for name in named - {None} - {loaded for of, loaded in self._loaded if of == kind}:
+                self._loaded[kind, str(name)] = installed.load(str(name))()
 
     def of(self, kind: str) -> list[Any]:
         """Those of a kind, in order of their names."""
-        return [self._made[key] for key in sorted(self._made) if key[0] == kind]
+        return [self._loaded[key] for key in sorted(self._loaded) if key[0] == kind]

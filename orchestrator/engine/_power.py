@@ -29,9 +29,9 @@ from protocols import (
 
 T = TypeVar("T")
 
-SAFE = "current ramped down, drive disarmed"
+DISARMED_TEXT = "current ramped down, drive disarmed"
 
-WAY_OUT_S = 10.0
+SHUTDOWN_TIMEOUT_S = 10.0
 """How long ramping down, and disarming, may take before the drive is given up."""
 
 
@@ -54,7 +54,7 @@ class PowerStage:
         self._interrupts = interrupts
         self._keeper: HeartbeatKeeper | None = None
         self.unsafe: FluxbenchError | None = None
-        """Why the drive may still be energised, though it was told to disarm."""
+        """Why the drive may still be energised after the command to disarm."""
 
     @property
     def armed(self) -> bool:
@@ -69,21 +69,21 @@ class PowerStage:
         """Raise `DriveFault` where the drive is not disarmed, or has a fault that nobody has cleared."""
         telemetry = self.telemetry()
         if telemetry.state is not DriveState.DISARMED or telemetry.faults:
-            told = ", ".join(telemetry.faults) or "none"
+            faults = ", ".join(telemetry.faults) or "none"
             raise DriveFault(
                 FaultCause.INTERNAL,
                 f"{self._capabilities.name} should be disarmed without faults, "
-                f"but is {telemetry.state.value} with faults: {told}",
+                f"but is {telemetry.state.value} with faults: {faults}",
             )
 
     def require_interlocks(self) -> None:
         """Raise `DriveFault` where one of the drive's interlock inputs forbids power."""
         if not self._capabilities.interlocks:
             return
-        found = self.telemetry().open_interlocks
-        if found:
-            told = f"interlock open: {', '.join(found)}; close it, and resume"
-            raise DriveFault(FaultCause.EMERGENCY_STOP, told)
+        open_inputs = self.telemetry().open_interlocks
+        if open_inputs:
+            message = f"interlock open: {', '.join(open_inputs)}; close it, and resume"
+            raise DriveFault(FaultCause.EMERGENCY_STOP, message)
 
     def arm(self) -> None:
         """Energise, unless it already is and the interlocks are closed; from here on the heart beats."""
@@ -106,10 +106,10 @@ class PowerStage:
             raise RuntimeError("execute before arm")
         self._keeper.renew(quiet_s)
         blocks = self._next_of(lambda: self._drive.execute(excitation), LEASE_S)
-        patience_s = quiet_s + LEASE_S
-        while (capture := self._next_of(lambda: next(blocks, None), patience_s)) is not None:
+        timeout_s = quiet_s + LEASE_S
+        while (capture := self._next_of(lambda: next(blocks, None), timeout_s)) is not None:
             self._keeper.renew()
-            patience_s = LEASE_S
+            timeout_s = LEASE_S
             yield self._checked(capture)
         self._keeper.renew()
 
@@ -143,11 +143,11 @@ class PowerStage:
         self._keeper.close()
         self._keeper = None
         failures = {"ramping down": failed_ramp, "disarming": self.unsafe}
-        told = "; ".join(f"{deed} failed ({error})" for deed, error in failures.items() if error is not None)
-        return f"{told}; {self._what_is_left()}" if told else SAFE
+        failed = "; ".join(f"{deed} failed ({error})" for deed, error in failures.items() if error is not None)
+        return f"{failed}; {self._what_is_left()}" if failed else DISARMED_TEXT
 
     def _what_is_left(self) -> str:
-        """What makes a drive safe that did not do as it was told."""
+        """What makes a drive safe that ignored a command."""
         if isinstance(self.unsafe, DriveFault) and self.unsafe.cause is FaultCause.STILL_ARMED:
             return "THE DRIVE MAY STILL BE ARMED: CUT ITS POWER"
         watchdog = self._capabilities.watchdog_s
@@ -161,13 +161,13 @@ class PowerStage:
         try:
             is_armed = self.telemetry().state is DriveState.ARMED
         except FluxbenchError:
-            return  # it has done as it was told, and says nothing else
+            return  # it took the command, and no telemetry contradicts it
         if is_armed:
             raise DriveFault(FaultCause.STILL_ARMED, "after disarming, its telemetry says that it is armed")
 
     def _attempt(self, call: Callable[[], None]) -> FluxbenchError | None:
         try:
-            with as_drive_errors(self._capabilities.name), self._interrupts.deadline(WAY_OUT_S):
+            with as_drive_errors(self._capabilities.name), self._interrupts.deadline(SHUTDOWN_TIMEOUT_S):
                 call()
         except FluxbenchError as error:
             return error

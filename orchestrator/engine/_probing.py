@@ -25,24 +25,24 @@ from protocols import DriveRefused, Injection, Limits, Motor, Segment
 
 @dataclass(frozen=True)
 class _Rules:
-    """How a ripple is felt, and what it may be."""
+    """Settings of the probe, and limits of the ripple."""
 
-    growth: float = 2.9
-    """Peak over the nameplate's ripple up to which nothing is probed: twice as the wave begins, and saturation."""
-    tolerated: float = 1.1
-    """Of the limit: what the first half wave may reach; drives trip above that."""
+    max_growth_ratio: float = 2.9
+    """Peak over the nameplate's ripple that needs no probe: twice as the wave begins, and saturation."""
+    max_current_ratio: float = 1.1
+    """Largest peak of the first half wave over the limit; drives trip above that."""
     directions: int = 8
-    """Of the plane, in each of which the outermost point is felt."""
-    periods: int = 20
-    """Of the injection in one probe: one turn."""
-    small: float = 0.25
-    """Of the stage's voltage, with which a probe begins."""
-    margin: float = 1.25
-    """For what grows faster than the voltage: a larger ripple reaches further into saturation."""
-    of_limit: float = 0.98
-    """Of the limit, that a stage's peak is fitted to."""
-    least: float = 0.02
-    """Of the stage's voltage: no probe and no stage is weaker."""
+    """Directions of the plane; the probe takes the outermost point in each."""
+    probe_periods: int = 20
+    """Injection periods in one probe, which makes one turn."""
+    probe_amplitude_ratio: float = 0.25
+    """Largest amplitude of a probe over the stage's."""
+    saturation_margin_ratio: float = 1.25
+    """The ripple grows faster than the voltage by up to this: a larger one reaches further into saturation."""
+    peak_current_ratio: float = 0.98
+    """Peak of the weakened stage over the limit."""
+    min_amplitude_ratio: float = 0.02
+    """Smallest amplitude of a probe or stage over the planned one."""
 
 
 _RULES = _Rules()
@@ -54,7 +54,7 @@ class RippleProbe:
     Parameters
     ----------
     power : PowerStage
-        Armed when it is asked.
+        Armed before `factor` is called.
     limits : Limits
     motor : Motor
         For the ripple that the nameplate promises.
@@ -72,7 +72,7 @@ class RippleProbe:
         DriveFault
             The drive tripped all the same.
         RunInterrupted
-            A stop was asked for.
+            A stop was requested.
         """
         injections = [p.excitation for p in points if isinstance(p.excitation, Injection)]
         if not injections:
@@ -80,7 +80,10 @@ class RippleProbe:
         strongest = max(injections, key=lambda e: e.amplitude_v)
         nominal = nominal_ripple_a(strongest, self._motor)
         outermost = max(_length(e) for e in injections)
-        if nominal > 0.0 and outermost + _RULES.growth * nominal <= _RULES.tolerated * self._limits.current_a:
+        if (
+            nominal > 0.0
+            and outermost + _RULES.max_growth_ratio * nominal <= _RULES.max_current_ratio * self._limits.current_a
+        ):
             return 1.0
         try:
             return min(self._at(e.model_copy(update={"amplitude_v": strongest.amplitude_v})) for e in _rim(injections))
@@ -90,22 +93,28 @@ class RippleProbe:
     def _at(self, planned: Injection) -> float:
         """The factor that one point asks for."""
         nominal = nominal_ripple_a(planned, self._motor)
-        room = max(_RULES.of_limit * self._limits.current_a - _length(planned), 0.0)
-        small = _RULES.small if nominal <= 0.0 else min(_RULES.small, 2.0 * _RULES.small * room / nominal)
-        small = max(small, _RULES.least)
+        room = max(_RULES.peak_current_ratio * self._limits.current_a - _length(planned), 0.0)
+        small = (
+            _RULES.probe_amplitude_ratio
+            if nominal <= 0.0
+            else min(_RULES.probe_amplitude_ratio, 2.0 * _RULES.probe_amplitude_ratio * room / nominal)
+        )
+        small = max(small, _RULES.min_amplitude_ratio)
         peak = self._peak(planned, small)
         growth = max(peak - _length(planned), 1e-9) / small
-        if _length(planned) + growth <= _RULES.tolerated * self._limits.current_a:
+        if _length(planned) + growth <= _RULES.max_current_ratio * self._limits.current_a:
             return 1.0
-        return max(_RULES.least, float(f"{min(1.0, room / (_RULES.margin * growth)):.2g}"))
+        return max(
+            _RULES.min_amplitude_ratio, float(f"{min(1.0, room / (_RULES.saturation_margin_ratio * growth)):.2g}")
+        )
 
     def _peak(self, planned: Injection, small: float) -> float:
         """Longest current vector while a weaker injection makes one turn at the point [A]."""
         probe = planned.model_copy(
             update={
                 "amplitude_v": small * planned.amplitude_v,
-                "rotation_hz": planned.frequency_hz / _RULES.periods,
-                "duration_s": _RULES.periods / planned.frequency_hz,
+                "rotation_hz": planned.frequency_hz / _RULES.probe_periods,
+                "duration_s": _RULES.probe_periods / planned.frequency_hz,
                 "discard_s": 0.0,
             }
         )
@@ -119,7 +128,7 @@ class RippleProbe:
 
 
 def weakened(point: PlannedPoint, factor: float) -> PlannedPoint:
-    """The point with its injection weaker by a factor; its settings say what is really asked for."""
+    """The point with its injection weaker by a factor; its settings hold the weaker amplitude."""
     if factor == 1.0 or not isinstance(point.excitation, Injection):
         return point
     amplitude = float(f"{factor * point.excitation.amplitude_v:.3g}")
@@ -129,10 +138,10 @@ def weakened(point: PlannedPoint, factor: float) -> PlannedPoint:
 
 def factor_of(point: PlannedPoint, measured: Segment) -> float | None:
     """By how much a measured point was weaker than planned; None where it was no injection."""
-    asked = measured.settings.get("amplitude_v")
-    if not isinstance(point.excitation, Injection) or not isinstance(asked, int | float):
+    amplitude = measured.settings.get("amplitude_v")
+    if not isinstance(point.excitation, Injection) or not isinstance(amplitude, int | float):
         return None
-    return float(asked) / point.excitation.amplitude_v
+    return float(amplitude) / point.excitation.amplitude_v
 
 
 def _length(excitation: Injection) -> float:
@@ -141,9 +150,9 @@ def _length(excitation: Injection) -> float:
 
 def _rim(injections: Sequence[Injection]) -> list[Injection]:
     """The outermost points in eight directions, each once."""
-    found: dict[tuple[float, float], Injection] = {}
+    outer: dict[tuple[float, float], Injection] = {}
     for k in range(_RULES.directions):
         d, q = math.cos(2 * math.pi * k / _RULES.directions), math.sin(2 * math.pi * k / _RULES.directions)
         outermost = max(injections, key=lambda e: d * e.target_d_a + q * e.target_q_a)
-        found[(outermost.target_d_a, outermost.target_q_a)] = outermost
-    return list(found.values())
+        outer[(outermost.target_d_a, outermost.target_q_a)] = outermost
+    return list(outer.values())

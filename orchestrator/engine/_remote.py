@@ -20,8 +20,8 @@ from typing import Any
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.formatting.sentences import shown
 
-LONGEST_LINE = 1 << 16
-LOOK_S = 0.2
+MAX_LINE_BYTES = 1 << 16
+POLL_PERIOD_S = 0.2
 
 
 class RemoteOperator:
@@ -48,7 +48,7 @@ class RemoteOperator:
         while True:
             interrupts.check()
             try:
-                question, answer = self._answers.get(timeout=LOOK_S)
+                question, answer = self._answers.get(timeout=POLL_PERIOD_S)
             except queue.Empty:
                 continue
             if question == prompt and answer in ("yes", "no"):
@@ -66,10 +66,10 @@ class RemoteOperator:
             thread.join()
 
     def _listen(self, interrupts: Interrupts) -> None:
-        heard_s, kept = time.monotonic(), b""
+        received_s, kept = time.monotonic(), b""
         while not self._done.is_set():
-            if not select.select([self._descriptor], [], [], LOOK_S)[0]:
-                if time.monotonic() - heard_s > self._silence_s:
+            if not select.select([self._descriptor], [], [], POLL_PERIOD_S)[0]:
+                if time.monotonic() - received_s > self._silence_s:
                     return interrupts.stop(f"the operator's {self.through} has been silent for {self._silence_s:g} s")
                 continue
             data = os.read(self._descriptor, 4096)
@@ -78,20 +78,20 @@ class RemoteOperator:
             *lines, kept = (kept + data).split(b"\n")
             for line in lines:
                 self._take(_object(line), interrupts)
-            heard_s, kept = time.monotonic(), kept[-LONGEST_LINE:]
+            received_s, kept = time.monotonic(), kept[-MAX_LINE_BYTES:]
         return None
 
-    def _take(self, told: dict[str, Any], interrupts: Interrupts) -> None:
-        if "stop" in told:
-            interrupts.stop(shown(f"{told['stop']}"))
-        elif "answer" in told:
-            self._answers.put((str(told.get("question")), str(told["answer"])))
+    def _take(self, message: dict[str, Any], interrupts: Interrupts) -> None:
+        if "stop" in message:
+            interrupts.stop(shown(f"{message['stop']}"))
+        elif "answer" in message:
+            self._answers.put((str(message.get("question")), str(message["answer"])))
 
 
 def _object(line: bytes) -> dict[str, Any]:
     """A line's object; an empty one where it is none."""
     try:
-        told = json.loads(line)
+        message = json.loads(line)
     except (ValueError, RecursionError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return message if isinstance(message, dict) else {}

@@ -40,13 +40,13 @@ from protocols import (
     StreamSetup,
 )
 
-STREAMS_READY_S = 5.0
+STREAM_START_TIMEOUT_S = 5.0
 """How long streams may take to be made before a run begins without waiting for them."""
 NOTHING_LEFT = "the run is finished: there is nothing left to do"
 
 
 @dataclass(frozen=True)
-class Crew:
+class RunServices:
     """Who takes part in a run beside the drive."""
 
     operator: Operator
@@ -64,7 +64,7 @@ class RunResult:
     streams: Sequence[StreamTally]
 
 
-def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
+def start_run(procedure: Procedure, path: Path, services: RunServices) -> RunResult:
     """Commission a motor into a new run directory.
 
     Parameters
@@ -72,7 +72,7 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
     procedure : Procedure
     path : Path
         The run directory; must not exist, or be empty.
-    crew : Crew
+    services : RunServices
 
     Returns
     -------
@@ -87,7 +87,7 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
     """
     procedure = spelled_out(procedure)  # a resumed run has the settings of today's defaults
     plugins = UsedPlugins(parse_stages(procedure))
-    streams = _stream_makers(crew.streams, path)
+    streams = _stream_makers(services.streams, path)
     path = path.resolve()
     sealed = load_plugin(PluginKind.DRIVES, procedure.drive.name).sealed_options
     with RunDirectory.claim(path):
@@ -98,7 +98,7 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
                 with open_thermometer(procedure.thermometer) as thermometer:
                     run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
                     with run.at_work():
-                        return _commission(run, plan, drive, capabilities, plugins, streams, crew, thermometer)
+                        return _commission(run, plan, drive, capabilities, plugins, streams, services, thermometer)
         except BaseException:
             # A run that is under way ends in an outcome. Where something was measured all the same, it stays.
             if RunDirectory.has_captures(path):
@@ -108,8 +108,8 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
             raise
 
 
-def resume_run(path: Path, crew: Crew) -> RunResult:
-    """Go on with a run at its first point that is not done; a finished one is told to be just that.
+def resume_run(path: Path, services: RunServices) -> RunResult:
+    """Continue a run at its first point that is not done; a finished one comes back as it is.
 
     Raises
     ------
@@ -122,10 +122,10 @@ def resume_run(path: Path, crew: Crew) -> RunResult:
         ended = run.ended()
         if ended is not None and ended.outcome == "finished":
             return RunResult(run.path, Outcome("finished", NOTHING_LEFT, None, ended.estimates), ())
-        return _go_on(run, crew)
+        return _go_on(run, services)
 
 
-def extend_run(path: Path, stages: Sequence[StageEntry], crew: Crew) -> RunResult:
+def extend_run(path: Path, stages: Sequence[StageEntry], services: RunServices) -> RunResult:
     """Go on with a finished run by some stages more, on the same drive and into the same recording.
 
     Raises
@@ -140,21 +140,21 @@ def extend_run(path: Path, stages: Sequence[StageEntry], crew: Crew) -> RunResul
         ended = run.ended()
         if ended is None or ended.outcome != "finished":
             raise RecordingError(str(path), "", f"the run is not finished: `fluxbench resume {path}` comes first")
-        return _go_on(run, crew, more=tuple(stages))
+        return _go_on(run, services, more=tuple(stages))
 
 
-def _go_on(run: RunDirectory, crew: Crew, more: tuple[StageEntry, ...] = ()) -> RunResult:
+def _go_on(run: RunDirectory, services: RunServices, more: tuple[StageEntry, ...] = ()) -> RunResult:
     procedure = run.procedure()
     appended = [*(stage for message in run.appended() for stage in message.stages), *more]
     plugins = UsedPlugins(parse_stages(procedure, appended))
-    streams = _stream_makers(crew.streams, run.path)
+    streams = _stream_makers(services.streams, run.path)
     with connected_drive(procedure, run.private_directory) as (drive, capabilities):
         plan = make_plan(procedure, capabilities, appended)
         check_plan(plan, capabilities)
         if more:
             run.journal.append(StagesAppended(by=None, stages=more), durable=True)
         with open_thermometer(procedure.thermometer) as thermometer:
-            return _commission(run, plan, drive, capabilities, plugins, streams, crew, thermometer)
+            return _commission(run, plan, drive, capabilities, plugins, streams, services, thermometer)
 
 
 def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Callable[[], Stream]]:
@@ -196,8 +196,8 @@ def _as_plugin_errors(name: str) -> Iterator[None]:
     except FluxbenchError:
         raise
     except (Exception, SystemExit) as error:
-        told = f"{type(error).__name__}: {error}".splitlines()[0]
-        problem = f"cannot be set up for this motor with these options ({told[:200]})"
+        first_line = f"{type(error).__name__}: {error}".splitlines()[0]
+        problem = f"cannot be set up for this motor with these options ({first_line[:200]})"
         raise PluginError("drives", name, problem) from error
 
 
@@ -208,14 +208,14 @@ def _commission(
     capabilities: Capabilities,
     plugins: UsedPlugins,
     streams: Mapping[str, Callable[[], Stream]],
-    crew: Crew,
+    services: RunServices,
     thermometer: Thermometer | None,
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
     # While streams load what they draw with, a heartbeat comes late: not with the drive energised.
-    dispatcher.drain(STREAMS_READY_S)
+    dispatcher.drain(STREAM_START_TIMEOUT_S)
     log = RunLog(run.journal, dispatcher)
-    who = crew.operator, crew.interrupts
+    who = services.operator, services.interrupts
     outcome = Commissioning(run, plan, drive, capabilities, plugins, *who, log, thermometer).execute()
     tallies = dispatcher.close()
     for tally in tallies:

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from orchestrator.engine._agenda import Agenda
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._operator import Questions
 from orchestrator.engine._plugins import UsedPlugins
+from orchestrator.engine._point_queue import PointQueue
 from orchestrator.engine._power import PowerStage
 from orchestrator.engine._states import StateMachine, Trigger, table_of
 from orchestrator.recording import Recording, open_recording
@@ -36,7 +36,7 @@ class Engine:
 
     run: RunDirectory
     capabilities: Capabilities
-    agenda: Agenda
+    queue: PointQueue
     machine: StateMachine
     power: PowerStage
     log: RunLog
@@ -48,8 +48,8 @@ class Engine:
         """Disarm, where the drive is armed, and say so; raises where it may still be armed."""
         if self.power.armed:
             self.machine.fire(Trigger.STOP, reason)
-            told, unsafe = self.power.stand_down(), self.power.unsafe
-            self.log.say(Note(level="info" if unsafe is None else "error", text=told))
+            message, unsafe = self.power.stand_down(), self.power.unsafe
+            self.log.publish(Note(level="info" if unsafe is None else "error", text=message))
             if unsafe is not None:
                 raise unsafe
 
@@ -66,7 +66,7 @@ class StageAtWork:
 
     @property
     def procedure(self) -> Procedure:
-        return self._engine.agenda.plan.procedure
+        return self._engine.queue.plan.procedure
 
     @property
     def capabilities(self) -> Capabilities:
@@ -74,12 +74,12 @@ class StageAtWork:
 
     @property
     def segments(self) -> Sequence[Segment]:
-        agenda = self._engine.agenda
-        return [agenda.done[point.id] for point in agenda.plan.points_of(self._index) if point.id in agenda.done]
+        queue = self._engine.queue
+        return [queue.done[point.id] for point in queue.plan.points_of(self._index) if point.id in queue.done]
 
     @property
     def appended(self) -> int:
-        return self._engine.agenda.appended
+        return self._engine.queue.appended
 
     def recording(self) -> Recording:
         self._engine.run.write_manifest()
@@ -96,11 +96,14 @@ class StageAtWork:
         self._engine.stand_down("the drive is disarmed while the computer works on what was measured")
         self._engine.machine.fire(state.trigger)
 
-    def say(self, message: Message, *, durable: bool = False) -> None:
-        self._engine.log.say(message, durable=durable)
+    def publish(self, message: Message, *, durable: bool = False) -> None:
+        self._engine.log.publish(message, durable=durable)
+
+    say = publish
+    """The former name, for stages that call it."""
 
     def ask(self, prompt: str, *, answered: bool) -> None:
-        self._engine.stand_down("the drive is disarmed while the operator is asked")
+        self._engine.stand_down("the drive is disarmed while the operator answers")
         self._engine.machine.fire(Trigger.ASK_OPERATOR)
         self._engine.questions.put(prompt, answered=answered)
 
@@ -111,16 +114,16 @@ class StageAtWork:
         self._engine.interrupts.check()
 
     def plan(self, stages: Sequence[StageEntry]) -> None:
-        self._engine.agenda.longer(stages)
+        self._engine.queue.longer(stages)
 
     def append(self, stages: Sequence[StageEntry]) -> None:
         engine = self._engine
-        plan = engine.agenda.longer(stages)
+        plan = engine.queue.longer(stages)
         engine.plugins.take(plan.stages)
         table = table_of(plan.stages)
         message = StagesAppended(by=self._index, stages=tuple(stages))
-        engine.log.say(message, durable=True)
-        engine.agenda.append(message, plan)
+        engine.log.publish(message, durable=True)
+        engine.queue.append(message, plan)
         engine.machine.extend(table)
 
     def conclude(self, estimates: EstimationReport) -> None:

@@ -20,9 +20,10 @@ from protocols import Capture, InputError, ThermometerChoice
 
 _NUMBER = re.compile(rb"(?<![\w.:-])[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?(?![\w.:-])")
 """Not within a date, a time or a name."""
-_TAIL = 4096
-_LOW_C, _HIGH_C = -100.0, 400.0
-"""What a winding may have; loggers write 9999 for a sensor that is not there."""
+_TAIL_BYTES = 4096
+_MIN_TEMPERATURE_C = -100.0
+_MAX_TEMPERATURE_C = 400.0
+"""Range of a winding's temperature; loggers write 9999 for a missing sensor."""
 
 
 class _Lines(Protocol):
@@ -38,7 +39,7 @@ class _FileLines:
     def latest(self) -> tuple[bytes, float]:
         with self._path.open("rb") as file:
             state = os.fstat(file.fileno())
-            file.seek(max(0, state.st_size - _TAIL))
+            file.seek(max(0, state.st_size - _TAIL_BYTES))
             lines = file.read().split(b"\n")[:-1]
         return next((line for line in reversed(lines) if line.strip()), b""), time.time() - state.st_mtime
 
@@ -48,10 +49,10 @@ class _SerialLines:
         self._port, self._rest, self._line, self._at_s = port, b"", b"", -math.inf
 
     def latest(self) -> tuple[bytes, float]:
-        *lines, self._rest = (self._rest + self._port.read(self._port.in_waiting or 1)[-_TAIL:]).split(b"\n")
-        told = [line for line in lines if line.strip()]
-        if told:
-            self._line, self._at_s = told[-1], time.monotonic()
+        *lines, self._rest = (self._rest + self._port.read(self._port.in_waiting or 1)[-_TAIL_BYTES:]).split(b"\n")
+        complete = [line for line in lines if line.strip()]
+        if complete:
+            self._line, self._at_s = complete[-1], time.monotonic()
         return self._line, time.monotonic() - self._at_s
 
 
@@ -78,7 +79,7 @@ class Thermometer:
         if age_s > self._choice.stale_s or not -len(numbers) <= self._choice.column < len(numbers):
             return None
         value = float(numbers[self._choice.column])
-        return value if _LOW_C <= value <= _HIGH_C else None
+        return value if _MIN_TEMPERATURE_C <= value <= _MAX_TEMPERATURE_C else None
 
 
 class LoggedTemperature:
@@ -90,7 +91,7 @@ class LoggedTemperature:
 
     @property
     def missing(self) -> bool:
-        """Whether a thermometer said nothing when the segment began: then none of its blocks has a temperature."""
+        """Whether the thermometer gave no reading as the segment began: then none of its blocks has a temperature."""
         return self._thermometer is not None and self._latest_c is None
 
     def put_into(self, capture: Capture) -> Capture:
@@ -117,7 +118,7 @@ def open_thermometer(choice: ThermometerChoice | None) -> Iterator[Thermometer |
         try:
             port = serial.Serial(choice.port, choice.baud_rate, timeout=0)
         except (OSError, ValueError) as error:
-            told = str(error).splitlines()[0]
-            raise InputError("thermometer", "port", f"{choice.port} cannot be opened: {told}") from None
+            reason = str(error).splitlines()[0]
+            raise InputError("thermometer", "port", f"{choice.port} cannot be opened: {reason}") from None
         with port:
             yield Thermometer(choice, _SerialLines(port))

@@ -22,10 +22,10 @@ from orchestrator.importing._vectors import TO_PEAK
 from orchestrator.numerics.alignment import Alignment, alignment_of
 from orchestrator.numerics.frames import from_phases
 from orchestrator.plausibility import (
-    DOUBTED,
-    DRIVING,
-    HEXAGON,
-    SLOW_VOLTAGE,
+    MAX_VOLTAGE_RATIO,
+    MIN_OHMIC_RATIO,
+    MIN_SLOW_VOLTAGE_RATIO,
+    PLAUSIBLE_BOUNDS,
     apart_rad,
     is_reversed,
     rms,
@@ -105,7 +105,7 @@ class WaveformChecks:
         bus, nominal = self._mapping.bus, self._mapping.drive.dc_bus_voltage_v
         if bus is None:
             return
-        low, high = (limit * nominal for limit in DOUBTED.bus)
+        low, high = (limit * nominal for limit in PLAUSIBLE_BOUNDS.bus)
         median = float(np.median(w.v_dc))
         if not low <= median <= high:
             self._findings.doubt(
@@ -123,7 +123,7 @@ class WaveformChecks:
             self._largest_current_a = max(self._largest_current_a, peak)
             self._largest_rms_a = max(self._largest_rms_a, rms(w.i_ab))
         rated = self._mapping.motor.rated_current_a
-        if rated is not None and peak > DOUBTED.rated_currents[1] * rated:
+        if rated is not None and peak > PLAUSIBLE_BOUNDS.rated_currents[1] * rated:
             self._findings.doubt(
                 Finding.CURRENT_UNIT,
                 w.file,
@@ -140,15 +140,15 @@ class WaveformChecks:
         largest = float(modulation[worst])
         if w.stage is not SegmentStage.GATES_OFF:
             self._largest_modulation = max(self._largest_modulation, largest)
-        if largest <= 1.05 * HEXAGON:
+        if largest <= 1.05 * MAX_VOLTAGE_RATIO:
             return
         bus = abs(float(w.v_dc[worst]))
         said = (
             f"{length[worst]:.4g} V at sample {worst + 1} from {w.rows} on is more than a bridge makes of {bus:.4g} V "
-            f"({HEXAGON * bus:.4g} V)"
+            f"({MAX_VOLTAGE_RATIO * bus:.4g} V)"
         )
-        if largest > DOUBTED.bus_voltages[1]:
-            hint = _unit_hint(self._mapping.voltage.unit, float(length[worst]), 1e-3 * bus, HEXAGON * bus)
+        if largest > PLAUSIBLE_BOUNDS.bus_voltages[1]:
+            hint = _unit_hint(self._mapping.voltage.unit, float(length[worst]), 1e-3 * bus, MAX_VOLTAGE_RATIO * bus)
             self._findings.doubt(Finding.VOLTAGE_UNIT, w.file, self._voltage_names, said + hint)
         else:
             # Controllers that saturate late command such voltages.
@@ -240,12 +240,16 @@ class WaveformChecks:
 
     def _polarity(self, w: Waveforms) -> None:
         i, v = (slow_part(x, w.rate_hz) for x in (w.i_ab, w.v_ab))
-        if rms(i) < 0.2 * rms(w.i_ab) or rms(v) < SLOW_VOLTAGE * rms(w.v_ab) or not self._is_significant(rms(i)):
+        if (
+            rms(i) < 0.2 * rms(w.i_ab)
+            or rms(v) < MIN_SLOW_VOLTAGE_RATIO * rms(w.v_ab)
+            or not self._is_significant(rms(i))
+        ):
             return
         self._power_w += float(np.sum(v * i))
         self._square_a2 += float(np.sum(i * i))
         i_c, v_c = i[:, 0] + 1j * i[:, 1], v[:, 0] + 1j * v[:, 1]
-        least_ohm = DRIVING * (self._mapping.motor.stator_resistance_ohm or 0.0)
+        least_ohm = MIN_OHMIC_RATIO * (self._mapping.motor.stator_resistance_ohm or 0.0)
         power = complex(np.vdot(i_c, v_c))
         angle = apart_rad(power, float(np.sum(v * v)), float(np.sum(i * i)), least_ohm=least_ohm)
         if angle is not None:
@@ -268,7 +272,7 @@ class WaveformChecks:
 
     def _current_too_small(self, file: str) -> None:
         rated, largest = self._mapping.motor.rated_current_a, self._largest_current_a
-        if rated is not None and 0.0 < largest < DOUBTED.rated_currents[0] * rated:
+        if rated is not None and 0.0 < largest < PLAUSIBLE_BOUNDS.rated_currents[0] * rated:
             self._findings.doubt(
                 Finding.CURRENT_UNIT,
                 file,
@@ -279,13 +283,13 @@ class WaveformChecks:
 
     def _voltage_too_small(self, file: str) -> None:
         largest = self._largest_modulation
-        if 0.0 < largest < DOUBTED.bus_voltages[0]:
+        if 0.0 < largest < PLAUSIBLE_BOUNDS.bus_voltages[0]:
             self._findings.doubt(
                 Finding.VOLTAGE_UNIT,
                 file,
                 self._voltage_names,
                 f"nowhere more than {100 * largest:.2g} % of the bus voltage"
-                f"{_unit_hint(self._mapping.voltage.unit, largest, 1e-3, HEXAGON)}",
+                f"{_unit_hint(self._mapping.voltage.unit, largest, 1e-3, MAX_VOLTAGE_RATIO)}",
             )
 
     def _resistance(self, file: str) -> None:
@@ -293,7 +297,7 @@ class WaveformChecks:
         if nameplate is None or self._square_a2 == 0.0:
             return
         seen = self._power_w / self._square_a2
-        if not within(seen, DOUBTED.resistance, nameplate):
+        if not within(seen, PLAUSIBLE_BOUNDS.resistance, nameplate):
             self._findings.doubt(
                 Finding.VOLTAGE_UNIT,
                 file,

@@ -14,10 +14,10 @@ import numpy as np
 
 from orchestrator.plausibility import (
     DRIVE_RANGES,
-    DRIVING,
+    MIN_OHMIC_RATIO,
+    MIN_SLOW_VOLTAGE_RATIO,
     MOTOR_RANGES,
-    REFUSED,
-    SLOW_VOLTAGE,
+    POSSIBLE_BOUNDS,
     Numbers,
     apart_rad,
     is_reversed,
@@ -104,7 +104,9 @@ class SoundRecording:
         if current == 0.0:
             self._refuse("i_alpha, i_beta", "zero throughout: no current was measured")
         # Noise alone, up to a fiftieth of the rated current, needs no voltage, and is no motor's wrong voltage.
-        if voltage < REFUSED.bus_voltages[0] * bus and current > 0.02 * (self.manifest.motor.rated_current_a or 0.0):
+        if voltage < POSSIBLE_BOUNDS.bus_voltages[0] * bus and current > 0.02 * (
+            self.manifest.motor.rated_current_a or 0.0
+        ):
             told = f"nowhere more than {voltage:.3g} V, though up to {current:.3g} A flow and the bus has {bus:g} V"
             self._refuse("v_alpha, v_beta", f"{told}: not the voltage at a motor")
         self._check_polarity_and_resistance(seen)
@@ -113,7 +115,9 @@ class SoundRecording:
     def _check_sizes(self, segment: Segment, capture: Capture) -> None:
         motor, bus = self.manifest.motor, self.manifest.drive.dc_bus_voltage_v
         rated = motor.rated_current_a
-        most_a = REFUSED.rated_currents[1] * (MOTOR_RANGES["rated_current_rms_a"][1] if rated is None else rated)
+        most_a = POSSIBLE_BOUNDS.rated_currents[1] * (
+            MOTOR_RANGES["rated_current_rms_a"][1] if rated is None else rated
+        )
         peak = _largest(capture.i_ab)
         if peak > most_a:
             held = "any motor's" if rated is None else f"{peak / rated:.3g} times the rated current, {rated:.3g} A peak"
@@ -121,12 +125,12 @@ class SoundRecording:
                 f"{segment.id}: i_alpha, i_beta", f"{_place(capture.i_ab, peak)}: {peak:.4g} A, {held}; a unit is wrong"
             )
         peak = _largest(capture.v_ab)
-        if peak > REFUSED.bus_voltages[1] * bus:
+        if peak > POSSIBLE_BOUNDS.bus_voltages[1] * bus:
             held = f"{peak / bus:.3g} times the bus voltage, {bus:g} V"
             self._refuse(
                 f"{segment.id}: v_alpha, v_beta", f"{_place(capture.v_ab, peak)}: {peak:.4g} V, {held}; a unit is wrong"
             )
-        low, high = (limit * bus for limit in REFUSED.bus)
+        low, high = (limit * bus for limit in POSSIBLE_BOUNDS.bus)
         # With the bridge off the bus may be off too.
         low = 0.0 if segment.stage is SegmentStage.GATES_OFF else low
         measured = float(np.median(capture.v_dc[::16]))  # a sixteenth of the samples tells as much, far sooner
@@ -144,10 +148,10 @@ class SoundRecording:
         motor = self.manifest.motor
         least = 0.05 * max(motor.rated_current_a or 0.0, *(x.current_a for x in seen))
         # Offsets of the sensors and of the inverter go together in any way.
-        telling = [x for x in seen if x.v_squared > (SLOW_VOLTAGE * x.voltage_v) ** 2 and x.i_squared > 0.0]
+        telling = [x for x in seen if x.v_squared > (MIN_SLOW_VOLTAGE_RATIO * x.voltage_v) ** 2 and x.i_squared > 0.0]
         if not telling or math.sqrt(i2 / len(seen)) < least:
             return
-        least_ohm = DRIVING * (motor.stator_resistance_ohm or 0.0)
+        least_ohm = MIN_OHMIC_RATIO * (motor.stator_resistance_ohm or 0.0)
         driven = [x for x in telling if x.v_squared > least_ohm**2 * x.i_squared]
         # Each with its voltage to the size of its current: a segment in which the drive lost its way has one voice.
         product = sum((x.v_on_i * math.sqrt(x.i_squared / x.v_squared) for x in driven), 0j)
@@ -159,7 +163,7 @@ class SoundRecording:
             self._refuse("v_alpha, v_beta against i_alpha, i_beta", f"{told}: {hint}")
         large = [x for x in telling if x.i_squared >= told_a2 / len(telling)]
         nameplate, ohm = motor.stator_resistance_ohm, float(np.median([x.v_on_i.real / x.i_squared for x in large]))
-        if nameplate is None or within(ohm, REFUSED.resistance, nameplate):
+        if nameplate is None or within(ohm, POSSIBLE_BOUNDS.resistance, nameplate):
             return
         told = f"{ohm:.3g} ohm, where the nameplate has {nameplate:g} ohm: a unit is wrong"
         self._refuse("v_alpha, v_beta over i_alpha, i_beta", told)
@@ -175,7 +179,7 @@ class SoundRecording:
         if product < 0.0 or motor.d_inductance_h is None or motor.q_inductance_h is None:
             return
         henry, nameplate = v2 / product, math.sqrt(motor.d_inductance_h * motor.q_inductance_h)
-        if not within(henry, REFUSED.inductance, nameplate):
+        if not within(henry, POSSIBLE_BOUNDS.inductance, nameplate):
             told = f"an inductance of {henry:.3g} H, where the nameplate has {nameplate:.3g} H"
             self._refuse(where, f"{told}; a unit, or the sampling frequency, is wrong")
 

@@ -35,11 +35,11 @@ from protocols import (
     Waveform,
 )
 
-SAMPLES_PER_PERIOD = 20
+ROWS_PER_PERIOD = 20
 """Rows in one injection period: a whole number, so that the kit's spectra have no leakage."""
-LATE_PERIODS = 10
-"""Injection periods that the kit discards where it wants a ripple that has settled."""
-FEWEST_PERIODS = 5
+DISCARDED_PERIODS = 10
+"""Injection periods that the kit discards where the ripple has to be settled."""
+MIN_PERIODS_PER_TURN = 5
 """Injection periods in one turn of the injected vector, also on a drive that samples slowly."""
 
 
@@ -68,12 +68,12 @@ class Sizes:
         rated = min(motor.rated_current_a or 0.5 * capabilities.max_current_a, capabilities.max_current_a)
         longest = capabilities.longest_capture_s or math.inf
         row_s = 1.0 / capabilities.sampling_frequency_hz
-        frequency = capabilities.sampling_frequency_hz / SAMPLES_PER_PERIOD
+        frequency = capabilities.sampling_frequency_hz / ROWS_PER_PERIOD
         amplitude = 0.1 * capabilities.max_voltage_v
         if motor.d_inductance_h is not None:
             amplitude = injection_voltage_v(rated, motor.d_inductance_h, frequency)
-        periods = max(FEWEST_PERIODS, int(0.5 * frequency))
-        room_s = min(longest, (capabilities.longest_injection_s or math.inf) - LATE_PERIODS / frequency)
+        periods = max(MIN_PERIODS_PER_TURN, int(0.5 * frequency))
+        room_s = min(longest, (capabilities.longest_injection_s or math.inf) - DISCARDED_PERIODS / frequency)
         if room_s < math.inf:
             periods = max(1, min(periods, int(room_s * frequency * (1.0 + 1e-9))))
         injection_s = periods / frequency
@@ -206,10 +206,10 @@ def measure(drive: Drive, excitation: Excitation, sampling_frequency_hz: float |
 
 
 def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> None:
-    """Finite, uniform, without a gap, and as many rows as were asked for."""
+    """Require finite, uniform samples without a gap, as many rows as requested."""
     rows = sum(len(block) for block in blocks)
-    asked = f"{excitation.kind} of {excitation.captured_s} s at {fs} Hz"
-    assert rows == excitation.rows(fs), f"{asked} gave {rows} rows"
+    request = f"{excitation.kind} of {excitation.captured_s} s at {fs} Hz"
+    assert rows == excitation.rows(fs), f"{request} gave {rows} rows"
     for block in blocks:
         assert block.sampling_frequency_hz == fs, "a block's sampling frequency is not the one claimed"
         assert len(block) <= 0.5 * fs + 1, f"a block of {len(block) / fs:.2f} s; half a second at most"
@@ -222,7 +222,7 @@ def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> 
 
 
 class Heart:
-    """Beats for a drive from a thread of its own while the `with` block lasts, unless told to stop."""
+    """Beats for a drive from a thread of its own while the `with` block lasts, or until `stop`."""
 
     def __init__(self, drive: Drive, interval_s: float) -> None:
         self._drive, self._interval_s = drive, interval_s

@@ -1,4 +1,4 @@
-"""Drive checks: what is asked for is what is captured, in the right frame and on one time base."""
+"""Drive checks: the capture fits the excitation, in the right frame and on one time base."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.testing._drive_bench import LATE_PERIODS, SAMPLES_PER_PERIOD, DriveBench, Session
+from orchestrator.testing._drive_bench import DISCARDED_PERIODS, ROWS_PER_PERIOD, DriveBench, Session
 from orchestrator.testing._kit import bounded
 from orchestrator.testing._waveforms import (
     angle_between,
@@ -85,7 +85,7 @@ class DriveCaptureChecks(DriveBench):
             reference = trapezoid_reference(excitation, len(i_dq), session.capabilities.sampling_frequency_hz)
             distance = float(np.sqrt(np.mean(np.abs(i_dq - reference) ** 2)))
             allowed = bounded("tracking_tolerance", self.tracking_tolerance, 0.4) * excitation.amplitude_a
-            assert distance <= allowed, f"{distance:.3f} A rms from the trapezoid asked for ({allowed:.3f} A allowed)"
+            assert distance <= allowed, f"{distance:.3f} A rms from the commanded trapezoid ({allowed:.3f} A allowed)"
             self._require_plateaus(session, i_dq, reference)
 
     def _require_plateaus(self, session: Session, i_dq: np.ndarray, reference: np.ndarray) -> None:
@@ -102,26 +102,26 @@ class DriveCaptureChecks(DriveBench):
             session.requires("injection")
             if waveform not in session.capabilities.injection_waveforms:
                 pytest.skip(f"this drive claims no {waveform} wave")
-            late_s = LATE_PERIODS / session.sizes.frequency_hz
+            late_s = DISCARDED_PERIODS / session.sizes.frequency_hz
             excitation = session.sizes.injection(waveform=waveform, rotor_angle_rad=SIXTY_DEGREES, discard_s=late_s)
             measured = session.measure(excitation)
-            found = find_injection(
-                measured.v_ab, session.capabilities.sampling_frequency_hz, excitation.waveform, SAMPLES_PER_PERIOD
+            ripple = find_injection(
+                measured.v_ab, session.capabilities.sampling_frequency_hz, excitation.waveform, ROWS_PER_PERIOD
             )
-            assert math.isclose(found.frequency_hz, excitation.frequency_hz, rel_tol=1e-3), (
-                f"injects {found.frequency_hz:.2f} Hz instead of {excitation.frequency_hz:.2f} Hz"
+            assert math.isclose(ripple.frequency_hz, excitation.frequency_hz, rel_tol=1e-3), (
+                f"injects {ripple.frequency_hz:.2f} Hz instead of {excitation.frequency_hz:.2f} Hz"
             )
-            assert abs(found.rotation_hz - excitation.rotation_hz) < 0.1 * excitation.rotation_hz, (
-                f"rotates at {found.rotation_hz:.3f} Hz instead of {excitation.rotation_hz:.3f} Hz"
+            assert abs(ripple.rotation_hz - excitation.rotation_hz) < 0.1 * excitation.rotation_hz, (
+                f"rotates at {ripple.rotation_hz:.3f} Hz instead of {excitation.rotation_hz:.3f} Hz"
             )
             allowed = bounded("voltage_tolerance", self.voltage_tolerance, 0.1)
-            assert math.isclose(found.amplitude_v, excitation.amplitude_v, rel_tol=allowed), (
-                f"injects {found.amplitude_v:.2f} V instead of {excitation.amplitude_v:.2f} V"
+            assert math.isclose(ripple.amplitude_v, excitation.amplitude_v, rel_tol=allowed), (
+                f"injects {ripple.amplitude_v:.2f} V instead of {excitation.amplitude_v:.2f} V"
             )
             expected = SIXTY_DEGREES + 2.0 * math.pi * excitation.rotation_hz * late_s
-            assert angle_between(found.direction_rad, expected) <= bounded(
+            assert angle_between(ripple.direction_rad, expected) <= bounded(
                 "angle_tolerance_rad", self.angle_tolerance_rad, 0.2
-            ), f"starts at {math.degrees(found.direction_rad):.1f} degrees, expected {math.degrees(expected):.1f}"
+            ), f"starts at {math.degrees(ripple.direction_rad):.1f} degrees, expected {math.degrees(expected):.1f}"
 
     def test_injection_ripples_about_its_target(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
@@ -132,7 +132,7 @@ class DriveCaptureChecks(DriveBench):
             reached = complex_dq(measured.i_ab, 0.0).mean()
             allowed = 0.5 * abs(target) or 2.0 * self.near(session)
             assert abs(reached - target) < allowed, f"ripples about {reached:.3f} A instead of {target:.3f} A"
-            follows = ripple_follows_flux(measured.v_ab, measured.i_ab, SAMPLES_PER_PERIOD)
+            follows = ripple_follows_flux(measured.v_ab, measured.i_ab, ROWS_PER_PERIOD)
             assert follows > 0.5, f"the ripple current follows the integral of the voltage with {follows:.2f} only"
 
     def test_steps_turn_round_where_the_current_meets_its_limit(self, tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ class DriveCaptureChecks(DriveBench):
                 speed = float(np.polyfit(np.arange(len(theta)) / fs, theta, 1)[0])
                 assert math.isclose(speed, excitation.speed_rad_s, rel_tol=0.02), f"turns at {speed:.3f} rad/s"
                 i_dq = (measured.i_ab[:, 0] + 1j * measured.i_ab[:, 1]) * np.exp(-1j * theta)
-                assert abs(i_dq.mean()) <= self.near(beating), f"{abs(i_dq.mean()):.3f} A flow, none was asked for"
+                assert abs(i_dq.mean()) <= self.near(beating), f"{abs(i_dq.mean()):.3f} A flow, none was commanded"
                 ahead = (measured.v_ab[:, 0] + 1j * measured.v_ab[:, 1]) * np.exp(-1j * theta)
                 if (flux := self.setup().motor.pm_flux_wb or 0.0) > 0.0:
                     least = 0.5 * excitation.speed_rad_s * flux

@@ -1,4 +1,4 @@
-"""Drive checks: what a drive says of itself, and that nothing is energised before it is told to."""
+"""Drive checks: the declared capabilities, and that nothing is energised before the command."""
 
 from __future__ import annotations
 

@@ -14,48 +14,50 @@ import numpy as np
 import pytest
 
 from orchestrator.numerics.alignment import alignment_of
-from orchestrator.testing._drive_bench import LATE_PERIODS, SAMPLES_PER_PERIOD, DriveBench, Session
+from orchestrator.testing._drive_bench import DISCARDED_PERIODS, ROWS_PER_PERIOD, DriveBench, Session
 from orchestrator.testing._waveforms import complex_dq, folded, share_at_the_end_of_the_scale
 from protocols import Drive
 
 
 @dataclass(frozen=True)
 class _Tolerances:
-    """How far a drive's time, rows and readings may be off."""
+    """Largest errors of a drive's time, rows and readings."""
 
-    clock_part: float = 0.005
-    """A quartz is off by a ten thousandth, and by a hundred times that its map is still within half a per cent."""
-    rows_apart: float = 0.25
-    """What the ripple's own shape may look like."""
-    explained: float = 0.93
-    """Of the steps of the ripple; simulated: 0.9999, 0.97 with a mean over 3 rows, 0.95 over 4, 0.86 over 8."""
-    clipped: float = 0.03
-    """Rows that may stand at the largest reading; simulated: 0.003 of a rotating ripple."""
-    most_times: float = 5.0
-    """The kit's injection, at most, however small its ripple is."""
+    clock_error_ratio: float = 0.005
+    """A quartz is off by 1e-4; at a hundred times that the flux map is still within half a per cent."""
+    lag_error_rows: float = 0.25
+    """Largest apparent shift by the ripple's own shape."""
+    min_explained_ratio: float = 0.93
+    """Smallest explained share of steps; simulated: 0.9999, 0.97 with a mean over 3 rows, 0.95 over 4, 0.86 over 8."""
+    max_clipped_ratio: float = 0.03
+    """Largest share of rows at the largest reading; simulated: 0.003 of a rotating ripple."""
+    max_injection_ratio: float = 5.0
+    """Largest multiple of the kit's injection, however small the ripple."""
 
 
 _TOLERANCES = _Tolerances()
 
-BUS = (0.6, 1.6)
-"""The bus as measured against the nominal one: rectified mains and batteries move by a third."""
-HELD_OF_RATED, OF_RATED = 0.55, 0.9
-"""Where a ripple is held, and how far it reaches, to see the readings up to there."""
+BUS_LIMITS_RATIO = (0.6, 1.6)
+"""Measured over nominal bus voltage: rectified mains and batteries vary by a third."""
+HELD_CURRENT_RATIO = 0.55
+"""Current at which the kit injects, over the rated one."""
+PEAK_CURRENT_RATIO = 0.9
+"""Peak of that ripple over the rated current: the check sees readings up to there."""
 
 
 @dataclass(frozen=True)
 class ClockReading:
     """The drive's clock between two looks at the host's [s]."""
 
-    asked_s: float
-    told_s: float
+    sent_s: float
+    reading_s: float
     answered_s: float
 
     @classmethod
     def of(cls, drive: Drive) -> ClockReading:
-        asked_s = time.monotonic()
-        told_s = drive.telemetry().time_s
-        return cls(asked_s, told_s, time.monotonic())
+        sent_s = time.monotonic()
+        reading_s = drive.telemetry().time_s
+        return cls(sent_s, reading_s, time.monotonic())
 
 
 class DriveInstrumentChecks(DriveBench):
@@ -67,10 +69,10 @@ class DriveInstrumentChecks(DriveBench):
                 pytest.skip("the drive says that its time is its own (clock_is_simulated)")
             before = [ClockReading.of(session.drive) for _ in range(4)]
             self._require_no_haste(session)
-            time.sleep(max(0.0, before[0].asked_s + 2.0 - time.monotonic()))
+            time.sleep(max(0.0, before[0].sent_s + 2.0 - time.monotonic()))
             after = [ClockReading.of(session.drive) for _ in range(4)]
         off = clock_off(before, after)
-        assert abs(off) <= _TOLERANCES.clock_part, (
+        assert abs(off) <= _TOLERANCES.clock_error_ratio, (
             f"the drive's clock runs {100 * off:+.2f} % against the host's: a wrong sampling frequency, or a time that "
             "is its own (then say clock_is_simulated)"
         )
@@ -83,7 +85,7 @@ class DriveInstrumentChecks(DriveBench):
         begun = time.monotonic()
         session.measure(hold)
         took, least = time.monotonic() - begun, hold.settling_s + hold.captured_s
-        assert took >= (1.0 - _TOLERANCES.clock_part) * least - 2e-3, (
+        assert took >= (1.0 - _TOLERANCES.clock_error_ratio) * least - 2e-3, (
             f"a hold of {least:.3f} s was over after {took:.3f} s: rows come faster than the sampling frequency says"
         )
 
@@ -93,20 +95,20 @@ class DriveInstrumentChecks(DriveBench):
             ohm = self.setup().motor.stator_resistance_ohm
             if session.sizes.waveform != "square" and ohm is None:
                 pytest.skip("a sine tells one row from the next with the nameplate's resistance only")
-            excitation = session.sizes.injection(discard_s=LATE_PERIODS / session.sizes.frequency_hz)
+            excitation = session.sizes.injection(discard_s=DISCARDED_PERIODS / session.sizes.frequency_hz)
             measured = session.measure(excitation)
             turn = excitation.rotation_hz / session.capabilities.sampling_frequency_hz
-            i_ab, v_ab = (folded(x, turn, SAMPLES_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
-            found = alignment_of(i_ab, v_ab, ohm=ohm)
-            assert found is not None, "the steps of the current are explained by the voltage of no row near to them"
-            assert found.explained >= _TOLERANCES.explained, (
-                f"after an edge of the voltage the current's slope takes several rows to change ({found.explained:.0%} "
+            i_ab, v_ab = (folded(x, turn, ROWS_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
+            fit = alignment_of(i_ab, v_ab, ohm=ohm)
+            assert fit is not None, "the steps of the current are explained by the voltage of no row near to them"
+            assert fit.explained >= _TOLERANCES.min_explained_ratio, (
+                f"after an edge of the voltage the current's slope takes several rows to change ({fit.explained:.0%} "
                 "of its steps are the voltage's): the readings are smoothed"
             )
-            said = session.capabilities.voltage_delay_samples
-            assert abs(found.lag_rows - said) <= _TOLERANCES.rows_apart, (
-                f"v = R i + L di/dt holds with v[k] acting from t_k + {found.lag_rows:.2f} Ts, the drive says "
-                f"{said:g} (voltage_delay_samples): its voltage stands in the wrong row, or its delay is not said"
+            declared = session.capabilities.voltage_delay_samples
+            assert abs(fit.lag_rows - declared) <= _TOLERANCES.lag_error_rows, (
+                f"v = R i + L di/dt holds with v[k] acting from t_k + {fit.lag_rows:.2f} Ts, the drive says "
+                f"{declared:g} (voltage_delay_samples): its voltage stands in the wrong row, or the delay is missing"
             )
 
     def test_bus_voltage_is_the_same_wherever_it_is_read(self, tmp_path: Path) -> None:
@@ -119,7 +121,7 @@ class DriveInstrumentChecks(DriveBench):
             assert abs(bus_v - shown_v) <= 0.1 * shown_v, (
                 f"captures have a bus of {bus_v:.1f} V, telemetry {shown_v:.1f} V"
             )
-            assert BUS[0] * nominal_v <= bus_v <= BUS[1] * nominal_v, (
+            assert BUS_LIMITS_RATIO[0] * nominal_v <= bus_v <= BUS_LIMITS_RATIO[1] * nominal_v, (
                 f"captures have a bus of {bus_v:.1f} V, the drive says {nominal_v:.1f} V of itself: a scale is wrong"
             )
 
@@ -143,9 +145,9 @@ class DriveInstrumentChecks(DriveBench):
         measured = session.measure(session.sizes.hold(pwm_frequency_hz=frequency_hz))
         off = abs(complex_dq(measured.i_ab, 0.0).mean() - complex(1.0, 0.5) * session.sizes.current_a)
         assert off <= self.near(session), f"misses its target by {off:.3f} A at {frequency_hz} Hz"
-        told_hz = session.drive.telemetry().pwm_frequency_hz
-        assert told_hz is None or math.isclose(told_hz, frequency_hz, rel_tol=1e-4), (
-            f"a PWM frequency of {frequency_hz:g} Hz was asked for, {told_hz:g} Hz is at work"
+        reported_hz = session.drive.telemetry().pwm_frequency_hz
+        assert reported_hz is None or math.isclose(reported_hz, frequency_hz, rel_tol=1e-4), (
+            f"a PWM frequency of {frequency_hz:g} Hz was requested, {reported_hz:g} Hz is at work"
         )
         v = complex_dq(measured.v_ab, 0.0)
         parts = np.array([part.mean() for part in np.array_split(v, min(10, len(v)))])
@@ -169,7 +171,7 @@ class DriveInstrumentChecks(DriveBench):
         first = complex_dq(session.measure(at_zero).i_ab, 0.0)[:3].mean()
         assert abs(first) <= 2.0 * self.near(session), (
             f"{abs(first):.3f} A flow in the first rows after {after} and arming: the power stage was on, whatever "
-            "telemetry said"
+            "telemetry gave"
         )
 
     def test_bridge_is_on_only_while_armed(self, tmp_path: Path) -> None:
@@ -188,12 +190,12 @@ class DriveInstrumentChecks(DriveBench):
         with self.armed(tmp_path) as session:
             session.requires("injection")
             sizes = session.sizes
-            target_a = 0.0 if session.capabilities.injects_at_zero_only else HELD_OF_RATED * sizes.rated_a
-            discard_s = LATE_PERIODS / sizes.frequency_hz
+            target_a = 0.0 if session.capabilities.injects_at_zero_only else HELD_CURRENT_RATIO * sizes.rated_a
+            discard_s = DISCARDED_PERIODS / sizes.frequency_hz
             excitation = sizes.injection(target_d_a=target_a, target_q_a=0.0, discard_s=discard_s)
             ripple = complex_dq(session.measure(excitation).i_ab, 0.0)
             reach_a = float(np.abs(ripple - ripple.mean()).max())
-            times = min((OF_RATED * sizes.rated_a - target_a) / reach_a, _TOLERANCES.most_times)
+            times = min((PEAK_CURRENT_RATIO * sizes.rated_a - target_a) / reach_a, _TOLERANCES.max_injection_ratio)
             times = min(times, 0.4 * session.capabilities.max_voltage_v / excitation.amplitude_v)
             if times > 1.0:
                 excitation = excitation.model_copy(update={"amplitude_v": times * excitation.amplitude_v})
@@ -202,7 +204,7 @@ class DriveInstrumentChecks(DriveBench):
                 return  # it says so
             share, name = share_at_the_end_of_the_scale(measured.i_ab)
             peak_a = float(np.hypot(*measured.i_ab.T).max())
-            assert share <= _TOLERANCES.clipped, (
+            assert share <= _TOLERANCES.max_clipped_ratio, (
                 f"{share:.0%} of the rows stand at the largest reading of {name}, in a ripple up to {peak_a:.3g} A: "
                 f"clipped below the rated {session.sizes.rated_a:.3g} A, and clipped_rows does not say so"
             )
@@ -214,9 +216,9 @@ def clock_off(before: list[ClockReading], after: list[ClockReading]) -> float:
     A reading was taken between question and answer. What is the same by the earliest questions and by the latest
     answers is not the host's business.
     """
-    told = after[0].asked_s - before[0].asked_s
-    by_questions = min(r.told_s - r.asked_s for r in after) - min(r.told_s - r.asked_s for r in before)
-    by_answers = max(r.told_s - r.answered_s for r in after) - max(r.told_s - r.answered_s for r in before)
+    host_s = after[0].sent_s - before[0].sent_s
+    by_questions = min(r.reading_s - r.sent_s for r in after) - min(r.reading_s - r.sent_s for r in before)
+    by_answers = max(r.reading_s - r.answered_s for r in after) - max(r.reading_s - r.answered_s for r in before)
     if by_questions * by_answers <= 0.0:
         return 0.0
-    return min(by_questions, by_answers, key=abs) / told
+    return min(by_questions, by_answers, key=abs) / host_s

@@ -11,7 +11,7 @@ import pytest
 from orchestrator.testing._drive_bench import DriveBench, Session
 from protocols import Drive, DriveFault, DriveRefused, DriveState
 
-SHOWN_WITHIN_S = 2.0
+MAX_REPORT_DELAY_S = 2.0
 """An input that somebody has opened or closed shows in telemetry by then."""
 
 
@@ -86,7 +86,7 @@ class DriveInterlockChecks(DriveBench):
         assert not self.bridge_is_on(session.drive), "an instrument says that the bridge is on"
 
 
-def _require(holds: Callable[[], bool], told: str) -> None:
-    until_s = time.monotonic() + SHOWN_WITHIN_S
+def _require(holds: Callable[[], bool], message: str) -> None:
+    until_s = time.monotonic() + MAX_REPORT_DELAY_S
     while not holds():
-        assert time.monotonic() < until_s, told
+        assert time.monotonic() < until_s, message

@@ -100,20 +100,20 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
 
     def test_a_correction_is_returned_in_the_shape_of_the_signals(self) -> None:
         effect, signals = self.make_effect(), self.signals()
-        found: object = effect.correct(signals, effect.Parameters(**self._values("typical")))
-        assert isinstance(found, Correction), f"correct returned {type(found).__name__} instead of a Correction"
-        for name, array in found.arrays.items():
+        result: object = effect.correct(signals, effect.Parameters(**self._values("typical")))
+        assert isinstance(result, Correction), f"correct returned {type(result).__name__} instead of a Correction"
+        for name, array in result.arrays.items():
             shape = getattr(signals, name).shape
             assert array.shape == shape, f"{name} has shape {array.shape} instead of {shape}"
             assert array.dtype.kind == "f", f"{name} is of type {array.dtype}"
 
-    def test_doubts_are_corrections_of_finite_signals(self) -> None:
+    def test_random_directions_are_corrections_of_finite_signals(self) -> None:
         """Of an effect that says what it cannot know."""
         effect, signals = self.make_effect(), self.signals()
-        doubts = hook_of(effect, "doubts")
-        for doubt in () if doubts is None else doubts(signals, effect.Parameters(**self._values("typical"))):
-            assert isinstance(doubt, Correction), f"doubts returned {type(doubt).__name__} instead of a Correction"
-            after = signals.corrected(doubt)
+        hook = hook_of(effect, "random_directions")
+        for direction in () if hook is None else hook(signals, effect.Parameters(**self._values("typical"))):
+            assert isinstance(direction, Correction), f"random_directions returned {type(direction).__name__}s"
+            after = signals.corrected(direction)
             for name in SIGNAL_ARRAYS:
                 assert getattr(after, name).shape == getattr(signals, name).shape, f"{name} has another shape"
                 assert np.isfinite(getattr(after, name)).all(), f"{name} is not finite"

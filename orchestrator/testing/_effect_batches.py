@@ -12,14 +12,14 @@ import numpy as np
 
 from protocols import Correction, Effect, EffectParameters, SignalBatch, Signals, hook_of
 
-SAME = 1e-9
-"""Of the largest value of an array, a difference that is rounding."""
-BOUNDS = (0.0, 0.1, 0.15, 0.6, 1.0)
+ROUNDING_RATIO = 1e-9
+"""Difference by rounding, over an array's largest value."""
+SEGMENT_BOUNDS = (0.0, 0.1, 0.15, 0.6, 1.0)
 """Where the kit's signals are cut into segments."""
 
 
 class EffectBatchChecks(ABC):
-    """What `correct_batch` and `doubts_batch` promise; an effect without them passes."""
+    """What `correct_batch` and `random_directions_batch` promise; an effect without them passes."""
 
     @abstractmethod
     def make_effect(self) -> Effect: ...
@@ -37,19 +37,19 @@ class EffectBatchChecks(ABC):
             alone = [effect.correct(signals, parameters) for signals in batch.segments]
             _compare("correct_batch", batch, correct_batch(batch, parameters), alone)
 
-    def test_doubts_of_a_batch_are_those_of_its_segments(self) -> None:
+    def test_random_directions_of_a_batch_are_those_of_its_segments(self) -> None:
         effect = self.make_effect()
-        doubts, doubts_batch = hook_of(effect, "doubts"), hook_of(effect, "doubts_batch")
-        if doubts is None or doubts_batch is None:
-            assert doubts_batch is None, "it has doubts_batch, but no doubts: a single segment is asked for the latter"
+        of_segment, of_batch = hook_of(effect, "random_directions"), hook_of(effect, "random_directions_batch")
+        if of_segment is None or of_batch is None:
+            assert of_batch is None, "it has random_directions_batch, and lacks random_directions for a single segment"
             return
         batch = SignalBatch.of(_segments(self.signals()))
         for parameters in _settings(effect):
-            alone = [doubts(signals, parameters) for signals in batch.segments]
-            found = doubts_batch(batch, parameters)
-            assert {len(found)} == set(map(len, alone)), "doubts_batch and doubts differ in how many there are"
-            for m, doubt in enumerate(found):
-                _compare(f"doubts_batch, number {m}", batch, doubt, [one[m] for one in alone])
+            alone = [of_segment(signals, parameters) for signals in batch.segments]
+            directions = of_batch(batch, parameters)
+            assert {len(directions)} == set(map(len, alone)), "random_directions_batch returns another number"
+            for m, direction in enumerate(directions):
+                _compare(f"random_directions_batch, number {m}", batch, direction, [one[m] for one in alone])
 
     def test_a_batch_is_not_modified(self) -> None:
         effect = self.make_effect()
@@ -58,7 +58,7 @@ class EffectBatchChecks(ABC):
         before = {name: array.tobytes() for name, array in arrays.items()}
         for array in arrays.values():
             array.flags.writeable = False
-        hooks = (hook_of(effect, "correct_batch"), hook_of(effect, "doubts_batch"))
+        hooks = (hook_of(effect, "correct_batch"), hook_of(effect, "random_directions_batch"))
         for hook in (hook for hook in hooks if hook is not None):
             for parameters in _settings(effect):
                 hook(batch, parameters)
@@ -77,7 +77,7 @@ def _settings(effect: Effect) -> tuple[EffectParameters, EffectParameters]:
 def _segments(signals: Signals) -> list[Signals]:
     """Pieces of some signals, which differ in all that segments of a recording may differ in."""
     n = len(signals.v_dc)
-    ends = [round(part * n) for part in BOUNDS]
+    ends = [round(part * n) for part in SEGMENT_BOUNDS]
     pieces = []
     for k, (first, end) in enumerate(pairwise(ends)):
         update: dict[str, Any] = {
@@ -97,21 +97,21 @@ def _segments(signals: Signals) -> list[Signals]:
     return pieces[::-1]
 
 
-def _compare(asked: str, batch: SignalBatch, found: object, alone: Sequence[Correction]) -> None:
+def _compare(call: str, batch: SignalBatch, result: object, alone: Sequence[Correction]) -> None:
     """Complains where a correction of a batch is not that of each segment alone."""
-    assert isinstance(found, Correction), f"{asked} returned {type(found).__name__} instead of a Correction"
-    for name in sorted(set(found.arrays).union(*(one.arrays for one in alone))):
+    assert isinstance(result, Correction), f"{call} returned {type(result).__name__} instead of a Correction"
+    for name in sorted(set(result.arrays).union(*(one.arrays for one in alone))):
         there = getattr(batch, name)
-        whole = np.asarray(found.arrays.get(name, there))
+        whole = np.asarray(result.arrays.get(name, there))
         tail = () if name in ("v_dc", "theta_rad", "resistance_ohm") else (2,)
         shape = (batch.samples, *tail)
-        assert np.shape(whole) == shape, f"{asked}: {name} has shape {np.shape(whole)} instead of {shape}"
-        assert whole.dtype.kind == "f", f"{asked}: {name} is of type {whole.dtype}"
+        assert np.shape(whole) == shape, f"{call}: {name} has shape {np.shape(whole)} instead of {shape}"
+        assert whole.dtype.kind == "f", f"{call}: {name} is of type {whole.dtype}"
         for k, one in enumerate(alone):
             part = batch.slice_of(k)
             expected = one.arrays.get(name, np.zeros((1, *tail)) if there is None else there[part])
             off = float(np.abs(whole[part] - expected).max())
-            assert off <= SAME * float(np.abs(expected).max()), (
-                f"{asked}: {name} of segment {k} of {len(alone)} differs by {off:.2g} from what the segment alone "
+            assert off <= ROUNDING_RATIO * float(np.abs(expected).max()), (
+                f"{call}: {name} of segment {k} of {len(alone)} differs by {off:.2g} from what the segment alone "
                 "becomes: does it look beyond a segment's ends, or take one's sampling or PWM frequency for all?"
             )

@@ -23,16 +23,17 @@ CHANGES: Mapping[EffectLayer, frozenset[str]] = {
     EffectLayer.IRON: frozenset({"i_m_ab", "v_ab"}),
 }
 """What an effect of a layer can be about; the layers beyond it see what it has changed."""
-QUICK_S = 0.25
-"""For a second of samples: a diagnosis asks some thousand times."""
-LARGER_A, LARGER_V = 4.0, 0.5
-"""Another machine: currents and voltages so many times as large, time as it is."""
-HONEST = (0.01, 100.0)
-"""What a voltage of 1 V or a current of 1 A changes of the voltage or the current, in its own unit."""
-SHARE = 0.01
-"""Least part of the mean slope that a slope may be."""
-SIZES = (0.0, 0.13, 0.37, 0.61, 0.89)
-STEP = 2e-3
+MAX_EVALUATION_S = 0.25
+"""For a second of samples: a diagnosis evaluates an effect some thousand times."""
+CURRENT_SCALE = 4.0
+"""Currents of another machine over the first one's; times stay."""
+VOLTAGE_SCALE = 0.5
+UNIT_RESPONSE_LIMITS = (0.01, 100.0)
+"""Change of voltage or current by a parameter of 1 V or 1 A, in its own unit."""
+MIN_SLOPE_RATIO = 0.01
+"""Smallest slope over the mean slope."""
+SIZE_FRACTIONS = (0.0, 0.13, 0.37, 0.61, 0.89)
+SIZE_STEP = 2e-3
 
 
 class EffectPhysicsChecks(ABC):
@@ -50,21 +51,21 @@ class EffectPhysicsChecks(ABC):
     def _amplitudes(self) -> list[EffectParameter]:
         return [p for p in self.make_effect().Parameters.declared() if p.role is ParameterRole.AMPLITUDE]
 
-    def _asked(self, signals: Signals, values: Mapping[str, float]) -> Correction:
+    def _correction(self, signals: Signals, values: Mapping[str, float]) -> Correction:
         effect = self.make_effect()
         return effect.correct(signals, effect.Parameters(**values))
 
     def test_changes_only_what_its_layer_is_about(self) -> None:
         layer = self.make_effect().layer
-        others = sorted(set(self._asked(self.signals(), self._typical()).arrays) - CHANGES[layer])
+        others = sorted(set(self._correction(self.signals(), self._typical()).arrays) - CHANGES[layer])
         assert not others, f"an effect of the layer {layer.name} changes {', '.join(others)}: the layer is wrong"
 
     def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
         effect = self.make_effect()
         if effect.layer is not EffectLayer.CURRENT_SENSORS:
-            return  # not asked then
+            return  # nothing to check
         off = replace(self.signals(), v_ab=np.zeros_like(self.signals().v_ab), bridge_on=False)
-        changed = sorted(set(self._asked(off, self._typical()).arrays) - {"i_ab"})
+        changed = sorted(set(self._correction(off, self._typical()).arrays) - {"i_ab"})
         assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"
 
     def test_a_machine_of_another_size_behaves_alike(self) -> None:
@@ -72,12 +73,12 @@ class EffectPhysicsChecks(ABC):
         effect, signals = self.make_effect(), self.signals()
         declared = effect.Parameters.declared()
         larger = {p.name: p.typical * _factor(p.unit) for p in declared}
-        here = signals.corrected(self._asked(signals, self._typical()))
+        here = signals.corrected(self._correction(signals, self._typical()))
         there = _scaled(signals)
-        apart = largest_change(_scaled(here), there.corrected(self._asked(there, larger)))
+        apart = largest_change(_scaled(here), there.corrected(self._correction(there, larger)))
         effect_size = largest_change(signals, here)
         assert apart <= 1e-6 * max(effect_size, 1e-3), (
-            f"on a machine of {LARGER_A:g} times the current and {LARGER_V:g} times the voltage it changes a signal by "
+            f"with {CURRENT_SCALE:g} times the current and {VOLTAGE_SCALE:g} times the voltage a signal changes by "
             f"{apart:.2g} of its size otherwise ({effect_size:.2g} is the effect): a parameter's unit is not "
             f"what it is used as ({', '.join(f'{p.name} in {p.unit}' for p in declared)})"
         )
@@ -87,11 +88,11 @@ class EffectPhysicsChecks(ABC):
         signals = self.signals()
         for p in self._amplitudes():
             array = {"V": "v_ab", "A": "i_ab"}.get(p.unit)
-            changed = self._asked(signals, self._neutral() | self._shapes() | {p.name: p.typical}).arrays
+            changed = self._correction(signals, self._neutral() | self._shapes() | {p.name: p.typical}).arrays
             if array is None or array not in changed:
                 continue
             by = float(np.abs(changed[array] - getattr(signals, array)).max()) / abs(p.typical)
-            assert HONEST[0] <= by <= HONEST[1], (
+            assert UNIT_RESPONSE_LIMITS[0] <= by <= UNIT_RESPONSE_LIMITS[1], (
                 f"{p.name}: 1 {p.unit} changes {array} by {by:.2g} {p.unit}; is it meant in m{p.unit}? "
                 "Values are in SI, without prefixes"
             )
@@ -101,9 +102,9 @@ class EffectPhysicsChecks(ABC):
         for p in self._amplitudes():
             whole = self._moved(p, 0.0, 1.0)
             assert whole > 0.0, f"{p.name} changes nothing between its neutral and its typical value"
-            for size in SIZES:
-                slope = self._moved(p, size, size + STEP) / STEP
-                assert slope >= SHARE * whole, (
+            for size in SIZE_FRACTIONS:
+                slope = self._moved(p, size, size + SIZE_STEP) / SIZE_STEP
+                assert slope >= MIN_SLOPE_RATIO * whole, (
                     f"{p.name}: at {size:g} of its typical size the signals do not change with it (slope "
                     f"{slope / whole:.2g} of the mean one): a fit would stay there"
                 )
@@ -111,7 +112,9 @@ class EffectPhysicsChecks(ABC):
     def _moved(self, p: EffectParameter, one: float, other: float) -> float:
         """Length of the way between what two sizes of an amplitude make of the signals, the others typical."""
         signals = self.signals()
-        a, b = (signals.corrected(self._asked(signals, self._typical() | {p.name: _at(p, x)})) for x in (one, other))
+        a, b = (
+            signals.corrected(self._correction(signals, self._typical() | {p.name: _at(p, x)})) for x in (one, other)
+        )
         ways = [np.linalg.norm(getattr(b, n) - getattr(a, n)) / _size(getattr(signals, n)) for n in SIGNAL_ARRAYS]
         return float(np.linalg.norm(ways))
 
@@ -119,7 +122,7 @@ class EffectPhysicsChecks(ABC):
         if any("s" in unit_powers(p.unit) for p in self.make_effect().Parameters.declared()):
             return
         signals = self.signals()
-        now, then = (s.corrected(self._asked(s, self._typical())) for s in (signals, _later(signals)))
+        now, then = (s.corrected(self._correction(s, self._typical())) for s in (signals, _later(signals)))
         change = largest_change(now, then)
         assert change <= 1e-9, (
             f"1000 s later it changes a signal by {change:.2g} otherwise, but none of its parameters is per second: "
@@ -132,7 +135,7 @@ class EffectPhysicsChecks(ABC):
         parameters = used.Parameters(**self._typical())
         for earlier in (self.signals(), exciting_signals(seed=7)):
             used.correct(earlier, parameters)
-        fresh = signals.corrected(self._asked(signals, self._typical()))
+        fresh = signals.corrected(self._correction(signals, self._typical()))
         assert largest_change(fresh, signals.corrected(used.correct(signals, parameters))) == 0.0, (
             "what came before a segment changes it: effects are pure functions"
         )
@@ -140,11 +143,15 @@ class EffectPhysicsChecks(ABC):
     def test_answers_quickly(self) -> None:
         signals = self.signals()
         took: list[float] = []
-        while not took or (len(took) < 4 and min(took) > QUICK_S and sum(took) < 8.0):  # the first one may compile
+        while not took or (
+            len(took) < 4 and min(took) > MAX_EVALUATION_S and sum(took) < 8.0
+        ):  # the first one may compile
             begun = time.perf_counter()
-            self._asked(signals, self._typical())
+            self._correction(signals, self._typical())
             took.append(time.perf_counter() - begun)
-        assert min(took) <= QUICK_S, f"{min(took):.2f} s for a second of samples ({QUICK_S} s allowed)"
+        assert min(took) <= MAX_EVALUATION_S, (
+            f"{min(took):.2f} s for a second of samples ({MAX_EVALUATION_S} s allowed)"
+        )
 
     def _neutral(self) -> dict[str, float]:
         return {p.name: p.neutral for p in self.make_effect().Parameters.declared()}
@@ -156,7 +163,7 @@ class EffectPhysicsChecks(ABC):
 
 def _factor(unit: str) -> float:
     """By how much a quantity of this unit is larger on the other machine."""
-    volts, amperes = LARGER_V, LARGER_A
+    volts, amperes = VOLTAGE_SCALE, CURRENT_SCALE
     sizes = {"A": amperes, "V": volts, "ohm": volts / amperes, "Wb": volts, "H": volts / amperes}
     sizes |= {"W": volts * amperes, "Nm": volts * amperes}
     return float(np.prod([sizes.get(symbol, 1.0) ** power for symbol, power in unit_powers(unit).items()]))
@@ -172,8 +179,8 @@ def _scaled(signals: Signals) -> Signals:
         "resistance_ohm": "ohm",
         "heat_j": "W",
     }
-    found = {name: getattr(signals, name) for name in units}
-    update: dict[str, Any] = {name: x * _factor(units[name]) for name, x in found.items() if x is not None}
+    arrays = {name: getattr(signals, name) for name in units}
+    update: dict[str, Any] = {name: x * _factor(units[name]) for name, x in arrays.items() if x is not None}
     if signals.losses is not None:
         update["losses"] = replace(signals.losses, power_w=signals.losses.power_w * _factor("W"))
     if signals.motor is not None:

@@ -22,7 +22,7 @@ from protocols import (
     ResistanceEstimate,
 )
 
-TURN_RAD = math.pi / 3.0
+FRAME_TURN_RAD = math.pi / 3.0
 """Sixty degrees permute the phases and their signs: a model of the bridge in phase currents stays the same."""
 MAP_VALUES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 
@@ -58,7 +58,7 @@ class EstimatorConformance(Kit, ABC):
 
     @pytest.fixture(scope="class")
     @classmethod
-    def found(cls) -> Estimate:
+    def estimate(cls) -> Estimate:
         """One estimate of the recording as it is, for all checks that only look at it."""
         kit = cls()
         return kit._estimate(kit.recording())
@@ -72,22 +72,22 @@ class EstimatorConformance(Kit, ABC):
         assert estimator.summary.strip(), "summary is empty"
         assert isinstance(type(estimator)(), type(estimator)), "the class must be made without arguments"
 
-    def test_returns_what_it_says_it_produces(self, found: Estimate) -> None:
+    def test_returns_what_it_says_it_produces(self, estimate: Estimate) -> None:
         produces = self.make_estimator().produces
         assert _is_estimate(produces), f"produces is {produces!r}; expected ResistanceEstimate or FluxMapEstimate"
-        assert isinstance(found, produces), f"produces {produces.__name__}, but returned {type(found).__name__}"
+        assert isinstance(estimate, produces), f"produces {produces.__name__}, but returned {type(estimate).__name__}"
 
     def test_requirements_are_kinds_of_estimate(self) -> None:
         estimator = self.make_estimator()
         for kind in estimator.requires:
             assert _is_estimate(kind), f"requires {kind!r}; expected ResistanceEstimate, FluxMapEstimate or a sub-class"
 
-    def test_remarks_have_codes_of_their_own(self, found: Estimate) -> None:
-        for remark in found.remarks:
+    def test_remarks_have_codes_of_their_own(self, estimate: Estimate) -> None:
+        for remark in estimate.remarks:
             assert PLUGIN_NAME.match(remark.code), f"the code {remark.code!r} is not in snake_case: {remark.text}"
 
-    def test_same_recording_gives_the_same_estimate(self, found: Estimate) -> None:
-        first, second = _numbers(found), _numbers(self._estimate(self.recording()))
+    def test_same_recording_gives_the_same_estimate(self, estimate: Estimate) -> None:
+        first, second = _numbers(estimate), _numbers(self._estimate(self.recording()))
         assert first.keys() == second.keys(), "a second pass over the same recording has other fields"
         for name in first:
             assert np.array_equal(first[name], second[name], equal_nan=True), f"{name} differs in a second pass"
@@ -99,19 +99,19 @@ class EstimatorConformance(Kit, ABC):
         assert digest(recording) == before, "the recording is not what it was before the estimate"
 
     def test_recording_without_its_stages_is_told_as_not_measured(self) -> None:
-        with pytest.raises(NotMeasuredError) as told:
+        with pytest.raises(NotMeasuredError) as refusal:
             self._estimate(Empty(self.recording().manifest))
-        assert "\n" not in str(told.value).strip(), "the error is not one line"
+        assert "\n" not in str(refusal.value).strip(), "the error is not one line"
 
-    def test_uncertainties_are_finite_and_not_negative(self, found: Estimate) -> None:
-        if isinstance(found, ResistanceEstimate):
-            _require_honest_resistance(found)
+    def test_uncertainties_are_finite_and_not_negative(self, estimate: Estimate) -> None:
+        if isinstance(estimate, ResistanceEstimate):
+            _require_honest_resistance(estimate)
         else:
-            _require_honest_map(found)
+            _require_honest_map(estimate)
 
-    def test_turning_the_stator_frame_changes_nothing(self, found: Estimate) -> None:
-        straight = _numbers(found)
-        askew = _numbers(self._estimate(turned(self.recording(), TURN_RAD)))
+    def test_turning_the_stator_frame_changes_nothing(self, estimate: Estimate) -> None:
+        straight = _numbers(estimate)
+        askew = _numbers(self._estimate(turned(self.recording(), FRAME_TURN_RAD)))
         assert straight.keys() == askew.keys()
         for name in straight:
             allowed = bounded("frame_tolerance", self.frame_tolerance, 0.01) * (50.0 if "std" in name else 1.0)
@@ -122,20 +122,20 @@ def _is_estimate(kind: object) -> bool:
     return isinstance(kind, type) and issubclass(kind, ResistanceEstimate | FluxMapEstimate)
 
 
-def _numbers(found: Estimate) -> dict[str, RealArray]:
+def _numbers(estimate: Estimate) -> dict[str, RealArray]:
     """All numbers of an estimate under their names."""
-    if isinstance(found, ResistanceEstimate):
+    if isinstance(estimate, ResistanceEstimate):
         readings = {
-            "start_s of the readings": np.array([r.start_s for r in found.readings]),
-            "value_ohm of the readings": np.array([r.value_ohm for r in found.readings]),
-            "std_ohm of the readings": np.array([r.std_ohm for r in found.readings]),
+            "start_s of the readings": np.array([r.start_s for r in estimate.readings]),
+            "value_ohm of the readings": np.array([r.value_ohm for r in estimate.readings]),
+            "std_ohm of the readings": np.array([r.std_ohm for r in estimate.readings]),
         }
-        values = {name: np.array([getattr(found, name)]) for name in ("value_ohm", "first_ohm", "last_ohm")}
-        widths = np.array([found.value_ohm - found.low, found.high - found.value_ohm])
+        values = {name: np.array([getattr(estimate, name)]) for name in ("value_ohm", "first_ohm", "last_ohm")}
+        widths = np.array([estimate.value_ohm - estimate.low, estimate.high - estimate.value_ohm])
         return {**values, **readings, "interval about value_ohm (std)": widths}
-    grids = {name: np.asarray(getattr(found.map, name)) for name in ("i_d", "i_q", *MAP_VALUES)}
-    stds = {f"{name}_std": np.asarray(getattr(found.map, f"{name}_std")) for name in MAP_VALUES}
-    return {**grids, **stds, "points i_dq": found.points.i_dq, "points psi_dq": found.points.psi_dq}
+    grids = {name: np.asarray(getattr(estimate.map, name)) for name in ("i_d", "i_q", *MAP_VALUES)}
+    stds = {f"{name}_std": np.asarray(getattr(estimate.map, f"{name}_std")) for name in MAP_VALUES}
+    return {**grids, **stds, "points i_dq": estimate.points.i_dq, "points psi_dq": estimate.points.psi_dq}
 
 
 def _require_close(name: str, a: RealArray, b: RealArray, allowed: float) -> None:
@@ -149,20 +149,20 @@ def _require_close(name: str, a: RealArray, b: RealArray, allowed: float) -> Non
     assert apart <= allowed * scale, f"{name} changes by {apart:.3g} of {scale:.3g} when the stator frame is turned"
 
 
-def _require_honest_resistance(found: ResistanceEstimate) -> None:
-    told = f"{found.low} .. {found.value_ohm} .. {found.high}"
-    assert all(map(math.isfinite, (found.low, found.value_ohm, found.high))), f"not finite: {told}"
-    assert found.low <= found.value_ohm <= found.high, f"the value is outside its interval: {told}"
-    assert found.readings, "no readings"
-    for reading in found.readings:
+def _require_honest_resistance(estimate: ResistanceEstimate) -> None:
+    interval = f"{estimate.low} .. {estimate.value_ohm} .. {estimate.high}"
+    assert all(map(math.isfinite, (estimate.low, estimate.value_ohm, estimate.high))), f"not finite: {interval}"
+    assert estimate.low <= estimate.value_ohm <= estimate.high, f"the value is outside its interval: {interval}"
+    assert estimate.readings, "no readings"
+    for reading in estimate.readings:
         assert math.isfinite(reading.std_ohm), f"std_ohm = {reading.std_ohm}"
         assert reading.std_ohm >= 0.0, f"std_ohm = {reading.std_ohm}"
-    starts = [reading.start_s for reading in found.readings]
+    starts = [reading.start_s for reading in estimate.readings]
     assert starts == sorted(starts), "readings are not in order of time"
 
 
-def _require_honest_map(found: FluxMapEstimate) -> None:
-    grid = found.map
+def _require_honest_map(estimate: FluxMapEstimate) -> None:
+    grid = estimate.map
     for axis in ("i_d", "i_q"):
         assert (np.diff(getattr(grid, axis)) > 0).all(), f"{axis} does not increase"
     for name in MAP_VALUES:
@@ -171,5 +171,5 @@ def _require_honest_map(found: FluxMapEstimate) -> None:
         assert known.any(), f"{name} is NaN everywhere"
         assert np.isfinite(std[known]).all(), f"{name}_std is not finite where {name} is"
         assert (std[known] >= 0.0).all(), f"{name}_std is negative"
-    assert np.isfinite(found.points.i_dq).all(), "a point's current is not finite"
-    assert np.isfinite(found.points.psi_dq).all(), "a point's flux is not finite"
+    assert np.isfinite(estimate.points.i_dq).all(), "a point's current is not finite"
+    assert np.isfinite(estimate.points.psi_dq).all(), "a point's flux is not finite"

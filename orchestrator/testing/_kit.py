@@ -22,10 +22,10 @@ class Kit:
         name = str(getattr(plugin, "name", ""))
         assert PLUGIN_NAME.match(name), f"name is {name!r}; expected lower-case letters, digits and underscores"
         if not self.registered:
-            pytest.skip("the kit was told that this plugin is not installed")
-        found = [entry for entry in entry_points(group=group) if entry.name == name]
-        assert found, f"no entry point {name!r} in the group {group!r}; is the package installed?"
-        assert found[0].load() is plugin, f"the entry point {name!r} leads to {found[0].value}, not to {plugin!r}"
+            pytest.skip("the kit's author declared that this plugin is not installed")
+        entries = [entry for entry in entry_points(group=group) if entry.name == name]
+        assert entries, f"no entry point {name!r} in the group {group!r}; is the package installed?"
+        assert entries[0].load() is plugin, f"the entry point {name!r} leads to {entries[0].value}, not to {plugin!r}"
 
 
 def bounded(name: str, value: float, largest: float) -> float:

@@ -54,7 +54,7 @@ from protocols import (
 
 MOTOR = Motor(name="kit's motor", pole_pairs=2, rated_current_rms_a=1.66, stator_resistance_ohm=4.25)
 POINTS = 20
-FS = 10000.0
+SAMPLING_FREQUENCY_HZ = 10000.0
 
 
 def a_manifest() -> Manifest:
@@ -65,7 +65,7 @@ def a_manifest() -> Manifest:
         name="kit",
         created="2026-01-01T00:00:00Z",
         motor=MOTOR,
-        drive=DriveRecord(name="kit", sampling_frequency_hz=FS, dc_bus_voltage_v=540.0),
+        drive=DriveRecord(name="kit", sampling_frequency_hz=SAMPLING_FREQUENCY_HZ, dc_bus_voltage_v=540.0),
         segments=(),
     )
 
@@ -118,7 +118,7 @@ def one_of_each(run: Path) -> list[Message]:
     ]
 
 
-_WORDS = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, "said in words"))
+_WORDS = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, "in words"))
 
 
 def _comparison() -> CompareReport:
@@ -175,11 +175,15 @@ def _diagnosis_step() -> DiagnosisStep:
 
 def samples(run: Path, count: int) -> Iterator[Message]:
     """Blocks of half a second, each in arrays of its own."""
-    t = np.arange(5000) / FS
+    t = np.arange(5000) / SAMPLING_FREQUENCY_HZ
     for k in range(count):
         wave = np.stack([np.cos(2 * np.pi * t), np.sin(2 * np.pi * t)], axis=1)
         capture = Capture(
-            start_s=0.5 * k, sampling_frequency_hz=FS, i_ab=wave, v_ab=4.0 * wave, v_dc=np.full(len(t), 540.0)
+            start_s=0.5 * k,
+            sampling_frequency_hz=SAMPLING_FREQUENCY_HZ,
+            i_ab=wave,
+            v_ab=4.0 * wave,
+            v_dc=np.full(len(t), 540.0),
         )
         yield SamplesCaptured(segment=f"injection-{k:03d}", rotor_angle_rad=0.0, capture=capture)
 

@@ -25,8 +25,8 @@ from protocols import Message, NoOptions, Stream, StreamSetup
 
 T = TypeVar("T")
 
-HANGS_S = 20.0
-THREADS_END_S = 5.0
+CALL_TIMEOUT_S = 20.0
+THREAD_END_TIMEOUT_S = 5.0
 
 
 class StreamConformance(Kit, ABC):
@@ -76,9 +76,9 @@ class StreamConformance(Kit, ABC):
 
     def _in_time(self, worker: Worker, what: str, call: Callable[[], T]) -> T:
         try:
-            return cast("T", worker.call(call, HANGS_S))
+            return cast("T", worker.call(call, CALL_TIMEOUT_S))
         except TimeoutError:
-            type(self)._hung = f"it hangs: {what} has not returned after {HANGS_S:g} s"
+            type(self)._hung = f"it hangs: {what} has not returned after {CALL_TIMEOUT_S:g} s"
             pytest.fail(type(self)._hung)
 
     def test_entry_point_leads_to_the_stream(self, tmp_path: Path) -> None:
@@ -194,7 +194,7 @@ def _wanted(stream: _Timed, messages: list[Message]) -> list[Message]:
 
 def _threads_left(known: set[threading.Thread]) -> list[str]:
     """Names of threads that are still alive some seconds later."""
-    deadline = time.monotonic() + THREADS_END_S
+    deadline = time.monotonic() + THREAD_END_TIMEOUT_S
     while left := [thread for thread in threading.enumerate() if thread not in known]:
         if time.monotonic() > deadline:
             return [thread.name for thread in left]

@@ -47,7 +47,7 @@ class Worker:
         while (function := self._calls.get()) is not None:
             try:
                 self._answers.put((function(), None))
-            except BaseException as error:  # told where the call was made
+            except BaseException as error:  # raised again where the call was made
                 self._answers.put((None, error))
 
 
@@ -64,10 +64,10 @@ class _OpenedFiles:
         if not self._installed:
             sys.addaudithook(self._hear)
             self._installed = True
-        found: set[str] = set()
-        self._into = found
+        paths: set[str] = set()
+        self._into = paths
         try:
-            yield found
+            yield paths
         finally:
             self._into = None
 
@@ -100,10 +100,10 @@ def left_elsewhere(opened: set[str], run: Path) -> list[str]:
 
 def digest(messages: list[Message]) -> str:
     """Of every array in the messages."""
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     for array in _arrays(messages):
-        found.update(np.ascontiguousarray(array).tobytes())
-    return found.hexdigest()
+        sha.update(np.ascontiguousarray(array).tobytes())
+    return sha.hexdigest()
 
 
 def _arrays(value: object) -> Iterator[np.ndarray[Any, Any]]:

@@ -60,7 +60,7 @@ def find_injection(
     v_ab : (n, 2)
         Captured voltage [V], a whole number of injection periods.
     samples_per_period : int
-        Rows in one period of the wave that was asked for; gives F of the sampled wave.
+        Rows in one period of the requested wave; gives F of the sampled wave.
     """
     n = len(v_ab)
     v = v_ab[:, 0] + 1j * v_ab[:, 1]
@@ -118,12 +118,12 @@ def share_at_the_end_of_the_scale(i_ab: Floats, close: float = 0.002) -> tuple[f
     """
     a, b = i_ab.T
     phases = {"phase a": a, "phase b": -0.5 * a + np.sqrt(0.75) * b, "phase c": -0.5 * a - np.sqrt(0.75) * b}
-    found = []
+    shares = []
     for name, x in {**phases, "beta": b, "the vector": np.hypot(a, b)}.items():
         near = close * np.ptp(x)
         ends = (x >= x.max() - near, x <= x.min() + near)
-        found.append((max(float(np.mean(end)) for end in ends[: 1 if name == "the vector" else 2]), name))
-    return max(found)
+        shares.append((max(float(np.mean(end)) for end in ends[: 1 if name == "the vector" else 2]), name))
+    return max(shares)
 
 
 def angle_between(a_rad: float, b_rad: float) -> float:

@@ -62,7 +62,7 @@ def campaign(
     if as_json:
         print(visible(report.model_dump_json(indent=2)))
     else:
-        _say(report, plan.found_with)
+        _print_line(report, plan.found_with)
     return 0
 
 
@@ -71,7 +71,7 @@ def command(arguments: Sequence[str]) -> int:
     return int(app(list(arguments), prog_name="fluxbench campaign", standalone_mode=False) or 0)
 
 
-def _say(report: PowerReport, found_with: float) -> None:
+def _print_line(report: PowerReport, found_with: float) -> None:
     from orchestrator.formatting.names import plain
     from orchestrator.formatting.quantities import number, percent, plural
     from orchestrator.formatting.sentences import shown, text_table
@@ -91,12 +91,12 @@ def _say(report: PowerReport, found_with: float) -> None:
     head = ("condition", "effect", "size", "found", "95 %", "found / true", "interval holds it")
     if rows:
         print(shown(text_table(head, rows, numbers=False)))
-    for found in report.smallest:
-        what = f"{plain(found.effect)}: {found.parameter}"
-        if found.size is None:
+    for smallest in report.smallest:
+        what = f"{plain(smallest.effect)}: {smallest.parameter}"
+        if smallest.size is None:
             print(shown(f"{what}: none of these sizes is found in {percent(100.0 * found_with, 2)} of the runs"))
         else:
-            print(shown(f"{what}: found from {number(found.size)} on"))
+            print(shown(f"{what}: found from {number(smallest.size)} on"))
     for failure in report.failures:
         print(shown(f"failed {failure.count} times: {failure.what}"))
     diagnosed = f", {report.false_names} of {report.judged} diagnosed with a false name" if report.judged else ""

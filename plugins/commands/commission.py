@@ -30,7 +30,7 @@ def commission(
         str | None, typer.Option(help='"I have made the bench safe": nobody is there.', metavar="WORDS")
     ] = None,
 ) -> int:
-    """Measure a flux map until it is known as well as asked for: the procedure `adaptive`, with another target."""
+    """Measure a flux map to a given accuracy: the procedure `adaptive`, with another target."""
     from orchestrator.api import run
     from orchestrator.config import load_procedure
     from orchestrator.engine import TerminalOperator
@@ -47,10 +47,10 @@ def commission(
 
 def percent(text: str) -> float:
     """The number of a percentage; raises `InputError`."""
-    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
-    if found is None or float(found[1]) <= 0.0:
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?|\.\d+)\s*%\s*", text)
+    if match is None or float(match[1]) <= 0.0:
         raise InputError("fluxbench commission", "--until", f"{text!r}; expected a percentage, such as 0.2%")
-    return float(found[1])
+    return float(match[1])
 
 
 def command(arguments: Sequence[str]) -> int:

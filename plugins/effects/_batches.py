@@ -32,16 +32,16 @@ class BatchEffect(protocols.BatchEffect, ABC):
         return self.correct_batch(SignalBatch.of([signals]), p)
 
 
-class DoubtfulBatchEffect(BatchEffect, RandomDirectionsEffect, RandomDirectionsBatchEffect):
+class RandomBatchEffect(BatchEffect, RandomDirectionsEffect, RandomDirectionsBatchEffect):
     """Base of one that, besides, cannot know all of what it does."""
 
     @abstractmethod
-    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+    def random_directions_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
         """What a standard deviation of each thing that is not known would change, in each segment by its own."""
 
-    def doubts(self, signals: Signals, p: Any) -> Sequence[Correction]:
+    def random_directions(self, signals: Signals, p: Any) -> Sequence[Correction]:
         """The same of one segment."""
-        return self.doubts_batch(SignalBatch.of([signals]), p)
+        return self.random_directions_batch(SignalBatch.of([signals]), p)
 
 
 def by_value(values: RealArray) -> Iterator[tuple[float, Indices]]:

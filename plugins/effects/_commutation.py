@@ -45,15 +45,15 @@ Legs = tuple[float, float, float]
 
 _SQRT3 = math.sqrt(3.0)
 
-QUICK = 3.0
-"""Knees: a swing that ends within a third of the dead time is told by its mean current."""
+QUICK_SWING_KNEES = 3.0
+"""Current in knees, above which a swing is computed from its mean current: it ends within a third of the dead time."""
 
-STEPS = 5
-"""Of a swing by a constant current; twice as many are the fewest of a dead time."""
+SWING_STEPS = 5
+"""Steps of a swing by a constant current; a dead time has at least twice as many."""
 
-PASSES = 4
-SETTLED = 1e-3
-"""Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
+MAX_EDGE_PASSES = 4
+EDGE_TOLERANCE_RATIO = 1e-3
+"""Shift of an edge over the dead time, below which the passes end: the knees hide its effect on the others."""
 
 
 class Swing(NamedTuple):
@@ -87,7 +87,7 @@ def swing_course(grading: float, entries: int = 256) -> Array:
 def swing_lines(grading: float) -> Array:
     """`swing_course` as lines from each of its places to the next, shape (2, places + 1, 2).
 
-    Each is told by what it is at the place 0, and its slope; the last one twice.
+    Each is given by its value at the place 0 and its slope; the last one twice.
     """
     course = swing_course(grading)
     slopes = np.diff(course, axis=1)
@@ -123,7 +123,7 @@ def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, le
     pull : tuple
         What a volt on each leg's terminal takes of it over a carrier's period; the leg's own first.
     due : tuple
-        When the others' edges come after the command, told by the volts that a pulse gains by such a time.
+        When the others' edges come after the command, as the volts that a pulse gains by that time.
     volts : float
         The same of the dead time.
     leg : float
@@ -135,7 +135,7 @@ def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, le
         return _late_by(now, leg, swing)
     helping = now + swing.yielding * (helping - now)
     own, first, second = swing.yielding * pull[0], swing.yielding * pull[1], swing.yielding * pull[2]
-    if now * leg > QUICK:
+    if now * leg > QUICK_SWING_KNEES:
         # As of an even swing: what the currents do within it is small.
         width = volts / now
         mean = helping - first * _ramp(due[0], width) - second * _ramp(due[1], width)
@@ -155,7 +155,7 @@ def _swing_late(
     """The same of a swing that takes a good part of the dead time, followed in steps; and whether it ends within."""
     if math.isnan(now):
         return now, True
-    steps = math.ceil(STEPS * max(2.0, now * leg))
+    steps = math.ceil(SWING_STEPS * max(2.0, now * leg))
     step = leg / steps
     # Charge is counted in places of the course; of a place and of a current, what a step and half of one add.
     places = float(lines.shape[1] - 1)
@@ -251,7 +251,7 @@ def lost_at_edges(
             ab, bc, ca = 0.5 * (v_b - v_a), 0.5 * (v_c - v_b), 0.5 * (v_a - v_c)
             lost_a, lost_b, lost_c = 0.0, 0.0, 0.0
             for _ in range(cycles[s]):
-                for _ in range(PASSES):
+                for _ in range(MAX_EDGE_PASSES):
                     (a0, b0, c0), (a1, b1, c1) = up, down
                     a_up, a_down = _edges(
                         a, drift_a, by_a, (ab, -ca), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], swing
@@ -264,7 +264,7 @@ def lost_at_edges(
                     )
                     up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
                     moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
-                    if max(moved_up, abs(a_down - a1), abs(b_down - b1), abs(c_down - c1)) < SETTLED:
+                    if max(moved_up, abs(a_down - a1), abs(b_down - b1), abs(c_down - c1)) < EDGE_TOLERANCE_RATIO:
                         break
                 lost_a += share * (up[0] - down[0])
                 lost_b += share * (up[1] - down[1])
@@ -290,7 +290,7 @@ def _edges(
 ) -> tuple[float, float]:
     """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
 
-    Of three legs, the leg's own comes first. Times are told by the volts that a pulse gains or loses by them; `drift`
+    Of three legs, the leg's own comes first. Times are given as the volts that a pulse gains or loses by them; `drift`
     is what its current does in a period, and `apart` how much sooner than its own rise the others are commanded, both
     without any delay.
     """

@@ -12,8 +12,8 @@ from orchestrator.numerics.types import Array
 from plugins.effects._vectors import Starts, doubles
 from protocols import RealArray, SignalBatch
 
-WAY_STEPS = 8
-"""From corner to corner of a way."""
+STEPS_PER_WAY = 8
+"""Steps between two corners of a way."""
 
 
 def ways_here(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array, Starts]:
@@ -24,7 +24,7 @@ def ways_here(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array, 
     """
     came_from = [np.zeros((0, 2)) if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
     points = np.array([len(one) for one in came_from])
-    lengths = np.where(points > 0, WAY_STEPS * (points + 1) + 1, np.diff(batch.starts) // 4)
+    lengths = np.where(points > 0, STEPS_PER_WAY * (points + 1) + 1, np.diff(batch.starts) // 4)
     way_starts = np.append(0, np.cumsum(lengths)).astype(np.int64)
     motor, theta_rad = batch.motor, batch.theta_rad[batch.starts[:-1]]
     inductance = np.repeat(typical_inductance(batch)[:, None], 2, axis=1)
@@ -77,9 +77,9 @@ def _ways(
         for x in range(2):
             corners[-2, x] = -overshoot * corners[-3, x]
             for k in range(points[s] + 1):
-                for part in range(WAY_STEPS):
-                    on = (corners[k + 1, x] - corners[k, x]) * (part / WAY_STEPS) + corners[k, x]
-                    out[way + k * WAY_STEPS + part, x] = psi[first, x] + on
+                for part in range(STEPS_PER_WAY):
+                    on = (corners[k + 1, x] - corners[k, x]) * (part / STEPS_PER_WAY) + corners[k, x]
+                    out[way + k * STEPS_PER_WAY + part, x] = psi[first, x] + on
             out[way_starts[s + 1] - 1, x] = psi[first, x]
     return out
 

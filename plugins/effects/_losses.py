@@ -20,9 +20,9 @@ def along_losses(
     Parameters
     ----------
     warm : callable
-        The same at the times of a history; asked once for each, straight between them and constant beyond.
+        The same at the times of a history; evaluated once for each, linear between them and constant beyond.
     otherwise : callable
-        What stands in segments without a history, (N,) or one number; not asked where all have one.
+        The value in segments without a history, (N,) or one number; unused where all have one.
     """
     out = np.empty(batch.samples)
     # Segments of one recording share one history.

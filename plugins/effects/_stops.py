@@ -16,18 +16,18 @@ from numba import njit
 from orchestrator.numerics.types import Array
 from plugins.effects._vectors import Starts
 
-FILLINGS = 1024
+YIELD_STEPS = 1024
 """Steps of `yields_of`, read linearly between them: 3e-6 of what stops hold, from a softness of 0.1 on."""
 
 
 @lru_cache(maxsize=32)
 def yields_of(softness: float) -> Array:
-    """Which part of a step outwards a stop yields, by how full it is: size / limit in `FILLINGS` steps, and one beyond.
+    """The part of an outward step that a stop yields, by size / limit in `YIELD_STEPS` steps, and one beyond.
 
     Nothing, of shape (0,), where it yields at its limit alone.
     """
     # A hundredth power is as sharp as none.
-    full = np.minimum(np.arange(FILLINGS + 2) / FILLINGS, 1.0) if softness > 1e-2 else np.zeros(0)
+    full = np.minimum(np.arange(YIELD_STEPS + 2) / YIELD_STEPS, 1.0) if softness > 1e-2 else np.zeros(0)
     return np.asarray(full ** (1.0 / max(softness, 1e-2)))
 
 
@@ -97,7 +97,7 @@ def stops(course: Course, stiffness: Array, limits: Array, yields: Array, giving
                         size = max(math.sqrt(a * a + b * b), 1e-12 * limit)
                         outwards = max(along / size, 0.0)
                         # Half of the way out stands for all of it. Read here, for arrays handed on are counted.
-                        full = min(1.0, abs(size + 0.5 * along / size) / limit) * FILLINGS
+                        full = min(1.0, abs(size + 0.5 * along / size) / limit) * YIELD_STEPS
                         below = int(full)
                         part = yields[below] + (full - below) * (yields[below + 1] - yields[below])
                         part *= ((1.0 - giving) * outwards + giving * far) / size

@@ -136,8 +136,8 @@ def _torques(psi_ab: Array, i_ab: Array, factor: float) -> Array:
     return out
 
 
-NO_TIME = 1e-3
-"""Of a sample period, a lag that is none; and no matrix exponential tells it beside a lag of many."""
+MIN_LAG_SAMPLES = 1e-3
+"""A shorter lag counts as none, since no matrix exponential resolves it beside a lag of many samples."""
 
 
 def _swinging(x: Array, lag_s: float, inertia_s2: float, batch: SignalBatch) -> Array:
@@ -146,7 +146,7 @@ def _swinging(x: Array, lag_s: float, inertia_s2: float, batch: SignalBatch) -> 
     y = _late(x, lag_s, batch)
     for rate_hz, segments in by_value(batch.sampling_frequency_hz):
         step_s = 1.0 / rate_hz
-        if inertia_s2 > lag_s * NO_TIME * step_s:
+        if inertia_s2 > lag_s * MIN_LAG_SAMPLES * step_s:
             second_order(y, x, batch.starts, segments, *_spring(lag_s, inertia_s2, step_s))
     return y
 
@@ -156,8 +156,8 @@ def _spring(lag_s: float, inertia_s2: float, step_s: float) -> tuple[Array, Arra
     # In y and its rate over the natural frequency both states are of one size, however fast they are.
     natural = 1.0 / math.sqrt(inertia_s2)
     state = np.array([[0.0, natural], [-natural, -lag_s * natural**2]])
-    force, seen = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]])
-    phi, gamma, out, through, _ = cont2discrete((state, force, seen, np.zeros((1, 1))), step_s, method="foh")
+    force, output = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]])
+    phi, gamma, out, through, _ = cont2discrete((state, force, output, np.zeros((1, 1))), step_s, method="foh")
     above, below = ss2tf(phi, gamma, out, through)
     return above[0].copy(), below, lfilter_zi(above[0], below)
 

@@ -33,25 +33,25 @@ from protocols import (
     shape,
 )
 
-WIDTHS = (0.5, 1.5, 3.0)
-"""Thresholds within which the parts of a step happen that `Knee` may have beside its main one."""
-PARTS_SHARPNESS = 3.0
+PART_WIDTHS = (0.5, 1.5, 3.0)
+"""Widths, in thresholds, of the parts that a step of `Knee` may have beside its main one."""
+PART_EXPONENT = 3.0
 """Exponent of these parts. With them the hyperbolic and the circular tangent, Langevin's and the Gaussian step, an
 exponential, straight and rounded ramps, and mixtures of them are met to 1.5e-3 of the step (rms to six thresholds)."""
 
-NOTEWORTHY_LEG = 0.03
-"""Of the mean dead time, by which a leg's own is off where it is said: more than gate drivers of one kind differ by."""
+MIN_LEG_DIFFERENCE_RATIO = 0.03
+"""Difference of a leg's dead time over the mean that a remark names: more than gate drivers of one kind differ."""
 
-FAR = 32.0
+COARSE_TABLE_RATIO = 32.0
 """How much coarser a second table is, for currents far beyond the step: a logarithm there is straight to 1e-5."""
 
 
 def _soft_sign(x: Array, softness: float, parts: tuple[float, ...]) -> Array:
-    """s(x), x at least 0: x / (1 + x^p)^(1/p), but for the `parts` of it that happen within `WIDTHS`."""
+    """s(x), x at least 0: x / (1 + x^p)^(1/p), but for the `parts` of it that happen within `PART_WIDTHS`."""
     whole = (1.0 - sum(parts)) * _knee(x, 1.0 / softness)
-    for part, width in zip(parts, WIDTHS, strict=True):
+    for part, width in zip(parts, PART_WIDTHS, strict=True):
         if part != 0.0:
-            whole += part * _knee(x / width, PARTS_SHARPNESS)
+            whole += part * _knee(x / width, PART_EXPONENT)
     return whole
 
 
@@ -70,7 +70,7 @@ def _knee(x: Array, sharpness: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _tables(softness: float, parts: tuple[float, ...], charged: float, growth: float, step: float, end: float) -> Array:
-    """Tables of a step of these parts, one up to `end`, one with steps and end `FAR` times as large; shape (2, m).
+    """Tables of a step of these parts, one up to `end`, one `COARSE_TABLE_RATIO` times as coarse and long; (2, m).
 
     The part `charged` goes as `_charging`, the part `growth` as log(1 + x), what is left as `_soft_sign`.
     """
@@ -80,7 +80,7 @@ def _tables(softness: float, parts: tuple[float, ...], charged: float, growth: f
         return (1.0 - charged - growth) * mere + charged * _charging(x) + growth * np.log1p(x)
 
     x = np.arange(0.0, end + 1.5 * step, step)
-    return np.stack([whole(x), whole(FAR * x)])
+    return np.stack([whole(x), whole(COARSE_TABLE_RATIO * x)])
 
 
 @njit(cache=True, nogil=True)
@@ -90,14 +90,14 @@ def _look_up(tables: Array, place: float, growth: float) -> float:
     if size < end:
         m = int(size)
         value = tables[0, m] + (size - m) * (tables[0, m + 1] - tables[0, m])
-    elif size < FAR * end:
-        size /= FAR
+    elif size < COARSE_TABLE_RATIO * end:
+        size /= COARSE_TABLE_RATIO
         m = int(size)
         value = tables[1, m] + (size - m) * (tables[1, m + 1] - tables[1, m])
     elif growth == 0.0:
         value = tables[1, end]
     else:
-        value = tables[1, end] + growth * math.log(size / (FAR * end))
+        value = tables[1, end] + growth * math.log(size / (COARSE_TABLE_RATIO * end))
     return float(value if place >= 0.0 else -value)
 
 
@@ -217,16 +217,16 @@ class DeadTime(BatchEffect, RemarkingEffect):
         if drive.pwm_frequency_hz is None:
             return {}
         dead_time_s = p.voltage_v / (drive.pwm_frequency_hz * drive.dc_bus_voltage_v)
-        found = {"dead_time": (dead_time_s, "s")}
+        quantities = {"dead_time": (dead_time_s, "s")}
         if p.charged > 0.0 or p.switched > 0.0:
-            found["charge_of_a_swing"] = (p.threshold_a * abs(dead_time_s), "C")
-        return found
+            quantities["charge_of_a_swing"] = (p.threshold_a * abs(dead_time_s), "C")
+        return quantities
 
     def remarks(self, p: Parameters) -> list[Remark]:
         """Which leg's dead time is none of the others'."""
         legs = dict(zip("abc", _longer(p), strict=True))
         leg = max(legs, key=lambda one: abs(legs[one]))
-        if abs(legs[leg]) < NOTEWORTHY_LEG:
+        if abs(legs[leg]) < MIN_LEG_DIFFERENCE_RATIO:
             return []
         text = "leg {leg}'s is {percent:.2g} % {which} than the legs' mean: look at its gate driver"
         which = "longer" if legs[leg] > 0.0 else "shorter"
@@ -280,7 +280,7 @@ class DeviceDrop(BatchEffect):
     """Forward drop of transistors and diodes.
 
     e = T V_0 s(i_abc / i_th) [V], whatever the PWM frequency; the part proportional to the current,
-    r_on i, cannot be told from R_s. In the flexible form the drop goes on growing beyond its knee as over any junction,
+    r_on i, counts as R_s. In the flexible form the drop goes on growing beyond its knee as over any junction,
     whose drop is log(1 + i / i_s) times n k T / q: from a mere step at `growth` 0 to that logarithm alone at 1,
 
         e = T V_0 ((1 - growth) s(x) + growth log(1 + |x|) sign x) / (1 - growth + growth log(1 + x_r)),

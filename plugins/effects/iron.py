@@ -11,7 +11,7 @@ from numba import njit
 
 from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
-from plugins.effects._batches import BatchEffect, DoubtfulBatchEffect, per_segment
+from plugins.effects._batches import BatchEffect, RandomBatchEffect, per_segment
 from plugins.effects._filters import lagged_steps
 from plugins.effects._flux import flux_of, magnet_wb, typical_inductance, ways_here
 from plugins.effects._losses import along_losses
@@ -38,7 +38,7 @@ class EddyCurrents(BatchEffect):
     where commands act late within it. In the flexible form
     the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods:
     read in the zero vector, a current without a lag is hardly there. The part `diffused` of it sinks into a sheet as a
-    field does, in a ladder of paths: the m-th of `LADDER` has 1/m^2 of the conductance and follows within lag_s / m^2.
+    field does, in a ladder of `EDDY_PATHS`: the m-th has 1/m^2 of the conductance and follows within lag_s / m^2.
     And the conductance is (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on
     one axis alone.
     Sources: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238; the
@@ -76,7 +76,7 @@ class EddyCurrents(BatchEffect):
         return Correction(i_m_ab=i_m_ab, v_ab=v_ab)
 
 
-LADDER = 4
+EDDY_PATHS = 4
 """Paths of a field that sinks into a sheet; the last has what is left, for all that are faster."""
 
 
@@ -85,12 +85,12 @@ def _paths(late: float, diffused: float) -> Array:
 
     `late` is the slowest one's lag in sample periods; without one a single path has all, and the others nothing.
     """
-    rungs = np.arange(1.0, LADDER + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
+    rungs = np.arange(1.0, EDDY_PATHS + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
     parts = diffused * 6.0 / (math.pi * rungs) ** 2
     parts[-1] = 0.0
     parts[-1] = diffused - parts.sum()
     parts[0] += 1.0 - diffused
-    paths = np.zeros((LADDER if diffused > 0.0 else 1, 4))
+    paths = np.zeros((EDDY_PATHS if diffused > 0.0 else 1, 4))
     paths[: len(rungs)] = [(part, *_path(late / rung**2)) for part, rung in zip(parts, rungs, strict=True)]
     return paths
 
@@ -164,11 +164,11 @@ def _without_eddies(
     return i_out, v_out
 
 
-FORGOTTEN = 0.25
-"""Of a stop's limit, the standard deviation of what is not known of it where a segment begins."""
+INITIAL_STATE_STD_RATIO = 0.25
+"""Standard deviation of a stop's unknown initial state over its limit."""
 
 
-class Hysteresis(DoubtfulBatchEffect):
+class Hysteresis(RandomBatchEffect):
     """Hysteresis of the iron: i = grad H(psi) + sum of vector stop operators of psi [A].
 
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
@@ -216,16 +216,16 @@ class Hysteresis(DoubtfulBatchEffect):
         i_m_ab += batch.i_m_ab
         return Correction(i_m_ab=i_m_ab)
 
-    def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
+    def random_directions_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
-        held, doubts = self._held(batch, p), []
+        held, directions = self._held(batch, p), []
         known = held(np.zeros((3, 2)))
         for stop in (0, 2):
             for axis in range(2):
                 off = np.zeros((3, 2))
-                off[stop, axis] = FORGOTTEN
-                doubts.append(Correction(i_m_ab=batch.i_m_ab - p.half_width_a * (held(off) - known)))
-        return doubts
+                off[stop, axis] = INITIAL_STATE_STD_RATIO
+                directions.append(Correction(i_m_ab=batch.i_m_ab - p.half_width_a * (held(off) - known)))
+        return directions
 
     def _held(self, batch: SignalBatch, p: Parameters) -> Callable[[Array], Array]:
         """What the stops hold, shape (N, 2), of a half width, by what they remember beside the way here (3, 2)."""
@@ -388,8 +388,8 @@ class SlotHarmonics(BatchEffect):
         less = _without_slots(v_ab, i_m_ab, theta_rad, batch.starts, strengths, p.fading_per_a2)
         if p.by_flux == 0.0:
             return Correction(v_ab=less)
-        asked = p.by_flux * parts / inductance[:, None]
-        more = _with_slots(i_m_ab, flux_of(batch), theta_rad, batch.starts, asked, magnet_wb(batch))
+        by_flux = p.by_flux * parts / inductance[:, None]
+        more = _with_slots(i_m_ab, flux_of(batch), theta_rad, batch.starts, by_flux, magnet_wb(batch))
         return Correction(v_ab=less, i_m_ab=more)
 
 
@@ -428,11 +428,11 @@ def _without_slots(
 
 
 @njit(cache=True, nogil=True)
-def _with_slots(i_ab: Array, psi_ab: Array, theta_rad: Array, starts: Starts, asked: Array, magnet_wb: float) -> Array:
-    """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `asked` as `strengths`."""
+def _with_slots(i_ab: Array, psi_ab: Array, theta_rad: Array, starts: Starts, extra: Array, magnet_wb: float) -> Array:
+    """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `extra` as `strengths`."""
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):
-        first, (along_d, across, along_q) = starts[s], asked[s]
+        first, (along_d, across, along_q) = starts[s], extra[s]
         axis = unit_vectors(theta_rad[first : starts[s + 1]])
         for k in range(first, starts[s + 1]):
             cos, sin = axis[k - first, 0], axis[k - first, 1]

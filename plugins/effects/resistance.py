@@ -33,7 +33,7 @@ class PhaseResistanceImbalance(BatchEffect):
     """Extra resistance in phases a and b beside phase c's: e = T (r_a i_a, r_b i_b, 0) [V], r in ohm.
 
     In the flexible form it warms, as a joint does that conducts badly: r (1 + `rise_per_watt` y), y the winding's loss
-    through a lag of `rise_s`; how the loss was shared between the phases is not asked.
+    through a lag of `rise_s`; the model ignores how the phases share the loss.
     """
 
     name: ClassVar[str] = "phase_resistance_imbalance"
@@ -42,7 +42,7 @@ class PhaseResistanceImbalance(BatchEffect):
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = (
-        "Extra resistance common to all phases is R_s; a leg that gives more voltage than asked, in proportion, looks "
+        "Extra resistance common to all phases is R_s; a leg whose voltage gain exceeds one looks "
         "the same at one rotor angle."
     )
 

@@ -9,16 +9,16 @@ from numba import njit
 
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from plugins.effects._batches import DoubtfulBatchEffect
+from plugins.effects._batches import RandomBatchEffect
 from plugins.effects._vectors import Starts, doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude
 
-MAP_DOUBT = 0.01
-"""Of the inductance that a reading's ripple is told by: what a map of some hundred numbers leaves open in corners of
+MAP_ERROR_RATIO = 0.01
+"""Relative error of the inductance behind a reading's ripple: what a map of some hundred numbers leaves in corners of
 the plane that only a sweep's dwells reach, as seen on a simulated servo of 48 V."""
 
 
-class SamplingOffset(DoubtfulBatchEffect):
+class SamplingOffset(RandomBatchEffect):
     """Currents are read tau after the turning point of a symmetric carrier, where a row begins; negative: before.
 
     Since the turning point the legs have given the volt-seconds F, and the resistance has taken R i tau:
@@ -51,9 +51,9 @@ class SamplingOffset(DoubtfulBatchEffect):
         """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
         return Correction(v_ab=_between_readings(*_facts(batch), p.offset_s, doubles(batch.sampling_frequency_hz)))
 
-    def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
+    def random_directions_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What R_s takes beside the readings' mean follows the map's own L, which is not that sure in its corners."""
-        return [Correction(v_ab=_with_doubt(*_facts(batch), p.offset_s))]
+        return [Correction(v_ab=_with_random_direction(*_facts(batch), p.offset_s))]
 
 
 def _facts(batch: SignalBatch) -> tuple[Array, Array, Array, Array, Array, Starts, Array]:
@@ -92,7 +92,7 @@ def _between_readings(
 
 
 @njit(cache=True, nogil=True)
-def _with_doubt(
+def _with_random_direction(
     v_ab: Array,
     i_ab: Array,
     ohm: Array,
@@ -108,8 +108,8 @@ def _with_doubt(
         for k in range(starts[s], starts[s + 1]):
             given = _given(v_ab, i_ab, ohm, v_dc, k, starts[s], offset_s, periods_s[s])
             beside = _moved(inductance_ab, k, given)
-            out[k, 0] = v_ab[k, 0] + MAP_DOUBT * (ohm[k] * beside[0])
-            out[k, 1] = v_ab[k, 1] + MAP_DOUBT * (ohm[k] * beside[1])
+            out[k, 0] = v_ab[k, 0] + MAP_ERROR_RATIO * (ohm[k] * beside[0])
+            out[k, 1] = v_ab[k, 1] + MAP_ERROR_RATIO * (ohm[k] * beside[1])
     return out
 
 

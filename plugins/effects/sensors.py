@@ -75,7 +75,7 @@ class CurrentGainMismatch(BatchEffect, MeasurableEffect):
 class ThirdCurrentSensor(BatchEffect, SegmentDependentEffect, MeasurableEffect):
     """Gain 1 + g of sensor c where three sensors make the vector: it is stretched along phase c by 2/3 g.
 
-    Its offset moves the vector as those of a and b do, and is told as theirs.
+    Its offset moves the vector as those of a and b do, and is reported as theirs.
     """
 
     name: ClassVar[str] = "third_current_sensor"
@@ -216,9 +216,9 @@ def _straightened(i_ab: Array, starts: Starts, square: float, cubic: float, clar
             phases = phases_of(i_ab[k, 0], i_ab[k, 1])
             for x in range(3):
                 read = phases[x]
-                bent = read * (square + cubic * read)
+                error = read * (square + cubic * read)
                 # Newton's step, bounded where the curve folds back.
-                near = read * (1.0 - bent / (1.0 + abs(read * (2.0 * square + 3.0 * cubic * read))))
+                near = read * (1.0 - error / (1.0 + abs(read * (2.0 * square + 3.0 * cubic * read))))
                 more = near * near * (square + cubic * near)
                 out[k, 0] -= more * clarke[s, x, 0]
                 out[k, 1] -= more * clarke[s, x, 1]

@@ -97,7 +97,7 @@ class CurrentFilter(BatchEffect):
 
 @njit(cache=True, nogil=True)
 def _led(i_ab: Array, smooth_ab: Array, starts: Starts, samples: Array) -> Array:
-    """Vectors (N, 2) before a first-order lag of so many samples (segments,), told by the slope of a smoother course.
+    """Vectors (N, 2) before a first-order lag of so many samples (segments,), from the slope of a smoother course.
 
     Where a model on trial leads the smooth current further away than the reading's own span in the segment, the reading
     leads it back.

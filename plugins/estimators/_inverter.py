@@ -1,10 +1,10 @@
-"""What an inverter takes from the voltage at a constant current: the regression that R_s is told from.
+"""The inverter's voltage loss at a constant current: the regression that gives R_s.
 
     v = R_s i + V_f T s(i_abc / i_th) + v_0
 
 V_f is one voltage for each PWM frequency (dead time grows with it), s goes from -1 to 1 with each phase's current, more
 or less abruptly (R_s would err by what its shape errs), T maps phases to (alpha, beta). R_s drifts along a line and, by
-how much the data say, along a random walk about it; what is told is its mean over the strong currents' instants.
+how much the data say, along a random walk about it; the estimate is its mean over the instants of strong currents.
 Nothing here knows what a recording is.
 """
 
@@ -21,12 +21,12 @@ from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
 from orchestrator.numerics.types import Array
 from protocols import InverterLoss
 
-THRESHOLDS = 2e-3, 0.2
-"""Of the largest current: where the step's threshold is looked for."""
-ASIDE = 0.2
-"""What the abruptness is moved by, to see what it does."""
-THRESHOLD_ASIDES = math.log(THRESHOLDS[1] / THRESHOLDS[0]) / (2.0 * math.log(1.05) * math.sqrt(12.0))
-"""Standard deviation of a threshold that may be anywhere among these, in tenths of itself."""
+THRESHOLD_RATIOS = 2e-3, 0.2
+"""Range of the step's threshold, over the largest current."""
+ABRUPTNESS_STEP = 0.2
+"""Step of the abruptness for its finite difference."""
+THRESHOLD_STD_STEPS = math.log(THRESHOLD_RATIOS[1] / THRESHOLD_RATIOS[0]) / (2.0 * math.log(1.05) * math.sqrt(12.0))
+"""Standard deviation of a threshold anywhere in this range, in tenths of itself."""
 
 
 def step_ab(i_ab: Array, threshold_a: float, abruptness: float = 0.0) -> Array:
@@ -61,9 +61,9 @@ class VoltageFit:
     noise_v : float
         Standard deviation of what is left of a held voltage.
     loss_covariance : array, shape (k, k)
-        Of bias (2, where told), V_f, and the step's two parameters: what readings err by together.
+        Of bias (2, where estimated), V_f, and the step's two parameters: the readings' common error.
     biased : bool
-        Whether the bias was told.
+        Whether the bias was estimated.
     """
 
     resistance_ohm: float
@@ -105,8 +105,8 @@ class VoltageFit:
             rows += [volts * aside.mean(axis=0) for aside in _asides(i_ab, self.threshold_a, self.abruptness)]
         if not rows:
             return 0.0
-        seen: Array = np.array(rows) @ along
-        return float(np.sqrt(max(float(seen @ self.loss_covariance @ seen), 0.0)))
+        gradient: Array = np.array(rows) @ along
+        return float(np.sqrt(max(float(gradient @ self.loss_covariance @ gradient), 0.0)))
 
     def _nearest(self, pwm_hz: float) -> float | None:
         return min(self.error_v, key=lambda f: abs(f - pwm_hz), default=None)
@@ -120,7 +120,8 @@ def _asides(i_ab: Array, threshold: float, abruptness: float) -> list[Array]:
     """What a tenth of its threshold and two tenths of its abruptness do to the step, shape (n, 2) each."""
     return [
         step_ab(i_ab, 1.05 * threshold, abruptness) - step_ab(i_ab, threshold / 1.05, abruptness),
-        step_ab(i_ab, threshold, abruptness + 0.5 * ASIDE) - step_ab(i_ab, threshold, abruptness - 0.5 * ASIDE),
+        step_ab(i_ab, threshold, abruptness + 0.5 * ABRUPTNESS_STEP)
+        - step_ab(i_ab, threshold, abruptness - 0.5 * ABRUPTNESS_STEP),
     ]
 
 
@@ -153,7 +154,7 @@ class _Held:
     def _best_threshold(self, largest: float, abruptness: float) -> float:
         from scipy.optimize import minimize_scalar
 
-        places = np.geomspace(*THRESHOLDS, 24) * largest
+        places = np.geomspace(*THRESHOLD_RATIOS, 24) * largest
         coarse = float(min(places, key=lambda t: self.left((float(t), abruptness))))
         near = (coarse / 1.3, coarse * 1.3)
         return float(minimize_scalar(lambda t: self.left((t, abruptness)), bounds=near, method="bounded").x)
@@ -173,7 +174,7 @@ def fit_voltage(
     pwm_hz: Array,
     heat: Array | None = None,
     *,
-    strong_share: float = 0.2,
+    strong_current_ratio: float = 0.2,
     long_gap: float = 8.0,
     abruptness: Sequence[float] = (-1.0, -0.5, 0.0, 0.4, 0.7, 1.0, 1.4),
 ) -> VoltageFit:
@@ -185,7 +186,7 @@ def fit_voltage(
     time_s, pwm_hz : array, shape (n,)
     heat : array, shape (n,), optional
         What the currents had brought the winding by then, in any unit: R_s may rise with it.
-    strong_share : float
+    strong_current_ratio : float
         Of the largest current: what is held at less says little of R_s.
     long_gap : float
         Times the usual time between two holds: the winding cools in a longer one, and R_s may jump.
@@ -196,7 +197,7 @@ def fit_voltage(
     """
     length = np.linalg.norm(i_ab, axis=1)
     largest = float(length.max())
-    strong = length > strong_share * largest
+    strong = length > strong_current_ratio * largest
     sizes = len(np.unique(np.round(length / max(largest, 1e-12), 2)))
     frequencies = sorted(set(pwm_hz.tolist())) if sizes >= 3 and len(i_ab) >= 6 else []
     both_ways = len(i_ab) >= 2 and bool((i_ab @ i_ab[int(np.argmax(length))] < 0).any())
@@ -228,10 +229,12 @@ def fit_voltage(
     design = np.column_stack([held.design(shape), *asides])
     freedom = max(round(design.shape[0] - design.shape[1] - held.walk.freedom), 1)
     variance = squares / max(design.shape[0] - design.shape[1], 1)
-    # Where the inverter keeps next to nothing its shape is told by nothing: it is one of those that are looked for.
+    # Where the inverter loses next to nothing no reading determines its shape: it is one of the expected ones.
     known = np.zeros(design.shape[1])
     if asides:
-        known[-2:] = variance / np.array([THRESHOLD_ASIDES, np.ptp(abruptness) / (ASIDE * math.sqrt(12.0))]) ** 2
+        known[-2:] = (
+            variance / np.array([THRESHOLD_STD_STEPS, np.ptp(abruptness) / (ABRUPTNESS_STEP * math.sqrt(12.0))]) ** 2
+        )
     covariance = variance * held.walk.covariance(design, known)
     losses = slice(drifted, None)
     return VoltageFit(

@@ -20,7 +20,7 @@ class SweptFlux(FluxMapEstimate):
 
 
 class SteppedFlux(FluxMapEstimate):
-    """A map by voltage steps, with all that they told beside it, and when they began."""
+    """A map by voltage steps, with their other estimates, and when they began."""
 
     fit: StepsFit
     start_s: float

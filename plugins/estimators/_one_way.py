@@ -10,8 +10,8 @@ from orchestrator.analysis import axes_apart_rad
 from orchestrator.numerics.types import Array
 from protocols import Segment
 
-SAME_CURRENT = 0.03
-"""Of the largest current, within which two points are one."""
+CURRENT_TOLERANCE_RATIO = 0.03
+"""Difference of two points over the largest current, within which they count as one."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ def by_point(some: Sequence[OneWay], same_frequency: float) -> list[list[OneWay]
     reach = max((math.hypot(*one.current) for one in some), default=0.0)
     points: list[list[OneWay]] = []
     for one in some:
-        point = next((p for p in points if _is_of(p[0], one, SAME_CURRENT * reach, same_frequency)), None)
+        point = next((p for p in points if _is_of(p[0], one, CURRENT_TOLERANCE_RATIO * reach, same_frequency)), None)
         if point is None:
             points.append(point := [])
         point.append(one)

@@ -1,6 +1,6 @@
 """Flux map by the classical method: the voltage of swept currents integrated over time.
 
-What inverter and copper take from the voltage is told from the sweeps themselves, rising and falling branches are
+The sweeps themselves give the voltage losses of inverter and copper, rising and falling branches are
 averaged, paths are tied together where they cross, and zero current has zero flux (Combes, Malrait, Martin, Rouchon,
 "Obtaining the current-flux relations of the saturated PMSM by signal injection", section "Classical method").
 """
@@ -53,21 +53,21 @@ class ClassicalEstimator:
     Attributes
     ----------
     smoothing : float
-        Of the surface through the paths, which disagree a little where they cross.
+        Smoothing of the surface through the paths, which disagree a little where they cross.
     thinning : int
-        Every so manieth point of a path makes the surface: neighbours on a path tell the same.
-    unseen_share : float
-        Of what an inverter does to a loop: its share in the mean, which opens no loop and is not seen.
-    spoken_share : float
-        Of R_s times the largest current: an inverter that keeps less is not spoken of.
+        Every such point of a path makes the surface: its neighbours add nothing.
+    unseen_loss_ratio : float
+        Invisible part of an inverter's loss: its share in the mean opens no loop.
+    min_loss_ratio : float
+        Inverter loss over R_s times the largest current, below which no remark reports it.
     draws : int
-        Of the flux's errors, for the standard deviations of its derivatives, known to 1 / sqrt(2 draws) then.
+        Random draws of the flux errors, which give the derivatives' standard deviations to 1 / sqrt(2 draws).
     """
 
     smoothing: float = 1e-4
     thinning: int = 3
-    unseen_share: float = 0.003
-    spoken_share: float = 0.005
+    unseen_loss_ratio: float = 0.003
+    min_loss_ratio: float = 0.005
     draws: int = 24
 
     name: ClassVar[str] = "classical"
@@ -122,8 +122,8 @@ class ClassicalEstimator:
             losses=losses,
             with_model=[sweep_of(trace, losses.flux(trace)) for trace in traces],
             bare=[sweep_of(t, flux_by_rests(t, _nearest_ohm(resistance, t.start_s))) for t in traces],
-            unseen_share=self.unseen_share,
-            spoken_share=self.spoken_share,
+            unseen_loss_ratio=self.unseen_loss_ratio,
+            min_loss_ratio=self.min_loss_ratio,
         )
 
     def _gridded(self, recording: RecordingReader, network: Network) -> tuple[FluxMap, Array]:
@@ -145,8 +145,8 @@ class ClassicalEstimator:
         columns = np.full((len(nodes), 5), np.nan)
         spreads = np.full((len(nodes), 5), np.nan)
         columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
-        drawn = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
-        spreads[inside[:-1]] = np.sqrt(np.mean(np.square(drawn), axis=0))
+        quantities = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
+        spreads[inside[:-1]] = np.sqrt(np.mean(np.square(quantities), axis=0))
         return as_map("classical", Basis.INTEGRATION, recording.manifest.motor, axes, columns, spreads), level[0, :2]
 
     def _error_draws(self, network: Network) -> Array:
@@ -174,8 +174,8 @@ class _Swept:
     losses: VoltageLosses
     with_model: list[Sweep]
     bare: list[Sweep]
-    unseen_share: float
-    spoken_share: float
+    unseen_loss_ratio: float
+    min_loss_ratio: float
 
     @property
     def modelled(self) -> bool:
@@ -185,23 +185,23 @@ class _Swept:
     def clear(self) -> bool:
         """Whether the loops leave no doubt about an inverter."""
         drop_v = self.losses.node_ohm.max() * self.losses.knots_a[-1] / KNOTS[-1]
-        said = float(np.abs(self.losses.error_v).max()) > self.spoken_share * drop_v
-        return said and self.modelled and _widest(self.with_model) < 0.5 * _widest(self.bare)
+        significant = float(np.abs(self.losses.error_v).max()) > self.min_loss_ratio * drop_v
+        return significant and self.modelled and _widest(self.with_model) < 0.5 * _widest(self.bare)
 
     @property
     def sweeps(self) -> list[Sweep]:
         if not self.modelled:
             return self.bare
-        return [_widened(*both, self.unseen_share) for both in zip(self.with_model, self.bare, strict=True)]
+        return [_widened(*both, self.unseen_loss_ratio) for both in zip(self.with_model, self.bare, strict=True)]
 
 
-def _widened(sweep: Sweep, bare: Sweep, unseen_share: float) -> Sweep:
+def _widened(sweep: Sweep, bare: Sweep, unseen_loss_ratio: float) -> Sweep:
     """A sweep not known better than a share of what was taken out of it.
 
     Where a phase current stalls on its way through zero, it does so beyond zero in both directions: an error of the
     inverter's shape there opens no loop, and stays in the mean.
     """
-    path = replace(sweep.path, std=np.hypot(sweep.path.std, unseen_share * np.abs(bare.loop_wb - sweep.loop_wb)))
+    path = replace(sweep.path, std=np.hypot(sweep.path.std, unseen_loss_ratio * np.abs(bare.loop_wb - sweep.loop_wb)))
     return replace(sweep, path=path)
 
 
@@ -238,7 +238,7 @@ def _remarks(swept: _Swept, network: Network, rated: float | None) -> tuple[Rema
         moved = np.concatenate([one - one.mean(axis=0) for one in apart])
         off = 100 / rated * float(np.sqrt((moved**2).sum(axis=1).mean()))
         text = (
-            "each phase loses up to {lost_v:.2f} V, told from the loops; not taken out, "
+            "each phase loses up to {lost_v:.2f} V, estimated from the loops; not corrected, "
             "rising and falling branches would differ by up to +-{apart_percent:.0f} % of the rated flux, and their "
             "mean by {mean_percent:.1f} % (rms)"
         )

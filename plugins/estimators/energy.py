@@ -25,16 +25,16 @@ class EnergyEstimator:
 
     Attributes
     ----------
-    noises, correlated : float
-        What the energy leaves of the inductances is spoken of where it is so many times their noise, and so much alike
-        at neighbouring points: noise is neither.
-    sure : float
-        Standard deviations beyond which a share of dead time at a point is spoken of; there are some hundred points.
+    misfit_sigmas, misfit_correlation : float
+        A remark reports the residual inductances where they exceed the noise by this factor, and correlate by this
+        much at neighbouring points: noise does neither.
+    significance_sigmas : float
+        Standard deviations beyond which a share of dead time counts; there are some hundred points.
     """
 
-    noises: float = 3.0
-    correlated: float = 0.5
-    sure: float = 4.0
+    misfit_sigmas: float = 3.0
+    misfit_correlation: float = 0.5
+    significance_sigmas: float = 4.0
 
     name: ClassVar[str] = "energy"
     summary: ClassVar[str] = "flux map of one energy, fitted to injection and integration together"
@@ -63,19 +63,19 @@ class EnergyEstimator:
     def _remarks(self, fit: EnergyFit, flux_map: FluxMap, rated: float | None, current: Array) -> list[Remark]:
         remarks: list[Remark] = []
 
-        def told(code: str, text: str, **values: float) -> None:
+        def add(code: str, text: str, **values: float) -> None:
             remarks.append(Remark.of(code, text, **values))
 
         if rated:
             spread = np.sqrt(np.nanmean(flux_map.psi_d_std**2 + flux_map.psi_q_std**2))
             text = "the flux is known to +-{half_percent:.2f} % of the rated flux (95 %, over the map)"
-            told("flux_error", text, half_percent=1.96 * 100 * float(spread) / rated)
+            add("flux_error", text, half_percent=1.96 * 100 * float(spread) / rated)
         if fit.angle_rad:
             text = (
                 "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
                 "believed d axis: is the rotor angle right? The map stays in the believed frame"
             )
-            told("axis_turned", text, angle_deg=float(np.degrees(fit.angle_rad)))
+            add("axis_turned", text, angle_deg=float(np.degrees(fit.angle_rad)))
         inductance = fit.inductance(current)[0]
         if fit.stiffening_per_h:
             less = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())
@@ -83,26 +83,26 @@ class EnergyEstimator:
                 "injection gives {less_percent:.1f} % less flux than the sweeps: hysteresis, whose loops a small "
                 "ripple does not pass; the map has the sweeps' flux, its inductances are those along the map"
             )
-            told("hysteresis", text, less_percent=less)
-        if fit.scales[0] > self.noises and fit.correlation > self.correlated:
+            add("hysteresis", text, less_percent=less)
+        if fit.scales[0] > self.misfit_sigmas and fit.correlation > self.misfit_correlation:
             text = (
                 "what the energy leaves of the inductances is {noises:.0f} times their noise and alike at "
                 "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
             )
-            told("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
+            add("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
         most = 100.0 * self._dead_time_share(fit, inductance)
         if most > 0.0:
             text = (
                 "where a phase current passes zero, dead time makes injection's inductances look up to "
                 "{most_percent:.1f} % wrong; taken out"
             )
-            told("inverter_step", text, most_percent=most)
+            add("inverter_step", text, most_percent=most)
         doubted = float(np.mean(fit.trust < 0.5)) if len(fit.trust) else 0.0
         if doubted > 0.0:
             text = "{points_percent:.0f} % of the injection's points are confirmed by no others and count for less"
-            told("doubted_points", text, points_percent=100.0 * doubted)
+            add("doubted_points", text, points_percent=100.0 * doubted)
         if (inductance[:, 0] * inductance[:, 2] <= inductance[:, 1] ** 2).any():
-            told("not_convex", "the energy is not convex everywhere: there the map cannot be inverted")
+            add("not_convex", "the energy is not convex everywhere: there the map cannot be inverted")
         return remarks
 
     def _dead_time_share(self, fit: EnergyFit, inductance: Array) -> float:
@@ -111,8 +111,8 @@ class EnergyEstimator:
             return 0.0
         axes = [0, 2]
         share = np.abs(fit.taken_out[:, axes] / inductance[: len(fit.taken_out), axes])
-        told = np.abs(fit.taken_out[:, axes]) > self.sure * fit.taken_out_std[:, axes]
-        return float(share[told].max(initial=0.0))
+        significant = np.abs(fit.taken_out[:, axes]) > self.significance_sigmas * fit.taken_out_std[:, axes]
+        return float(share[significant].max(initial=0.0))
 
 
 def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: Measurements) -> MapChecks:

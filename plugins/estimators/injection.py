@@ -85,22 +85,22 @@ class InjectionEstimator:
 
     Attributes
     ----------
-    same_frequency, same_ripple : float
-        Relative differences within which injections are one: what a drive's clock and a point's inductance change.
-    coverage : float
-        Of the most points: with fewer an injection makes no map, however small its ripple.
-    probes : int
-        Points that are asked how long a transient lasts; the slowest counts.
-    steepest : float
-        Ratio of an inductance at two points that follow each other, beyond which they are said to be too far apart:
+    frequency_tolerance, ripple_tolerance : float
+        Relative differences within which injections count as one: a drive's clock and a point's inductance change.
+    min_coverage : float
+        Points over the most points, below which an injection makes no map, however small its ripple.
+    transient_points : int
+        Points whose transients are measured; the slowest counts.
+    max_inductance_ratio : float
+        Ratio of an inductance at two successive points beyond which a remark calls them too far apart:
         with up to 1.6 maps came out within 0.2 % of the rated flux, rms, with 2.6 1.8 % off.
     """
 
-    same_frequency: float = 0.03
-    same_ripple: float = 0.2
-    coverage: float = 0.8
-    probes: int = 3
-    steepest: float = 2.0
+    frequency_tolerance: float = 0.03
+    ripple_tolerance: float = 0.2
+    min_coverage: float = 0.8
+    transient_points: int = 3
+    max_inductance_ratio: float = 2.0
 
     name: ClassVar[str] = "injection"
     summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
@@ -115,7 +115,7 @@ class InjectionEstimator:
             problem = skipped[0] if skipped else "no segment of stage injection"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
         most = max(len(group.ripples) for group in groups)
-        chosen = min((g for g in groups if len(g.ripples) >= self.coverage * most), key=lambda g: g.size)
+        chosen = min((g for g in groups if len(g.ripples) >= self.min_coverage * most), key=lambda g: g.size)
         points = invert(chosen.ripples)
         flux = integrate(points, recording.manifest.name)
         flux_map = _gridded(recording, points, flux)
@@ -126,13 +126,13 @@ class InjectionEstimator:
             points=FluxPoints(i_dq=points.current, psi_dq=flux.psi + magnet, segment=tuple(chosen.segments)),
             checks=check_map(flux_map, rated, _misfit(points)),
             remarks=(
-                *_too_far_apart(points, self.steepest),
+                *_too_far_apart(points, self.max_inductance_ratio),
                 *_remarks(groups, chosen, points, flux),
                 *(Remark(code="time_constant", text=one) for one in recording_notes(recording.manifest)),
                 *(Remark(code="skipped", text=one) for one in skipped),
             ),
             inductances=points,
-            incremental=tuple(_seen(group) for group in sorted(groups, key=lambda g: (g.frequency_hz, g.size))),
+            incremental=tuple(_incremental(group) for group in sorted(groups, key=lambda g: (g.frequency_hz, g.size))),
         )
 
     def _groups(
@@ -142,61 +142,61 @@ class InjectionEstimator:
         segments = recording.segments(SegmentStage.INJECTION)
         time_constant_s = self._time_constant(recording, segments, resistance_ohm)
         known = {"time_constant_s": time_constant_s, "resistance_ohm": resistance_ohm}
-        found: list[_Group] = []
+        groups: list[_Group] = []
         skipped = []
 
         def ripple_of(segment: Segment, capture: Capture, *beside: Capture) -> Ripple | str:
             return _ripple(recording, segment, capture, *beside, **known, loss=loss)
 
-        seen = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
-        told: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, seen, strict=True))
-        for point in by_point([one for _, one in told if isinstance(one, OneWay)], self.same_frequency):
+        results = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
+        ripples: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, results, strict=True))
+        for point in by_point([one for _, one in ripples if isinstance(one, OneWay)], self.frequency_tolerance):
             first = point[0].segment
             if shows_both_axes(point):
-                told.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
+                ripples.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
             else:
-                told.append((first, f"{first.id}: v_alpha, v_beta: {ONE_AXIS}"))
-        for segment, ripple in told:
+                ripples.append((first, f"{first.id}: v_alpha, v_beta: {ONE_AXIS}"))
+        for segment, ripple in ripples:
             if isinstance(ripple, OneWay):
                 continue
             if isinstance(ripple, str):
                 skipped.append(ripple)
                 continue
-            group = next((g for g in found if self._alike(g.ripples[0], ripple)), None)
+            group = next((g for g in groups if self._alike(g.ripples[0], ripple)), None)
             if group is None:
-                found.append(group := _Group([], []))
+                groups.append(group := _Group([], []))
             group.segments.append(segment.id)
             group.ripples.append(ripple)
-        return sorted(found, key=lambda g: -len(g.ripples)), skipped
+        return sorted(groups, key=lambda g: -len(g.ripples)), skipped
 
     def _time_constant(
         self, recording: RecordingReader, segments: Sequence[Segment], resistance_ohm: float | None
     ) -> float | None:
         """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
-        probes = segments[:: max(1, math.ceil(len(segments) / self.probes))]
-        told = each_capture(
+        probes = segments[:: max(1, math.ceil(len(segments) / self.transient_points))]
+        ripples = each_capture(
             recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0, resistance_ohm=resistance_ohm)
         )
-        return max((1.0 / one.decay_per_s for one in told if not isinstance(one, str)), default=None)
+        return max((1.0 / one.decay_per_s for one in ripples if not isinstance(one, str)), default=None)
 
     def _alike(self, one: Ripple, other: Ripple) -> bool:
         """Whether two ripples are of one frequency and size."""
-        same_frequency = math.isclose(other.frequency_hz, one.frequency_hz, rel_tol=self.same_frequency)
-        return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.same_ripple)
+        same_frequency = math.isclose(other.frequency_hz, one.frequency_hz, rel_tol=self.frequency_tolerance)
+        return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.ripple_tolerance)
 
 
-def _seen(group: _Group) -> IncrementalInductances:
-    found = invert(group.ripples)
+def _incremental(group: _Group) -> IncrementalInductances:
+    inverse = invert(group.ripples)
     return IncrementalInductances(
         frequency_hz=group.frequency_hz,
         amplitude_v=float(np.median([r.amplitude_v for r in group.ripples])),
-        i_dq=found.current,
-        inductance=np.stack([found.matrix[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], axis=1),
+        i_dq=inverse.current,
+        inductance=np.stack([inverse.matrix[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], axis=1),
     )
 
 
 def _known_loss(context: EstimationContext) -> PhaseLoss:
-    """What the inverter keeps, where sweeps told it already."""
+    """The inverter's voltage loss, where sweeps gave it already."""
     swept = context.latest(SweptFlux)
     return NO_LOSS if swept is None else swept.loss
 
@@ -309,13 +309,13 @@ def _misfit(points: Inductances) -> Array | None:
 
 def _too_far_apart(points: Inductances, steepest: float) -> list[Remark]:
     """Where an inductance changes so much between two points of a line that no rule of integration knows the flux."""
-    found = []
+    steps = []
     for line in straight_lines(points.current):
         diagonal = np.einsum("nii->ni", points.matrix[line])
         ratio = np.maximum(diagonal[1:] / diagonal[:-1], diagonal[:-1] / diagonal[1:])
         step, axis = divmod(int(np.argmax(ratio)), 2)
-        found.append((float(ratio[step, axis]), axis, points.current[line[step]], points.current[line[step + 1]]))
-    if not found or (worst := max(found, key=lambda one: one[0]))[0] <= steepest:
+        steps.append((float(ratio[step, axis]), axis, points.current[line[step]], points.current[line[step + 1]]))
+    if not steps or (worst := max(steps, key=lambda one: one[0]))[0] <= steepest:
         return []
     ratio_there, axis, start, end = worst
     text = (

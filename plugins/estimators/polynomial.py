@@ -1,6 +1,6 @@
 """Flux map of the paper's polynomial energy H(psi), with its coefficients, fitted to injection and integration.
 
-A handful of numbers instead of a table; whether they are good enough is said beside them (A. K. Jebai, P. Combes,
+A handful of numbers instead of a table; a remark says whether they are good enough (A. K. Jebai, P. Combes,
 F. Malrait, P. Martin, P. Rouchon, "Energy-based modeling of electric motors", CDC 2014,
 doi:10.1109/CDC.2014.7040330).
 """
@@ -34,12 +34,12 @@ class PolynomialEstimator:
 
     Attributes
     ----------
-    enough_percent : float
+    max_error_percent : float
         Of the rated flux, rms: a polynomial that is nearer to the flexible energy can stand for it; that is what maps
         by different methods differ by on a sound bench.
     """
 
-    enough_percent: float = 0.5
+    max_error_percent: float = 0.5
 
     name: ClassVar[str] = "polynomial"
     summary: ClassVar[str] = "flux map of the paper's polynomial energy, with its coefficients"
@@ -69,22 +69,22 @@ class PolynomialEstimator:
             ),
             checks=check_map(flux_map, rated, measured.misfit(fit)),
             form=_form(fit),
-            remarks=_remarks(fit, energy, measured.current, rated, self.enough_percent),
+            remarks=_remarks(fit, energy, measured.current, rated, self.max_error_percent),
         )
 
 
 def _form(fit: PolynomialFit) -> ClosedForm:
     """The coefficients with their standard deviations; L_d and L_q in place of those of x^2 and y^2."""
     values = dict(zip(fit.terms, zip(fit.coefficients.tolist(), fit.std.tolist(), strict=True), strict=True))
-    told = []
+    coefficients = []
     for name, term in (("L_d", (2, 0)), ("L_q", (0, 2))):
         value, std = values.pop(term)
-        told.append(Coefficient(name=name, value=0.5 / value, std=0.5 * std / value**2, unit="H"))
+        coefficients.append(Coefficient(name=name, value=0.5 / value, std=0.5 * std / value**2, unit="H"))
     for (m, n), (value, std) in values.items():
-        told.append(Coefficient(name=f"alpha{m}{n}", value=value, std=std, unit=f"A/Wb^{m + n - 1}"))
+        coefficients.append(Coefficient(name=f"alpha{m}{n}", value=value, std=std, unit=f"A/Wb^{m + n - 1}"))
     axis = f" about an axis {np.degrees(fit.angle_rad):+.2f} degrees from the believed d axis" if fit.angle_rad else ""
     formula = f"H = x^2/2L_d + y^2/2L_q + sum of alpha_mn x^m y^n, x = psi_d - psi_M, y = psi_q, i = grad H{axis}"
-    return ClosedForm(formula=formula, coefficients=tuple(told))
+    return ClosedForm(formula=formula, coefficients=tuple(coefficients))
 
 
 def _remarks(

@@ -1,6 +1,6 @@
 """Stator resistance from constant currents: DC holds, the rests of the classical sweeps, and the means of injection.
 
-Heating is told as a drift of readings, not modelled; a common gain of both kinds of sensor cannot be seen.
+Heating shows as a drift of readings and is not modelled; a common gain of both kinds of sensor is invisible.
 """
 
 from __future__ import annotations
@@ -46,44 +46,44 @@ class ResistanceEstimator:
     R_s drifts as the winding heats up. `value_ohm` is its mean over the instants of the DC holds, or of the sweeps'
     rests where nothing was held, and the 95 % interval is that of this mean; where R_s was at other times the readings
     say, of which `first_ohm` and `last_ohm` are the first and the last. Currents of less than a fifth of the largest
-    tell of the inverter, and are neither readings nor in the mean.
+    show the inverter, and are neither readings nor in the mean.
 
     Attributes
     ----------
-    settling_share : float
-        Of a hold, left out: foreign loggers begin before the current has settled.
-    strong_share : float
-        Of the largest current: what is held at less tells of the inverter.
-    heated_holds : float
-        Before it was watched a current has flowed for no more than so many times its hold's length.
-    injected_readings : int
-        So many of the injection's points make readings, at most: more tell nothing new of a drift.
-    injected_s : float
-        Of each of them, at most [s].
-    fewest_samples : int
-        With less than these a mean is no reading.
-    shape_doubt : float
-        Times the holds' noise: what the inverter's shape errs by shows in a ripple otherwise than in the holds.
-    worthless_share : float
-        Of R_s: a reading whose standard deviation is larger tells nothing.
-    same_pwm : float
-        Relative difference within which PWM frequencies are one.
-    lost_share, lost_v : float
+    settling_ratio : float
+        Part of a hold that is left out: foreign loggers begin before the current has settled.
+    strong_current_ratio : float
+        Current over the largest one, below which a hold shows the inverter instead of R_s.
+    preheat_holds : float
+        Longest time that a current flowed before its hold, in holds.
+    max_injection_readings : int
+        Most points of the injection that make readings: more add nothing about a drift.
+    max_injection_s : float
+        Longest part of each that is used [s].
+    min_samples : int
+        Fewest samples of a reading.
+    shape_error_ratio : float
+        Error of the inverter's shape in a ripple, over the noise of the holds.
+    max_std_ratio : float
+        Standard deviation of a reading over R_s, above which it is left out.
+    pwm_tolerance_ratio : float
+        Relative difference within which PWM frequencies count as one.
+    max_loss_ratio, max_loss_v : float
         Of the bus, and beside it [V]: what each phase may lose where nothing here tells (two microseconds of dead time
         at 10 kHz, and a device's drop).
     """
 
-    settling_share: float = 1.0 / 3.0
-    strong_share: float = 0.2
-    heated_holds: float = 2.0
-    injected_readings: int = 60
-    injected_s: float = 1.0
-    fewest_samples: int = 100
-    shape_doubt: float = 2.0
-    worthless_share: float = 0.02
-    same_pwm: float = 0.01
-    lost_share: float = 0.02
-    lost_v: float = 1.0
+    settling_ratio: float = 1.0 / 3.0
+    strong_current_ratio: float = 0.2
+    preheat_holds: float = 2.0
+    max_injection_readings: int = 60
+    max_injection_s: float = 1.0
+    min_samples: int = 100
+    shape_error_ratio: float = 2.0
+    max_std_ratio: float = 0.02
+    pwm_tolerance_ratio: float = 0.01
+    max_loss_ratio: float = 0.02
+    max_loss_v: float = 1.0
 
     name: ClassVar[str] = "resistance"
     summary: ClassVar[str] = "R_s from held direct currents, and its drift over the recording"
@@ -106,10 +106,10 @@ class ResistanceEstimator:
         if not fit.error_v:
             used = sorted([*used, *self._means(recording)], key=lambda one: one[1].start_s)
             fit = self._fit(recording, used)
-        strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > self.strong_share * largest]
-        found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
-        found += self._injected(recording, fit, self.strong_share * largest)
-        readings = tuple(sorted(found, key=lambda reading: reading.start_s))
+        strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > self.strong_current_ratio * largest]
+        every = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
+        every += self._injected(recording, fit, self.strong_current_ratio * largest)
+        readings = tuple(sorted(every, key=lambda reading: reading.start_s))
         if not readings or not np.isfinite(fit.resistance_ohm):
             raise NotMeasuredError(recording.manifest.name, "segments", "what was held determines no resistance")
         value, low, high, beside = _with_known(known, fit, self._doubt(recording, fit, largest))
@@ -129,7 +129,7 @@ class ResistanceEstimator:
         """By how much R_s may be less, where the inverter's share in it is not known [ohm]."""
         if fit.error_v:
             return 0.0
-        lost_v = self.lost_share * recording.manifest.drive.dc_bus_voltage_v + self.lost_v
+        lost_v = self.max_loss_ratio * recording.manifest.drive.dc_bus_voltage_v + self.max_loss_v
         # A loss of one volt in each phase is a vector of at most 4/3 V along the current.
         return 4.0 / 3.0 * lost_v / largest_a
 
@@ -137,7 +137,7 @@ class ResistanceEstimator:
         """The stretches over whose instants `value_ohm` is the mean."""
         used = [d for _, d in self._holds(recording) or _rests(recording)]
         largest = max((float(np.linalg.norm(d.i_ab)) for d in used), default=0.0)
-        return [d for d in used if np.linalg.norm(d.i_ab) > self.strong_share * largest]
+        return [d for d in used if np.linalg.norm(d.i_ab) > self.strong_current_ratio * largest]
 
     def _fit(self, recording: RecordingReader, used: list[tuple[Segment, Dwell]]) -> VoltageFit:
         return fit_voltage(
@@ -146,21 +146,21 @@ class ResistanceEstimator:
             np.array([d.start_s + 0.5 * d.seconds for _, d in used]),
             np.array([_pwm_hz(recording, s) for s, _ in used]),
             self._heat([d for _, d in used]),
-            strong_share=self.strong_share,
+            strong_current_ratio=self.strong_current_ratio,
         )
 
     def _means(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
         """The means under injection, as if they had been held: where a current stands, the inverter keeps as much."""
         injected = recording.segments(SegmentStage.INJECTION)
-        found = each_capture(recording, injected, lambda s, c: (s, self._mean(c)))
-        return [(s, mean) for s, mean in found if mean is not None]
+        means = each_capture(recording, injected, lambda s, c: (s, self._mean(c)))
+        return [(s, mean) for s, mean in means if mean is not None]
 
     def _holds(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
         delay = recording.manifest.drive.voltage_delay_samples or 0.0
         return each_capture(
             recording,
             recording.segments(SegmentStage.RESISTANCE),
-            lambda s, c: (s, dwell(c, round(self.settling_share * len(c)), None, delay)),
+            lambda s, c: (s, dwell(c, round(self.settling_ratio * len(c)), None, delay)),
         )
 
     def _heat(self, dwells: list[Dwell]) -> Array:
@@ -171,7 +171,7 @@ class ResistanceEstimator:
         start, seconds = np.array([d.start_s for d in dwells]), np.array([d.seconds for d in dwells])
         squares = np.array([d.i_ab @ d.i_ab for d in dwells])
         before = np.diff(start, prepend=-np.inf) - np.concatenate([[0.0], seconds[:-1]])
-        gained = squares * (np.clip(before, 0.0, self.heated_holds * seconds) + seconds)
+        gained = squares * (np.clip(before, 0.0, self.preheat_holds * seconds) + seconds)
         return np.asarray(np.cumsum(gained) - 0.5 * squares * seconds)
 
     def _injected(self, recording: RecordingReader, fit: VoltageFit, least_a: float) -> list[ResistanceReading]:
@@ -179,11 +179,11 @@ class ResistanceEstimator:
         known = [
             s
             for s in recording.segments(SegmentStage.INJECTION)
-            if any(abs(_pwm_hz(recording, s) - f) <= self.same_pwm * f for f in fit.error_v)
+            if any(abs(_pwm_hz(recording, s) - f) <= self.pwm_tolerance_ratio * f for f in fit.error_v)
         ]
-        some = known[:: max(1, -(-len(known) // self.injected_readings))]
-        found = each_capture(recording, some, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), least_a))
-        return [reading for reading in found if reading is not None]
+        some = known[:: max(1, -(-len(known) // self.max_injection_readings))]
+        means = each_capture(recording, some, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), least_a))
+        return [reading for reading in means if reading is not None]
 
     def _mean_reading(
         self, fit: VoltageFit, capture: Capture, pwm_hz: float, least_a: float
@@ -201,8 +201,8 @@ class ResistanceEstimator:
         middle = 0.5 * (i + np.concatenate([i[1:], i[-1:]]))
         lost = weight @ (fit.lost(i, pwm_hz) + 2.0 * fit.lost(middle, pwm_hz)) / 3.0
         along = mean_i / length
-        std = float(np.hypot(self.shape_doubt * fit.noise_v, fit.lost_std(i, pwm_hz, along))) / length
-        if std > self.worthless_share * fit.resistance_ohm:
+        std = float(np.hypot(self.shape_error_ratio * fit.noise_v, fit.lost_std(i, pwm_hz, along))) / length
+        if std > self.max_std_ratio * fit.resistance_ohm:
             return None
         value = float(along @ (mean.v_ab - lost)) / length
         return ResistanceReading(start_s=mean.start_s, value_ohm=value, std_ohm=std)
@@ -210,11 +210,11 @@ class ResistanceEstimator:
     def _mean(self, capture: Capture) -> Dwell | None:
         """Means of an injection's last part, in which the ripple cancels; None where it is too short.
 
-        They are taken behind a window that begins and ends at zero, so that whole periods are not asked for.
+        They are taken behind a window that begins and ends at zero, so that whole periods are not needed.
         """
         rate = capture.sampling_frequency_hz
-        first = max(round(self.settling_share * len(capture)), len(capture) - round(self.injected_s * rate))
-        if len(capture) - first < self.fewest_samples:
+        first = max(round(self.settling_ratio * len(capture)), len(capture) - round(self.max_injection_s * rate))
+        if len(capture) - first < self.min_samples:
             return None
         weight = _fading(len(capture) - first)
         i, v = (weight @ x[first:].astype(np.float64) for x in (capture.i_ab, capture.v_ab))
@@ -271,8 +271,8 @@ def _with_known(
 def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
     delay = recording.manifest.drive.voltage_delay_samples or 0.0
     sweeps = recording.segments(SegmentStage.CLASSICAL)
-    found = each_capture(recording, sweeps, lambda s, c: find_dwells(c, s.rotor_angle_rad, delay))
-    return [(s, d) for s, dwells in zip(sweeps, found, strict=True) for d in dwells]
+    dwells_of = each_capture(recording, sweeps, lambda s, c: find_dwells(c, s.rotor_angle_rad, delay))
+    return [(s, d) for s, dwells in zip(sweeps, dwells_of, strict=True) for d in dwells]
 
 
 def _pwm_hz(recording: RecordingReader, segment: Segment) -> float:

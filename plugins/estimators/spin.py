@@ -51,20 +51,20 @@ class SpinEstimator:
 
     Attributes
     ----------
-    without_current : float
-        Part of the rated current below which the EMF is the magnet's alone.
-    drift : float
-        Relative standard deviation that R_s has against what was measured or stated before: 2.5 K of copper.
-    sure : float
-        Standard deviations from which on something is spoken of.
-    told_rad : float
-        Offset of the angle from which on it is spoken of.
+    zero_current_ratio : float
+        Current over the rated one, below which the EMF is the magnet's alone.
+    resistance_std_ratio : float
+        Relative standard deviation of R_s about the value measured or stated before: 2.5 K of copper.
+    significance_sigmas : float
+        Standard deviations from which on a remark reports a value.
+    min_remark_rad : float
+        Offset of the angle from which on a remark reports it.
     """
 
-    without_current: float = 0.02
-    drift: float = 0.01
-    sure: float = 4.0
-    told_rad: float = 0.005
+    zero_current_ratio: float = 0.02
+    resistance_std_ratio: float = 0.01
+    significance_sigmas: float = 4.0
+    min_remark_rad: float = 0.005
 
     name: ClassVar[str] = "spin"
     summary: ClassVar[str] = "magnet flux and flux map by the back-EMF of a rotor that turns"
@@ -85,7 +85,7 @@ class SpinEstimator:
         if not segments:
             raise NotMeasuredError(where, "segments", "no segment of stage spin")
         rated_a, delay = recording.manifest.motor.rated_current_a, voltage_delay(recording)
-        nothing_a = self.without_current * (rated_a or 0.0)
+        nothing_a = self.zero_current_ratio * (rated_a or 0.0)
         largest_a = max(each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max())))
         scale_a = max(largest_a, nothing_a)
 
@@ -104,7 +104,7 @@ class SpinEstimator:
             return self._magnet(recording, points, names)
         require_area(points.i, where)
         known = ResistanceEstimator().estimate(recording, EstimationContext())
-        std = float(np.hypot((known.high - known.low) / 3.92, self.drift * known.value_ohm))
+        std = float(np.hypot((known.high - known.low) / 3.92, self.resistance_std_ratio * known.value_ohm))
         fit = fit_spin(points, (known.value_ohm, std))
         flux_map = gridded("spin", recording, fit.energy, points.i)
         rated = reference_flux_wb(flux_map, recording.manifest.motor)
@@ -138,29 +138,30 @@ class SpinEstimator:
             psi_q_std=np.full((1, 1), std),
             **dict.fromkeys(("l_dd", "l_dq", "l_qq", "l_dd_std", "l_dq_std", "l_qq_std"), nothing),
         )
-        told = [_magnet_remark((flux, std), recording.manifest.motor.pm_flux_wb)]
-        if abs(angle) > self.told_rad:
-            told.append(_offset_remark(angle))
+        remarks = [_magnet_remark((flux, std), recording.manifest.motor.pm_flux_wb)]
+        if abs(angle) > self.min_remark_rad:
+            remarks.append(_offset_remark(angle))
         shown = FluxPoints(i_dq=points.i, psi_dq=psi, segment=tuple(names))
-        return FluxMapEstimate(map=flux_map, points=shown, checks=check_map(flux_map, None, None), remarks=tuple(told))
+        checks = check_map(flux_map, None, None)
+        return FluxMapEstimate(map=flux_map, points=shown, checks=checks, remarks=tuple(remarks))
 
     def _remarks(self, fit: SpinFit, stated: float | None) -> list[Remark]:
-        told = [_magnet_remark(fit.magnet_wb, stated)]
+        remarks = [_magnet_remark(fit.magnet_wb, stated)]
         ohm, std = fit.resistance_ohm
         text = "R_s = {value_ohm:.4g} ohm (+-{std_ohm:.1g}) by the EMF's evenness and its speeds"
-        told.append(Remark.of("resistance_by_emf", text, value_ohm=ohm, std_ohm=std))
+        remarks.append(Remark.of("resistance_by_emf", text, value_ohm=ohm, std_ohm=std))
         angle, std = fit.angle_rad
-        if abs(angle) > max(self.told_rad, self.sure * std):
-            told.append(_offset_remark(angle))
+        if abs(angle) > max(self.min_remark_rad, self.significance_sigmas * std):
+            remarks.append(_offset_remark(angle))
         conductance, std = fit.conductance_s
-        if conductance > self.sure * std:
+        if conductance > self.significance_sigmas * std:
             text = "iron loss as of {loss_ohm:.0f} ohm beside the magnetising current; taken out"
-            told.append(Remark.of("iron_loss", text, loss_ohm=1.0 / conductance))
+            remarks.append(Remark.of("iron_loss", text, loss_ohm=1.0 / conductance))
         volts, std = fit.loss_v
-        if abs(volts) > self.sure * std:
+        if abs(volts) > self.significance_sigmas * std:
             text = "the inverter keeps {kept_v:.2f} V (+-{std_v:.1g}) from each phase; taken out"
-            told.append(Remark.of("inverter_loss", text, kept_v=volts, std_v=std))
-        return told
+            remarks.append(Remark.of("inverter_loss", text, kept_v=volts, std_v=std))
+        return remarks
 
 
 def _magnet_remark(magnet: tuple[float, float], stated: float | None) -> Remark:

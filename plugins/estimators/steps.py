@@ -1,6 +1,6 @@
 """Flux map and R_s by voltage steps: +-U on one axis or both, turned round at current limits, nothing resting.
 
-One energy, R_s, the inverter and the voltage's lag are told together from loops that have to close
+One energy, R_s, the inverter and the voltage's lag are fitted jointly to loops that have to close
 (`orchestrator.analysis.fit_steps`). What is known of R_s beforehand, from holds or the nameplate, counts as far as it
 is sure.
 """
@@ -50,23 +50,23 @@ class StepsEstimator:
 
     Attributes
     ----------
-    drift : float
-        Relative standard deviation that R_s has against what was measured or stated before: 2.5 K of copper.
-    passes : int
-        Over the captures, until the lag that is found is the one that was taken.
-    same_samples : float
-        Lag that needs no further pass.
-    told_samples : float
-        Lag from which on it is spoken of: iron's hysteresis opens a loop by less.
-    resistance_doubt : float
-        Of R_s, relative, that its interval has at least (simulated: 20 samples a swing, on blind plants).
+    resistance_std_ratio : float
+        Relative standard deviation of R_s about the value measured or stated before: 2.5 K of copper.
+    max_passes : int
+        Passes over the captures until the fitted lag agrees with the assumed one.
+    lag_tolerance_samples : float
+        Difference of these lags that needs no further pass.
+    min_remark_samples : float
+        Lag from which on a remark reports it: iron's hysteresis opens a loop by less.
+    min_interval_ratio : float
+        Smallest relative standard deviation of R_s (simulated: 20 samples a swing, on blind plants).
     """
 
-    drift: float = 0.01
-    passes: int = 3
-    same_samples: float = 0.05
-    told_samples: float = 0.3
-    resistance_doubt: float = 0.005
+    resistance_std_ratio: float = 0.01
+    max_passes: int = 3
+    lag_tolerance_samples: float = 0.05
+    min_remark_samples: float = 0.3
+    min_interval_ratio: float = 0.005
 
     name: ClassVar[str] = "steps"
     summary: ClassVar[str] = "flux map of one energy by voltage steps between current limits"
@@ -108,7 +108,7 @@ class StepsEstimator:
         )
 
     def _beliefs(self, known: ResistanceEstimate) -> Beliefs:
-        std = float(np.hypot((known.high - known.low) / 3.92, self.drift * known.value_ohm))
+        std = float(np.hypot((known.high - known.low) / 3.92, self.resistance_std_ratio * known.value_ohm))
         return Beliefs(known.value_ohm, std)
 
     def _fitted(
@@ -125,11 +125,11 @@ class StepsEstimator:
             angle = segment.rotor_angle_rad
             return trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=most)
 
-        for left in reversed(range(self.passes)):
+        for left in reversed(range(self.max_passes)):
             traces = each_capture(recording, segments, traced)
             require_area(np.concatenate([trace.i for trace in traces]), recording.manifest.name)
             fit = fit_steps(traces, beliefs)
-            if not left or abs(fit.lag_samples) < self.same_samples:
+            if not left or abs(fit.lag_samples) < self.lag_tolerance_samples:
                 break
             late = max(late + fit.lag_samples, -declared)
         return traces, fit, late + fit.lag_samples
@@ -137,7 +137,7 @@ class StepsEstimator:
     def _remarks(self, fit: StepsFit, late: float, rated: float | None, volts: float) -> list[Remark]:
         remarks = []
         spread = None if not rated else 100.0 * fit.misfit.std(axis=0).max() / rated
-        if abs(late) > max(self.told_samples, 3.0 * fit.lag_std_samples):
+        if abs(late) > max(self.min_remark_samples, 3.0 * fit.lag_std_samples):
             text = (
                 "the loops open as if the voltage acted {late:+.2f} samples later than the manifest says: taken out; "
                 "is voltage_delay_samples right?"
@@ -153,7 +153,7 @@ class StepsEstimator:
             remarks.append(Remark.of("resistance_undetermined", text, **figures))
         kept = float(fit.loss_v[-1])
         if abs(kept) > max(4.0 * float(fit.loss_std_v[-1]), 0.002 * volts):
-            text = "each phase loses {lost_v:.2f} V, told from the loops; taken out"
+            text = "each phase loses {lost_v:.2f} V, estimated from the loops; corrected"
             remarks.append(Remark.of("inverter_loss", text, lost_v=kept))
         if fit.energy.angle_rad:
             text = (
@@ -200,7 +200,7 @@ class StepResistanceEstimator:
         """Take it from the map's fit; raises `NotMeasuredError` where there is none."""
         stepped = context.latest(SteppedFlux) or StepsEstimator().estimate(recording, context)
         value = stepped.fit.resistance_ohm
-        std = float(np.hypot(stepped.fit.resistance_std_ohm, StepsEstimator.resistance_doubt * value))
+        std = float(np.hypot(stepped.fit.resistance_std_ohm, StepsEstimator.min_interval_ratio * value))
         reading = ResistanceReading(start_s=stepped.start_s, value_ohm=value, std_ohm=std)
         return ResistanceEstimate(
             value_ohm=value,

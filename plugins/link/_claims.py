@@ -9,8 +9,8 @@ from plugins.wire import BlockLayout, DriveFacts, Measurement, Phase, PowerState
 from protocols import DriveFault, FaultCause
 
 ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
-OVERSHOOT = 1.5
-"""Current in a reading that a drive should long have tripped on, against the limit."""
+MAX_CURRENT_RATIO = 1.5
+"""Current of a reading over the limit, at which the drive should have tripped long before."""
 
 
 def require_sound(
@@ -22,22 +22,22 @@ def require_sound(
     which the drive goes on.
     """
     if status is not None and status.state in ENERGISED and status.faults:
-        told = f"the drive says that it is {status.state.name.lower()}, with faults: {', '.join(fault_names(status))}"
-        raise DriveFault(FaultCause.WRONG_DATA, told)
+        detail = f"the drive says that it is {status.state.name.lower()}, with faults: {', '.join(fault_names(status))}"
+        raise DriveFault(FaultCause.WRONG_DATA, detail)
     if measurement is None or limit_a is None:
         return
     current_a = scale_a * math.hypot(measurement.i_d, measurement.i_q)
-    if current_a > OVERSHOOT * limit_a:
-        told = f"the drive reads {current_a:.3g} A, the limit is {limit_a:.3g} A, and it went on"
-        raise DriveFault(FaultCause.OVERCURRENT, told)
+    if current_a > MAX_CURRENT_RATIO * limit_a:
+        detail = f"the drive reads {current_a:.3g} A, the limit is {limit_a:.3g} A, and it went on"
+        raise DriveFault(FaultCause.OVERCURRENT, detail)
 
 
 def require_memory(facts: DriveFacts, layout: BlockLayout, row_bytes: int) -> None:
     """Raise `DriveFault` (wrong_data) where the memory for captures does not hold a row and a block."""
     least = max(row_bytes, layout.block)
     if facts.memory_bytes < least:
-        told = f"register capture_memory_bytes: {facts.memory_bytes} bytes hold no row of a capture, nor a block"
-        raise DriveFault(FaultCause.WRONG_DATA, told)
+        detail = f"register capture_memory_bytes: {facts.memory_bytes} bytes hold no row of a capture, nor a block"
+        raise DriveFault(FaultCause.WRONG_DATA, detail)
 
 
 class ProgramProgress:
@@ -57,14 +57,14 @@ class ProgramProgress:
         """Whether it got on; raises `DriveFault` (wrong_data) where it cannot have."""
         before = (self.phase, self.done)
         if progress.rows > self._rows:
-            told = f"the drive has captured {progress.rows} rows of {self._rows}"
-            raise DriveFault(FaultCause.WRONG_DATA, told)
+            detail = f"the drive has captured {progress.rows} rows of {self._rows}"
+            raise DriveFault(FaultCause.WRONG_DATA, detail)
         if progress.phase < self.phase or progress.rows < self.done:
-            told = f"the program goes back from {_told(*before)} to {_told(progress.phase, progress.rows)}"
-            raise DriveFault(FaultCause.WRONG_DATA, told)
+            detail = f"the program goes back from {_progress(*before)} to {_progress(progress.phase, progress.rows)}"
+            raise DriveFault(FaultCause.WRONG_DATA, detail)
         self.phase, self.done = progress.phase, progress.rows
         return (self.phase, self.done) != before
 
 
-def _told(phase: Phase, rows: int) -> str:
+def _progress(phase: Phase, rows: int) -> str:
     return f"{phase.name.lower()} at row {rows}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from plugins.link._patience import PATIENCE
+from plugins.link._timeouts import TIMEOUTS
 
 
 class AttentiveClock:
@@ -16,6 +16,6 @@ class AttentiveClock:
     def __call__(self) -> float:
         """Seconds since it was made."""
         now_s = time.monotonic()
-        self._total_s += min(now_s - self._seen_s, PATIENCE.held_s)
+        self._total_s += min(now_s - self._seen_s, TIMEOUTS.max_scheduling_gap_s)
         self._seen_s = now_s
         return self._total_s

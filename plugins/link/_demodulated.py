@@ -17,7 +17,7 @@ from plugins.link._machine import Machine
 from plugins.link._raw import bus_voltage, temperature
 from plugins.link._reading import Reader
 from plugins.wire import (
-    RIPPLE,
+    RIPPLE_FLAG,
     Capability,
     DriveFacts,
     RippleGrid,
@@ -26,7 +26,7 @@ from plugins.wire import (
 )
 from protocols import Capture, DriveFault, DriveRefused, FaultCause, Injection
 
-ROWS_A_TURN = 16
+MIN_ROWS_PER_TURN = 16
 """Fewest rows in one turn of the injected vector; the waveform is linear between rows."""
 
 
@@ -42,7 +42,7 @@ def ripple_periods(injection: Injection, facts: DriveFacts) -> int:
         math.ceil(periods / facts.ripple_memory_rows - 1e-6),
     )
     chosen = next((n for n in range(fewest, 2 * fewest) if round(periods) % n == 0), fewest)
-    if chosen * injection.rotation_hz * ROWS_A_TURN > injection.frequency_hz:
+    if chosen * injection.rotation_hz * MIN_ROWS_PER_TURN > injection.frequency_hz:
         raise DriveRefused(
             f"ripple rows of {chosen} periods at {injection.frequency_hz:g} Hz are too coarse for a rotation at "
             f"{injection.rotation_hz:g} Hz; capture it raw"
@@ -84,7 +84,7 @@ class RippleRead:
         announced = int(host.read("ripple_rows"))
         if announced != rows:
             raise DriveFault(FaultCause.WRONG_DATA, f"the drive makes {announced} ripple rows instead of {rows}")
-        self._reader = Reader(host, number + RIPPLE, rows * self._grid.row_bytes, machine.layout)
+        self._reader = Reader(host, number + RIPPLE_FLAG, rows * self._grid.row_bytes, machine.layout)
         self._crc, self._given = 0, 0
         self._base: tuple[float, float] | None = None
         self._finished = False

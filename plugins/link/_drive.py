@@ -17,10 +17,10 @@ from plugins.link._host import Host, fault_names, known_fault, refused, require_
 from plugins.link._link import Link
 from plugins.link._machine import Machine, longest_capture, row_format
 from plugins.link._options import LinkOptions
-from plugins.link._patience import PATIENCE
 from plugins.link._port import Port, SharedPort
 from plugins.link._running import Program
-from plugins.link._timeline import CLOCK, SIMULATED, Timeline
+from plugins.link._timeline import CLOCK_KEY, SIMULATED_CLOCK, Timeline
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
     NO_TEMPERATURE_C,
     Ack,
@@ -35,7 +35,7 @@ from plugins.wire import (
     capabilities_of,
     encode,
     facts_of,
-    interlock_told,
+    interlock_text,
     limit_registers,
     motor_registers,
     open_interlocks,
@@ -87,7 +87,7 @@ class LinkDrive(DriveShell):
         DriveFault
             Nobody answers, the link cannot be opened, or what is read describes no drive.
         DriveRefused
-            Another host has the drive armed, it speaks another version, or lacks what was asked for.
+            Another host has the drive armed, it speaks another version, or lacks an option.
         """
         with link_errors("the drive's link"):
             port = self.open_port()
@@ -114,7 +114,7 @@ class LinkDrive(DriveShell):
         machine = Machine(capabilities_of(own, description, None), facts, layout, demodulated)
         require_memory(facts, layout, row_format(machine).row_bytes)
         fs = machine.capabilities.sampling_frequency_hz
-        is_simulated = description.get(CLOCK) == SIMULATED
+        is_simulated = description.get(CLOCK_KEY) == SIMULATED_CLOCK
         self._timeline = Timeline(host, fs, is_simulated)
         longest_s = longest_capture(machine, host.link.port.bulk_rate(layout))
         learned = {"longest_capture_s": longest_s, "clock_is_simulated": is_simulated}
@@ -126,7 +126,7 @@ class LinkDrive(DriveShell):
         if cause in (Fault.WATCHDOG, Fault.INTERLOCK) or (cause is not Fault.NONE and self._options.clear_fault):
             self.forget_fault()
         else:
-            host.fault_told = cause is not Fault.NONE
+            host.fault_reported = cause is not Fault.NONE
 
     def release(self) -> None:
         """Let go of the link."""
@@ -135,7 +135,7 @@ class LinkDrive(DriveShell):
             link.close()
 
     def heartbeat(self) -> None:
-        """Say that the host is alive; nothing more is said once the link is lost."""
+        """Send that the host is alive; nothing once the link is lost."""
         host = self._host
         if host is not None and host.link.lost is None:
             host.link.try_to_send(host.conversation.heartbeat(time.monotonic()))
@@ -160,10 +160,10 @@ class LinkDrive(DriveShell):
         status = None if self._host is None else self._host.link.news.status
         return fault_names(status) if status is not None and status.state is PowerState.FAULTED else ()
 
-    def attend(self) -> None:
-        """A fault that nobody has heard of yet is told as what it is."""
+    def check_link(self) -> None:
+        """Raise the link's loss, or a fault that was not reported yet."""
         host, _ = self._connected()
-        if self.faults and not host.fault_told:
+        if self.faults and not host.fault_reported:
             raise host.fault()
         self._require_sound()
 
@@ -176,12 +176,12 @@ class LinkDrive(DriveShell):
             require_held(name, value, host.read(name))
         ack = host.command(Op.ARM)
         if ack.status is AckStatus.INTERLOCK_OPEN:
-            raise DriveRefused(interlock_told(ack.value, host.interlocks))
+            raise DriveRefused(interlock_text(ack.value, host.interlocks))
         if ack.status is not AckStatus.OK:
             raise refused(ack)
         host.conversation.armed(ack)
         self.heartbeat()
-        self._await(host, (*ENERGISED, PowerState.FAULTED), PATIENCE.settle_s)
+        self._await(host, (*ENERGISED, PowerState.FAULTED), TIMEOUTS.settle_s)
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Write the program and start it; its rows come as the iterator is drawn from."""
@@ -221,7 +221,7 @@ class LinkDrive(DriveShell):
 
     @staticmethod
     def _pwm_frequency_hz(host: Host, own: Capabilities) -> float:
-        """Of the last program, as the drive holds it; asked for where it has a choice."""
+        """Of the last program, as the drive holds it; read where it has a choice."""
         if len(own.pwm_frequencies_hz) == 1:
             return own.pwm_frequency_hz
         return host.read("pwm_frequency_asked_hz") or own.pwm_frequency_hz
@@ -231,10 +231,10 @@ class LinkDrive(DriveShell):
         host = self._reachable(Op.STOP)
         ack = host.command(Op.STOP)
         if ack.status is AckStatus.OK and ack.state in ENERGISED:
-            self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), PATIENCE.ramp_s)
+            self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), TIMEOUTS.ramp_s)
 
     def switch_off(self) -> None:
-        """PWM off; a drive that does not is told by an emergency stop, and said to have needed it.
+        """PWM off; a drive that ignores it gets an emergency stop, and the error says so.
 
         Raises `DriveFault`: still_armed.
         """
@@ -245,19 +245,19 @@ class LinkDrive(DriveShell):
             return
         host.link.try_to_send(EStop(StopReason.HOST_ERROR))
         what_then = "only an emergency stop switched it off" if self._gets_to(host, off) else "nor by an emergency stop"
-        told = f"the drive does not disarm when it is told to ({words(ack.status)}), {what_then}"
-        raise DriveFault(FaultCause.STILL_ARMED, told)
+        message = f"the drive does not disarm on command ({words(ack.status)}), {what_then}"
+        raise DriveFault(FaultCause.STILL_ARMED, message)
 
     def forget_fault(self) -> None:
-        """Clear the drive's latched faults; one that is still ramping down is asked again."""
+        """Clear the drive's latched faults; repeated while it is still ramping down."""
         host, _ = self._connected()
         deadline = time.monotonic() + self._options.connect_timeout_s
         while (ack := host.command(Op.CLEAR_FAULT)).status is not AckStatus.OK:
             if time.monotonic() > deadline:
                 raise DriveRefused(f"the drive refuses to clear its fault: {words(ack.status)}")
             time.sleep(0.05)
-        self._await(host, (PowerState.DISARMED, *ENERGISED), PATIENCE.settle_s)
-        host.fault_told = False
+        self._await(host, (PowerState.DISARMED, *ENERGISED), TIMEOUTS.settle_s)
+        host.fault_reported = False
 
     def set_brake(self, engaged: bool) -> None:
         """Move the brake, where there is one."""
@@ -300,12 +300,12 @@ class LinkDrive(DriveShell):
         return self._host, self._machine
 
     def _reachable(self, *last_words: Op) -> Host:
-        """The host for a way out. A lost drive is told all the same, for it may still hear; the reason is raised."""
+        """The host for shutting down. A lost drive gets the commands all the same, and the reason is raised."""
         if self._host is not None and self._host.link.lost is not None:
-            self._host.shout(*last_words)
+            self._host.broadcast(*last_words)
         return self._connected()[0]
 
-    def _gets_to(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = PATIENCE.settle_s) -> bool:
+    def _gets_to(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = TIMEOUTS.settle_s) -> bool:
         """Whether the drive's status says so in time."""
         news = host.link.news
         return host.link.wait(lambda: news.status is not None and news.status.state in states, timeout_s)
@@ -318,7 +318,7 @@ class LinkDrive(DriveShell):
             raise DriveFault(FaultCause.NO_ANSWER, f"the drive is {now} after {timeout_s:g} s instead of {wanted}")
 
     def _raise_fault_behind(self, host: Host) -> None:
-        """Where a refusal has a fault behind it that came in that moment, the fault is the better news."""
+        """Where a refusal has a fault behind it that came in that moment, raise the fault instead."""
         ack: Ack = host.command(Op.TIME_SYNC)
         if ack.state is PowerState.FAULTED:
             raise host.fault()

@@ -21,8 +21,8 @@ def link_errors(where: str) -> Iterator[None]:
     try:
         yield
     except _raised_by_libraries() as error:
-        told = (str(error) or type(error).__name__).splitlines()[0]
-        raise DriveFault(FaultCause.LINK_LOST, f"{where}: {told}") from error
+        reason = (str(error) or type(error).__name__).splitlines()[0]
+        raise DriveFault(FaultCause.LINK_LOST, f"{where}: {reason}") from error
 
 
 def _raised_by_libraries() -> tuple[type[Exception], ...]:

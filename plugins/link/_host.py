@@ -7,10 +7,10 @@ import time
 from collections.abc import Mapping
 
 from plugins.link._link import Link
-from plugins.link._patience import PATIENCE
 from plugins.link._reading import read_whole
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
-    DESCRIPTION,
+    DESCRIPTION_CAPTURE,
     PROTOCOL_MAJOR,
     Ack,
     AckStatus,
@@ -51,7 +51,7 @@ class Host:
         self.conversation = Conversation()
         self.next_window = 0
         self._answer_s = answer_s
-        self.fault_told = False
+        self.fault_reported = False
         """Whether the latched fault has been raised, or was there before this host."""
         self.interlocks: tuple[str, ...] = ()
         """Names of the drive's interlock inputs, once they are known."""
@@ -60,30 +60,30 @@ class Host:
     # Requests
 
     def request(
-        self, request: Command | ParameterRead | ParameterWrite, patience_s: float | None = None
+        self, request: Command | ParameterRead | ParameterWrite, timeout_s: float | None = None
     ) -> Ack | ParameterValue:
         """Ask until the answer comes, refusals included.
 
         Raises `DriveFault`: no_answer, or link_lost where the drive does not know this session any more.
         """
-        reply = self._ask(request, patience_s or self._answer_s)
+        reply = self._ask(request, timeout_s or self._answer_s)
         if isinstance(reply, Ack) and reply.status is AckStatus.STALE_SESSION:
-            told = "the drive does not know this session any more: it has restarted, or has another host"
-            raise self.link.lose(DriveFault(FaultCause.LINK_LOST, told))
+            message = "the drive does not know this session any more: it has restarted, or has another host"
+            raise self.link.lose(DriveFault(FaultCause.LINK_LOST, message))
         return reply
 
-    def _ask(self, request: Command | ParameterRead | ParameterWrite, patience_s: float) -> Ack | ParameterValue:
-        for _ in range(math.ceil(patience_s / PATIENCE.repeat_s)):
+    def _ask(self, request: Command | ParameterRead | ParameterWrite, timeout_s: float) -> Ack | ParameterValue:
+        for _ in range(math.ceil(timeout_s / TIMEOUTS.repeat_s)):
             self.link.send(request)
-            reply = self.link.reply(lambda message: answers(message, request), PATIENCE.repeat_s)
+            reply = self.link.reply(lambda message: answers(message, request), TIMEOUTS.repeat_s)
             if reply is not None:
                 return reply
         where = self.link.port.where
-        raise DriveFault(FaultCause.NO_ANSWER, f"{where}: no answer to {_in_words(request)} for {patience_s:g} s")
+        raise DriveFault(FaultCause.NO_ANSWER, f"{where}: no answer to {_in_words(request)} for {timeout_s:g} s")
 
-    def command(self, op: Op, arg: int = 0, patience_s: float | None = None) -> Ack:
+    def command(self, op: Op, arg: int = 0, timeout_s: float | None = None) -> Ack:
         """A command's acknowledgement, whatever its status."""
-        reply = self.request(self.conversation.command(op, arg), patience_s)
+        reply = self.request(self.conversation.command(op, arg), timeout_s)
         assert isinstance(reply, Ack)
         return reply
 
@@ -94,8 +94,8 @@ class Host:
             raise refused(ack)
         return ack
 
-    def shout(self, *ops: Op) -> None:
-        """Commands for a drive that may still hear, though nothing is heard from it; waits for nothing."""
+    def broadcast(self, *ops: Op) -> None:
+        """Send commands to a drive that may still receive, though it is silent; waits for nothing."""
         for op in ops:
             self.link.try_to_send(self.conversation.command(op))
 
@@ -131,28 +131,28 @@ class Host:
 
     # Who is there
 
-    def identify(self, patience_s: float) -> None:
-        """Open a session; a drive that is silent, or that another host has armed, is asked again for so long.
+    def identify(self, timeout_s: float) -> None:
+        """Open a session; repeats this long for a drive that is silent, or that another host has armed.
 
         A number that chance gave to an earlier session is closed to this one: another is drawn.
         Raises `DriveRefused` where it stays busy, or speaks another version.
         """
-        deadline = time.monotonic() + patience_s
-        while (ack := self._introduce(patience_s)).status in (AckStatus.BUSY, AckStatus.STALE_SESSION):
+        deadline = time.monotonic() + timeout_s
+        while (ack := self._introduce(timeout_s)).status in (AckStatus.BUSY, AckStatus.STALE_SESSION):
             if time.monotonic() > deadline:
                 raise DriveRefused("another host has the drive armed")
             if ack.status is AckStatus.STALE_SESSION:
                 self.conversation = Conversation()
             else:
-                time.sleep(PATIENCE.repeat_s)
+                time.sleep(TIMEOUTS.repeat_s)
         if ack.status is AckStatus.WRONG_VERSION:
             major = ack.value >> 8
             raise DriveRefused(f"the drive speaks version {major} of the protocol, this host version {PROTOCOL_MAJOR}")
         if ack.status is not AckStatus.OK:
             raise DriveRefused(f"the drive refuses to talk: {words(ack.status)}")
 
-    def _introduce(self, patience_s: float) -> Ack:
-        ack = self._ask(self.conversation.command(Op.IDENTIFY, PROTOCOL_MAJOR), patience_s)
+    def _introduce(self, timeout_s: float) -> Ack:
+        ack = self._ask(self.conversation.command(Op.IDENTIFY, PROTOCOL_MAJOR), timeout_s)
         assert isinstance(ack, Ack)
         return ack
 
@@ -163,24 +163,24 @@ class Host:
     def description(self, own: Mapping[str, float], layout: BlockLayout) -> dict[str, str]:
         """The drive's names for itself."""
         length = int(own["description_bytes"])
-        data = read_whole(self, DESCRIPTION, length, layout) if length else b""
+        data = read_whole(self, DESCRIPTION_CAPTURE, length, layout) if length else b""
         return parse_description(bytes(data))
 
     # What there is to know now
 
     def tick(self) -> Tick:
-        """The drive's clock, now; asked for anew where the answer came but the tick was lost."""
+        """The drive's clock, now; requested again where the answer came but the tick was lost."""
         news = self.link.news
         ticks = news.ticks
-        for _ in range(math.ceil(self._answer_s / PATIENCE.tick_s)):
+        for _ in range(math.ceil(self._answer_s / TIMEOUTS.tick_s)):
             self.do(Op.TIME_SYNC)
-            if self.link.wait(lambda: news.ticks > ticks, PATIENCE.tick_s) and news.tick is not None:
+            if self.link.wait(lambda: news.ticks > ticks, TIMEOUTS.tick_s) and news.tick is not None:
                 return news.tick
         raise DriveFault(FaultCause.NO_ANSWER, "the drive does not tell its time")
 
     def fault(self) -> DriveFault:
         """The drive's latched fault as the project's error."""
-        self.fault_told = True
+        self.fault_reported = True
         cause, value, limit, bits = (self.read(name) for name in _FAULT_REGISTERS)
         return drive_fault(known_fault(cause), value, limit, int(bits), self.interlocks)
 

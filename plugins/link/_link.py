@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 
 from plugins.link._clock import AttentiveClock
 from plugins.link._errors import link_errors
-from plugins.link._patience import PATIENCE
 from plugins.link._port import Port
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
     STALE_PERIODS,
     Ack,
@@ -37,7 +37,7 @@ _FROM_DRIVE = frame_id("Status")
 """Lower identifiers are the host's own, which some buses hand back."""
 
 
-PROGRESS_S = 0.1
+PROGRESS_PERIOD_S = 0.1
 """Period of a program's progress."""
 
 
@@ -67,9 +67,9 @@ class Link:
         self.port, self.news = port, News()
         self._period_s = telemetry_s
         self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
-        self._progress_gate = TelemetryGate(PROGRESS_S)
-        self._replies: deque[Ack | ParameterValue] = deque(maxlen=PATIENCE.most_replies)
-        self._bulk: deque[Frame] = deque(maxlen=PATIENCE.most_bulk)
+        self._progress_gate = TelemetryGate(PROGRESS_PERIOD_S)
+        self._replies: deque[Ack | ParameterValue] = deque(maxlen=TIMEOUTS.max_replies)
+        self._bulk: deque[Frame] = deque(maxlen=TIMEOUTS.max_bulk_frames)
         self._bulk_ids = {frame_id("Bulk"), frame_id("BulkFD"), frame_id("BulkEnd")}
         self._bulk_end, self._has_ended = frame_id("BulkEnd"), False
         self._changed, self._sending = threading.Condition(), threading.Lock()
@@ -81,7 +81,7 @@ class Link:
 
     @property
     def lost(self) -> DriveFault | None:
-        """Why nothing can be said to the drive any more."""
+        """Why nothing can be sent to the drive any more."""
         return self._lost
 
     def lose(self, fault: DriveFault) -> DriveFault:
@@ -114,21 +114,21 @@ class Link:
         self.check()
         try:
             with link_errors(self.port.where), self._sending:
-                taken = self.port.send([encode(message) for message in messages], PATIENCE.send_s)
+                taken = self.port.send([encode(message) for message in messages], TIMEOUTS.send_s)
         except DriveFault as fault:
             raise self.lose(fault) from fault.__cause__
         if not taken:
             raise self.lose(
-                DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: takes nothing for {PATIENCE.send_s:g} s")
+                DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: takes nothing for {TIMEOUTS.send_s:g} s")
             )
 
     def try_to_send(self, *messages: Message) -> None:
         """Send what the link takes at once, lost or not; returns at once and never raises."""
-        if not self._sending.acquire(timeout=PATIENCE.beat_s):
+        if not self._sending.acquire(timeout=TIMEOUTS.heartbeat_s):
             return
         try:
             with link_errors(self.port.where):
-                self.port.send([encode(message) for message in messages], PATIENCE.beat_s)
+                self.port.send([encode(message) for message in messages], TIMEOUTS.heartbeat_s)
         except DriveFault as fault:
             self.lose(fault)
         finally:
@@ -138,17 +138,17 @@ class Link:
 
     def reply(self, wanted: Callable[[Message], bool], timeout_s: float) -> Ack | ParameterValue | None:
         """The reply that is wanted; others are late copies, and dropped."""
-        found: list[Ack | ParameterValue] = []
+        matching: list[Ack | ParameterValue] = []
 
         def look() -> bool:
-            while self._replies and not found:
+            while self._replies and not matching:
                 reply = self._replies.popleft()
                 if wanted(reply):
-                    found.append(reply)
-            return bool(found)
+                    matching.append(reply)
+            return bool(matching)
 
         self.wait(look, timeout_s)
-        return found[0] if found else None
+        return matching[0] if matching else None
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until it is so, which is looked at whenever something came; raises where the link is lost."""
@@ -156,7 +156,7 @@ class Link:
         with self._changed:
             while not held and (left_s := timeout_s - clock()) > 0.0:
                 held = self._changed.wait_for(
-                    lambda: self._lost is not None or condition(), min(left_s, PATIENCE.listen_s)
+                    lambda: self._lost is not None or condition(), min(left_s, TIMEOUTS.receive_s)
                 )
             held = held or condition()
         self.check()
@@ -164,7 +164,7 @@ class Link:
 
     def bulk(self, timeout_s: float) -> Sequence[Frame]:
         """What came of uploads since the last call, waiting for many blocks or the end of an answer."""
-        self.wait(lambda: self._has_ended or len(self._bulk) >= PATIENCE.many_bulk, timeout_s)
+        self.wait(lambda: self._has_ended or len(self._bulk) >= TIMEOUTS.wake_bulk_frames, timeout_s)
         with self._changed:
             taken = list(self._bulk)
             self._bulk.clear()
@@ -178,7 +178,7 @@ class Link:
             while not self._over.is_set():
                 begun_s = time.monotonic()
                 with link_errors(self.port.where):
-                    frames = self.port.receive(PATIENCE.listen_s)
+                    frames = self.port.receive(TIMEOUTS.receive_s)
                 self._sort(frames)
                 self._count_silence(time.monotonic() - begun_s)
         except DriveFault as fault:
@@ -188,10 +188,10 @@ class Link:
 
     def _count_silence(self, turn_s: float) -> None:
         """Only time in which somebody listened counts: this process may have been stopped, or kept waiting."""
-        self._silent_s += min(turn_s, 2.0 * PATIENCE.listen_s)
+        self._silent_s += min(turn_s, 2.0 * TIMEOUTS.receive_s)
         if self._silent_s > STALE_PERIODS * self._period_s and self.news.statuses and self._lost is None:
-            told = f"the drive is silent: no status for {STALE_PERIODS} periods of {self._period_s:g} s"
-            self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {told}"))
+            message = f"the drive is silent: no status for {STALE_PERIODS} periods of {self._period_s:g} s"
+            self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {message}"))
 
     def _sort(self, frames: Sequence[Frame]) -> None:
         bulk = [frame for frame in frames if frame.frame_id in self._bulk_ids]

@@ -12,7 +12,7 @@ from plugins.link._reading import Reader
 from plugins.wire import NO_TEMPERATURE_C, CaptureFormat, Channel, RowFormat
 from protocols import Capture, DriveFault, FaultCause
 
-_MOST = 32767
+_MAX_INT16 = 32767
 """Largest count of int16."""
 
 
@@ -37,7 +37,7 @@ class RawRead:
             raise DriveFault(
                 FaultCause.WRONG_DATA,
                 f"the drive captures {announced[0]} rows of {announced[1]} bytes; "
-                f"{rows} of {self._format.row_bytes} were asked for",
+                f"{rows} of {self._format.row_bytes} were requested",
             )
         self._reader = Reader(host, number, rows * self._format.row_bytes, machine.layout)
         self._crc, self._given = 0, 0
@@ -82,7 +82,7 @@ class RawRead:
 def clipped_rows(data: bytes | memoryview, channels: int) -> int:
     """Rows of int16 counts that have one at the end of its scale, where converters and scales saturate."""
     counts = np.frombuffer(data, dtype="<i2").reshape(-1, channels)
-    at_the_end = (counts >= _MOST) | (counts <= -_MOST)
+    at_the_end = (counts >= _MAX_INT16) | (counts <= -_MAX_INT16)
     return int(np.count_nonzero(at_the_end.any(axis=1)))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from plugins.link._clock import AttentiveClock
-from plugins.link._patience import PATIENCE
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import BlockLayout, CaptureAssembly
 from protocols import DriveFault, FaultCause
 
@@ -37,9 +37,9 @@ class Reader:
             requests_each=port.requests_each,
         )
         self._clock = AttentiveClock()
-        self._asked_s = self._heard_s = 0.0
+        self._requested_s = self._received_s = 0.0
         self._rounds, self._before = 0, -1
-        self._patience_s = PATIENCE.upload_s
+        self._timeout_s = TIMEOUTS.upload_s
 
     def turn(self, available: int, wait_s: float) -> memoryview | None:
         """Ask for what is missing of the `available` bytes, take what came; the capture, once it is verified.
@@ -53,23 +53,23 @@ class Reader:
         mine = assembly.take(self._link.bulk(wait_s))
         now_s = self._clock()
         if mine or not wanted:
-            self._heard_s = now_s
-        if now_s - self._heard_s > PATIENCE.upload_lost_s:
+            self._received_s = now_s
+        if now_s - self._received_s > TIMEOUTS.upload_lost_s:
             raise DriveFault(
-                FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {PATIENCE.upload_lost_s:g} s"
+                FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {TIMEOUTS.upload_lost_s:g} s"
             )
         if wanted and not assembly.waiting and not assembly.exhausted:
-            self._patience_s = PATIENCE.upload_s
-        elif now_s - max(self._heard_s, self._asked_s) > self._patience_s:
+            self._timeout_s = TIMEOUTS.upload_s
+        elif now_s - max(self._received_s, self._requested_s) > self._timeout_s:
             assembly.give_up()
-            self._patience_s = min(2.0 * self._patience_s, PATIENCE.most_upload_s)
+            self._timeout_s = min(2.0 * self._timeout_s, TIMEOUTS.max_upload_s)
         return assembly.result()
 
     def _ask(self, available: int) -> None:
         assembly = self.assembly
         complete = available >= assembly.length
         is_round = not assembly.waiting
-        if not complete and self._clock() - self._asked_s < PATIENCE.live_s:
+        if not complete and self._clock() - self._requested_s < TIMEOUTS.live_read_period_s:
             return
         if not complete and is_round and not assembly.missing(available):
             return
@@ -80,19 +80,19 @@ class Reader:
             self._count_round()
         self._host.next_window = assembly.next_window
         self._link.send(*requests)
-        self._asked_s = self._clock()
+        self._requested_s = self._clock()
 
     def _count_round(self) -> None:
         assembly = self.assembly
         self._rounds = 0 if assembly.received != self._before else self._rounds + 1
         self._before = assembly.received
-        if self._rounds > PATIENCE.rounds:
+        if self._rounds > TIMEOUTS.max_upload_rounds:
             raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
 
 
 def read_whole(host: Host, capture: int, length: int, layout: BlockLayout) -> memoryview:
     """A capture that is complete on the drive."""
     reader = Reader(host, capture, length, layout)
-    while (data := reader.turn(length, PATIENCE.listen_s)) is None:
+    while (data := reader.turn(length, TIMEOUTS.receive_s)) is None:
         pass
     return data

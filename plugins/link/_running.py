@@ -5,15 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
-from orchestrator.driving import sign_of_life
+from orchestrator.driving import keepalive
 from plugins.link._claims import ProgramProgress
 from plugins.link._clock import AttentiveClock
 from plugins.link._demodulated import RippleRead, ripple_periods
 from plugins.link._host import Host
 from plugins.link._machine import Machine, Rows, SecondsOfTick
-from plugins.link._patience import PATIENCE
 from plugins.link._raw import RawRead
 from plugins.link._timeline import Timeline
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
     Capability,
     Channel,
@@ -26,12 +26,14 @@ from plugins.wire import (
 )
 from protocols import Capture, DriveFault, DriveRefused, Excitation, FaultCause, Injection
 
-SHORTEST_S, LONGEST_S = 0.1, 0.25
-"""Length of a block, the last one apart."""
+MIN_BLOCK_S = 0.1
+"""Shortest block but the last."""
+MAX_BLOCK_S = 0.25
+"""Longest block."""
 
 
 class Program:
-    """A program that the drive was told to run.
+    """A program that the drive runs.
 
     Parameters
     ----------
@@ -83,29 +85,29 @@ class Program:
         Raises `DriveFault` where the drive trips, is lost, or sends what does not fit.
         """
         given, start = 0, None
-        told_s = time.monotonic()
+        yielded_s = time.monotonic()
         finished = False
         while not finished:
             progress = self._watch()
             started = progress is not None and progress.phase in (Phase.CAPTURING, Phase.COMPLETE)
             complete = self._is_complete(progress)
-            finished = self._source.turn(progress.rows if progress else 0, complete, PATIENCE.listen_s)
+            finished = self._source.turn(progress.rows if progress else 0, complete, TIMEOUTS.receive_s)
             if start is None and (started or complete):
                 start = self._timeline.begins(self._start_tick())
             if start is not None and finished:
                 self._timeline.ends(start, self._rows)
             while start is not None and self._due(given, finished):
-                stop = min(self._source.ready, given + round(LONGEST_S * self._fs))
+                stop = min(self._source.ready, given + round(MAX_BLOCK_S * self._fs))
                 yield self._source.block(given, stop, seconds_of_tick(start) + given / self._fs)
-                given, told_s = stop, time.monotonic()
-            if time.monotonic() - told_s > PATIENCE.quiet_s:
+                given, yielded_s = stop, time.monotonic()
+            if time.monotonic() - yielded_s > TIMEOUTS.keepalive_period_s:
                 tick = self._host.link.news.tick
-                yield sign_of_life(seconds_of_tick(self._timeline.count(tick.tick)) if tick else 0.0, self._fs)
-                told_s = time.monotonic()
+                yield keepalive(seconds_of_tick(self._timeline.count(tick.tick)) if tick else 0.0, self._fs)
+                yielded_s = time.monotonic()
 
     def _due(self, given: int, finished: bool) -> bool:
         ready = self._source.ready - given
-        return ready > 0 and (finished or ready >= round(SHORTEST_S * self._fs))
+        return ready > 0 and (finished or ready >= round(MIN_BLOCK_S * self._fs))
 
     def _start_tick(self) -> int:
         return int(self._host.read("capture_start_low")) + 65536 * int(self._host.read("capture_start_high"))
@@ -138,14 +140,14 @@ class Program:
 
     def _require_progress(self, progress: Progress | None) -> None:
         """Raises where the program stands still, goes back, or never ends."""
-        now_s, asked = self._clock(), self._excitation
+        now_s, excitation = self._clock(), self._excitation
         if (progress is not None and self._seen.takes(progress)) or self._is_complete(progress):
             self._moved_s = now_s
-        patience_s = PATIENCE.stuck_s + asked.settling_s
-        if now_s - self._moved_s > patience_s:
-            told = f"{asked.kind}: no progress for {patience_s:.3g} s ({self._seen.phase.name.lower()})"
-            raise DriveFault(FaultCause.NO_ANSWER, told)
-        most_s = PATIENCE.stuck_s + PATIENCE.slow * (asked.settling_s + asked.captured_s)
+        timeout_s = TIMEOUTS.no_progress_s + excitation.settling_s
+        if now_s - self._moved_s > timeout_s:
+            message = f"{excitation.kind}: no progress for {timeout_s:.3g} s ({self._seen.phase.name.lower()})"
+            raise DriveFault(FaultCause.NO_ANSWER, message)
+        most_s = TIMEOUTS.no_progress_s + TIMEOUTS.max_duration_ratio * (excitation.settling_s + excitation.captured_s)
         if now_s > most_s and not self._is_complete(progress):
-            told = f"{asked.kind}: not at its end after {most_s:.3g} s ({self._seen.phase.name.lower()})"
-            raise DriveFault(FaultCause.PROGRAM_TOO_LONG, told)
+            message = f"{excitation.kind}: not at its end after {most_s:.3g} s ({self._seen.phase.name.lower()})"
+            raise DriveFault(FaultCause.PROGRAM_TOO_LONG, message)

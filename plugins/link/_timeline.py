@@ -1,6 +1,6 @@
 """The drive's clock, held against this machine's and against what the drive captures: it neither stops nor jumps.
 
-What is asked for and answered was taken between the question and the answer, so that no busy machine is mistaken for a
+A reply's reading was taken between request and reply, so that no busy machine is mistaken for a
 lying drive. An emulated drive, which says ``clock: simulated`` in its description, keeps its own time: of its clock
 only the order counts.
 """
@@ -11,14 +11,15 @@ import time
 from typing import NamedTuple
 
 from plugins.link._host import Host
-from plugins.link._patience import PATIENCE
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import Unwrapped
 from protocols import DriveFault, FaultCause
 
-CLOCK, SIMULATED = "clock", "simulated"
-"""Key and value of an emulated drive's description."""
-SLACK = 2
-"""Samples that roundings of a tick may make."""
+CLOCK_KEY = "clock"
+SIMULATED_CLOCK = "simulated"
+"""Value of `CLOCK_KEY` in an emulated drive's description."""
+TICK_ROUNDING_SAMPLES = 2
+"""Largest rounding of a tick."""
 _HOST_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
 """Goes on while the machine sleeps, as the drive's does."""
 
@@ -27,8 +28,8 @@ class Reading(NamedTuple):
     """A tick, counted without wraps, and the times on the host's clock between which it was taken [s]."""
 
     tick: int
-    asked_s: float
-    had_s: float
+    sent_s: float
+    received_s: float
 
 
 class Timeline:
@@ -51,7 +52,7 @@ class Timeline:
         self._has_captured = False
 
     def now(self) -> int:
-        """The drive's clock, asked for; a tick that was long under way is asked for again.
+        """The drive's clock, read now; a tick that was long under way is read again.
 
         Raises `DriveFault` (wrong_data) where it went back, stands still, or is not where so much time takes it.
         """
@@ -65,13 +66,13 @@ class Timeline:
         return reading.tick
 
     def count(self, tick: int) -> int:
-        """A tick that was told, without wraps."""
+        """A received tick, without wraps."""
         return self._unwrapped(tick)
 
     def begins(self, tick: int) -> int:
         """Row 0 of a capture, without wraps; raises `DriveFault` (wrong_data) where the one before had not ended."""
         start = self._unwrapped(tick)
-        if self._has_captured and start < self._captured - SLACK:
+        if self._has_captured and start < self._captured - TICK_ROUNDING_SAMPLES:
             early_s = (self._captured - start) / self._fs
             raise DriveFault(FaultCause.WRONG_DATA, f"the capture starts {early_s:.3g} s before the last one has ended")
         self._captured, self._has_captured = start, True
@@ -80,15 +81,15 @@ class Timeline:
     def ends(self, start: int, rows: int) -> None:
         """All rows are captured; raises `DriveFault` (wrong_data) where the drive's clock is not there yet."""
         end, now = start + rows, self.now()
-        if now < end - SLACK:
-            told = f"the drive's clock stands {(end - now) / self._fs:.3g} s before the end of what it has captured"
-            raise DriveFault(FaultCause.WRONG_DATA, told)
+        if now < end - TICK_ROUNDING_SAMPLES:
+            message = f"the drive's clock stands {(end - now) / self._fs:.3g} s before the end of what it has captured"
+            raise DriveFault(FaultCause.WRONG_DATA, message)
         self._captured = end
 
     def _read(self) -> Reading:
-        asked_s = time.clock_gettime(_HOST_CLOCK)
+        sent_s = time.clock_gettime(_HOST_CLOCK)
         tick = self._host.tick().tick
-        return Reading(self._unwrapped(tick), asked_s, time.clock_gettime(_HOST_CLOCK))
+        return Reading(self._unwrapped(tick), sent_s, time.clock_gettime(_HOST_CLOCK))
 
     def _problem(self, reading: Reading) -> str:
         if self._last is None:
@@ -98,9 +99,9 @@ class Timeline:
             return f"went back by {-passed_s:.3g} s"
         if self._is_simulated:
             return ""
-        least_s, most_s = reading.asked_s - self._last.had_s, reading.had_s - self._last.asked_s
-        if passed_s > (1.0 + PATIENCE.clock_part) * most_s + PATIENCE.clock_s:
+        least_s, most_s = reading.sent_s - self._last.received_s, reading.received_s - self._last.sent_s
+        if passed_s > (1.0 + TIMEOUTS.clock_error_ratio) * most_s + TIMEOUTS.clock_error_s:
             return f"jumped by {passed_s:.3g} s in {most_s:.3g} s"
-        if passed_s < (1.0 - PATIENCE.clock_part) * least_s - PATIENCE.clock_s:
+        if passed_s < (1.0 - TIMEOUTS.clock_error_ratio) * least_s - TIMEOUTS.clock_error_s:
             return f"went on by {passed_s:.3g} s in {least_s:.3g} s"
         return ""

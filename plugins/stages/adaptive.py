@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 CHOOSING = StageState("choosing_points", "choose_points")
 
-_TURNS = (1, 2, 4)
-"""Of the injection's direction, for which a point may be captured."""
+_CAPTURE_TURNS = (1, 2, 4)
+"""Turns of the injected direction that a point may be captured for."""
 
 
 class AdaptiveStage(EnergisedStage):
@@ -97,7 +97,7 @@ class AdaptiveStage(EnergisedStage):
     def as_run(self, run: StageRun, planned: Sequence[Excitation]) -> Iterator[Excitation]:
         left = iter([one for one in planned if isinstance(one, Injection)])
         for target in self._first[len(run.segments) :]:
-            yield _captured(next(left), target, _TURNS[0])
+            yield _captured(next(left), target, _CAPTURE_TURNS[0])
         while chosen := self._chosen(run):
             for candidate in chosen:
                 if (injection := next(left, None)) is None:
@@ -108,7 +108,7 @@ class AdaptiveStage(EnergisedStage):
         known = self._known(run)
         reached = self._percent(run, known) <= self.until_percent
         wanted = "" if reached else f"; {self.until_percent:g} % were wanted: allow more than longest_s"
-        run.say(Note(level="info" if reached else "warning", text=self._told(run, known) + wanted), durable=True)
+        run.publish(Note(level="info" if reached else "warning", text=self._band(run, known) + wanted), durable=True)
 
     def _chosen(self, run: StageRun) -> list[Candidate]:
         """What to measure next; nothing where what was measured is enough."""
@@ -118,7 +118,9 @@ class AdaptiveStage(EnergisedStage):
         candidates = self._candidates(run)
         target_wb = 0.01 * self.until_percent * self._rated_wb(run, known)
         left_s = known.seconds_to(target_wb, candidates, self.longest_s)
-        run.say(Note(level="info", text=f"{self._told(run, known)}; {left_s:.0f} s more for {self.until_percent:g} %"))
+        run.publish(
+            Note(level="info", text=f"{self._band(run, known)}; {left_s:.0f} s more for {self.until_percent:g} %")
+        )
         return known.best(candidates, self.points_at_once)
 
     def _known(self, run: StageRun) -> KnownMap:
@@ -139,14 +141,14 @@ class AdaptiveStage(EnergisedStage):
         side = -1.0 if balance > 0 else 1.0
         rings = [_ring(given(self.range_a) * share, 24 * share) for share in (0.25, 0.5, 0.75, 1.0)]
         places = [(0.0, 0.0), *(place for ring in rings for place in ring if side * place[1] >= 0.0)]
-        captures = [turns * self.turn_s for turns in _TURNS]
+        captures = [turns * self.turn_s for turns in _CAPTURE_TURNS]
         return [Candidate(place, one, given(self.settle_s) + one) for place in places for one in captures]
 
-    def _told(self, run: StageRun, known: KnownMap) -> str:
+    def _band(self, run: StageRun, known: KnownMap) -> str:
         rated = self._rated_wb(run, known)
         usual, worst = (100.0 * half / rated for half in known.band_wb)
-        told = f"{len(run.segments)} points: the flux to ±{worst:.2f} % of the rated flux at worst"
-        return f"{told}, ±{usual:.2f} % rms (95 %)"
+        message = f"{len(run.segments)} points: the flux to ±{worst:.2f} % of the rated flux at worst"
+        return f"{message}, ±{usual:.2f} % rms (95 %)"
 
     def _percent(self, run: StageRun, known: KnownMap) -> float:
         return 100.0 * known.band_wb[1] / self._rated_wb(run, known)
@@ -164,14 +166,14 @@ class AdaptiveStage(EnergisedStage):
     @property
     def _most(self) -> int:
         """How many points there may be, all of them captured for longest."""
-        return int(self.longest_s / (given(self.settle_s) + _TURNS[-1] * self.turn_s))
+        return int(self.longest_s / (given(self.settle_s) + _CAPTURE_TURNS[-1] * self.turn_s))
 
     def _injection(self, target: Point) -> Injection:
         return Injection(
             target_d_a=target[0],
             target_q_a=target[1],
             settle_s=given(self.settle_s),
-            duration_s=_TURNS[-1] * self.turn_s,
+            duration_s=_CAPTURE_TURNS[-1] * self.turn_s,
             amplitude_v=given(self.amplitude_v),
             frequency_hz=given(self.frequency_hz),
             rotation_hz=1.0 / self.turn_s,

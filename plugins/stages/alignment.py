@@ -92,7 +92,7 @@ class AlignmentStage(EnergisedStage):
         return excitation.model_copy(update={"current_d_a": d, "current_q_a": q})
 
     least_offset: ClassVar[float] = 0.001
-    """Part of the current from which on an offset is told to turn a free rotor: 1 % has turned one by 5.6 degrees."""
+    """Offset over current from which on a note warns of a free rotor: 1 % has turned one by 5.6 degrees."""
 
     def after_point(self, run: StageRun, segment: Segment) -> None:
         if self.brake is not None:
@@ -102,11 +102,11 @@ class AlignmentStage(EnergisedStage):
         reading = _without_current(run.recording())
         size = 0.0 if reading is None else float(np.linalg.norm(reading))
         if size > self.least_offset * given(self.current_a):
-            told = f"the sensors read {size:.2g} A without current: as the current goes to the zero that they measure, "
-            told += (
+            text = f"the sensors read {size:.2g} A without current: as the current goes to the zero that they measure, "
+            text += (
                 "that much is left, and turns a rotor which is free; the brake should engage while the current flows"
             )
-            run.say(Note(level="warning", text=told))
+            run.publish(Note(level="warning", text=text))
 
     @property
     def believed_angle_rad(self) -> float:

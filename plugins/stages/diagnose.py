@@ -45,7 +45,7 @@ MAGNETIC = ("saturation", "cross_saturation")
 class DiagnoseStage(Stage):
     """Hold the model against what has been measured so far, and name what it lacks; disarmed meanwhile.
 
-    Where two effects cannot be told apart and `rounds` allows it, the experiment that parts them is measured
+    Where two effects are indistinguishable and `rounds` allows it, the experiment that separates them is measured
     (a stage more, of the run's own recording), the estimators run anew, and so does the diagnosis.
     """
 
@@ -68,13 +68,13 @@ class DiagnoseStage(Stage):
         recording = run.recording()
         assert isinstance(recording, Recording)  # results are kept beside it
         try:
-            run.say(compared(recording, self), durable=True)
+            run.publish(compared(recording, self), durable=True)
             run.enter(DIAGNOSING)
-            found, proposal = diagnosed(recording, self, run)
+            diagnosis, proposal = diagnosed(recording, self, run)
         except NotMeasuredError as error:
-            run.say(Note(level="warning", text=f"no diagnosis: {error}"))
+            run.publish(Note(level="warning", text=f"no diagnosis: {error}"))
             return
-        run.say(found, durable=True)
+        run.publish(diagnosis, durable=True)
         if proposal is not None:
             run.enter(PROPOSING)
             self._propose(run, proposal)
@@ -88,8 +88,8 @@ class DiagnoseStage(Stage):
                 run.plan(more)
             except (ProcedureError, CapabilityError) as error:
                 more = ()
-                run.say(Note(level="warning", text=f"the proposed experiment cannot be run here: {error}"))
-        run.say(proposal.model_copy(update={"accepted": bool(more)}), durable=True)
+                run.publish(Note(level="warning", text=f"the proposed experiment cannot be run here: {error}"))
+        run.publish(proposal.model_copy(update={"accepted": bool(more)}), durable=True)
         if more:
             run.append(more)
 
@@ -129,9 +129,9 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
     from orchestrator.diagnosis import diagnose_and_keep, workers_here
     from orchestrator.experiment_design.proposal import next_experiment
 
-    def say(step: DiagnosisStep) -> None:
+    def publish_step(step: DiagnosisStep) -> None:
         run.check()
-        run.say(step)
+        run.publish(step)
 
     waiting = _Waiting(run)
 
@@ -141,7 +141,7 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
         propose=next_experiment,
         model=stage.model,
         without=stage.without,
-        on_step=say,
+        on_step=publish_step,
         poll=run.check,
         tell=waiting.tell,
         on_interim=waiting.keep,
@@ -150,10 +150,10 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
     if diagnosis.estimates is not None:
         run.conclude(diagnosis.estimates)
     message = Diagnosed(round=run.appended, report=kept.report, words=kept.words)
-    found = diagnosis.report.next_experiment
-    if found is None:
+    experiment = diagnosis.report.next_experiment
+    if experiment is None:
         return message, None
-    return message, ExperimentProposed(**found.model_dump(), round=run.appended, accepted=False)
+    return message, ExperimentProposed(**experiment.model_dump(), round=run.appended, accepted=False)
 
 
 class _Waiting:
@@ -165,16 +165,16 @@ class _Waiting:
     def tell(self, text: str) -> None:
         if self._clock() >= self._next_s:
             self._next_s = self._clock() + 1.0
-            self._run.say(UnderWay(text=text))
+            self._run.publish(UnderWay(text=text))
 
-    def keep(self, found: InterimResult) -> None:
-        self._run.say(UnderWay(text=found.sentence, is_result=True))
+    def keep(self, result: InterimResult) -> None:
+        self._run.publish(UnderWay(text=result.sentence, is_result=True))
 
 
 def _lock_question(procedure: Procedure) -> OperatorStage:
     """Is the rotor where the alignment left it? The procedure's own answer counts, where it has one."""
-    asked = [entry.settings for entry in procedure.stages if entry.kind == OperatorStage.name]
-    about_the_lock = [settings for settings in asked if settings.get("brake") == "engage"] or asked
+    questions = [entry.settings for entry in procedure.stages if entry.kind == OperatorStage.name]
+    about_the_lock = [settings for settings in questions if settings.get("brake") == "engage"] or questions
     answer = about_the_lock[-1].get("answer") if about_the_lock else None
     prompt = "Has the rotor been held ever since the run was measured, and is its brake (or lock) still engaged?"
     return OperatorStage(prompt=prompt, answer=answer)

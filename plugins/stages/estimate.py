@@ -40,13 +40,13 @@ class EstimateStage(Stage):
         run.enter(ESTIMATING)  # before anything that takes its time, as an import does
         from orchestrator.estimation import estimate_recording
 
-        def say(estimate: Estimate) -> None:
+        def publish_estimate(estimate: Estimate) -> None:
             run.check()
             is_resistance = isinstance(estimate, ResistanceEstimate)
-            run.say(ResistanceEstimated(estimate=estimate) if is_resistance else MapEstimated(estimate=estimate))
+            run.publish(ResistanceEstimated(estimate=estimate) if is_resistance else MapEstimated(estimate=estimate))
 
         wanted = [e for e in run.plugins("estimators") if self.estimators is None or e.name in self.estimators]
         try:
-            run.conclude(estimate_recording(run.recording(), wanted, run.path, on_estimate=say))
+            run.conclude(estimate_recording(run.recording(), wanted, run.path, on_estimate=publish_estimate))
         except NotMeasuredError as error:
-            run.say(Note(level="warning", text=str(error)))
+            run.publish(Note(level="warning", text=str(error)))

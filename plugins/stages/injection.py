@@ -138,7 +138,7 @@ class InjectionStage(EnergisedStage):
             return []
         ratio, (d, q) = steep[0]
         worst = f"about ({d:+.3g}, {q:+.3g}) A an inductance changes {ratio:.2g} times from a point to the next"
-        run.say(Note(level="info", text=f"{worst}; steps to be halved: {len(steep)}"))
+        run.publish(Note(level="info", text=f"{worst}; steps to be halved: {len(steep)}"))
         return sorted(middle for _, middle in steep[:most])
 
     def _steep(self, run: StageRun, known: Sequence[Segment]) -> list[tuple[float, Point]]:
@@ -151,13 +151,13 @@ class InjectionStage(EnergisedStage):
         weakest_v = min(_setting(segment, "amplitude_v") for segment in known)
         sweep = [segment for segment in known if _setting(segment, "amplitude_v") == weakest_v]
         recording, delay = run.recording(), run.capabilities.voltage_delay_samples
-        asked = np.array([[_setting(segment, f"target_{axis}_a") for axis in "dq"] for segment in sweep])
+        targets = np.array([[_setting(segment, f"target_{axis}_a") for axis in "dq"] for segment in sweep])
         try:
             points, _ = injected_points(recording, sweep, voltage_delay_samples=delay)
-            # What was asked for lies on lines exactly, what was reached nearly.
-            nearest = np.argmin(np.linalg.norm(points.current[:, None] - asked, axis=2), axis=1)
+            # Set-points lie on lines exactly, the reached currents nearly.
+            nearest = np.argmin(np.linalg.norm(points.current[:, None] - targets, axis=2), axis=1)
             steep = steep_steps(
-                asked[nearest],
+                targets[nearest],
                 points.matrix,
                 steepest=self.steepest,
                 narrowest_wb=self.narrowest * flux_swing_wb(weakest_v, given(self.frequency_hz), self.waveform),
@@ -166,7 +166,7 @@ class InjectionStage(EnergisedStage):
         except NotMeasuredError:  # whoever estimates will say so
             return []
         run.check()
-        tried = {(float(d), float(q)) for d, q in asked}
+        tried = {(float(d), float(q)) for d, q in targets}
         return [step for step in steep if step[1] not in tried]
 
     @property

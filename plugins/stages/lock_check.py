@@ -108,10 +108,10 @@ class LockCheckStage(EnergisedStage):
 
     def work(self, run: StageRun) -> None:
         verdict = self._verdict(run)
-        run.say(verdict, durable=True)
+        run.publish(verdict, durable=True)
         if verdict.locked is None:
             # What cannot be measured has to be known by a person, here or in the procedure.
-            run.say(Note(level="warning", text=f"{verdict.summary}; {self.name}.accept_not_known accepts that"))
+            run.publish(Note(level="warning", text=f"{verdict.summary}; {self.name}.accept_not_known accepts that"))
             run.ask(
                 "Whether the rotor is locked cannot be measured on this motor. Have you seen that it is held?",
                 answered=self.accept_not_known is not None,

@@ -62,8 +62,10 @@ class SpinStage(EnergisedStage):
             reach = scaling.amplitude_a("range_a")
         speeds = self.speeds_rpm
         if speeds is None:
-            asked = max((math.hypot(*point) for point in self.points_a or ()), default=math.sqrt(2.0) * (reach or 0.0))
-            longest = min(asked, scaling.reach_a)
+            reach_a = max(
+                (math.hypot(*point) for point in self.points_a or ()), default=math.sqrt(2.0) * (reach or 0.0)
+            )
+            longest = min(reach_a, scaling.reach_a)
             rpm = tidy(scaling.spin_rad_s("speeds_rpm", longest) / pairs * 30.0 / math.pi)
             speeds = (rpm, -0.5 * rpm)
         update = {

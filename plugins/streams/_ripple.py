@@ -16,7 +16,7 @@ import numpy as np
 from orchestrator.numerics.frames import to_dq
 from protocols import Capture, RealArray
 
-DELAYS = (0, 1, 2)
+DELAY_SAMPLES = (0, 1, 2)
 """Samples by which a drive's voltage may act late; the best fit says which."""
 
 
@@ -56,7 +56,7 @@ def fit_ripple(
     drop = voltage[:, :-1] - 0.5 * resistance_ohm * (current[:, :-1] + current[:, 1:])
     np.cumsum(drop * step_s, axis=1, out=flux[:, 1:])
     best: tuple[float, RealArray, RealArray, RealArray] | None = None
-    for delay in DELAYS:
+    for delay in DELAY_SAMPLES:
         psi, i = _without_drift(flux[:, : n - delay]), _without_drift(current[:, delay:])
         gram = psi @ psi.T
         if not np.isfinite(gram).all() or np.linalg.cond(gram) > 1e8:

@@ -2,12 +2,12 @@
 
 from plugins.wire._assembly import CaptureAssembly, upload
 from plugins.wire._blocks import (
-    CAN_FD,
-    CLASSIC,
-    DESCRIPTION,
+    CAN_FD_LAYOUT,
+    CLASSIC_LAYOUT,
+    DESCRIPTION_CAPTURE,
     LAST_CAPTURE,
-    LONGEST_CAPTURE,
-    RIPPLE,
+    MAX_CAPTURE_BYTES,
+    RIPPLE_FLAG,
     BlockLayout,
     serial_blocks,
 )
@@ -20,14 +20,14 @@ from plugins.wire._facts import (
     parse_description,
 )
 from plugins.wire._framing import SerialDecoder, all_to_serial, to_serial
-from plugins.wire._interlocks import interlock_told, interlocks_line, open_interlocks
+from plugins.wire._interlocks import interlock_text, interlocks_line, open_interlocks
 from plugins.wire._messages import (
-    HEARTBEAT_S,
+    HEARTBEAT_PERIOD_S,
     NO_TEMPERATURE_C,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
     STALE_PERIODS,
-    TELEMETRY_S,
+    TELEMETRY_PERIOD_S,
     Ack,
     AckStatus,
     BulkEnd,
@@ -54,7 +54,7 @@ from plugins.wire._messages import (
     StopReason,
     Tick,
 )
-from plugins.wire._nodes import NODES, from_bus, heard_by_drive, heard_by_host, on_bus
+from plugins.wire._nodes import MAX_NODES, filters_of_drive, filters_of_host, from_bus, on_bus
 from plugins.wire._program import (
     capture_registers,
     drive_fault,
@@ -80,19 +80,19 @@ from plugins.wire._session import (
 from plugins.wire._source import Answer, CaptureSource
 
 __all__ = [
-    "CAN_FD",
-    "CLASSIC",
-    "DESCRIPTION",
-    "HEARTBEAT_S",
+    "CAN_FD_LAYOUT",
+    "CLASSIC_LAYOUT",
+    "DESCRIPTION_CAPTURE",
+    "HEARTBEAT_PERIOD_S",
     "LAST_CAPTURE",
-    "LONGEST_CAPTURE",
-    "NODES",
+    "MAX_CAPTURE_BYTES",
+    "MAX_NODES",
     "NO_TEMPERATURE_C",
     "PROTOCOL_MAJOR",
     "PROTOCOL_MINOR",
-    "RIPPLE",
+    "RIPPLE_FLAG",
     "STALE_PERIODS",
-    "TELEMETRY_S",
+    "TELEMETRY_PERIOD_S",
     "VECTORS",
     "Ack",
     "AckStatus",
@@ -150,11 +150,11 @@ __all__ = [
     "drive_fault",
     "encode",
     "facts_of",
+    "filters_of_drive",
+    "filters_of_host",
     "frame_id",
     "from_bus",
-    "heard_by_drive",
-    "heard_by_host",
-    "interlock_told",
+    "interlock_text",
     "interlocks_line",
     "limit_registers",
     "limits_of",

@@ -1,6 +1,6 @@
 """The host's end of an upload: blocks in any order become a capture that is byte-exact, or refused.
 
-Pure logic, without I/O and threads. What is missing is asked for again, block by block; at the
+Pure logic, without I/O and threads. Missing blocks are requested again, one by one; at the
 end the CRC-32 over the whole capture decides. `upload` is the loop that a drive puts around it.
 """
 
@@ -15,12 +15,12 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.wire._blocks import LONGEST_CAPTURE, WINDOWS, BlockLayout
+from plugins.wire._blocks import MAX_CAPTURE_BYTES, WINDOW_COUNT, BlockLayout
 from plugins.wire._codec import Frame, decode, frame_id
 from plugins.wire._messages import Ack, AckStatus, BulkEnd, Op, ReadBlock
 from protocols import DriveFault, FaultCause, InputError
 
-_TRUSTED_WINDOWS = WINDOWS // 2
+_TRUSTED_WINDOWS = WINDOW_COUNT // 2
 """Answers to older requests are no longer taken, and no more requests are sent without an end of any: tags come round
 again, and this capture and the one before it must not mean different blocks by one."""
 
@@ -40,7 +40,7 @@ class CaptureAssembly:
         Tag of the first request. Go on with `next_window` of the assembly before, so that its late
         answers are not taken for this one's.
     blocks_each, requests_each : int
-        Most blocks asked for in one request, and most requests under way at a time.
+        Most blocks in one request, and most requests under way at a time.
     passes : int
         How often the whole capture is read where its CRC does not fit, before it is refused.
     """
@@ -48,7 +48,7 @@ class CaptureAssembly:
     slips: ClassVar[int] = 2
     """Ends with an impossible length that are put down to damage on the way."""
     bridge: ClassVar[int] = 2
-    """Missing blocks with no more than so many present ones between them are asked for together."""
+    """Missing blocks with at most this many present ones between them share a request."""
 
     def __init__(
         self,
@@ -61,25 +61,25 @@ class CaptureAssembly:
         requests_each: int = 24,
         passes: int = 3,
     ) -> None:
-        if not 0 <= length <= LONGEST_CAPTURE:
+        if not 0 <= length <= MAX_CAPTURE_BYTES:
             raise InputError("wire", "length", f"a capture of {length} bytes cannot be addressed")
         self.capture, self.length, self.layout = capture, length, layout
-        self.next_window = first_window % WINDOWS
+        self.next_window = first_window % WINDOW_COUNT
         self._blocks_each = min(blocks_each, layout.most)
         self._requests_each = min(requests_each, _TRUSTED_WINDOWS)
         self._passes_left = passes
         blocks = -(-length // layout.block)
         self._data = np.zeros((blocks, layout.block), dtype=np.uint8)
         self._have = np.zeros(blocks, dtype=np.bool_)
-        self._base = np.zeros(WINDOWS, dtype=np.int64)
-        self._count = np.full(WINDOWS, -1, dtype=np.int64)  # -1: answers with this tag are not taken
+        self._base = np.zeros(WINDOW_COUNT, dtype=np.int64)
+        self._count = np.full(WINDOW_COUNT, -1, dtype=np.int64)  # -1: answers with this tag are not taken
         self._trusted: deque[int] = deque()
         self._waiting_for: list[int] = []  # in the order of asking
         self._unended: list[int] = []  # the same, with those that were given up and may come all the same
         self._crcs: list[int] = []
         self._announced = 0
         self._too_long = 0
-        self._doubted = False  # whether the CRC, rather than the data, was asked for again
+        self._doubted = False  # whether the CRC, rather than the data, was requested again
 
     # What is known
 
@@ -90,7 +90,7 @@ class CaptureAssembly:
 
     @property
     def exhausted(self) -> bool:
-        """Whether so many answers have not come that nothing more may be asked for."""
+        """Whether too many answers are missing to send more requests."""
         return len(self._unended) >= _TRUSTED_WINDOWS
 
     @property
@@ -126,7 +126,7 @@ class CaptureAssembly:
         """Runs (first block, count) that are missing below `available` bytes (default: all), near ones merged."""
         return _runs(~self._have[: self._blocks_within(available)])
 
-    def _unasked(self, available: int | None) -> list[tuple[int, int]]:
+    def _not_requested(self, available: int | None) -> list[tuple[int, int]]:
         """The same without what is under way."""
         absent = ~self._have[: self._blocks_within(available)]
         for window in self._waiting_for:
@@ -149,18 +149,18 @@ class CaptureAssembly:
         if 2 * room < self._requests_each or self.exhausted:
             return []
         room = min(room, _TRUSTED_WINDOWS - len(self._unended))
-        runs = self._unasked(available)
+        runs = self._not_requested(available)
         if not runs:
             return [] if self.waiting else [self._request(0, 0)]
         if self.waiting and sum(count for _, count in runs) < self._blocks_each:
-            return []  # small change is asked for together
-        asked: list[ReadBlock] = []
+            return []  # a few blocks wait for more
+        requests: list[ReadBlock] = []
         for first, count in runs:
             for start in range(first, first + count, self._blocks_each):
-                if len(asked) == room:
-                    return asked
-                asked.append(self._request(start, min(self._blocks_each, first + count - start)))
-        return asked
+                if len(requests) == room:
+                    return requests
+                requests.append(self._request(start, min(self._blocks_each, first + count - start)))
+        return requests
 
     def give_up(self) -> None:
         """Wait no longer for what is under way; late answers are taken all the same."""
@@ -168,7 +168,7 @@ class CaptureAssembly:
 
     def _request(self, first: int, count: int) -> ReadBlock:
         window = self.next_window
-        self.next_window = (window + 1) % WINDOWS
+        self.next_window = (window + 1) % WINDOW_COUNT
         if len(self._trusted) == _TRUSTED_WINDOWS:
             self._count[self._trusted.popleft()] = -1
         self._trusted.append(window)
@@ -232,7 +232,7 @@ class CaptureAssembly:
                 what = f"capture {self.capture} has {end.length} bytes instead of {self.length}"
                 raise DriveFault(FaultCause.WRONG_DATA, what)
             return
-        if end.window in self._waiting_for:  # what was asked before was answered before, or lost
+        if end.window in self._waiting_for:  # earlier requests were answered before, or lost
             del self._waiting_for[: self._waiting_for.index(end.window) + 1]
         self._announced = max(self._announced, end.length)
         if end.length == self.length and end.crc not in self._crcs:
@@ -249,7 +249,7 @@ class CaptureAssembly:
     def result(self) -> memoryview | None:
         """The capture, verified; None where there is more to ask for.
 
-        Where the CRC does not fit, it is asked for once more, and then the whole capture.
+        Where the CRC does not fit, it is requested once more, and then the whole capture.
 
         Raises `DriveFault` (wrong_data) where the CRC does not fit after the last pass.
         """
@@ -289,7 +289,7 @@ def upload(
     receive: Callable[[], Sequence[Frame]],
     *,
     clock: Callable[[], float] = time.monotonic,
-    patience_s: float = 0.15,
+    repeat_s: float = 0.15,
     timeout_s: float = 1.0,
     rounds: int = 200,
 ) -> memoryview:
@@ -303,7 +303,7 @@ def upload(
         What came meanwhile, other traffic included: as many frames as are there (batches make it
         fast), or nothing after a short timeout of its own.
     patience_s : float
-        Time without a frame of this upload after which what is missing is asked for again.
+        Time without a frame of this upload after which missing blocks are requested again.
     timeout_s : float
         Time without a frame of this upload after which it is given up.
     rounds : int
@@ -313,7 +313,7 @@ def upload(
     fit its CRC or the drive refuses to hand it out.
     """
     idle, before = 0, -1
-    heard = clock()
+    received_s = clock()
     while (data := assembly.result()) is None:
         if not assembly.waiting:
             idle = 0 if assembly.received != before else idle + 1
@@ -322,12 +322,12 @@ def upload(
                 raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
             for request in assembly.requests():
                 send(request)
-            asked = clock()
+            requested_s = clock()
         mine = assembly.take(receive())
         now = clock()
-        heard = now if mine else heard
-        if now - heard > timeout_s:
+        received_s = now if mine else received_s
+        if now - received_s > timeout_s:
             raise DriveFault(FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {timeout_s:g} s")
-        if now - max(heard, asked) > patience_s:
+        if now - max(received_s, requested_s) > repeat_s:
             assembly.give_up()
     return data

@@ -16,14 +16,14 @@ from protocols import InputError
 Bytes = NDArray[np.uint8]
 Numbers = NDArray[np.int64]
 
-DESCRIPTION = 0xFFFF
+DESCRIPTION_CAPTURE = 0xFFFF
 """The capture number under which the drive's description is read."""
-RIPPLE = 0x8000
+RIPPLE_FLAG = 0x8000
 """Added to a capture's number: its ripple rows."""
-LAST_CAPTURE = DESCRIPTION - RIPPLE - 1
+LAST_CAPTURE = DESCRIPTION_CAPTURE - RIPPLE_FLAG - 1
 """The highest capture number; 1 follows it."""
-WINDOWS = 64
-LONGEST_CAPTURE = (1 << 26) - 1
+WINDOW_COUNT = 64
+MAX_CAPTURE_BYTES = (1 << 26) - 1
 """Bytes of the longest capture that can be addressed."""
 
 
@@ -64,7 +64,7 @@ class BlockLayout:
         head = np.ascontiguousarray(table[:, : self.header]).view(f"<u{self.header}")[:, 0].astype(np.int64)
         if self.relative:
             return Blocks(head >> 10, head & 0x3FF, table[:, self.header :])
-        offset = head & LONGEST_CAPTURE
+        offset = head & MAX_CAPTURE_BYTES
         return Blocks(head >> 26, np.where(offset % self.block == 0, offset // self.block, -1), table[:, self.header :])
 
     def build(self, capture: memoryview, offset: int, count: int, window: int) -> list[bytes]:
@@ -79,9 +79,9 @@ class BlockLayout:
         return [head + data[k * self.block : (k + 1) * self.block] for k, head in enumerate(heads)]
 
 
-CLASSIC = BlockLayout("Bulk", block=6, header=2, relative=True, most=1024)
+CLASSIC_LAYOUT = BlockLayout("Bulk", block=6, header=2, relative=True, most=1024)
 """Classic CAN."""
-CAN_FD = BlockLayout("BulkFD", block=60, header=4, relative=False, most=65535)
+CAN_FD_LAYOUT = BlockLayout("BulkFD", block=60, header=4, relative=False, most=65535)
 """CAN FD."""
 
 

@@ -9,7 +9,7 @@ from functools import cache
 from typing import NamedTuple, get_type_hints
 
 from plugins.wire._dbc import MessageLayout, SignalLayout, layouts
-from plugins.wire._messages import LEAST_BYTES, MESSAGES, EStop, Message
+from plugins.wire._messages import MESSAGES, MIN_BYTES, EStop, Message
 from protocols import InputError
 
 
@@ -54,7 +54,7 @@ def decode(frame_id: int, payload: bytes) -> Message | None:
     if codec is None:
         return None
     unknown = EStop() if codec.make is EStop else None
-    if len(payload) < LEAST_BYTES.get(codec.layout.name, codec.layout.length):
+    if len(payload) < MIN_BYTES.get(codec.layout.name, codec.layout.length):
         return unknown
     bits = int.from_bytes(payload[: codec.layout.length], "little")
     try:

@@ -47,7 +47,7 @@ class MessageLayout:
 def dbc_text(node: int = 0) -> str:
     """The message set as a DBC file, with the identifiers of this node."""
     text = (files("protocols") / "wire" / "fluxbench.dbc").read_text(encoding="utf-8")
-    return _IDENTIFIER.sub(lambda found: f"{found[1]} {int(found[2]) | node} ", text) if node else text
+    return _IDENTIFIER.sub(lambda match: f"{match[1]} {int(match[2]) | node} ", text) if node else text
 
 
 def message_database() -> Database:
@@ -64,7 +64,7 @@ def layouts() -> dict[str, MessageLayout]:
     """Layout of every message, by name."""
     text = dbc_text()
     floats = {(int(frame), name) for frame, name in (m.groups() for m in map(_FLOAT.match, text.splitlines()) if m)}
-    found: dict[str, MessageLayout] = {}
+    layouts_by_name: dict[str, MessageLayout] = {}
     for block in text.split("\n\n"):
         head = _MESSAGE.match(block)
         if head is None:
@@ -75,5 +75,5 @@ def layouts() -> dict[str, MessageLayout]:
             for m in map(_SIGNAL.match, block.splitlines())
             if m
         )
-        found[name] = MessageLayout(frame_id, name, length, sender, signals)
-    return found
+        layouts_by_name[name] = MessageLayout(frame_id, name, length, sender, signals)
+    return layouts_by_name

@@ -16,7 +16,7 @@ from plugins.wire._registers import registers
 from plugins.wire._rows import Channel, Scales
 from protocols import Capabilities, DriveFault, DriveRefused, ExcitationKind, FaultCause
 
-PWM_CHOICES = 8
+MAX_PWM_FREQUENCIES = 8
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class DriveFacts:
 
 def capability_registers(capabilities: Capabilities, facts: DriveFacts) -> Registers:
     """The read-only registers of a drive (device side)."""
-    pwm = (*capabilities.pwm_frequencies_hz[:PWM_CHOICES], *([0.0] * PWM_CHOICES))[:PWM_CHOICES]
+    pwm = (*capabilities.pwm_frequencies_hz[:MAX_PWM_FREQUENCIES], *([0.0] * MAX_PWM_FREQUENCIES))[:MAX_PWM_FREQUENCIES]
     return {
         "protocol_major": float(PROTOCOL_MAJOR),
         "protocol_minor": float(PROTOCOL_MINOR),
@@ -79,7 +79,7 @@ def capabilities_of(
     values = {name: shortest_decimal(value) for name, value in values.items()}
     own = values["pwm_frequency_hz"]
     bits = Capability(int(values["capability_bits"]))
-    choices = {values[f"pwm_choice_{k}"] for k in range(PWM_CHOICES)} - {0.0} | {own}
+    choices = {values[f"pwm_choice_{k}"] for k in range(MAX_PWM_FREQUENCIES)} - {0.0} | {own}
     try:
         return Capabilities(
             name=description.get("name", "drive"),

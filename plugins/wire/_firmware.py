@@ -10,7 +10,7 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from orchestrator.recording import replace_file
-from plugins.wire._blocks import DESCRIPTION, LAST_CAPTURE, LONGEST_CAPTURE, RIPPLE
+from plugins.wire._blocks import DESCRIPTION_CAPTURE, LAST_CAPTURE, MAX_CAPTURE_BYTES, RIPPLE_FLAG
 from plugins.wire._dbc import message_database
 from plugins.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, AckStatus, Capability, Fault, Op, Phase, PowerState
 from plugins.wire._program import AXES, KINDS, WAVEFORMS
@@ -142,10 +142,10 @@ def registers_header() -> str:
     return _HEADER.format(
         major=PROTOCOL_MAJOR,
         minor=PROTOCOL_MINOR,
-        description=DESCRIPTION,
-        ripple=RIPPLE,
+        description=DESCRIPTION_CAPTURE,
+        ripple=RIPPLE_FLAG,
         last=LAST_CAPTURE,
-        longest=LONGEST_CAPTURE,
+        longest=MAX_CAPTURE_BYTES,
         most=int(registers()["capture_rows"].range[1]),
         indices=indices,
         end=max(register.index for register in registers().values()) + 1,

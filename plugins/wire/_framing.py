@@ -15,14 +15,14 @@ from cobs import cobs
 
 from plugins.wire._codec import Frame
 
-LONGEST_PAYLOAD = 4096
-_LONGEST_CODED = (2 + LONGEST_PAYLOAD + 4) * 255 // 254 + 2
-_ID, _CRC = struct.Struct("<H"), struct.Struct("<I")
+MAX_PAYLOAD_BYTES = 4096
+_MAX_CODED_BYTES = (2 + MAX_PAYLOAD_BYTES + 4) * 255 // 254 + 2
+_IDENTIFIER, _CRC = struct.Struct("<H"), struct.Struct("<I")
 
 
 def to_serial(frame: Frame) -> bytes:
     """The bytes of one frame, its closing zero included."""
-    body = _ID.pack(frame.frame_id) + frame.payload
+    body = _IDENTIFIER.pack(frame.frame_id) + frame.payload
     coded: bytes = cobs.encode(body + _CRC.pack(crc32(body)))
     return coded + b"\0"
 
@@ -49,7 +49,7 @@ class SerialDecoder:
         if coded and self._lost:
             del coded[0]
             self._lost = False
-        if len(rest) > _LONGEST_CODED:
+        if len(rest) > _MAX_CODED_BYTES:
             self.bad_frames += not self._lost
             rest, self._lost = b"", True
         self._rest = rest
@@ -69,6 +69,6 @@ class SerialDecoder:
         except cobs.DecodeError:
             return None
         end = len(body) - 4
-        if not 2 <= end <= 2 + LONGEST_PAYLOAD or crc32(body[:end]) != _CRC.unpack_from(body, end)[0]:
+        if not 2 <= end <= 2 + MAX_PAYLOAD_BYTES or crc32(body[:end]) != _CRC.unpack_from(body, end)[0]:
             return None
-        return Frame(_ID.unpack_from(body)[0], body[2:end])
+        return Frame(_IDENTIFIER.unpack_from(body)[0], body[2:end])

@@ -6,28 +6,30 @@ from collections.abc import Mapping, Sequence
 
 from protocols import DriveFault, FaultCause, InputError
 
-KEY = "interlocks"
-"""Of the description's line: names with commas between them."""
-MOST = 8
+INTERLOCKS_KEY = "interlocks"
+"""Key of the description's line with their names, between commas."""
+MAX_INTERLOCKS = 8
 """Bits that a Measurement has for them."""
 
 
 def interlocks_line(names: Sequence[str]) -> str:
     """The description's line (device side); raises `InputError` for names that it cannot carry."""
-    if len(names) > MOST:
-        raise InputError("wire", KEY, f"{len(names)} inputs; the protocol has bits for {MOST}")
+    if len(names) > MAX_INTERLOCKS:
+        raise InputError("wire", INTERLOCKS_KEY, f"{len(names)} inputs; the protocol has bits for {MAX_INTERLOCKS}")
     unfit = next((name for name in names if not name.strip() or "," in name or not name.isprintable()), None)
     if unfit is not None:
-        raise InputError("wire", KEY, f"{unfit!r} names no input: letters without a comma are expected")
-    return f"{KEY}: {', '.join(name.strip() for name in names)}"
+        raise InputError("wire", INTERLOCKS_KEY, f"{unfit!r} names no input: letters without a comma are expected")
+    return f"{INTERLOCKS_KEY}: {', '.join(name.strip() for name in names)}"
 
 
 def interlocks_of(description: Mapping[str, str]) -> tuple[str, ...]:
     """Names of a drive that has the capability (host side); raises `DriveFault` (wrong_data) where there are none."""
-    names = tuple(name for part in description.get(KEY, "").split(",") if (name := part.strip()))
-    if not 0 < len(names) <= MOST:
-        told = f"the drive has interlock inputs, and its description names {len(names)} (1 to {MOST} expected)"
-        raise DriveFault(FaultCause.WRONG_DATA, told)
+    names = tuple(name for part in description.get(INTERLOCKS_KEY, "").split(",") if (name := part.strip()))
+    if not 0 < len(names) <= MAX_INTERLOCKS:
+        message = (
+            f"the drive has interlock inputs, and its description names {len(names)} (1 to {MAX_INTERLOCKS} expected)"
+        )
+        raise DriveFault(FaultCause.WRONG_DATA, message)
     return names
 
 
@@ -36,6 +38,6 @@ def open_interlocks(bits: int, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(names[k] if k < len(names) else f"input {k}" for k in range(bits.bit_length()) if bits >> k & 1)
 
 
-def interlock_told(bits: int, names: Sequence[str]) -> str:
+def interlock_text(bits: int, names: Sequence[str]) -> str:
     """What a person reads, and is to do."""
     return f"interlock open: {', '.join(open_interlocks(bits, names)) or 'unknown'}; close it, and resume"

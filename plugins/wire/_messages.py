@@ -8,15 +8,16 @@ from __future__ import annotations
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-PROTOCOL_MAJOR, PROTOCOL_MINOR = 1, 1
+PROTOCOL_MAJOR = 1
+PROTOCOL_MINOR = 1
 
-HEARTBEAT_S = 0.05
+HEARTBEAT_PERIOD_S = 0.05
 """Period of the heartbeat [s]."""
-TELEMETRY_S = 0.05
+TELEMETRY_PERIOD_S = 0.05
 """Period of Status and Measurement unless the register telemetry_period_s says otherwise [s]."""
 NO_TEMPERATURE_C = -128
 """Of a Status whose temperature is not measured."""
-LEAST_BYTES = {"Measurement": 7}
+MIN_BYTES = {"Measurement": 7}
 """Length of a message in version 1.0, where a later one added bytes: those that are missing are zero."""
 STALE_PERIODS = 3
 """Telemetry that is older than this many periods is stale, and means stop."""

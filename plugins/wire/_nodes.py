@@ -9,10 +9,10 @@ from plugins.wire._codec import frame_id
 if TYPE_CHECKING:
     from can.typechecking import CanFilter
 
-NODES = 4
+MAX_NODES = 4
 """Drives that one bus can have, numbered from 0."""
-_NODE_BITS = NODES - 1
-_ALL_BITS = 0x7FF
+_NODE_BITS = MAX_NODES - 1
+_IDENTIFIER_BITS = 0x7FF
 
 
 def on_bus(identifier: int, node: int) -> int:
@@ -26,15 +26,15 @@ def from_bus(identifier: int, node: int) -> int | None:
     return own if identifier & _NODE_BITS == node or own == frame_id("EStop") else None
 
 
-def heard_by_host(node: int) -> list[CanFilter]:
+def filters_of_host(node: int) -> list[CanFilter]:
     """Acceptance filters, as python-can takes them: whatever belongs to this node."""
     return [_filter(node, _NODE_BITS)]
 
 
-def heard_by_drive(node: int) -> list[CanFilter]:
+def filters_of_drive(node: int) -> list[CanFilter]:
     """Acceptance filters for the other end: what hosts send to this node, and every emergency stop."""
-    from_drives = _ALL_BITS & ~(frame_id("Status") - 1)  # bits that no identifier of a host has
-    return [_filter(node, from_drives | _NODE_BITS), _filter(frame_id("EStop"), _ALL_BITS & ~_NODE_BITS)]
+    from_drives = _IDENTIFIER_BITS & ~(frame_id("Status") - 1)  # bits that no identifier of a host has
+    return [_filter(node, from_drives | _NODE_BITS), _filter(frame_id("EStop"), _IDENTIFIER_BITS & ~_NODE_BITS)]
 
 
 def _filter(identifier: int, mask: int) -> CanFilter:

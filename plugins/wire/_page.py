@@ -10,7 +10,7 @@ from importlib.resources import files
 from typing import TYPE_CHECKING
 
 from plugins.wire import _meanings as words
-from plugins.wire._blocks import CAN_FD, CLASSIC, serial_blocks
+from plugins.wire._blocks import CAN_FD_LAYOUT, CLASSIC_LAYOUT, serial_blocks
 from plugins.wire._dbc import message_database
 from plugins.wire._facts import DriveFacts
 from plugins.wire._messages import AckStatus, Capability, Fault, Op, Phase, PowerState
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _OWN_TABLES = {"op", "status", "state", "cause", "phase", "parameter"}
 """Signals whose values have a table of their own on the page."""
 _RIPPLE_ROW_BYTES = 16
-_POINT_ROWS = 50_000
+_EXAMPLE_ROWS = 50_000
 """The paper's point: 5 s at 10 kS/s."""
 
 
@@ -44,7 +44,7 @@ def page() -> str:
         "load": lambda: _live_load(database),
     }
     template = (files("protocols") / "wire" / "page.md").read_text(encoding="utf-8")
-    return re.sub(r"<!-- insert: (\w+) -->", lambda found: inserts[found[1]](), template)
+    return re.sub(r"<!-- insert: (\w+) -->", lambda match: inserts[match[1]](), template)
 
 
 # Tables
@@ -166,11 +166,11 @@ def serial_bytes(data_bytes: int) -> int:
 
 
 def _bandwidth() -> Iterator[tuple[str, str, str, str]]:
-    point = _POINT_ROWS * 4 * 2
+    point = _EXAMPLE_ROWS * 4 * 2
     for name, worst in (("classic CAN 1 Mbit/s", False), ("the same, worst stuffing", True)):
         bits = classic_bits(8, stuffed=worst)
-        yield _link(name, f"{bits}", CLASSIC.block * 1e6 / bits, point)
-    yield _link("CAN FD 1/5 Mbit/s", "29 + 550", CAN_FD.block / fd_seconds(1e6, 5e6), point)
+        yield _link(name, f"{bits}", CLASSIC_LAYOUT.block * 1e6 / bits, point)
+    yield _link("CAN FD 1/5 Mbit/s", "29 + 550", CAN_FD_LAYOUT.block / fd_seconds(1e6, 5e6), point)
     block = serial_blocks(DriveFacts.block_bytes).block
     for baud in (921_600, 3_000_000):
         line = serial_bytes(block)
@@ -181,10 +181,10 @@ def _link(name: str, bits: str, rate: float, point: int) -> tuple[str, str, str,
     return name, bits, f"{rate / 1e3:.0f}", f"{point / rate:.1f} s"
 
 
-def bus_load(rates_hz: Mapping[int, float], rows_hz: float, asked_hz: float, *, stuffed: bool) -> float:
-    """Part of a 1 Mbit/s bus that telemetry (frames a second, by length) and ripple rows take, asked for so often."""
+def bus_load(rates_hz: Mapping[int, float], rows_hz: float, requests_hz: float, *, stuffed: bool) -> float:
+    """Load of a 1 Mbit/s bus by telemetry (frames a second, by length) and ripple rows at this request rate."""
     telemetry = sum(rate * classic_bits(size, stuffed=stuffed) for size, rate in rates_hz.items())
-    frames_hz = rows_hz * _RIPPLE_ROW_BYTES / CLASSIC.block + 2.0 * asked_hz
+    frames_hz = rows_hz * _RIPPLE_ROW_BYTES / CLASSIC_LAYOUT.block + 2.0 * requests_hz
     return (telemetry + frames_hz * classic_bits(8, stuffed=stuffed)) / 1e6
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from plugins.wire._interlocks import interlock_told
+from plugins.wire._interlocks import interlock_text
 from plugins.wire._messages import Fault
 from plugins.wire._rows import CaptureFormat, Channel
 from protocols import (
@@ -200,7 +200,7 @@ def drive_fault(
     words, unit = _WORDS.get(cause, (cause.name.lower().replace("_", " "), ""))
     detail = f"{words}: {value:.4g} {unit} against {limit:.4g} {unit}".replace("  ", " ").rstrip() if unit else words
     if cause is Fault.INTERLOCK:
-        detail = interlock_told(int(value), interlocks)
+        detail = interlock_text(int(value), interlocks)
     others = [fault.name.lower() for fault in Fault if fault not in (Fault.NONE, cause) and faults >> fault & 1]
     if others:
         detail += f" (then {', '.join(others)})"

@@ -48,13 +48,13 @@ def registers() -> Mapping[str, Register]:
     import yaml
 
     text = (files("protocols") / "wire" / "registers.yaml").read_text(encoding="utf-8")
-    found: dict[str, Register] = {}
+    by_name: dict[str, Register] = {}
     for section in yaml.safe_load(text):
         for entry in section["registers"]:
             low, high = entry.pop("range")
             register = Register(**entry, range=(float(low), float(high)), section=section["section"])
-            found[register.name] = register
-    return found
+            by_name[register.name] = register
+    return by_name
 
 
 @cache

@@ -27,17 +27,17 @@ from plugins.wire._rows import Scales
 
 Real = NDArray[np.floating[Any]]
 Waveform = Literal["square", "sine"]
-_ROUNDING = 1e-9
+_PHASE_TOLERANCE = 1e-9
 """A phase this close below a corner counts as the corner."""
-_LEAST_SHAPE = 0.01
-"""Mean square of what g^2 has beside 1 and g, from which on a row has a curvature: few samples a period show none."""
+_MIN_CURVATURE = 0.01
+"""Least mean square of the part of g^2 beside 1 and g that gives a row a curvature: few samples a period show none."""
 
 
 def unit_wave(phase: Real, waveform: Waveform) -> NDArray[np.float64]:
     """f: +1 in the first half of a period and -1 in the second, or a sine."""
     if waveform == "sine":
         return np.asarray(np.sin(2.0 * math.pi * phase), dtype=np.float64)
-    return np.where(_fraction(phase) < 0.5 - _ROUNDING, 1.0, -1.0)
+    return np.where(_fraction(phase) < 0.5 - _PHASE_TOLERANCE, 1.0, -1.0)
 
 
 def unit_ripple(phase: Real, waveform: Waveform) -> NDArray[np.float64]:
@@ -53,7 +53,7 @@ def mean_square(waveform: Waveform) -> float:
 
 
 def _fraction(phase: Real) -> NDArray[np.float64]:
-    return np.asarray(np.maximum(phase - np.floor(phase + _ROUNDING), 0.0), dtype=np.float64)
+    return np.asarray(np.maximum(phase - np.floor(phase + _PHASE_TOLERANCE), 0.0), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,12 @@ class RippleGrid:
 
     def rows(self, samples: int) -> int:
         """Whole rows in so many samples; the rest is not demodulated."""
-        return math.floor(samples * self.frequency_hz / self.sampling_frequency_hz / self.periods + _ROUNDING)
+        return math.floor(samples * self.frequency_hz / self.sampling_frequency_hz / self.periods + _PHASE_TOLERANCE)
 
     def starts(self, rows: int) -> NDArray[np.int64]:
         """First sample of each row, and of the one after the last; shape (rows + 1,)."""
         edges = np.arange(rows + 1) * (self.periods * self.sampling_frequency_hz / self.frequency_hz)
-        first = np.ceil(edges - _ROUNDING * self.sampling_frequency_hz / self.frequency_hz)
+        first = np.ceil(edges - _PHASE_TOLERANCE * self.sampling_frequency_hz / self.frequency_hz)
         return np.asarray(first, dtype=np.int64)
 
 
@@ -149,7 +149,7 @@ def demodulate(i_dq: Real, v_dq: Real, base_v_dq: tuple[float, float], grid: Rip
     mean_gg, shared = sum_gg / sizes, (total(g**3) - sum_gg * sum_g / sizes) / of_g
     of_gg = total(g**4) - mean_gg * sum_gg - shared * shared * of_g
     left = total(g * g * i) - mean_gg * sum_i - shared * (sum_gi - sum_g * sum_i / sizes)
-    curvature = np.where(of_gg >= _LEAST_SHAPE * sizes, left / np.maximum(of_gg, 1e-12), 0.0)
+    curvature = np.where(of_gg >= _MIN_CURVATURE * sizes, left / np.maximum(of_gg, 1e-12), 0.0)
     ripple -= shared * curvature
     mean = (sum_i - ripple * sum_g) / sizes + (mean_square(grid.waveform) - mean_gg) * curvature
     return RippleRows(mean, ripple, amplitude_v, curvature)
@@ -174,7 +174,7 @@ def reconstruct(
 
     i = [between(rows.mean, axis) + between(rows.ripple, axis) * g for axis in (0, 1)]
     if rows.curvature is not None:
-        bent = g * g - mean_square(grid.waveform)
-        i = [i[axis] + between(rows.curvature, axis) * bent for axis in (0, 1)]
+        curvature = g * g - mean_square(grid.waveform)
+        i = [i[axis] + between(rows.curvature, axis) * curvature for axis in (0, 1)]
     v = [base_v_dq[axis] + between(rows.v, axis) * f for axis in (0, 1)]
     return np.column_stack(i), np.column_stack(v)

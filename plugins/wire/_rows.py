@@ -108,7 +108,7 @@ class RowFormat:
         """
         missing = [str(channel.name) for channel in self.channels if channel not in columns]
         if missing:
-            raise InputError("wire", ", ".join(missing), "asked for, but not measured")
+            raise InputError("wire", ", ".join(missing), "requested, but not measured")
         table = np.stack([columns[channel] for channel in self.channels], axis=1).astype(np.float64)
         if not np.isfinite(table).all():
             raise InputError("wire", "rows", "a sample is not finite")

@@ -1,4 +1,4 @@
-"""Who is heard: sequence numbers, sessions, the watchdog's food and the age of telemetry. No I/O, no clocks of its own.
+"""Which messages count: sequence numbers, sessions, what feeds the watchdog, the age of telemetry. No I/O, no clocks.
 
 Both ends use these, so that both agree on what is new, what is a repetition and what is stale.
 """

@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.estimation.order import in_order
 from orchestrator.recording import open_recording
 from orchestrator.registry import PluginKind, make_plugins
@@ -23,7 +23,7 @@ def recorded(folder: Path) -> RecordingReader:
     """The paper's procedure with points three times as far apart; fifteen million samples."""
     procedure = load_procedure("paper", overrides=("stages.5.step_a=0.3",))
     measuring = tuple(stage for stage in procedure.stages if stage.kind != "estimate")
-    start_run(procedure.model_copy(update={"stages": measuring}), folder, Crew(AbsentOperator(), Interrupts()))
+    start_run(procedure.model_copy(update={"stages": measuring}), folder, RunServices(AbsentOperator(), Interrupts()))
     return open_recording(folder)
 
 

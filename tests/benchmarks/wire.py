@@ -20,7 +20,7 @@ from plugins.drives.serial._port import SerialPort
 from plugins.link import Host, Link, Port
 from plugins.link._reading import read_whole
 from plugins.wire import (
-    CAN_FD,
+    CAN_FD_LAYOUT,
     Answer,
     BlockLayout,
     CaptureSource,
@@ -87,7 +87,7 @@ def serve_bus(size: int) -> None:
     source = CaptureSource.complete_with(1, capture(size))
     while True:
         frames = port.receive(0.02 if outbox.empty else 0.0)
-        for batch in answers(source, CAN_FD, frames):
+        for batch in answers(source, CAN_FD_LAYOUT, frames):
             outbox.put_bulk(batch)
         outbox.pump(time.monotonic())
 

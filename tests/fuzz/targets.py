@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import Any
 
 from plugins.wire import (
-    CAN_FD,
-    CLASSIC,
+    CAN_FD_LAYOUT,
+    CLASSIC_LAYOUT,
     AckStatus,
     Answer,
     Capability,
@@ -62,7 +62,7 @@ OWN = Capabilities(
     watchdog_covers=frozenset({"hold"}),
 )
 FACTS = DriveFacts(bits=Capability.RAW_CAPTURE, channels=Channel(31), scales=SCALES, memory_bytes=65536)
-LAYOUTS = (CLASSIC, CAN_FD, serial_blocks(60), serial_blocks(1020))
+LAYOUTS = (CLASSIC_LAYOUT, CAN_FD_LAYOUT, serial_blocks(60), serial_blocks(1020))
 
 
 def codec(choices: Choices) -> None:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 
 import pytest
 
-from plugins.wire import CAN_FD, CLASSIC, CaptureAssembly, Frame, ReadBlock, SerialDecoder, serial_blocks
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, CaptureAssembly, Frame, ReadBlock, SerialDecoder, serial_blocks
 from protocols import DriveFault
 from tests.fuzz.choices import Choices
 from tests.fuzz.targets import TARGETS, one_input
 from tests.fuzz.upload import Upload, Wrong
 
 INPUTS = 60
-LAYOUTS = (CLASSIC, CAN_FD, serial_blocks(60))
+LAYOUTS = (CLASSIC_LAYOUT, CAN_FD_LAYOUT, serial_blocks(60))
 
 
 def inputs(seed: int, count: int) -> list[bytes]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.analysis import flux_at, injected_points, known_map
 from orchestrator.config import load_motor, load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.flux_maps import load_map
 from orchestrator.numerics.types import Array
 from orchestrator.recording import open_recording
@@ -156,7 +156,7 @@ def measured(bench: Bench, folder: Path, plans: Sequence[str] = PLANS) -> Iterat
 
 def _run(procedure: Procedure, path: Path) -> Path:
     if not (path / "results" / "flux_map.nc").is_file():
-        result = start_run(procedure, path, Crew(AbsentOperator(), Interrupts()))
+        result = start_run(procedure, path, RunServices(AbsentOperator(), Interrupts()))
         if result.outcome.error is not None:
             raise result.outcome.error
     return path

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import DriveShell, in_blocks, keepalive
 from protocols import (
     Capabilities,
     Capture,
@@ -77,7 +77,7 @@ class Recorder(DriveShell):
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         try:
             while True:
-                yield sign_of_life(0.0, 100.0)
+                yield keepalive(0.0, 100.0)
         finally:
             self.done.append("left")
 
@@ -102,6 +102,20 @@ def armed() -> Recorder:
 
 def test_a_drive_in_the_shell_is_a_drive() -> None:
     assert isinstance(Recorder(), Drive)
+
+
+class FormerName(Recorder):
+    def attend(self) -> None:
+        super().attend()
+        raise LOST
+
+
+def test_the_former_name_of_the_check_of_the_link_counts() -> None:
+    drive = FormerName()
+    drive.connect()
+    with pytest.raises(DriveFault, match="unplugged"):
+        drive.arm(LIMITS)
+    assert drive.done == []
 
 
 def test_nothing_is_done_before_connecting_and_after_closing() -> None:

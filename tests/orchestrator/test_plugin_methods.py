@@ -11,7 +11,7 @@ from orchestrator._plugin_methods import hook_problem
 from orchestrator.registry import PluginKind, make_plugins
 from protocols import EFFECT_HOOKS, Correction, hook_of
 
-KNOWN = "correct, shows_in, measured, remarks, derived, doubts, correct_batch, doubts_batch"
+KNOWN = "correct, shows_in, measured, remarks, derived, random_directions, correct_batch, random_directions_batch"
 
 
 def an_effect(**members: Any) -> type[Any]:
@@ -26,12 +26,12 @@ def test_every_installed_effect_has_known_methods_alone(effect: Any) -> None:
 @pytest.mark.parametrize(
     ("written", "meant"),
     [
-        ("doubt", "doubts"),
+        ("random_direction", "random_directions"),
         ("show_in", "shows_in"),
         ("measure", "measured"),
         ("remark", "remarks"),
         ("correct_batches", "correct_batch"),
-        ("doubt_batch", "doubts_batch"),
+        ("random_direction_batch", "random_directions_batch"),
         ("correct_all", "correct"),
     ],
 )
@@ -41,8 +41,8 @@ def test_a_misspelt_method_is_named_with_the_one_that_is_meant(written: str, mea
 
 
 def test_a_misspelt_method_of_a_base_class_is_found() -> None:
-    base = an_effect(doubt=lambda self, signals, p: ())
-    assert "'doubt' is never called" in str(hook_problem(type("Derived", (base,), {})))
+    base = an_effect(random_direction=lambda self, signals, p: ())
+    assert "'random_direction' is never called" in str(hook_problem(type("Derived", (base,), {})))
 
 
 @pytest.mark.parametrize(
@@ -66,9 +66,9 @@ CALLS: list[tuple[str, Any, Any]] = [
     ("measured(segments)", lambda self, some: None, lambda self, some, motor: None),
     ("remarks(parameters)", lambda self, p: [], lambda self: []),
     ("derived(parameters, drive)", lambda self, p, drive: {}, lambda self, p: {}),
-    ("doubts(signals, parameters)", lambda self, one, p: (), lambda self, one: ()),
+    ("random_directions(signals, parameters)", lambda self, one, p: (), lambda self, one: ()),
     ("correct_batch(batch, parameters)", lambda self, some, p=None: 0, lambda self, some, *, p: 0),
-    ("doubts_batch(batch, parameters)", lambda self, *some: (), lambda self, some, p, motor: ()),
+    ("random_directions_batch(batch, parameters)", lambda self, *some: (), lambda self, some, p, motor: ()),
 ]
 
 
@@ -91,15 +91,25 @@ def test_a_static_method_takes_its_arguments_without_the_effect() -> None:
 
 
 def test_what_is_no_method_where_one_is_expected_is_named() -> None:
-    assert "method 'doubts' is missing: write def doubts(self, signals, parameters)" in str(
-        hook_problem(an_effect(doubts=3.0))
+    assert "method 'random_directions' is missing: write def random_directions(self, signals, parameters)" in str(
+        hook_problem(an_effect(random_directions=3.0))
     )
 
 
+def test_a_method_s_former_name_counts_unless_the_effect_has_both() -> None:
+    former: dict[str, Any] = {"doubts": lambda self, signals, p: ("one",)}
+    assert hook_problem(an_effect(**former)) is None
+    found = hook_of(an_effect(**former)(), "random_directions")
+    assert found is not None
+    assert found(None, None) == ("one",)
+    problem = hook_problem(an_effect(**former, random_directions=former["doubts"]))
+    assert problem == "method 'doubts' is the former name of 'random_directions', and the effect has both"
+
+
 def test_an_effect_has_a_hook_where_it_has_its_method_and_has_not_switched_it_off() -> None:
-    base = an_effect(doubts=lambda self, signals, p: ("one",))
-    found = hook_of(base(), "doubts")
+    base = an_effect(random_directions=lambda self, signals, p: ("one",))
+    found = hook_of(base(), "random_directions")
     assert found is not None
     assert found(None, None) == ("one",)
     assert hook_of(base(), "measured") is None
-    assert hook_of(type("Sure", (base,), {"doubts": None})(), "doubts") is None
+    assert hook_of(type("Sure", (base,), {"random_directions": None})(), "random_directions") is None

@@ -233,7 +233,10 @@ def test_what_a_new_effect_lacks_is_said_with_what_to_write(change: tuple[str, s
             "def doubt(self, signals, parameters): ...",
             "method 'doubt' is never called: an effect has correct",
         ),
-        ("def doubts(self, signals): ...", "method 'doubts' cannot be called as doubts(signals, parameters)"),
+        (
+            "def doubts(self, signals): ...",
+            "method 'doubts' cannot be called as doubts(signals, parameters)",
+        ),
     ],
 )
 def test_an_effect_s_method_that_would_never_be_called_is_refused_when_it_is_loaded(

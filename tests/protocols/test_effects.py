@@ -48,7 +48,7 @@ GOOD: dict[str, Any] = {"unit": "V", "typical": 0.15, "prior_width": 0.3, "low":
 
 
 @pytest.mark.parametrize(
-    ("changed", "told"),
+    ("changed", "message"),
     [
         ({"typical": 0.0}, "typical 0 of an amplitude is zero"),
         ({"low": 6.0}, "low 6 is not below high 5"),
@@ -61,14 +61,14 @@ GOOD: dict[str, Any] = {"unit": "V", "typical": 0.15, "prior_width": 0.3, "low":
     ],
 )
 def test_a_parameter_that_cannot_be_fitted_is_refused_when_its_class_is_defined(
-    changed: dict[str, Any], told: str
+    changed: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(PluginError) as caught:
 
         class Wrong(EffectParameters):
             offset_v: float = amplitude(**(GOOD | changed))
 
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "Wrong.offset_v" in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -47,9 +47,9 @@ OLD_DIAGNOSIS = {
 
 
 def test_a_sentence_is_made_of_its_values() -> None:
-    said = Remark.of("apart", "{axis} differs by {apart_percent:.1f} %", axis="d", apart_percent=1.26)
-    assert said == Remark(code="apart", values={"axis": "d", "apart_percent": 1.26}, text="d differs by 1.3 %")
-    assert said.by("energy") == Remark(code="energy.apart", values=said.values, text="energy: d differs by 1.3 %")
+    remark = Remark.of("apart", "{axis} differs by {apart_percent:.1f} %", axis="d", apart_percent=1.26)
+    assert remark == Remark(code="apart", values={"axis": "d", "apart_percent": 1.26}, text="d differs by 1.3 %")
+    assert remark.by("energy") == Remark(code="energy.apart", values=remark.values, text="energy: d differs by 1.3 %")
 
 
 def test_a_sentence_without_one_of_its_values_is_a_defect() -> None:
@@ -70,15 +70,15 @@ def test_reports_print_their_remarks_and_the_sentences_alone() -> None:
 
 
 def test_messages_of_older_journals_are_read() -> None:
-    words = dict.fromkeys(("where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide"), "said")
+    words = dict.fromkeys(("where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide"), "text")
     diagnosed = JOURNALLED.validate_python({"kind": "diagnosed", "round": 0, "report": OLD_DIAGNOSIS, "words": words})
     assert isinstance(diagnosed, Diagnosed)
     assert diagnosed.report.notes == ("no gates-off reading",)
     reading = {"start_s": 0.0, "value_ohm": 4.3, "std_ohm": 0.01}
     resistance = {**OLD_ESTIMATES["resistance"], "readings": [reading], "notes": ["no DC holds"]}  # type: ignore[dict-item]
-    told = JOURNALLED.validate_python({"kind": "resistance_estimated", "estimate": resistance})
-    assert isinstance(told, ResistanceEstimated)
-    assert [remark.text for remark in told.estimate.remarks] == ["no DC holds"]
+    message = JOURNALLED.validate_python({"kind": "resistance_estimated", "estimate": resistance})
+    assert isinstance(message, ResistanceEstimated)
+    assert [remark.text for remark in message.estimate.remarks] == ["no DC holds"]
 
 
 @pytest.mark.parametrize(("written", "usable"), [({}, None), (OLD_ESTIMATES, True)])
@@ -90,6 +90,6 @@ def test_older_ends_of_runs_are_read(written: dict[str, object], usable: bool | 
 
 
 def test_an_estimate_takes_remarks_alone() -> None:
-    said = (Remark(code="no_holds", text="no DC holds"),)
+    given = (Remark(code="no_holds", text="no DC holds"),)
     values = {"value_ohm": 4.3, "low": 4.2, "high": 4.4, "first_ohm": 4.3, "last_ohm": 4.3}
-    assert ResistanceEstimate(**values, readings=(), remarks=said).remarks == said
+    assert ResistanceEstimate(**values, readings=(), remarks=given).remarks == given

@@ -156,6 +156,6 @@ def running_programs(port: DevicePort, over: Over) -> Story:
     device = Device(port.layout(0), Script())
     device.watchdog.limit_s = WATCHDOG_S
     while not over():
-        for frame in [*device.turn(), *device.hear(port.receive(0.002))]:
+        for frame in [*device.turn(), *device.receive(port.receive(0.002))]:
             port.send(frame)
     return Story(len(device.arms), device.fault.name.lower(), device.i_dq != (0.0, 0.0))

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, RunResult, start_run
+from orchestrator.engine import SAFE_BENCH_WORDS, AbsentOperator, Interrupts, RunResult, RunServices, start_run
 from orchestrator.runs import RunDirectory
 from protocols import Message, Procedure
 
@@ -97,8 +97,8 @@ def tiny_procedure(folder: Path, **changes: Any) -> Procedure:
 
 def run_tiny(folder: Path, *, interrupts: Interrupts | None = None, **changes: Any) -> RunResult:
     """Run it in this process without streams; the run directory is `folder`/run."""
-    crew = Crew(AbsentOperator(WORDS), interrupts or Interrupts())
-    return start_run(tiny_procedure(folder, **changes), folder / "run", crew)
+    services = RunServices(AbsentOperator(SAFE_BENCH_WORDS), interrupts or Interrupts())
+    return start_run(tiny_procedure(folder, **changes), folder / "run", services)
 
 
 def messages_of(path: Path) -> list[Message]:

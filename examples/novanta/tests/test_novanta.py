@@ -18,7 +18,7 @@ from virtual_drive.core import VirtualDrive
 from virtual_drive.resources import VIRTUAL_DRIVE_V2_XDF
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import SAFE_BENCH_WORDS, AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.testing import DriveConformance
 from protocols import Drive, DriveFault, DriveRefused, DriveSetup, InputError, Motor
 
@@ -81,7 +81,9 @@ def test_a_procedure_finds_the_resistance(drive: Any, tmp_path: Path) -> None:
     }
     file = tmp_path / "procedure.yaml"
     file.write_text(yaml.safe_dump(document), encoding="utf-8")
-    result = start_run(load_procedure(str(file)), tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
+    result = start_run(
+        load_procedure(str(file)), tmp_path / "run", RunServices(AbsentOperator(SAFE_BENCH_WORDS), Interrupts())
+    )
     assert result.outcome.ending == "finished", result.outcome.reason
     found = json.loads((tmp_path / "run" / "results" / "estimates.json").read_text())
     assert found["resistance"]["value_ohm"] == pytest.approx(R_VALUE, rel=0.01)

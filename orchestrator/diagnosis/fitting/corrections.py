@@ -68,7 +68,7 @@ def apply_effect(signals: SignalBatch, item: Active) -> Corrected:
 
 def has_random_directions(item: Active) -> bool:
     """Whether an effect that is there says what it cannot know."""
-    return not item.is_absent and any(hook_of(item.candidate.effect, hook) is not None for hook in _DOUBTS)
+    return not item.is_absent and any(hook_of(item.candidate.effect, hook) is not None for hook in _RANDOM_DIRECTIONS)
 
 
 def random_directions_of(item: Active, signals: SignalBatch) -> list[Corrected]:
@@ -81,7 +81,7 @@ def random_directions_of(item: Active, signals: SignalBatch) -> list[Corrected]:
     """
     if not (_bridge_on(signals) and has_random_directions(item)):
         return []
-    return [_corrected(signals, arrays) for arrays in _evaluate_doubts(item, signals)]
+    return [_corrected(signals, arrays) for arrays in _evaluate_random_directions(item, signals)]
 
 
 def _bridge_on(signals: SignalBatch) -> bool:
@@ -105,25 +105,26 @@ def _evaluate(item: Active, signals: SignalBatch) -> Mapping[str, RealArray]:
     return _checked(item, "correct", signals, correction)
 
 
-def _evaluate_doubts(item: Active, signals: SignalBatch) -> list[Mapping[str, RealArray]]:
-    doubts_batch, doubts = (hook_of(item.candidate.effect, hook) for hook in _DOUBTS)
-    if doubts_batch is not None:
-        of_batch = _sequence(item, _call(item, "doubts_batch", doubts_batch, signals))
-        return [_checked(item, "doubts", signals, one) for one in of_batch]
-    if doubts is None:
+def _evaluate_random_directions(item: Active, signals: SignalBatch) -> list[Mapping[str, RealArray]]:
+    name = "random_directions"
+    of_batch, of_segment = (hook_of(item.candidate.effect, hook) for hook in _RANDOM_DIRECTIONS)
+    if of_batch is not None:
+        directions = _sequence(item, _call(item, "random_directions_batch", of_batch, signals))
+        return [_checked(item, name, signals, one) for one in directions]
+    if of_segment is None:
         return []
-    found = [_sequence(item, _call(item, "doubts", doubts, signals.segment(k))) for k in range(len(signals.segments))]
+    found = [_sequence(item, _call(item, name, of_segment, signals.segment(k))) for k in range(len(signals.segments))]
     most = max(map(len, found))
     rows = [[one[m] if m < len(one) else Correction() for one in found] for m in range(most)]
-    return [_checked(item, "doubts", signals, _end_to_end(item, "doubts", signals, row)) for row in rows]
+    return [_checked(item, name, signals, _end_to_end(item, name, signals, row)) for row in rows]
 
 
-_DOUBTS: tuple[EffectHook, EffectHook] = ("doubts_batch", "doubts")
+_RANDOM_DIRECTIONS: tuple[EffectHook, EffectHook] = ("random_directions_batch", "random_directions")
 
 
 def _sequence(item: Active, found: object) -> Sequence[object]:
     if not isinstance(found, Sequence):
-        raise PluginError("effects", item.name, f"doubts: returned {type(found).__name__} instead of a sequence")
+        raise PluginError("effects", item.name, f"random_directions: returned {type(found).__name__}, no sequence")
     return found
 
 

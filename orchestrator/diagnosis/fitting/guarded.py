@@ -15,10 +15,10 @@ import numpy as np
 
 from orchestrator._plugin_methods import hook_problem
 from protocols import (
+    FORMER_HOOKS,
     Contrast,
     Correction,
     Effect,
-    EffectHook,
     EffectLayer,
     EffectParameters,
     LossHistory,
@@ -83,7 +83,7 @@ class _Guarded:
 
 
 _RETURNS_CORRECTION = ("correct", "correct_batch")
-_RETURNS_CORRECTIONS: tuple[EffectHook, ...] = ("doubts", "doubts_batch")
+_RETURNS_CORRECTIONS = (*FORMER_HOOKS, *FORMER_HOOKS.values())
 _READS_SIGNALS = (*_RETURNS_CORRECTION, *_RETURNS_CORRECTIONS, "shows_in", "measured")
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._ports import PtyPort, Unit
-from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, frame_id, from_bus, heard_by_drive, on_bus
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, filters_of_drive, frame_id, from_bus, on_bus
 from protocols import InputError
 
 _CAN_HEAD, _CAN_START, _CAN_END = struct.Struct("<BIBI"), 0xAA, 0xBB
@@ -38,7 +38,7 @@ class SerialCanPort(PtyPort):
         self._node, self._bytes = node, b""
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CLASSIC
+        return CLASSIC_LAYOUT
 
     def coded(self, frame: Frame) -> Unit:
         head = _CAN_HEAD.pack(_CAN_START, 0, len(frame.payload), on_bus(frame.frame_id, self._node))
@@ -115,20 +115,20 @@ class CanPort:
         except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
             raise InputError("--can", f"{interface}:{channel}", f"cannot be opened: {error}") from None
         if interface == _FILTERS_IN_KERNEL:
-            self._bus.set_filters(heard_by_drive(node))
+            self._bus.set_filters(filters_of_drive(node))
         self._readable = _readable(self._bus)
         self._errors = (can.CanError, OSError)
-        self._bulk_ids = {frame_id(CLASSIC.name), frame_id(CAN_FD.name)}
+        self._bulk_ids = {frame_id(CLASSIC_LAYOUT.name), frame_id(CAN_FD_LAYOUT.name)}
 
     def publish(self) -> None:
         """A bus is there for all."""
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         return None
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CAN_FD if self._fd else CLASSIC
+        return CAN_FD_LAYOUT if self._fd else CLASSIC_LAYOUT
 
     def coded(self, frame: Frame) -> Unit:
         return frame
@@ -168,7 +168,7 @@ class CanPort:
     def receive(self, timeout_s: float) -> list[Frame]:
         frames: list[Frame] = []
         wait_s = timeout_s
-        for _ in range(BOUNDS.frames_each):
+        for _ in range(BOUNDS.max_received_frames):
             if self._readable is not None and not self._readable.poll(1e3 * wait_s):
                 break
             message = self._received(0.0 if self._readable is not None else wait_s)
@@ -185,7 +185,7 @@ class CanPort:
         try:
             return self._bus.recv(wait_s)
         except (*self._errors, ValueError, TypeError):  # a damaged frame, or a bus that is down
-            time.sleep(BOUNDS.nobody_s)
+            time.sleep(BOUNDS.reconnect_period_s)
             return None
 
     def close(self) -> None:

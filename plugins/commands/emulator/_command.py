@@ -129,7 +129,7 @@ def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) 
     with loaded.naming_its_places():
         options = make_options(SimulatedDrive, procedure.drive.options, "drive")
     assert isinstance(options, SimulatedOptions)
-    own: dict[str, Any] = {} if options.overload_s is not None else {"overload_s": BOUNDS.overload_s}
+    own: dict[str, Any] = {} if options.overload_s is not None else {"overload_s": BOUNDS.overload_limit_s}
     if watchdog is not None:
         own["watchdog_s"] = watchdog or None
     return options.model_copy(update=own), procedure.motor

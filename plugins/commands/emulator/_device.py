@@ -19,7 +19,7 @@ from plugins.commands.emulator._telemetry import Telemetry
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
 from plugins.wire import (
-    DESCRIPTION,
+    DESCRIPTION_CAPTURE,
     NO_TEMPERATURE_C,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
@@ -97,7 +97,7 @@ class Device:
         inputs = Inputs(own.interlocks, self._settings.interlocks)
         self.power = PowerStage(self.rig, clock, self._settings.speed, log, self._settings.directory, inputs.read)
         text = _describe(own.motor_name or motor.name, seed, own.interlocks)
-        self._description = CaptureSource.complete_with(DESCRIPTION, text.encode())
+        self._description = CaptureSource.complete_with(DESCRIPTION_CAPTURE, text.encode())
         self._layout = layout(self._settings.block_bytes)
         self._facts = facts_of_rig(self.rig, self._settings, text)
         self._file = RegisterFile(capability_registers(own, self._facts))
@@ -115,7 +115,7 @@ class Device:
 
     # One turn
 
-    def hear(self, frames: Iterable[Frame]) -> None:
+    def receive(self, frames: Iterable[Frame]) -> None:
         """Take what came; `power.guard` goes before."""
         for frame in frames:
             message = decode(*frame) if frame.frame_id in self._host_ids else None
@@ -276,18 +276,18 @@ class Device:
         """The host's, where it says something else than what the device knows more precisely itself."""
         own, file = self.rig.own_nameplate, self._file
 
-        def told(name: str, value: float) -> float:
+        def register(name: str, value: float) -> float:
             return value if file[name] in (0.0, single(value)) else file[name]
 
         self.rig.believe(
             replace(
                 own,
-                pole_pairs=int(told("motor_pole_pairs", own.pole_pairs)),
-                rated_a=told("motor_rated_current_a", own.rated_a),
-                resistance_ohm=told("motor_resistance_ohm", own.resistance_ohm),
-                l_d_h=told("motor_inductance_d_h", own.l_d_h),
-                l_q_h=told("motor_inductance_q_h", own.l_q_h),
-                pm_flux_wb=told("motor_flux_wb", own.pm_flux_wb),
+                pole_pairs=int(register("motor_pole_pairs", own.pole_pairs)),
+                rated_a=register("motor_rated_current_a", own.rated_a),
+                resistance_ohm=register("motor_resistance_ohm", own.resistance_ohm),
+                l_d_h=register("motor_inductance_d_h", own.l_d_h),
+                l_q_h=register("motor_inductance_q_h", own.l_q_h),
+                pm_flux_wb=register("motor_flux_wb", own.pm_flux_wb),
             )
         )
 
@@ -374,8 +374,8 @@ class Device:
 
     def _read_blocks(self, request: ReadBlock) -> Iterator[Message]:
         source = self._source(request.capture)
-        # An answer may be shorter than what was asked for; a link must never keep the watchdog waiting.
-        request = request._replace(blocks=min(request.blocks, max(1, BOUNDS.answer_bytes // self._layout.block)))
+        # An answer may be shorter than its request; a link must never keep the watchdog waiting.
+        request = request._replace(blocks=min(request.blocks, max(1, BOUNDS.max_answer_bytes // self._layout.block)))
         answer = AckStatus.NOT_CAPTURED if source is None else source.answer(request, self._layout)
         if isinstance(answer, Answer):
             self.bulk += [Frame(self._layout.frame_id, payload) for payload in answer.payloads]
@@ -384,7 +384,7 @@ class Device:
             yield Ack(self._ledger.session, request.window, Op.READ_BLOCK, answer, self.power.state)
 
     def _source(self, number: int) -> CaptureSource | None:
-        if number == DESCRIPTION:
+        if number == DESCRIPTION_CAPTURE:
             return self._description
         return self.power.capture.source(number) if self.power.capture is not None else None
 

@@ -44,12 +44,12 @@ class Emulation:
         device, power = self._device, self._device.power
         wait_s = device.wait_s()
         if not self._outbox.empty:
-            wait_s = min(BOUNDS.backlog_s, wait_s) if self._outbox.blocked else 0.0
+            wait_s = min(BOUNDS.backlog_period_s, wait_s) if self._outbox.blocked else 0.0
         power.guard(time.monotonic())
         frames = self._lossy(self._port.receive(wait_s))
         self._notice()
         power.guard(time.monotonic())
-        device.hear(frames)
+        device.receive(frames)
         device.turn()
         self._outbox.put(device.urgent)
         self._outbox.put_bulk(device.bulk)
@@ -58,7 +58,7 @@ class Emulation:
         self._outbox.pump(time.monotonic())
 
     def _notice(self) -> None:
-        connected = self._port.heard_of
+        connected = self._port.connected
         if connected is not None and connected != self._connected:
             if self._connected is not None or connected:
                 self._log("link", open=connected)

@@ -62,7 +62,7 @@ class Lossy(Generic[T]):
         yield unit
         if chance() < losses.duplicate:
             yield unit
-        if self._held and chance() < BOUNDS.let_go:
+        if self._held and chance() < BOUNDS.release_probability:
             yield self._held.popleft()
 
 
@@ -92,7 +92,7 @@ class Outbox:
 
     def put_bulk(self, frames: Iterable[Frame]) -> None:
         """Blocks of a capture, with their end; left out where too many are waiting: the host asks again."""
-        if len(self._bulk) < BOUNDS.most_waiting:
+        if len(self._bulk) < BOUNDS.max_waiting_frames:
             self._bulk.extend(frames)
 
     @property
@@ -111,7 +111,7 @@ class Outbox:
             self._taken_s = now_s
         self._earn(now_s)
         self.blocked = False
-        for _ in range(BOUNDS.batch):
+        for _ in range(BOUNDS.max_batch_frames):
             unit = self._first()
             if unit is None or not self._may_send():
                 return
@@ -121,7 +121,7 @@ class Outbox:
             self._coded.popleft()
             self._taken_s = now_s
             self._credit -= self._port.cost(unit)
-        if now_s - self._taken_s > BOUNDS.given_up_s:
+        if now_s - self._taken_s > BOUNDS.max_waiting_s:
             self.clear()
 
     def _may_send(self) -> bool:
@@ -142,5 +142,5 @@ class Outbox:
         if self._rate is None:
             return
         earned = (now_s - self._paid_s) * self._rate
-        self._credit = min(self._credit + earned, max(self._rate * BOUNDS.burst_s, 64.0))
+        self._credit = min(self._credit + earned, max(self._rate * BOUNDS.max_burst_s, 64.0))
         self._paid_s = now_s

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from orchestrator.numerics.frames import to_phases
 from plugins.drives.simulated.rig import Step
 from plugins.wire import (
-    RIPPLE,
+    RIPPLE_FLAG,
     CaptureSource,
     Channel,
     Message,
@@ -64,7 +64,7 @@ class Capture:
         """What is read under a capture number."""
         if number == self.number:
             return self._raw
-        if number == self.number + RIPPLE and self.ripple is not None:
+        if number == self.number + RIPPLE_FLAG and self.ripple is not None:
             return self.ripple.source
         return None
 
@@ -110,7 +110,7 @@ class RippleMemory:
 
     def __init__(self, number: int, grid: RippleGrid, samples: int, angle_rad: float, scales: Scales) -> None:
         self.rows = grid.rows(samples)
-        self.source = CaptureSource(number + RIPPLE, self.rows * grid.row_bytes)
+        self.source = CaptureSource(number + RIPPLE_FLAG, self.rows * grid.row_bytes)
         self.base_v = (0.0, 0.0)
         self._grid, self._scales = grid, scales
         self._starts = grid.starts(self.rows)
@@ -133,8 +133,8 @@ class RippleMemory:
         counts = demodulate(self._i[:count], self._v[:count], self.base_v, tail).counts(self._scales)
         self._i, self._v = self._i[count:], self._v[count:]
         self.source.append(counts.tobytes())
-        made, self._made = self._made, upto
-        return list(_live(counts.tolist(), made))
+        begin, self._made = self._made, upto
+        return list(_live(counts.tolist(), begin))
 
     def _believed(self, ab: Real) -> NDArray[np.float64]:
         dq = (ab[:, 0].astype(np.float64) + 1j * ab[:, 1]) * self._turn

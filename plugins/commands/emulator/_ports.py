@@ -24,7 +24,7 @@ class Port(Protocol):
     """A link that is open."""
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         """Whether a host has the other end open; None where that cannot be known."""
         ...
 
@@ -85,7 +85,7 @@ class PtyPort:
             raise InputError(str(self._path), "", f"cannot be made a link: {error.strerror}") from None
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         return self._connected
 
     def layout(self, block_bytes: int) -> BlockLayout:
@@ -131,11 +131,11 @@ class PtyPort:
             return []
         if not events[0][1] & select.POLLIN:
             self._lost()
-            time.sleep(min(timeout_s, BOUNDS.nobody_s))
+            time.sleep(min(timeout_s, BOUNDS.reconnect_period_s))
             return []
         self._connected = not events[0][1] & select.POLLHUP
         try:
-            return self._decoded(os.read(self._master, BOUNDS.read_bytes))
+            return self._decoded(os.read(self._master, BOUNDS.max_read_bytes))
         except OSError:
             self._lost()
             return []

@@ -17,8 +17,11 @@ from plugins.drives.simulated.rig import Rig, Step, Tripped, is_ramp
 from plugins.wire import Fault, Heartbeat, Message, Phase, PowerState, Watchdog
 from protocols import Excitation, GatesOff, Limits
 
-_STEP_S, _IDLE_STEP_S, _FREE_STEP_S = 2.5e-3, 2e-2, 5e-2
-_BUS_BAND = (0.5, 1.3)
+_RUNNING_STEP_S = 2.5e-3
+_IDLE_STEP_S = 2e-2
+_FREE_STEP_S = 5e-2
+_BUS_LIMITS_RATIO = (0.5, 1.3)
+"""Bus voltages over the nominal one, beyond which the drive trips."""
 _ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
 
 
@@ -68,13 +71,15 @@ class PowerStage:
         self._fed_s = self._tripped_s = self._since_s = clock()
         self._off_after = self._recording = False
         self._begun_at = self._due_at = 0
-        self._samples = max(1, round(self._fs * (_FREE_STEP_S if speed is None else _STEP_S * min(speed, 20.0))))
+        self._samples = max(
+            1, round(self._fs * (_FREE_STEP_S if speed is None else _RUNNING_STEP_S * min(speed, 20.0)))
+        )
         self._idle = self._samples if speed is None else max(1, round(self._fs * _IDLE_STEP_S * min(speed, 20.0)))
         self._steps: Iterator[Step] = rig.off(self._idle)
         self._next = self._idle
         self._anchor = (clock(), rig.ticks)
 
-    # What it is told
+    # Commands
 
     @property
     def energised(self) -> bool:
@@ -162,7 +167,7 @@ class PowerStage:
             self.trip(Fault.INTERLOCK, float(self.open_interlocks))
         if self.energised and self._watchdog is not None and self._watchdog.expired(now_s):
             self.trip(Fault.WATCHDOG, now_s - self._fed_s, self._watchdog.limit_s, since_s=self._fed_s)
-        if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > BOUNDS.safe_within_s:
+        if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > BOUNDS.max_trip_delay_s:
             self._gates_off()
 
     def trip(
@@ -222,7 +227,7 @@ class PowerStage:
     def advance(self) -> list[Message]:
         """Let the plant's time pass as far as it is due; returns live ripple rows."""
         begun_s, messages = self._clock(), list[Message]()
-        while self._is_due() and self._clock() - begun_s < BOUNDS.attended_s:
+        while self._is_due() and self._clock() - begun_s < BOUNDS.max_turn_s:
             messages += self._step()
         return messages
 
@@ -240,7 +245,7 @@ class PowerStage:
             return ramping or self._recording or self.state in (PowerState.RUNNING, PowerState.STOPPING)
         anchor_s, ticks = self._anchor
         behind = (self._clock() - anchor_s) * self.speed * self._fs - (self.rig.ticks - ticks)
-        if behind > BOUNDS.forgiven_s * self.speed * self._fs + self._next:
+        if behind > BOUNDS.max_catch_up_s * self.speed * self._fs + self._next:
             self._anchor = (self._clock(), self.rig.ticks)
             return True
         return behind >= self._next
@@ -303,8 +308,8 @@ class PowerStage:
             taken, allowed = self.rig.ticks - self._begun_at, self._due_at - self._begun_at
             self.trip(Fault.PROGRAM_TOO_LONG, taken / self._fs, allowed / self._fs)
         nominal, v_dc = self.rig.capabilities.dc_bus_voltage_v, float(step.v_dc[-1])
-        if not _BUS_BAND[0] * nominal <= v_dc <= _BUS_BAND[1] * nominal:
-            edge = _BUS_BAND[v_dc > nominal] * nominal
+        if not _BUS_LIMITS_RATIO[0] * nominal <= v_dc <= _BUS_LIMITS_RATIO[1] * nominal:
+            edge = _BUS_LIMITS_RATIO[v_dc > nominal] * nominal
             self.trip(Fault.BUS_VOLTAGE, v_dc, edge)
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from orchestrator.driving import SINGLE
+from orchestrator.driving import SINGLE_PRECISION_RATIO
 from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
 from plugins.drives.simulated.rig import Rig
 from plugins.wire import (
     LAST_CAPTURE,
-    LONGEST_CAPTURE,
+    MAX_CAPTURE_BYTES,
     AckStatus,
     Capability,
     CaptureFormat,
@@ -105,16 +105,16 @@ class Programs:
 
     def _on_own_grid(self, excitation: Excitation) -> Excitation:
         """With the PWM frequency as the device has it, not as a single carried it."""
-        asked = excitation.pwm_frequency_hz
-        own = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == asked), asked)
+        wanted_hz = excitation.pwm_frequency_hz
+        own = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == wanted_hz), wanted_hz)
         return excitation.model_copy(update={"pwm_frequency_hz": own})
 
     def _judge(self, excitation: Excitation) -> AckStatus:
         """Whether the limits, and the device's own, allow it."""
         own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
-        if isinstance(excitation, Trapezoid) and excitation.periods > BOUNDS.most_periods:
+        if isinstance(excitation, Trapezoid) and excitation.periods > BOUNDS.max_trapezoid_periods:
             return AckStatus.TOO_LONG
-        if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * SINGLE:
+        if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * SINGLE_PRECISION_RATIO:
             return AckStatus.TOO_LONG
         if excitation.rows(fs) < 1 or excitation.control.bandwidth_hz > fs / 10:
             return AckStatus.OUT_OF_RANGE
@@ -134,7 +134,7 @@ class Programs:
             return AckStatus.NOT_SUPPORTED
         form = RowFormat(channels, CaptureFormat(int(f32)), self._facts.scales) if channels else None
         needed = rows * form.row_bytes if form is not None else 0
-        if needed > LONGEST_CAPTURE or (not self._settings.ring and needed > self._facts.memory_bytes):
+        if needed > MAX_CAPTURE_BYTES or (not self._settings.ring and needed > self._facts.memory_bytes):
             return AckStatus.NO_MEMORY
         ripple = self._ripple(number, rows, excitation)
         if isinstance(ripple, AckStatus):
@@ -146,7 +146,7 @@ class Programs:
         periods, own = int(self._file["ripple_periods"]), self._rig.capabilities
         if periods == 0 or not isinstance(excitation, Injection):
             return None
-        if excitation.frequency_hz / periods > BOUNDS.ripple_rate_hz * SINGLE:
+        if excitation.frequency_hz / periods > BOUNDS.ripple_rate_hz * SINGLE_PRECISION_RATIO:
             return AckStatus.OUT_OF_RANGE
         fs = own.sampling_frequency_hz
         discarded = round(excitation.discard_s * fs)

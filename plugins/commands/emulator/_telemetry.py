@@ -1,4 +1,4 @@
-"""What the device says of itself unasked, each message at its own pace. Holds no state but counters."""
+"""The device sends telemetry by itself, each message at its own period. Holds no state but counters."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ class Telemetry:
         self._born_s = now_s
         self._status, self._measurement, self._progress = 0, 0, 0
         self._due_s = self._tick_due_s = self._progress_due_s = now_s
-        self._told: tuple[object, ...] = ()
+        self._last_status: tuple[object, ...] = ()
         self._phase: tuple[Phase, int] = (Phase.IDLE, 0)
 
     def status(
         self, now_s: float, state: PowerState, cause: Fault, faults: int, beat: int, v_dc: float, warmth_c: int
     ) -> Iterator[Message]:
         """Status, when it is due or something has changed."""
-        told = (state, cause, faults)
-        if told == self._told and now_s < self._due_s:
+        status = (state, cause, faults)
+        if status == self._last_status and now_s < self._due_s:
             return
-        self._told = told
+        self._last_status = status
         self._status = (self._status + 1) % 256
         yield Status(state, cause, beat, faults, _volts(v_dc), warmth_c, self._status)
 
@@ -46,7 +46,7 @@ class Telemetry:
             i_d, i_q = (max(-32768, min(32767, round(i / scale_a))) for i in shown[:2])
             yield Measurement(self._measurement, i_d, i_q, _volts(shown[2]), open_interlocks)
         if now_s >= self._tick_due_s:
-            self._tick_due_s = now_s + BOUNDS.tick_s
+            self._tick_due_s = now_s + BOUNDS.tick_period_s
             yield self.tick(now_s, ticks)
 
     def wait_s(self, now_s: float) -> float:
@@ -63,7 +63,7 @@ class Telemetry:
         if not changed and not (running and now_s >= self._progress_due_s):
             return
         self._phase = (phase, capture)
-        self._progress_due_s = now_s + BOUNDS.progress_s
+        self._progress_due_s = now_s + BOUNDS.progress_period_s
         self._progress = (self._progress + 1) % 256
         yield Progress(self._progress, phase, capture, rows)
 

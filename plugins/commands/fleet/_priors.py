@@ -19,12 +19,12 @@ def priors(
     from orchestrator.formatting.sentences import shown, text_table, visible
     from orchestrator.recording import replace_file
 
-    found = priors_of(read_fleet(table), motor)
-    replace_file(out, (visible(found.model_dump_json(indent=2)) + "\n").encode("utf-8"))
+    document = priors_of(read_fleet(table), motor)
+    replace_file(out, (visible(document.model_dump_json(indent=2)) + "\n").encode("utf-8"))
     if as_json:
-        print(visible(found.model_dump_json(indent=2)))
+        print(visible(document.model_dump_json(indent=2)))
         return 0
-    rows = prior_rows(found)
+    rows = prior_rows(document)
     print(shown(text_table(rows[0], rows[1:], numbers=False)))
     print(shown(str(out)))
     return 0

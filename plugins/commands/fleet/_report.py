@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def report(
     table: Annotated[str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.")],
     limits: Annotated[
-        Path | None, typer.Option(help="YAML file with limits; each recording passes, fails or cannot be told.")
+        Path | None, typer.Option(help="YAML file with limits; each recording passes, fails or is undecided.")
     ] = None,
     against: Annotated[
         str | None,
@@ -38,25 +38,25 @@ def report(
 
     with one_thread():
         fleet = read_fleet(table)
-        asked = None if limits is None else read_limits(limits)
-        if asked is not None:
-            _require_known(asked, str(limits), fleet)
+        bounds = None if limits is None else read_limits(limits)
+        if bounds is not None:
+            _require_known(bounds, str(limits), fleet)
         before = None if against in (None, WITHIN) else read_fleet(str(against))
-        found = report_of(fleet, limits=asked, against=before, within=against == WITHIN)
+        stats = report_of(fleet, limits=bounds, against=before, within=against == WITHIN)
         place = Path(table)
         # What reads a folder of Parquet files passes over names with a leading underscore.
         folder = out if out is not None else place / "_report" if place.is_dir() else place.parent
-        files = [*write_fleet_report(found, folder)]
+        files = [*write_fleet_report(stats, folder)]
         if rrd:
             from plugins.streams.rerun import make_fleet_view
 
             files.append(folder / "fleet-report.rrd")
-            make_fleet_view(found, files[-1])
+            make_fleet_view(stats, files[-1])
     if as_json:
-        print(visible(found.model_dump_json(indent=2)))
+        print(visible(stats.model_dump_json(indent=2)))
         return 0
-    rows = outlier_rows(found)
-    for line in (*(remark.text for remark in found.remarks), *([text_table(rows[0], rows[1:], False)] if rows else [])):
+    rows = outlier_rows(stats)
+    for line in (*(remark.text for remark in stats.remarks), *([text_table(rows[0], rows[1:], False)] if rows else [])):
         print(shown(line))
     for file in files:
         print(shown(str(file)))

@@ -50,13 +50,13 @@ def run(
     began, tell = time.monotonic(), Waiting()
     plan = _plan(do, mapping, keep)
     settings = ClusterSettings(scheduler=scheduler, **({} if jobs is None else {"jobs": jobs}))
-    found = find_sources(sources, files=plan.mapping is not None, limit=limit, tell=tell)
+    recordings = find_sources(sources, files=plan.mapping is not None, limit=limit, tell=tell)
     with FleetTable.opened(out, forget_failed=retry_failed) as table:
-        job = FleetJob(found, table, plan, tell)
+        job = FleetJob(recordings, table, plan, tell)
         if job.todo:
             with connected(settings) as client:
                 if not as_json:
-                    what = f"{len(job.todo)} of {plural(len(found), 'recording')} to do"
+                    what = f"{len(job.todo)} of {plural(len(recordings), 'recording')} to do"
                     print(f"{what}; watch them on {client.dashboard_link}")
                 for _ in job.rows(client):
                     pass
@@ -64,27 +64,27 @@ def run(
     if as_json:
         print(visible(report.model_dump_json(indent=2)))
     else:
-        _say(report)
+        _print_row(report)
     return 0
 
 
 def _plan(do: str, mapping: Path | None, keep: Path | None) -> Plan:
-    """What is asked for; raises `typer.BadParameter` where it does not go together."""
+    """The requested steps; raises `typer.BadParameter` where options contradict each other."""
     from orchestrator.fleet import Plan
     from protocols.fleet import FleetStep
 
     every = get_args(FleetStep)
-    asked = {word.strip() for word in do.split(",") if word.strip()}
-    unknown = sorted(asked - set(every))
-    if unknown or not asked:
+    chosen = {word.strip() for word in do.split(",") if word.strip()}
+    unknown = sorted(chosen - set(every))
+    if unknown or not chosen:
         raise typer.BadParameter(f"{', '.join(unknown) or do!r}; there is {', '.join(every)}", param_hint="--do")
-    if ("import" in asked) != (mapping is not None):
+    if ("import" in chosen) != (mapping is not None):
         raise typer.BadParameter("goes with --do import, which needs it", param_hint="--mapping")
-    if "export" in asked and keep is None:
+    if "export" in chosen and keep is None:
         raise typer.BadParameter("is needed for --do export: its files go there", param_hint="--keep")
     if mapping is not None and not mapping.is_file():
         raise InputError(str(mapping), "", "no such file")
-    steps = tuple(step for step in every if step in asked)
+    steps = tuple(step for step in every if step in chosen)
     return Plan(
         steps=steps,
         mapping=None if mapping is None else mapping.resolve(),
@@ -92,16 +92,16 @@ def _plan(do: str, mapping: Path | None, keep: Path | None) -> Plan:
     )
 
 
-def _say(report: JobReport) -> None:
+def _print_row(report: JobReport) -> None:
     from orchestrator.formatting.quantities import duration, plural
     from orchestrator.formatting.sentences import shown
 
     for failed in report.failed:
-        told = failed.problem if failed.source in failed.problem else f"{failed.source}: {failed.problem}"
-        print(shown(f"failed: {told}"))
+        message = failed.problem if failed.source in failed.problem else f"{failed.source}: {failed.problem}"
+        print(shown(f"failed: {message}"))
     words = [plural(report.new, "new row") + (f", {len(report.failed)} of them failed" if report.failed else "")]
     again = f", {report.known_failed} of them failed (--retry-failed does those again)" if report.known_failed else ""
     words += [f"{report.known} known{again}"] if report.known else []
     words += [f"{report.same} the same as another"] if report.same else []
-    found = plural(report.sources, "recording")
-    print(shown(f"{report.table}: {found}: {'; '.join(words)}; {duration(report.seconds)}"))
+    count = plural(report.sources, "recording")
+    print(shown(f"{report.table}: {count}: {'; '.join(words)}; {duration(report.seconds)}"))

@@ -82,12 +82,12 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
     if as_json:
         _print_json(path)
     elif not quiet:
-        _say(f"{path} is a motor with something hidden in it, or nothing. Look at it:")
-        _say(f"  fluxbench compare {path}")
-        _say(f"  fluxbench diagnose {path}")
-        _say("and say what it is, by the names that `fluxbench plugins` lists as effects:")
+        _print_line(f"{path} is a motor with something hidden in it, or nothing. Look at it:")
+        _print_line(f"  fluxbench compare {path}")
+        _print_line(f"  fluxbench diagnose {path}")
+        _print_line("and say what it is, by the names that `fluxbench plugins` lists as effects:")
         usual = path == Path("runs") / f"mystery-{number}"
-        _say(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
+        _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
     return 0
 
 
@@ -115,24 +115,24 @@ def procedure_of(number: int) -> Procedure:
     from plugins.commands.mystery._drawing import draw
     from protocols import DriveChoice, ProcedureMotor
 
-    drawn = draw(number)
+    bench = draw(number)
     return load_procedure(str(Path(__file__).with_name("campaign.yaml"))).model_copy(
         update={
-            "motor": ProcedureMotor.model_validate(drawn.motor),
-            "limits": drawn.limits,
-            "drive": DriveChoice.model_validate({"name": "simulated", "plant": drawn.plant}),
-            "seed": drawn.seed,
+            "motor": ProcedureMotor.model_validate(bench.motor),
+            "limits": bench.limits,
+            "drive": DriveChoice.model_validate({"name": "simulated", "plant": bench.plant}),
+            "seed": bench.seed,
         }
     )
 
 
 def _run(number: int, path: Path, quiet: bool) -> BaseException | None:
     """Run the drawn motor into a new directory; the error that ended it, where one did."""
-    from orchestrator.engine import AbsentOperator, Crew, handling_signals, start_run
+    from orchestrator.engine import AbsentOperator, RunServices, handling_signals, start_run
 
     with handling_signals() as interrupts:
         streams = {"console": {"mode": "quiet" if quiet else "auto"}, "report": {}, "rerun": {"view": "none"}}
-        return start_run(procedure_of(number), path, Crew(AbsentOperator(), interrupts, streams)).outcome.error
+        return start_run(procedure_of(number), path, RunServices(AbsentOperator(), interrupts, streams)).outcome.error
 
 
 def _judged(path: Path, words: str) -> Verdict:
@@ -145,14 +145,14 @@ def _print_verdict(verdict: Verdict) -> None:
     sizes = {size.name: size for size in verdict.sizes}
     for name in verdict.right:
         size = sizes.get(name)
-        told = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_off(size.ratio)}" if size else ""
-        _say(f"{name}: right{told}")
+        size_text = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_off(size.ratio)}" if size else ""
+        _print_line(f"{name}: right{size_text}")
     for name in verdict.wrong:
-        _say(f"{name}: not in this motor")
+        _print_line(f"{name}: not in this motor")
     if verdict.complete:
-        _say("That is all there is." if verdict.right else "Right: nothing is hidden in this motor.")
+        _print_line("That is all there is." if verdict.right else "Right: nothing is hidden in this motor.")
     elif verdict.still_hidden:
-        _say(f"{verdict.still_hidden} {'more is' if verdict.still_hidden == 1 else 'more are'} hidden.")
+        _print_line(f"{verdict.still_hidden} {'more is' if verdict.still_hidden == 1 else 'more are'} hidden.")
 
 
 def _off(ratio: float | None) -> str:
@@ -171,16 +171,16 @@ def _fitted(path: Path) -> dict[str, dict[str, float]]:
 
     effects = read_model(path).effects if has_model(path) else ()
     return {
-        effect.name: {name: found.value for name, found in effect.parameters.items() if found.fitted}
+        effect.name: {name: parameter.value for name, parameter in effect.parameters.items() if parameter.fitted}
         for effect in effects
     }
 
 
 def _print_hidden(hidden: Effects) -> None:
     if not hidden:
-        _say("Nothing was hidden.")
+        _print_line("Nothing was hidden.")
     for name, parameters in hidden.items():
-        _say(f"{name}: " + ", ".join(f"{key} = {number(value)}" for key, value in parameters.items()))
+        _print_line(f"{name}: " + ", ".join(f"{key} = {number(value)}" for key, value in parameters.items()))
 
 
 def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | None = None) -> None:
@@ -194,5 +194,5 @@ def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | No
     print(visible(json.dumps(content, indent=2)))
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     print(shown(line))

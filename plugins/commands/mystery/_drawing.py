@@ -96,7 +96,7 @@ def _volts(motor: Mapping[str, Any]) -> float:
     return float(motor["rated_voltage_rms_v"]) / 139.3
 
 
-LEAST_ANGLE_RAD = 0.01
+MIN_ANGLE_RAD = 0.01
 """Of a rotor that is misaligned by more than the alignment's own error, electrical."""
 
 
@@ -144,7 +144,7 @@ _SIZES: Mapping[str, Callable[[Rng, Mapping[str, Any]], Parameters]] = {
     "phase_resistance_imbalance": lambda r, m: {
         "extra_a_ohm": _digits(_between(r, 0.003, 0.1) * m["stator_resistance_ohm"])
     },
-    "rotor_misalignment": lambda r, m: {"angle_rad": _signed(r, LEAST_ANGLE_RAD, 0.09)},
+    "rotor_misalignment": lambda r, m: {"angle_rad": _signed(r, MIN_ANGLE_RAD, 0.09)},
     "skin_effect": lambda r, m: {"extra_ohm": _digits(_between(r, 0.3, 5.0) * _volts(m) / _amps(m))},
     "slot_harmonics": lambda r, m: {"relative": _between(r, 0.01, 0.05)},
     "voltage_bias": lambda r, m: {

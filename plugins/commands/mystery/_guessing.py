@@ -10,7 +10,7 @@ from typing import Any
 
 from orchestrator.registry import PluginKind, installed
 from orchestrator.runs import RunDirectory, private_directory
-from plugins.commands.mystery._drawing import LEAST_ANGLE_RAD
+from plugins.commands.mystery._drawing import MIN_ANGLE_RAD
 from protocols import InputError, Strict
 
 NOTHING = "nothing"
@@ -18,7 +18,7 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 class Guess(Strict):
-    """One name, and its size where one was said."""
+    """One name, and its size where one was given."""
 
     name: str
     size: float | None = None
@@ -54,7 +54,7 @@ def read_guess(words: str) -> tuple[Guess, ...]:
     Raises
     ------
     InputError
-        A name that no installed effect has, one said twice, or a size that is no number.
+        A name that no installed effect has, one given twice, or a size that is no number.
     """
     if words.strip() == NOTHING:
         return ()
@@ -69,7 +69,7 @@ def read_guess(words: str) -> tuple[Guess, ...]:
             hint = f"did you mean {near[0]}?" if near else f"expected {NOTHING} or one of {', '.join(names)}"
             raise InputError("--guess", name, f"there is no effect of that name; {hint}")
         if name in guesses:
-            raise InputError("--guess", name, "said twice")
+            raise InputError("--guess", name, "given twice")
         guesses[name] = Guess(name=name, size=_number(name, size) if equals else None)
     if not guesses:
         raise InputError("--guess", "", f"empty; say {NOTHING} where you found none")
@@ -85,8 +85,8 @@ def sealed_effects(run: Path) -> Effects:
         Where there is no run, or its secrets are gone.
     """
     plant: Mapping[str, Any] = RunDirectory.open(run).procedure().drive.options["plant"]
-    found = {name: parameters for name, parameters in plant.get("effects", {}).items() if parameters is not None}
-    return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in found.items()}
+    hidden = {name: parameters for name, parameters in plant.get("effects", {}).items() if parameters is not None}
+    return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in hidden.items()}
 
 
 def brought_about(run: Path) -> Effects:
@@ -94,24 +94,24 @@ def brought_about(run: Path) -> Effects:
     from plugins.drives.simulated import misalignment
 
     angle = misalignment(private_directory(run.resolve()))
-    if angle is None or abs(angle) < LEAST_ANGLE_RAD:
+    if angle is None or abs(angle) < MIN_ANGLE_RAD:
         return {}
     return {"rotor_misalignment": {"angle_rad": angle}}
 
 
-def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, brought: Effects | None = None) -> Verdict:
+def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, extra: Effects | None = None) -> Verdict:
     """Hold guesses against what is hidden.
 
     Parameters
     ----------
     fitted : mapping
-        Parameters of the recording's model: they stand in for sizes that were not said.
-    brought : mapping, optional
+        Parameters of the recording's model: they replace sizes that were not given.
+    extra : mapping, optional
         What the run brought about (`brought_about`): right where it is guessed, as large as it came to be, and not
         missing where it is not.
     """
     guesses = tuple(guesses)
-    true = {**hidden, **(brought or {})}
+    true = {**hidden, **(extra or {})}
     right = tuple(guess.name for guess in guesses if guess.name in true)
     sizes = (_size(guess, true[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in true)
     return Verdict(

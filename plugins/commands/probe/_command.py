@@ -33,20 +33,20 @@ def probe(
 
     named = [serial_line(port, baud_rate) for port in serial or ()]
     named += [can_bus(*_split(bus), bitrate, fd) for bus in can or ()]
-    found: list[Found] = []
+    drives: list[Found] = []
     silent: list[tuple[LinkName, str]] = []
     for link in named or links_of_this_machine(baud_rate, bitrate, fd):
         try:
             for drive in found_on(link):
                 if isinstance(drive, Found):
-                    found.append(drive)
+                    drives.append(drive)
                 else:
                     silent.append((link, str(drive)))
         except DriveError as error:
             silent.append((link, str(error)))
-    if named and not found:
+    if named and not drives:
         raise DriveError("; ".join(why for _, why in silent))
-    _print(found, silent, as_json)
+    _print(drives, silent, as_json)
     return 0
 
 
@@ -64,32 +64,32 @@ def _split(bus: str) -> tuple[str, str]:
     return interface, channel
 
 
-def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
+def _print(drives: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
     from orchestrator.formatting.sentences import cut, one_line, visible
 
     if as_json:
         import json
 
         looked = [{"link": link.text, "why": why} for link, why in silent]
-        print(visible(json.dumps({"drives": [drive.as_json() for drive in found], "no_drive": looked})))
+        print(visible(json.dumps({"drives": [drive.as_json() for drive in drives], "no_drive": looked})))
         return
-    for drive in found:
-        print("\n".join(one_line(cut(line)) for line in _told(drive)))
-    if not found:
+    for drive in drives:
+        print("\n".join(one_line(cut(line)) for line in _description(drive)))
+    if not drives:
         print("No drive answered.")
     for link, why in silent:
         print(one_line(cut(f"no drive on {link.text}: {why}")))
 
 
-def _told(drive: Found) -> list[str]:
+def _description(drive: Found) -> list[str]:
     from orchestrator.formatting.quantities import quantity, vector
 
     own, status = drive.capabilities, drive.status
-    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_told(key, v))
-    firmware = drive.description.get("firmware", "not told")
+    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_shown(key, v))
+    firmware = drive.description.get("firmware", "not given")
     lines = [
         f"{own.name} on {drive.link.text}" + (f" node {drive.node}" if drive.node else ""),
-        f"  motor      {own.motor_name or 'not told'}",
+        f"  motor      {own.motor_name or 'not given'}",
         f"  firmware   {firmware}",
         f"  sampling   {own.sampling_frequency_hz:g} Hz, PWM {', '.join(f'{f:g}' for f in own.pwm_frequencies_hz)} Hz",
         f"  reach      {own.max_current_a:g} A, {own.max_voltage_v:g} V of a bus of {own.dc_bus_voltage_v:g} V",
@@ -108,7 +108,7 @@ def _told(drive: Found) -> list[str]:
     return [*lines, f"  use it     fluxbench run PROCEDURE --drive {drive.settings['name']} {settings}"]
 
 
-def _is_told(key: str, value: object) -> bool:
+def _is_shown(key: str, value: object) -> bool:
     """Whether a setting has to be written out: the drive plugins' defaults need not."""
     return key != "name" and value not in (921_600, 1_000_000, False)  # node 0 is among them
 

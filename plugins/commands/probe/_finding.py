@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from plugins.link import Host, Link, Port, link_errors
 from plugins.link._host import fault_names
-from plugins.wire import NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
+from plugins.wire import MAX_NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
 from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultCause
 
 _NOT_PROBED = ("serial", "virtual")
@@ -35,14 +35,14 @@ class LinkName:
 class Found:
     """A drive that answered."""
 
-    answer_s: ClassVar[float] = 0.4
-    """A drive that has not answered after so long is not there."""
-    node_answer_s: ClassVar[float] = 0.2
+    answer_timeout_s: ClassVar[float] = 0.4
+    """Time after which a silent drive counts as absent."""
+    node_answer_timeout_s: ClassVar[float] = 0.2
     """The same for each drive that might be on a bus: most are not there."""
-    telemetry_s: ClassVar[float] = 0.3
-    """What a reading may take to come."""
+    telemetry_timeout_s: ClassVar[float] = 0.3
+    """Time in which a reading has to come."""
     longest_period_s: ClassVar[float] = 10.0
-    """Telemetry may be as slow as this, and the drive is not lost."""
+    """Longest supported period of telemetry."""
 
     link: LinkName
     node: int
@@ -65,7 +65,7 @@ class Found:
     def as_json(self) -> dict[str, Any]:
         """The same for `--json`."""
         status = self.status
-        seen = status and {
+        telemetry = status and {
             "state": status.state.name.lower(),
             "cause": None if status.cause is Fault.NONE else status.cause.name.lower(),
             "faults": self.faults,
@@ -78,7 +78,7 @@ class Found:
             "description": self.description,
             "capabilities": self.capabilities.model_dump(mode="json"),
             "registers": self.registers,
-            "telemetry": seen,
+            "telemetry": telemetry,
         }
 
 
@@ -102,7 +102,7 @@ def can_bus(interface: str, channel: str, bitrate: int, fd: bool) -> LinkName:
         return CanPort(interface, channel, bitrate, node=node, fd=fd)
 
     settings = {"name": "can", "interface": interface, "channel": channel, "bitrate": bitrate, "fd": fd}
-    return LinkName(f"{interface}:{channel}", settings, opened, NODES)
+    return LinkName(f"{interface}:{channel}", settings, opened, MAX_NODES)
 
 
 def links_of_this_machine(baud_rate: int, bitrate: int, fd: bool) -> list[LinkName]:
@@ -139,20 +139,20 @@ def found_on(name: LinkName) -> list[Found | DriveError]:
 
     Raises `DriveFault` where the link cannot be opened or nobody answers.
     """
-    found: list[Found | DriveError] = []
+    results: list[Found | DriveError] = []
     silence: DriveFault | None = None
     for node in range(name.most):
         try:
-            found.append(_found(name, node))
+            results.append(_found(name, node))
         except DriveFault as fault:
             if fault.cause is not FaultCause.NO_ANSWER:
                 raise
             silence = silence or fault
         except DriveRefused as refusal:
-            found.append(refusal)
-    if silence is not None and not found:
+            results.append(refusal)
+    if silence is not None and not results:
         raise silence
-    return found
+    return results
 
 
 def _found(name: LinkName, node: int) -> Found:
@@ -160,13 +160,13 @@ def _found(name: LinkName, node: int) -> Found:
         port = name.open(node)
     link = Link(port, Found.longest_period_s)
     try:
-        return _asked(name, node, link)
+        return _identified(name, node, link)
     finally:
         link.close()
 
 
-def _asked(name: LinkName, node: int, link: Link) -> Found:
-    host = Host(link, Found.answer_s if name.most == 1 else Found.node_answer_s)
+def _identified(name: LinkName, node: int, link: Link) -> Found:
+    host = Host(link, Found.answer_timeout_s if name.most == 1 else Found.node_answer_timeout_s)
     major = host.read("protocol_major")
     if major != PROTOCOL_MAJOR:
         where = link.port.where
@@ -175,6 +175,6 @@ def _asked(name: LinkName, node: int, link: Link) -> Found:
     scales = facts_of(own).scales
     description = host.description(own, link.layout(int(own["bulk_block_bytes"])))
     news = link.news
-    link.wait(lambda: news.status is not None and news.measurement is not None, Found.telemetry_s)
+    link.wait(lambda: news.status is not None and news.measurement is not None, Found.telemetry_timeout_s)
     current = news.measurement and (scales.current_a * news.measurement.i_d, scales.current_a * news.measurement.i_q)
     return Found(name, node, capabilities_of(own, description, None), description, own, news.status, current)

@@ -26,14 +26,14 @@ def reproduce(
 ) -> int:
     """Run the paper's experiment on the simulated drive and write its figures and tables beside the printed ones."""
     from orchestrator.config import load_procedure
-    from orchestrator.engine import AbsentOperator, Crew, handling_signals, start_run
+    from orchestrator.engine import AbsentOperator, RunServices, handling_signals, start_run
     from orchestrator.formatting.sentences import shown
     from plugins.commands.reproduction._material import collect
     from plugins.commands.reproduction._page import write_page
 
     if not (run / "run.json").is_file():
         with handling_signals() as interrupts:
-            result = start_run(load_procedure("paper"), run, Crew(AbsentOperator(), interrupts, {"console": {}}))
+            result = start_run(load_procedure("paper"), run, RunServices(AbsentOperator(), interrupts, {"console": {}}))
         if result.outcome.error is not None:
             raise result.outcome.error
     print(shown(str(write_page(collect(run), out, literal=literal))))

@@ -102,10 +102,10 @@ def _injection(material: Material) -> Figure:
     return _space([_relative(material.estimates["injection"])], lines=False)
 
 
-def _relative(found: FluxMapEstimate) -> tuple[Array, Array]:
+def _relative(value: FluxMapEstimate) -> tuple[Array, Array]:
     """Points reached, and their flux less psi(0, 0)."""
-    zero = np.array(list(flux_at_zero(found.map).values()))
-    return np.asarray(found.points.i_dq, dtype=np.float64), np.asarray(found.points.psi_dq - zero, dtype=np.float64)
+    zero = np.array(list(flux_at_zero(value.map).values()))
+    return np.asarray(value.points.i_dq, dtype=np.float64), np.asarray(value.points.psi_dq - zero, dtype=np.float64)
 
 
 def _space(parts: list[tuple[Array, Array]], *, lines: bool) -> Figure:
@@ -137,18 +137,18 @@ def _paths(material: Material) -> Figure:
 
 def _inductances(material: Material) -> Figure:
     """L_dd, L_qq and L_dq over the flux plane, as the paper's."""
-    found = material.estimates["injection"].map
-    zero = flux_at_zero(found)
-    psi_d, psi_q = 1e3 * (found.psi_d - zero["d"]), 1e3 * (found.psi_q - zero["q"])
+    grid = material.estimates["injection"].map
+    zero = flux_at_zero(grid)
+    psi_d, psi_q = 1e3 * (grid.psi_d - zero["d"]), 1e3 * (grid.psi_q - zero["q"])
     figure = empty_figure(11.0, 3.6)
     for axes, (key, name) in zip(
         figure.subplots(1, 3), {"l_dd": "L_{dd}", "l_qq": "L_{qq}", "l_dq": "L_{dq}"}.items(), strict=True
     ):
-        values = 1e3 * np.asarray(getattr(found, key))
+        values = 1e3 * np.asarray(getattr(grid, key))
         there = np.isfinite(values) & np.isfinite(psi_d) & np.isfinite(psi_q)
         scale = signed_scale(values[there]) if key == "l_dq" else {"cmap": "YlGnBu"}
-        drawn = axes.tricontourf(psi_d[there], psi_q[there], values[there], levels=14, **scale)
-        figure.colorbar(drawn, ax=axes).set_label("mH")
+        contours = axes.tricontourf(psi_d[there], psi_q[there], values[there], levels=14, **scale)
+        figure.colorbar(contours, ax=axes).set_label("mH")
         axes.set_title(f"${name}$", fontsize=STYLE.small_pt)
         name_axes(bare(axes), *FLUX_LABELS.values())
     return figure
@@ -159,10 +159,10 @@ def _comparison(material: Material) -> Figure:
     for axes, axis in zip(figure.subplots(1, 2), "dq", strict=True):
         other = "q" if axis == "d" else "d"
         for held, colour in ((0.0, ZERO_COLOUR), (-2.0, D_COLOUR), (2.0, Q_COLOUR)):
-            for found in (material.estimates[name].map for name in ("classical", "injection")):
-                current, flux, _ = profile(found, f"psi_{axis}", axis, held)
+            for grid in (material.estimates[name].map for name in ("classical", "injection")):
+                current, flux, _ = profile(grid, f"psi_{axis}", axis, held)
                 axes.plot(
-                    current, 1e3 * (flux - flux_at_zero(found)[axis]), BASIS_LINES[found.basis], color=colour, lw=1.3
+                    current, 1e3 * (flux - flux_at_zero(grid)[axis]), BASIS_LINES[grid.basis], color=colour, lw=1.3
                 )
             axes.plot([], [], color=colour, label=f"$i_{other}$ = {held:+.0f} A" if held else f"$i_{other}$ = 0")
         axes.legend(frameon=False, fontsize=STYLE.small_pt)

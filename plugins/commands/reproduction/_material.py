@@ -104,12 +104,12 @@ class Material:
 
     def error_percent(self, method: str) -> tuple[float, float]:
         """rms and largest distance of a map from the plant's, over the map's grid, in per cent of the rated flux."""
-        found = self.estimates[method].map
-        nodes = np.stack(np.meshgrid(found.i_d, found.i_q, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
-        psi = np.column_stack([found.psi_d.ravel(), found.psi_q.ravel()])
+        grid = self.estimates[method].map
+        nodes = np.stack(np.meshgrid(grid.i_d, grid.i_q, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
+        psi = np.column_stack([grid.psi_d.ravel(), grid.psi_q.ravel()])
         inside = np.isfinite(psi).all(axis=1)
         zero = np.zeros((1, 2))
-        own = psi[inside] - flux_at(found)(zero)
+        own = psi[inside] - flux_at(grid)(zero)
         true = self.truth.flux(nodes[inside]) - self.truth.flux(zero)
         off = 100.0 / self.rated_wb * np.linalg.norm(own - true, axis=1)
         return float(np.sqrt(np.mean(off**2))), float(off.max())
@@ -128,12 +128,12 @@ def collect(directory: Path) -> Material:
     if procedure.drive.name != SimulatedDrive.name:
         raise RecordingError(str(directory / "run.json"), "procedure.drive", "a run on the simulated drive is expected")
     recording = open_recording(directory)
-    found: list[Estimate] = []
+    estimates: list[Estimate] = []
     estimate_recording(
-        recording, UsedPlugins(parse_stages(procedure)).of("estimators"), directory, on_estimate=found.append
+        recording, UsedPlugins(parse_stages(procedure)).of("estimators"), directory, on_estimate=estimates.append
     )
-    maps = {e.map.method: e for e in found if isinstance(e, FluxMapEstimate)}
-    resistances = [e for e in found if isinstance(e, ResistanceEstimate)]
+    maps = {e.map.method: e for e in estimates if isinstance(e, FluxMapEstimate)}
+    resistances = [e for e in estimates if isinstance(e, ResistanceEstimate)]
     missing = [name for name in NEEDED if name not in maps]
     if missing or not resistances:
         lacking = ", ".join([*missing, *([] if resistances else ["resistance"])])

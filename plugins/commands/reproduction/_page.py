@@ -21,7 +21,7 @@ _CAPTIONS = {
     ),
     "processing.png": (
         "The classical method's sensitivity (figure 2). Left: ten periods integrated with nothing but R_s i taken out, "
-        "8 V of dead time in each phase. Right: with the inverter's share told from the loops taken out, and averaged."
+        "8 V of dead time in each phase. Right: less the inverter's share, estimated from the loops, and averaged."
     ),
     "classical.png": "Current-flux relations by the classical method (figure 3).",
     "paths.png": (
@@ -122,13 +122,13 @@ def _number_table(material: Material) -> str:
 
 
 def _truth_table(material: Material) -> str:
-    told = {
-        "classical": "integrating the voltage, inverter and R_s(t) told from the loops",
+    methods = {
+        "classical": "integrating the voltage, inverter and R_s(t) estimated from the loops",
         "injection": "inductances at each point, flux by least squares over all paths",
         "energy": "one energy for fluxes and derivatives: the map that fluxbench recommends",
     }
     rows = []
-    for method, what in told.items():
+    for method, what in methods.items():
         rms, worst = material.error_percent(method)
         rows.append((method, what, f"{fixed(rms, 3)} %", f"{fixed(worst, 3)} %"))
     return markdown_table(("map", "how", "rms", "worst"), rows)

@@ -31,7 +31,7 @@ ASSETS = {
     "page.css": ("page.css", "text/css"),
     "page.js": ("page.js", "text/javascript"),
 }
-LARGEST_BODY = 1 << 16
+MAX_BODY_BYTES = 1 << 16
 REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 """A report holds texts from outside: nothing in it is run."""
 
@@ -119,8 +119,8 @@ def _in_words(call: Endpoint) -> Endpoint:
     return answered
 
 
-def _problem(told: str, status: int) -> Response:
-    return JSONResponse({"problem": told}, status)
+def _problem(message: str, status: int) -> Response:
+    return JSONResponse({"problem": message}, status)
 
 
 async def _body(request: Request, model: type[T]) -> T:
@@ -128,8 +128,8 @@ async def _body(request: Request, model: type[T]) -> T:
     raw = b""
     async for part in request.stream():
         raw += part
-        if len(raw) > LARGEST_BODY:
-            raise InputError("request", "", f"longer than {LARGEST_BODY} bytes")
+        if len(raw) > MAX_BODY_BYTES:
+            raise InputError("request", "", f"longer than {MAX_BODY_BYTES} bytes")
     try:
         return model.model_validate_json(raw, strict=True)
     except ValidationError as error:

@@ -19,7 +19,7 @@ REPORT = "report.html"
 
 
 def choices(folder: Path) -> dict[str, Any]:
-    """All of it, for the page; what a file is wrong in is said beside its name."""
+    """All of it, for the page, with each file's error beside its name."""
     return {
         "folder": shown(str(folder)),
         "procedures": [*_procedures(folder)],

@@ -1,4 +1,4 @@
-"""The one run that a page has going: a process of its own, what it says, and what it is told.
+"""The page's one run: a process of its own, its output, and the messages to it.
 
 Nothing here ends that process: asyncio's own subprocesses are killed with their loop, and a killed run ramps nothing
 down. Where this process is gone the run finds its pipe closed, and stops by itself.
@@ -21,22 +21,22 @@ from protocols import FluxbenchError
 
 PROGRAM = (sys.executable, "-P", "-c", "from orchestrator.cli import main; main()")
 """`fluxbench`, whatever stands in the folder that it is started in."""
-ON_ITS_WAY_OUT = ("stopping", "finished", "faulted", "aborted")
-LONGEST_LINE = 1 << 24
+ENDING_STATES = ("stopping", "finished", "faulted", "aborted")
+MAX_LINE_BYTES = 1 << 24
 
 
 class NotNowError(FluxbenchError):
-    """What is asked for does not go with what is under way."""
+    """The request conflicts with the run under way."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """How often a run is looked at, and told that somebody is there; how long it may take to heed a stop [s]."""
+    """Period of looking at a run and of its keepalives; how long it may take to stop [s]."""
 
-    look_s: float = 0.1
-    beat_s: float = 1.0
-    heeds_s: float = 1.0
-    last_words_s: float = 2.0
+    poll_period_s: float = 0.1
+    keepalive_period_s: float = 1.0
+    stop_timeout_s: float = 1.0
+    output_timeout_s: float = 2.0
 
 
 class RunOfThePage:
@@ -64,14 +64,14 @@ class RunOfThePage:
 
     async def views(self) -> AsyncIterator[dict[str, Any]]:
         """How it stands, now and whenever that has changed, until the server closes; whoever is slow misses some."""
-        seen: dict[str, Any] | None = None
+        last: dict[str, Any] | None = None
         while not self._is_closed:
-            if seen is self._view:
+            if last is self._view:
                 async with self._changed:
-                    with suppress(TimeoutError):  # said again now and then: somebody may have gone
+                    with suppress(TimeoutError):  # sent again now and then: a browser may have gone
                         await asyncio.wait_for(self._changed.wait(), 10.0)
-            seen = self._view
-            yield seen
+            last = self._view
+            yield last
 
     async def start(self, words: Sequence[str]) -> None:
         """Start `fluxbench` with these words; raises `NotNowError` while another run is going."""
@@ -97,23 +97,23 @@ class RunOfThePage:
         if not self.is_going or question is None or question["number"] != number or self._answered >= number:
             raise NotNowError("this question is not open any more")
         self._answered = number
-        self._say({"answer": answer, "question": question["prompt"]})
+        self._send({"answer": answer, "question": question["prompt"]})
 
     async def stop(self, reason: str) -> None:
         """End the run as Ctrl-C does; nothing where none is going."""
         if not self.is_going or self._process is None:
             return
-        self._say({"stop": reason})
+        self._send({"stop": reason})
         await self._show(stopping=True)
         self._keep(self._insist(self._process))
 
-    async def close(self, reason: str, patience_s: float = 30.0) -> None:
+    async def close(self, reason: str, timeout_s: float = 30.0) -> None:
         """Start nothing any more, stop what is going, and wait for its end as long as that is sensible."""
         self._is_closing = True
         if self.is_going:
             await self.stop(reason)
             with suppress(TimeoutError):
-                await asyncio.wait_for(self._until_ended(), patience_s)
+                await asyncio.wait_for(self._until_ended(), timeout_s)
         self._is_closed = True
         await self._show()
 
@@ -126,14 +126,14 @@ class RunOfThePage:
             self._view = self._view | changes
             self._changed.notify_all()
 
-    def _say(self, told: dict[str, Any]) -> None:
+    def _send(self, message: dict[str, Any]) -> None:
         if self._ear is not None and not self._ear.is_closing():
-            self._ear.write(json.dumps(told).encode() + b"\n")
+            self._ear.write(json.dumps(message).encode() + b"\n")
 
     async def _insist(self, process: subprocess.Popen[bytes]) -> None:
-        """A signal to a run that does not heed what it is told: while it starts, or hangs."""
-        await asyncio.sleep(self._pace.heeds_s)
-        if process.poll() is None and (self._view["picture"] or {}).get("state") not in ON_ITS_WAY_OUT:
+        """Signal a run that ignores messages: while it starts, or hangs."""
+        await asyncio.sleep(self._pace.stop_timeout_s)
+        if process.poll() is None and (self._view["picture"] or {}).get("state") not in ENDING_STATES:
             process.send_signal(signal.SIGINT)
 
     async def _follow(self, process: subprocess.Popen[bytes]) -> None:
@@ -143,15 +143,15 @@ class RunOfThePage:
         complained = asyncio.ensure_future((await _reader(process.stderr)).read())
         looks = 0
         while process.poll() is None:
-            if looks % round(self._pace.beat_s / self._pace.look_s) == 0:
-                self._say({})
+            if looks % round(self._pace.keepalive_period_s / self._pace.poll_period_s) == 0:
+                self._send({})
             looks += 1
-            await asyncio.sleep(self._pace.look_s)
-        await asyncio.wait({shown, complained}, timeout=self._pace.last_words_s)
+            await asyncio.sleep(self._pace.poll_period_s)
+        await asyncio.wait({shown, complained}, timeout=self._pace.output_timeout_s)
         self._ear.close()
-        told = complained.result().decode("utf-8", "replace").strip() if complained.done() else ""
+        errors = complained.result().decode("utf-8", "replace").strip() if complained.done() else ""
         code = process.returncode
-        problem = told.splitlines()[-1].removeprefix("fluxbench: ") if told and code else ""
+        problem = errors.splitlines()[-1].removeprefix("fluxbench: ") if errors and code else ""
         await self._show(going=False, stopping=False, problem=problem or ("" if code == 0 else f"ended with {code}"))
 
     async def _read_pictures(self, output: asyncio.StreamReader) -> None:
@@ -168,7 +168,7 @@ class RunOfThePage:
 
 
 async def _reader(pipe: IO[bytes] | None) -> asyncio.StreamReader:
-    reader = asyncio.StreamReader(limit=LONGEST_LINE)
+    reader = asyncio.StreamReader(limit=MAX_LINE_BYTES)
     await asyncio.get_running_loop().connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), pipe)
     return reader
 

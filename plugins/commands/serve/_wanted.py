@@ -39,10 +39,10 @@ class Wanted(Strict):
         """The words of `fluxbench run`, as far as they are the page's to say."""
         _, procedure, _, *laid_over = self.checking(folder)
         about = {"serial": self.serial, "operator": self.operator, "note": self.note}
-        told = [f"--{name}={value}" for name, value in about.items() if value.strip()]
-        told += [f"--tag={tag}" for tag in self.tags if tag.strip()]
-        told += [] if self.ambient_c is None else [f"--ambient={self.ambient_c}"]
-        return ["run", procedure, *laid_over, *told]
+        options = [f"--{name}={value}" for name, value in about.items() if value.strip()]
+        options += [f"--tag={tag}" for tag in self.tags if tag.strip()]
+        options += [] if self.ambient_c is None else [f"--ambient={self.ambient_c}"]
+        return ["run", procedure, *laid_over, *options]
 
 
 class Answer(Strict):

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, from_bus, heard_by_host, on_bus
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, BlockLayout, Frame, filters_of_host, from_bus, on_bus
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -20,12 +20,14 @@ if TYPE_CHECKING:
 
 _DAMAGED = (ValueError, TypeError, struct.error)
 """What python-can's own parsers let through when a frame was cut off."""
-_CLASSIC_BLOCK_BITS, _FD_SLOW_BITS, _FD_FAST_BITS = 135.0, 36.0, 680.0
+_CLASSIC_BLOCK_BITS = 135.0
 """Bits on the bus for one block with the worst stuffing (docs/wire.md, Bandwidth)."""
+_FD_SLOW_BITS = 36.0
+_FD_FAST_BITS = 680.0
 _FILTERS_IN_KERNEL = "socketcan"
 """Other interfaces of python-can filter frame by frame, after all the work is done."""
-_OWN_RATE = ("virtual", "udp_multicast")
-"""Interfaces that know no bit rate."""
+_WITHOUT_BIT_RATE = ("virtual", "udp_multicast")
+"""Interfaces without a bit rate."""
 
 
 class CanPort:
@@ -37,7 +39,7 @@ class CanPort:
         As python-can names them.
     bitrate : int
     node : int
-        Which of the bus's drives is talked to; the others are not heard.
+        Which of the bus's drives is talked to; the others are ignored.
     fd : bool
         CAN FD: blocks of captures are 64 bytes long, everything else stays classic.
     data_bitrate : int
@@ -48,20 +50,20 @@ class CanPort:
     Raises python-can's own errors, and `InputError` for what the interface does not understand.
     """
 
-    batch: ClassVar[int] = 512
+    max_batch_frames: ClassVar[int] = 512
     """Frames taken at a time."""
-    batch_s: ClassVar[float] = 5e-3
-    """How much of the thread's own time that may take: frame by frame the rest of the host is too slow for CAN FD."""
-    errors_in_a_row: ClassVar[int] = 3
-    """Errors without a good frame in between; a frame that was damaged on the way is one."""
+    max_batch_s: ClassVar[float] = 5e-3
+    """Longest time for that: frame by frame the rest of the host is too slow for CAN FD."""
+    max_errors_in_a_row: ClassVar[int] = 3
+    """Successive errors without a good frame; a frame damaged on the way counts as one."""
     receive_buffer_bytes: ClassVar[int] = 4 << 20
-    """What is asked of the kernel; it gives what it is allowed to."""
-    frame_bytes: ClassVar[int] = 1280
-    """What a frame takes of a socket's buffer at most: the kernel counts its own bookkeeping."""
-    fewest_each: ClassVar[int] = 16
-    """Blocks in a request, however small the buffer."""
-    for_blocks: ClassVar[float] = 0.8
-    """Part of the bus that is left to blocks by telemetry, requests, and what has to be asked for twice."""
+    """Requested from the kernel, which grants what it is allowed to."""
+    socket_frame_bytes: ClassVar[int] = 1280
+    """Most bytes that a frame takes of a socket's buffer: the kernel counts its own bookkeeping."""
+    min_request_blocks: ClassVar[int] = 16
+    """Fewest blocks in a request, however small the buffer."""
+    block_load_ratio: ClassVar[float] = 0.8
+    """Part of the bus that telemetry, requests and repetitions leave to blocks."""
     rest_of_frame_s: ClassVar[float] = 0.5
     """python-can's serial format has no checksum: a frame given up half-way leaves bytes that look like another one."""
 
@@ -81,7 +83,7 @@ class CanPort:
         self.where = f"{interface}:{channel}" + (f" node {node}" if node else "")
         self._can: Any = can
         self._node = node
-        self._fd, self._rates = fd, None if interface in _OWN_RATE else (bitrate, data_bitrate)
+        self._fd, self._rates = fd, None if interface in _WITHOUT_BIT_RATE else (bitrate, data_bitrate)
         arguments: dict[str, Any] = {"bitrate": bitrate}
         if fd:
             arguments |= {"fd": True, "data_bitrate": data_bitrate}
@@ -95,16 +97,16 @@ class CanPort:
         except (NotImplementedError, TypeError, ValueError) as error:
             raise InputError("the drive's bus", self.where, str(error).splitlines()[0]) from error
         if interface == _FILTERS_IN_KERNEL:
-            self._bus.set_filters(heard_by_host(node))
+            self._bus.set_filters(filters_of_host(node))
         unread = _widen_buffer(self._bus)
         self.requests_each, self.blocks_each = (8, 512) if fd else (4, 256)
         if unread is not None:
-            self.blocks_each = min(self.blocks_each, max(unread // self.requests_each, CanPort.fewest_each))
+            self.blocks_each = min(self.blocks_each, max(unread // self.requests_each, CanPort.min_request_blocks))
         self._readable = _poll_of(self._bus) if interface == "serial" else None
         self._errors = 0
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CAN_FD if self._fd else CLASSIC
+        return CAN_FD_LAYOUT if self._fd else CLASSIC_LAYOUT
 
     def bulk_rate(self, layout: BlockLayout) -> float | None:
         if self._rates is None:
@@ -112,7 +114,7 @@ class CanPort:
         slow, fast = self._rates
         if not self._fd:
             return classic_rate(slow)
-        return CanPort.for_blocks * layout.block / (_FD_SLOW_BITS / slow + _FD_FAST_BITS / fast)
+        return CanPort.block_load_ratio * layout.block / (_FD_SLOW_BITS / slow + _FD_FAST_BITS / fast)
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
         deadline = time.monotonic() + timeout_s
@@ -141,7 +143,7 @@ class CanPort:
     def receive(self, timeout_s: float) -> list[Frame]:
         frames: list[Frame] = []
         wait_s, until_s = timeout_s, math.inf
-        while len(frames) < CanPort.batch and time.thread_time() < until_s:
+        while len(frames) < CanPort.max_batch_frames and time.thread_time() < until_s:
             if self._readable is not None and not self._readable.poll(1e3 * wait_s):
                 break
             message = self._received(wait_s)
@@ -153,7 +155,7 @@ class CanPort:
                 if identifier is not None:
                     frames.append(Frame(identifier, bytes(message.data)))
             if wait_s:
-                wait_s, until_s = 0.0, time.thread_time() + CanPort.batch_s
+                wait_s, until_s = 0.0, time.thread_time() + CanPort.max_batch_s
         return frames
 
     def _received(self, wait_s: float) -> can.Message | None:
@@ -161,7 +163,7 @@ class CanPort:
             message = self._bus.recv(wait_s)
         except (*_DAMAGED, self._can.CanOperationError) as error:
             self._errors += 1
-            if self._errors < CanPort.errors_in_a_row:
+            if self._errors < CanPort.max_errors_in_a_row:
                 return None
             if isinstance(error, _DAMAGED):
                 raise self._can.CanOperationError(f"no whole frame any more ({error})") from error
@@ -176,7 +178,7 @@ class CanPort:
 
 def classic_rate(bitrate: int) -> float:
     """Bytes of captures a second on a bus of classic frames."""
-    return CanPort.for_blocks * CLASSIC.block * bitrate / _CLASSIC_BLOCK_BITS
+    return CanPort.block_load_ratio * CLASSIC_LAYOUT.block * bitrate / _CLASSIC_BLOCK_BITS
 
 
 def _widen_buffer(bus: can.BusABC) -> int | None:
@@ -189,7 +191,7 @@ def _widen_buffer(bus: can.BusABC) -> int | None:
         twin.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, CanPort.receive_buffer_bytes)
     held = twin.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
     twin.detach()
-    return held // CanPort.frame_bytes
+    return held // CanPort.socket_frame_bytes
 
 
 def _poll_of(bus: can.BusABC) -> select.poll:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from plugins.link import Line
-from plugins.wire import CLASSIC, BlockLayout, Frame, from_bus, on_bus
+from plugins.wire import CLASSIC_LAYOUT, BlockLayout, Frame, from_bus, on_bus
 from protocols import InputError
 
 SETTINGS = frozenset({"tty_baudrate", "sleep_after_open"})
@@ -27,9 +27,9 @@ BIT_RATES = {
     750_000: 7,
     1_000_000: 8,
 }
-_END = re.compile(rb"[\r\a]")
+_ANSWER_END = re.compile(rb"[\r\a]")
 """Of an answer: done, or refused; the latter shows as an answer that does not come."""
-_HEAD = 5
+_HEADER_LETTERS = 5
 """Letters before a frame's data: t, three of the identifier, one of the length."""
 
 
@@ -44,7 +44,7 @@ class SlcanPort:
     bulk_rate : float
         Bytes of captures a second that a bus of this bit rate carries.
     node : int
-        Which of the bus's drives is talked to; the others are not heard.
+        Which of the bus's drives is talked to; the others are ignored.
     settings : mapping
         `tty_baudrate`, and `sleep_after_open` [s] for adapters that are reset by being opened, as in python-can.
 
@@ -71,19 +71,19 @@ class SlcanPort:
         if bitrate not in BIT_RATES:
             known = ", ".join(map(str, BIT_RATES))
             raise InputError("the drive's bus", "bitrate", f"an adapter has {known}; got {bitrate}")
-        asked = settings or {}
+        options = settings or {}
         device, _, baud = channel.partition("@")
-        baud_rate = _whole("tty_baudrate", baud or asked.get("tty_baudrate", SlcanPort.default_baud_rate))
+        baud_rate = _whole("tty_baudrate", baud or options.get("tty_baudrate", SlcanPort.default_baud_rate))
         self.where = f"slcan:{channel}" + (f" node {node}" if node else "")
         self._node, self._bulk_rate = node, bulk_rate
         self._line = Line(device, baud_rate)
-        time.sleep(float(asked.get("sleep_after_open", SlcanPort.sleep_after_open_s)))
+        time.sleep(float(options.get("sleep_after_open", SlcanPort.sleep_after_open_s)))
         self._rest = b""
         self._before = b"\r"  # ends whatever the adapter has of an earlier command
         self._line.write(b"\rC\rS%d\rO\r" % BIT_RATES[bitrate], SlcanPort.open_s)
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CLASSIC
+        return CLASSIC_LAYOUT
 
     def bulk_rate(self, layout: BlockLayout) -> float | None:
         return self._bulk_rate
@@ -104,16 +104,16 @@ class SlcanPort:
         return "".join(lines).encode("ascii")
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        *answers, self._rest = _END.split(self._rest + self._line.read(timeout_s))
+        *answers, self._rest = _ANSWER_END.split(self._rest + self._line.read(timeout_s))
         return [frame for answer in answers if (frame := self._frame(answer)) is not None]
 
     def _frame(self, answer: bytes) -> Frame | None:
         """None for what is no classic frame of this node, and for one that lost a letter."""
-        if answer[:1] != b"t" or len(answer) < _HEAD:
+        if answer[:1] != b"t" or len(answer) < _HEADER_LETTERS:
             return None
         try:
             identifier = from_bus(int(answer[1:4], 16), self._node)
-            payload = bytes.fromhex(answer[_HEAD:].decode("ascii"))
+            payload = bytes.fromhex(answer[_HEADER_LETTERS:].decode("ascii"))
             fits = len(payload) == int(answer[4:5])
         except ValueError:
             return None

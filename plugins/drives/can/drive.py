@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 from pydantic import BaseModel, Field
 
 from plugins.link import LinkDrive, LinkOptions, Port
-from plugins.wire import NODES
+from plugins.wire import MAX_NODES
 from protocols import DriveSetup
 
 BitRate = Annotated[int, Field(ge=10_000)]
@@ -20,7 +20,7 @@ class CanOptions(LinkOptions):
     interface: Annotated[str, Field(min_length=1)] = "socketcan"
     """As python-can names it."""
     channel: Annotated[str, Field(min_length=1)]
-    node: Annotated[int, Field(ge=0, lt=NODES)] = 0
+    node: Annotated[int, Field(ge=0, lt=MAX_NODES)] = 0
     """Which of the drives on the bus."""
     bitrate: BitRate = 1_000_000
     fd: bool = False

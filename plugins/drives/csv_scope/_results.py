@@ -1,4 +1,4 @@
-"""What was measured, from a CSV file to a capture, by the importer and its mapping; the doubts are its own."""
+"""Turns a result's CSV file into a capture, by the importer and its mapping; the doubts are the importer's."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ COLUMNS = (
 def read_columns(path: Path) -> dict[str, Any]:
     """The mapping's sections about columns; raises `InputError` where the file is none."""
     try:
-        found = yaml.safe_load(read_text(path))
+        mapping = yaml.safe_load(read_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise InputError(str(path), "", f"cannot be read as a mapping: {str(error).splitlines()[0]}") from None
-    if not isinstance(found, dict) or not {"current", "voltage"} <= found.keys():
+    if not isinstance(mapping, dict) or not {"current", "voltage"} <= mapping.keys():
         raise InputError(str(path), "", "expected the sections current and voltage of an import's mapping")
-    return {name: found[name] for name in COLUMNS if name in found}
+    return {name: mapping[name] for name in COLUMNS if name in mapping}
 
 
 def read_result(
     path: Path, columns: dict[str, Any], excitation: Excitation, motor: Motor, drive: dict[str, Any], fs: float
 ) -> Capture:
-    """The capture that a result file holds; raises `DriveFault` (wrong_data) where it is not what was asked for."""
+    """The capture that a result file holds; raises `DriveFault` (wrong_data) where it does not fit the request."""
     mapping = {
         "format": "fluxbench-import",
         "version": 1,
@@ -69,16 +69,16 @@ def read_result(
             recording = open_recording(Path(folder) / "recording")
             capture = recording.load(recording.segments()[0])
         except FluxbenchError as error:
-            told = str(error).replace(str(written), "the mapping")
-            raise DriveFault(FaultCause.WRONG_DATA, told) from None
+            reason = str(error).replace(str(written), "the mapping")
+            raise DriveFault(FaultCause.WRONG_DATA, reason) from None
     rows = excitation.rows(fs)
     if len(capture) != rows:
-        raise DriveFault(FaultCause.WRONG_DATA, f"{path}: {len(capture)} rows, {rows} were asked for")
+        raise DriveFault(FaultCause.WRONG_DATA, f"{path}: {len(capture)} rows, {rows} were requested")
     return capture
 
 
 def _expected(excitation: Excitation, motor: Motor) -> tuple[str, ...]:
-    """What the importer would doubt of a measurement at no current, which is just what was asked for."""
+    """What the importer would doubt of a measurement at no current, which is intended here."""
     is_small = excitation.longest_current_a < 0.05 * (motor.rated_current_a or 0.0)
     at_rest = is_small and excitation.kind in ("hold", "gates_off")
     return tuple(f.value for f in (Finding.CURRENT_UNIT, Finding.VOLTAGE_UNIT, Finding.CONSTANT_VOLTAGE) if at_rest)

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import DriveShell, in_blocks, keepalive
 from plugins.drives.csv_scope._results import read_columns, read_result
 from plugins.drives.csv_scope._tables import table_of, write_table
 from protocols import (
@@ -146,7 +146,7 @@ class CsvScopeDrive(DriveShell):
     def _answered(self, stem: str, excitation: Excitation) -> Iterator[Capture]:
         fs = self._options.sampling_frequency_hz
         for _ in self._waiting(stem, "result.csv", self._options.wait_s):
-            yield sign_of_life(self._now_s(), fs)
+            yield keepalive(self._now_s(), fs)
         path = self._options.folder / f"{stem}.result.csv"
         o = self._options
         drive = {"name": self.name, "dc_bus_voltage_v": o.dc_bus_voltage_v}
@@ -162,7 +162,7 @@ class CsvScopeDrive(DriveShell):
         yield from in_blocks(capture.model_copy(update={"start_s": start_s}), self.block_s)
 
     def ramp(self) -> None:
-        """Ask for zero current, and wait until it is said to be so."""
+        """Request zero current, and wait for the confirmation."""
         self._do("ramp_down")
         self._current = 0j
 
@@ -199,25 +199,25 @@ class CsvScopeDrive(DriveShell):
         self._number += 1
         return f"{self._number:04d}"
 
-    def _request(self, stem: str, deed: str, **said: Any) -> None:
+    def _request(self, stem: str, deed: str, **fields: Any) -> None:
         """Write a request, whole when it has its name."""
         path = self._options.folder / f"{stem}.request.json"
         partial = path.with_suffix(".partial")
         try:
-            partial.write_text(json.dumps({"request": deed, **said}, indent=1), encoding="utf-8")
+            partial.write_text(json.dumps({"request": deed, **fields}, indent=1), encoding="utf-8")
             partial.replace(path)
         except OSError as error:
             raise DriveFault(FaultCause.LINK_LOST, f"{path}: cannot be written: {error.strerror or error}") from None
 
-    def _do(self, deed: str, **said: Any) -> None:
+    def _do(self, deed: str, **fields: Any) -> None:
         stem = self._next()
-        self._request(stem, deed, answer=f"{stem}.done", **said)
+        self._request(stem, deed, answer=f"{stem}.done", **fields)
         for _ in self._waiting(stem, "done", self._options.deed_s):
             pass
 
     def _waiting(self, stem: str, answer: str, longest_s: float | None) -> Iterator[None]:
         """Until the answer is there, with a look around now and then; raises `DriveFault` for a fault, or in vain."""
-        folder, begun_s, told_s = self._options.folder, time.monotonic(), time.monotonic()
+        folder, begun_s, yielded_s = self._options.folder, time.monotonic(), time.monotonic()
         path, fault = folder / f"{stem}.{answer}", folder / f"{stem}.fault"
         while not self._is_whole(path):
             if self._is_whole(fault):
@@ -226,13 +226,13 @@ class CsvScopeDrive(DriveShell):
             now_s = time.monotonic()
             if longest_s is not None and now_s - begun_s > longest_s:
                 raise self._latched(DriveFault(FaultCause.NO_ANSWER, f"{path}: has not come for {longest_s:g} s"))
-            if now_s - told_s > self.alive_s:
-                told_s = now_s
+            if now_s - yielded_s > self.alive_s:
+                yielded_s = now_s
                 yield
             time.sleep(self.poll_s)
 
     def _latched(self, fault: DriveFault) -> DriveFault:
-        """Not `trip`: nobody can be switched off by a file that is waited for before the fault is told."""
+        """Not `trip`: switching off by a file takes a wait, which would delay the fault's report."""
         self.latch(fault)
         return fault
 
@@ -248,5 +248,5 @@ def _fault_in(path: Path) -> DriveFault:
     text = path.read_text(encoding="utf-8", errors="replace").strip() or "the player says that something is wrong"
     cause, _, detail = text.splitlines()[0].partition(":")
     known = {one.value: one for one in FaultCause}
-    found = known.get(cause.strip())
-    return DriveFault(found or FaultCause.INTERNAL, (detail.strip() or cause) if found else text.splitlines()[0])
+    match = known.get(cause.strip())
+    return DriveFault(match or FaultCause.INTERNAL, (detail.strip() or cause) if match else text.splitlines()[0])

@@ -97,24 +97,24 @@ class Board:
 
     async def numbers(self) -> dict[str, float]:
         """What has to be known of its configuration; the telemetry's layouts are learned on the way."""
-        await self._told(self._stream.flush_read)  # what the host before this one did not wait for
+        await self._on_stream(self._stream.flush_read)  # what the host before this one did not wait for
         values = {name: await self._configured(name) for name in _NUMBERS}
         await self.voltage()
         await self.theta()
         return values
 
     async def _configured(self, name: str) -> float:
-        line = await self._told(lambda: self._stream.command(f"conf get {name}".encode(), allow_any_response=True))
+        line = await self._on_stream(lambda: self._stream.command(f"conf get {name}".encode(), allow_any_response=True))
         try:
             return float(line)
         except ValueError as error:
-            told = line.decode("latin1").strip()
-            raise DriveFault(FaultCause.WRONG_DATA, f"the board has no number for {name}: {told}") from error
+            answer = line.decode("latin1").strip()
+            raise DriveFault(FaultCause.WRONG_DATA, f"the board has no number for {name}: {answer}") from error
 
     async def limit_current(self, current_a: float) -> None:
         """Set the board's own limit in its memory (not for good), and read it back."""
         name = "servo.max_current_A"
-        await self._told(lambda: self._stream.command(f"conf set {name} {current_a:.6f}".encode()))
+        await self._on_stream(lambda: self._stream.command(f"conf set {name} {current_a:.6f}".encode()))
         held = await self._configured(name)
         if not math.isclose(held, current_a, rel_tol=1e-4):
             raise DriveFault(FaultCause.WRONG_DATA, f"{name} is {held:g} after {current_a:g} was written")
@@ -135,12 +135,12 @@ class Board:
 
     async def voltage(self) -> tuple[float, float]:
         """The d and q voltage that the board's current control commands [V]."""
-        control = await self._told(lambda: self._stream.read_data("servo_control"))
+        control = await self._on_stream(lambda: self._stream.read_data("servo_control"))
         return float(control.d_V), float(control.q_V)
 
     async def theta(self) -> float:
         """The electrical angle that the board works with [rad]."""
-        stats = await self._told(lambda: self._stream.read_data("servo_stats"))
+        stats = await self._on_stream(lambda: self._stream.read_data("servo_stats"))
         return float(stats.electrical_theta)
 
     # Power stage
@@ -149,15 +149,15 @@ class Board:
         """Take up a setpoint; the heartbeat repeats it from now on."""
         async with self._line:
             self.setpoint = setpoint
-            await self._say(self._command(setpoint))
+            await self._exchange(self._command(setpoint))
 
     async def enabled(self) -> None:
         """Wait until the power stage is on. Raises `DriveFault` where it does not come on."""
         loop = asyncio.get_running_loop()
-        deadline = loop.time() + BOUNDS.enable_s
+        deadline = loop.time() + BOUNDS.enable_timeout_s
         while (now := await self.reading()).mode in STARTING:
             if loop.time() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"the power stage is not on after {BOUNDS.enable_s:g} s")
+                raise DriveFault(FaultCause.NO_ANSWER, f"the power stage is not on after {BOUNDS.enable_timeout_s:g} s")
             await asyncio.sleep(0.005)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None:
@@ -166,16 +166,16 @@ class Board:
             raise DriveFault(FaultCause.WRONG_DATA, f"the board went to mode {now.mode} instead of {Mode.POSITION:d}")
 
     async def feed(self) -> None:
-        """Repeat the setpoint: this, and nothing else, is what the board's watchdog hears."""
+        """Repeat the setpoint: only this feeds the board's watchdog."""
         async with self._line:
             if self.setpoint is not None:
-                await self._say(self._command(self.setpoint))
+                await self._exchange(self._command(self.setpoint))
 
     async def stop(self) -> None:
         """Power stage off; this clears a fault on the board as well."""
         async with self._line:
             self.setpoint = None
-            await self._say(self._controller.make_stop())
+            await self._exchange(self._controller.make_stop())
         for _ in range(20):
             if (await self.reading()).mode == Mode.STOPPED:
                 return
@@ -195,32 +195,32 @@ class Board:
     # What they share
 
     async def _answered(self, command: Any) -> dict[Any, Any]:
-        """The registers of an answer; a question that is lost is asked once more, for it changes nothing."""
+        """The registers of an answer; a lost query is repeated once, for it changes nothing."""
         for _ in range(2):
-            answer = await self._said(command)
+            answer = await self._answer_to(command)
             if answer is not None:
                 values: dict[Any, Any] = answer.values
                 return values
         raise self._silent()
 
-    async def _said(self, command: Any) -> Any:
+    async def _answer_to(self, command: Any) -> Any:
         async with self._line:
-            return await self._say(command)
+            return await self._exchange(command)
 
-    async def _say(self, command: Any) -> Any:
+    async def _exchange(self, command: Any) -> Any:
         """One exchange; by USB the library would wait for ever."""
         try:
-            return await asyncio.wait_for(self._controller.execute(command), BOUNDS.answer_s)
+            return await asyncio.wait_for(self._controller.execute(command), BOUNDS.answer_timeout_s)
         except TimeoutError as error:
             raise self._silent() from error
 
-    async def _told(self, talk: Callable[[], Coroutine[Any, Any, T]]) -> T:
+    async def _on_stream(self, talk: Callable[[], Coroutine[Any, Any, T]]) -> T:
         """Have a conversation on the diagnostic stream to its end: one that is cut short would spoil the next."""
 
         async def whole() -> T:
             async with self._talk:
                 try:
-                    return await asyncio.wait_for(talk(), BOUNDS.talk_s)
+                    return await asyncio.wait_for(talk(), BOUNDS.stream_timeout_s)
                 except TimeoutError as error:
                     raise self._silent() from error
 

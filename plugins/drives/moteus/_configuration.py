@@ -17,10 +17,10 @@ _SAFE_TIMEOUTS = (Mode.STOPPED, Mode.ZERO_VELOCITY, Mode.BRAKE)
 
 def require_known(versions: Mapping[str, int], where: str) -> None:
     """Raises `DriveRefused` where the board's registers may mean something else than they do here."""
-    found = versions.get("register_map_version")
-    if found != BOUNDS.register_map:
+    version = versions.get("register_map_version")
+    if version != BOUNDS.register_map_version:
         raise DriveRefused(
-            f"{where}: register map {found}, expected {BOUNDS.register_map}; update it (moteus_tool --flash)"
+            f"{where}: register map {version}, expected {BOUNDS.register_map_version}; update it (moteus_tool --flash)"
         )
 
 
@@ -48,8 +48,8 @@ class Configuration:
         poles, sign = round(numbers["motor.poles"]), round(numbers["motor_position.output.sign"])
         ratio = numbers["motor_position.rotor_to_output_ratio"]
         if poles != 2 * motor.pole_pairs:
-            told = f"configured for {poles} poles, the nameplate has {motor.pole_pairs} pole pairs"
-            raise DriveRefused(f"{where}: {told}; moteus_tool --calibrate, or another nameplate")
+            message = f"configured for {poles} poles, the nameplate has {motor.pole_pairs} pole pairs"
+            raise DriveRefused(f"{where}: {message}; moteus_tool --calibrate, or another nameplate")
         if abs(sign) != 1 or not ratio > 0.0:
             raise DriveFault(FaultCause.WRONG_DATA, f"{where}: output sign {sign} and ratio {ratio:g} mean nothing")
         return cls(
@@ -71,7 +71,7 @@ class Configuration:
             pwm_frequencies_hz=(self.pwm_frequency_hz,),
             dc_bus_voltage_v=bus_v,
             max_current_a=self.max_current_a,
-            max_voltage_v=BOUNDS.voltage * bus_v,
+            max_voltage_v=BOUNDS.max_modulation_ratio * bus_v,
             excitations=frozenset({"hold"}),
             watchdog_s=options.watchdog_s if covered else None,
             watchdog_covers=frozenset({"hold"}) if covered else frozenset(),

@@ -66,7 +66,7 @@ _LIMITING: dict[int, str] = {
 def fault_of(mode: int, code: int, watchdog_s: float) -> DriveFault | None:
     """The fault that mode and code stand for; None where there is none."""
     if mode == Mode.TIMEOUT:
-        return DriveFault(FaultCause.HEARTBEAT_LOST, f"the board heard no heartbeat for {watchdog_s:g} s (mode 11)")
+        return DriveFault(FaultCause.HEARTBEAT_LOST, f"the board received no heartbeat for {watchdog_s:g} s (mode 11)")
     if mode != Mode.FAULT:
         return None
     cause, words = _FAULTS.get(code, (FaultCause.INTERNAL, "unknown to this version"))

@@ -74,15 +74,15 @@ class Guard:
         if fault is not None:
             raise fault
         current_a = math.hypot(now.d_a, now.q_a)
-        if not current_a <= BOUNDS.overcurrent * self.limits.current_a:
-            told = f"{current_a:.3g} A measured, with a limit of {self.limits.current_a:g} A"
-            raise DriveFault(FaultCause.OVERCURRENT, told)
+        if not current_a <= BOUNDS.trip_ratio * self.limits.current_a:
+            message = f"{current_a:.3g} A measured, with a limit of {self.limits.current_a:g} A"
+            raise DriveFault(FaultCause.OVERCURRENT, message)
 
     def check_voltage(self, v: complex) -> None:
         """Raises `DriveFault` where the current needs more voltage than is allowed."""
         if not abs(v) <= self.limits.voltage_v:
-            told = f"the current needs {abs(v):.3g} V, above the limit of {self.limits.voltage_v:g} V"
-            raise DriveFault(FaultCause.INTERNAL, told)
+            message = f"the current needs {abs(v):.3g} V, above the limit of {self.limits.voltage_v:g} V"
+            raise DriveFault(FaultCause.INTERNAL, message)
 
 
 class Holding:
@@ -105,15 +105,15 @@ class Holding:
         settled_s = loop.time() + settle_s
         while (left_s := settled_s - loop.time()) > 0.0:
             await self._look(target)
-            await asyncio.sleep(min(left_s, BOUNDS.look_s))
-        for _ in range(BOUNDS.attempts):
+            await asyncio.sleep(min(left_s, BOUNDS.poll_period_s))
+        for _ in range(BOUNDS.max_capture_attempts):
             taken = await self._capture(target, count)
             if taken is not None:
                 return taken
         raise DriveFault(
             FaultCause.WRONG_DATA,
             f"no {count} readings in a row came within {1e3 * self._period_s:.3g} ms each, "
-            f"in {BOUNDS.attempts} attempts; ask for a lower sampling_frequency_hz",
+            f"in {BOUNDS.max_capture_attempts} attempts; ask for a lower sampling_frequency_hz",
         )
 
     async def _go(self, target: Target) -> None:
@@ -122,18 +122,18 @@ class Holding:
         before = self._board.setpoint
         if before is not None and before.position != position:
             await self._board.hold(Setpoint(before.position, 0.0))
-            await asyncio.sleep(BOUNDS.no_current_s)
+            await asyncio.sleep(BOUNDS.zero_current_s)
             await self._board.hold(Setpoint(position, 0.0))
-            await asyncio.sleep(BOUNDS.no_current_s)
+            await asyncio.sleep(BOUNDS.zero_current_s)
         await self._require_angle(target.theta_rad)
         await self._board.hold(Setpoint(position, target.current_a))
 
     async def _require_angle(self, theta_rad: float) -> None:
         self._guard.check(await self._board.reading())
-        found = await self._board.theta()
-        if not abs(math.remainder(found - theta_rad, 2.0 * math.pi)) <= BOUNDS.angle_rad:
-            told = f"the board works at an electrical angle of {found:.4f} rad instead of {theta_rad:.4f} rad"
-            raise DriveFault(FaultCause.WRONG_DATA, f"{told}; servopos limits, or a firmware that counts otherwise")
+        board_rad = await self._board.theta()
+        if not abs(math.remainder(board_rad - theta_rad, 2.0 * math.pi)) <= BOUNDS.max_angle_error_rad:
+            message = f"the board works at an electrical angle of {board_rad:.4f} rad instead of {theta_rad:.4f} rad"
+            raise DriveFault(FaultCause.WRONG_DATA, f"{message}; servopos limits, or a firmware that counts otherwise")
 
     async def _look(self, target: Target) -> tuple[Reading, complex]:
         now = await self._board.reading()

@@ -28,7 +28,7 @@ class Io:
     def __init__(self, where: str) -> None:
         self._where = where
         self.lost: DriveFault | None = None
-        """Why nothing can be said any more."""
+        """Why nothing can be sent any more."""
         self._beat: asyncio.Task[None] | None = None
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(self._broken)
@@ -54,7 +54,7 @@ class Io:
             return await asyncio.wait_for(work(), timeout_s)
 
         future = self.start(timed)
-        self.wait(future, timeout_s + BOUNDS.round_trip_s)
+        self.wait(future, timeout_s + BOUNDS.loop_timeout_s)
         return self.result(future)
 
     def start(self, work: Callable[[], Coroutine[Any, Any, T]]) -> concurrent.futures.Future[T]:
@@ -69,7 +69,7 @@ class Io:
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
                 return False
-            concurrent.futures.wait([future], min(left_s, BOUNDS.look_s))
+            concurrent.futures.wait([future], min(left_s, BOUNDS.poll_period_s))
         return True
 
     def result(self, future: concurrent.futures.Future[T]) -> T:
@@ -108,13 +108,13 @@ class Io:
     def _broken(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """A callback of the library raised: its reader, when the port is gone. It would be called for ever."""
         if "handle" not in context:
-            return  # a task's own end, which its owner has heard of
+            return  # a task's own end, which its owner knows
         self._lose(context.get("exception") or str(context.get("message")))
         loop.stop()
 
     def _lose(self, why: BaseException | str) -> DriveFault:
-        told = str(why) or type(why).__name__
-        fault = DriveFault(FaultCause.LINK_LOST, f"{self._where}: {told.splitlines()[0]}")
+        reason = str(why) or type(why).__name__
+        fault = DriveFault(FaultCause.LINK_LOST, f"{self._where}: {reason.splitlines()[0]}")
         self.lost = self.lost or fault
         return fault
 
@@ -125,7 +125,7 @@ class Io:
         self._loop.set_exception_handler(lambda loop, context: None)
         self._loop.call_soon(self._loop.stop)
         try:
-            self._loop.run_forever()  # whoever else has asked it to stop is heard here
+            self._loop.run_forever()  # another caller's stop takes effect here
             self._loop.run_until_complete(_let_go(release))
         finally:
             self._loop.close()

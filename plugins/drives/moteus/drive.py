@@ -13,7 +13,8 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.driving import in_blocks
+from orchestrator.polled_drive import PolledDrive
 from plugins.drives.moteus._board import Board, Setpoint, library
 from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._configuration import Configuration, require_known
@@ -38,7 +39,7 @@ from protocols import (
 )
 
 
-class MoteusDrive(DriveShell):
+class MoteusDrive(PolledDrive):
     """A moteus as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -63,8 +64,6 @@ class MoteusDrive(DriveShell):
         self._frame = Frame(2, 1, 1.0)
         self._own_limit_a = math.inf
         self._held = Target(0.0, 0.0)
-        self._rotor_angle_rad = 0.0
-        self._origin_s = 0.0
 
     # Link
 
@@ -93,18 +92,18 @@ class MoteusDrive(DriveShell):
         numbers = io.call(board.numbers, self._options.connect_timeout_s)
         configuration = Configuration.of(numbers, self.setup.motor, self._options.where)
         self._frame, self._own_limit_a = configuration.frame, configuration.max_current_a
-        bus_v = io.call(board.reading, BOUNDS.call_s).bus_v
-        self._origin_s = time.monotonic()
+        bus_v = io.call(board.reading, BOUNDS.call_timeout_s).bus_v
+        self.origin_s = time.monotonic()
         return configuration.capabilities(self._options, versions.get("firmware_version", 0), bus_v)
 
     def _take_up(self, board: Board, io: Io) -> None:
         """Find the board stopped; a time-out is over, for its host is gone, and a fault stays unless seen to."""
-        now = io.call(board.reading, BOUNDS.call_s)
+        now = io.call(board.reading, BOUNDS.call_timeout_s)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is None and now.mode != Mode.STOPPED:
             raise DriveRefused(f"{self._options.where} is in mode {now.mode}: somebody else drives it; stop it first")
         if fault is not None and (now.mode == Mode.TIMEOUT or self._options.clear_fault):
-            io.call(board.stop, BOUNDS.call_s)
+            io.call(board.stop, BOUNDS.call_timeout_s)
         elif fault is not None:
             self.latch(fault)
 
@@ -115,24 +114,16 @@ class MoteusDrive(DriveShell):
             io.close(board.release if board is not None else lambda: None)
 
     def heartbeat(self) -> None:
-        """Let the board hear its setpoint again; nothing is said while it has none."""
+        """Repeat the board's setpoint; nothing is sent while it has none."""
         io, board = self._io, self._board
         if io is not None and board is not None:
             io.soon(board.feed)
 
     # Power stage
 
-    @property
-    def faults(self) -> tuple[str, ...]:
-        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
-
-    def attend(self) -> None:
-        """Raises `DriveFault` where the link is lost."""
-        self._connected()
-
     def energise(self, limits: Limits) -> None:
         """Give the board its current limit, switch its power stage on at zero current, and learn its angle."""
-        board, io = self._connected()
+        board, io = self.connected()
 
         async def energised() -> float:
             await board.stop()
@@ -142,7 +133,7 @@ class MoteusDrive(DriveShell):
             return await board.theta()
 
         try:
-            zero_rad = io.call(energised, BOUNDS.call_s)
+            zero_rad = io.call(energised, BOUNDS.call_timeout_s)
         except DriveFault as fault:
             raise self.trip(fault) from None
         self._frame = replace(self._frame, zero_rad=zero_rad)
@@ -155,40 +146,40 @@ class MoteusDrive(DriveShell):
         current_a = excitation.longest_current_a
         needed_v = current_a * (self.setup.motor.stator_resistance_ohm or 0.0)
         if needed_v > self.limits.voltage_v:
-            told = f"{current_a:g} A need {needed_v:.3g} V by the nameplate's resistance"
-            raise DriveRefused(f"{told}, above the limit of {self.limits.voltage_v:g} V")
+            message = f"{current_a:g} A need {needed_v:.3g} V by the nameplate's resistance"
+            raise DriveRefused(f"{message}, above the limit of {self.limits.voltage_v:g} V")
         return self._captures(excitation, self.limits)
 
     def _captures(self, hold: Hold, limits: Limits) -> Iterator[Capture]:
-        board, io = self._connected()
+        board, io = self.connected()
         fs, target = self.own.sampling_frequency_hz, Target.of(hold)
         holding = Holding(board, self._frame, Guard(limits, self._options.watchdog_s), fs)
         if target.current_a == 0.0:
             target = replace(target, theta_rad=hold.rotor_angle_rad)
-        self._held, self._rotor_angle_rad = target, hold.rotor_angle_rad
+        self._held, self.rotor_angle_rad = target, hold.rotor_angle_rad
         under_way = io.start(lambda: holding.run(target, hold.settle_s, hold.rows(fs)))
         try:
-            while not io.wait(under_way, BOUNDS.quiet_s):
-                yield sign_of_life(time.monotonic() - self._origin_s, fs)
+            while not io.wait(under_way, BOUNDS.keepalive_period_s):
+                yield self.keepalive()
             taken = io.result(under_way)
         except DriveFault as fault:
             raise self.trip(fault) from None
         finally:
             under_way.cancel()
-        yield from in_blocks(taken.capture(fs, self._origin_s))
+        yield from in_blocks(taken.capture(fs, self.origin_s))
 
     def telemetry(self) -> Telemetry:
         """A reading, now; with the power stage off the bridge is open and the board's amplifiers say nothing."""
-        board, io = self._connected()
-        now = io.call(board.reading, BOUNDS.call_s)
+        board, io = self.connected()
+        now = io.call(board.reading, BOUNDS.call_timeout_s)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None and not self.latched:
             self.trip(fault)
         flowing = now.mode == Mode.POSITION and self.state is DriveState.ARMED
-        i = self._frame.stator(now.d_a, now.q_a, self._held.theta_rad - self._rotor_angle_rad) if flowing else 0j
+        i = self._frame.stator(now.d_a, now.q_a, self._held.theta_rad - self.rotor_angle_rad) if flowing else 0j
         return Telemetry(
             state=self.state if flowing or self.latched else DriveState.DISARMED,
-            time_s=time.monotonic() - self._origin_s,
+            time_s=self.now_s(),
             i_d_a=i.real,
             i_q_a=i.imag,
             v_dc_v=now.bus_v,
@@ -198,59 +189,51 @@ class MoteusDrive(DriveShell):
 
     def ramp(self) -> None:
         """Zero current at the angle held, under the board's current control."""
-        board, io = self._connected()
+        board, io = self.connected()
         if board.setpoint is None or self.limits is None:
             return
-        io.call(lambda: board.hold(Setpoint(self._frame.position(self._held.theta_rad), 0.0)), BOUNDS.call_s)
-        deadline = time.monotonic() + BOUNDS.ramp_s
+        io.call(lambda: board.hold(Setpoint(self._frame.position(self._held.theta_rad), 0.0)), BOUNDS.call_timeout_s)
+        deadline = time.monotonic() + BOUNDS.max_ramp_s
         while True:
-            now = io.call(board.reading, BOUNDS.call_s)
+            now = io.call(board.reading, BOUNDS.call_timeout_s)
             if now.mode != Mode.POSITION:
                 return
-            if math.hypot(now.d_a, now.q_a) <= BOUNDS.zero * self.limits.current_a:
+            if math.hypot(now.d_a, now.q_a) <= BOUNDS.zero_current_ratio * self.limits.current_a:
                 break
             if time.monotonic() > deadline:
                 raise DriveFault(
-                    FaultCause.NO_ANSWER, f"a current still flows after {BOUNDS.ramp_s:g} s of ramping down"
+                    FaultCause.NO_ANSWER, f"a current still flows after {BOUNDS.max_ramp_s:g} s of ramping down"
                 )
-        time.sleep(BOUNDS.die_out_s)
+        time.sleep(BOUNDS.current_decay_s)
 
     def switch_off(self) -> None:
         """Power stage off, and the board's own current limit put back."""
-        board, io = self._connected()
+        board, io = self.connected()
         if not self.latched:
             self._notice(board, io)
-        io.call(board.stop, BOUNDS.call_s)
-        io.call(lambda: board.limit_current(self._own_limit_a), BOUNDS.call_s)
+        io.call(board.stop, BOUNDS.call_timeout_s)
+        io.call(lambda: board.limit_current(self._own_limit_a), BOUNDS.call_timeout_s)
 
     def _notice(self, board: Board, io: Io) -> None:
         """Latch what the board is about to forget when it is stopped."""
-        now = io.call(board.reading, BOUNDS.call_s)
+        now = io.call(board.reading, BOUNDS.call_timeout_s)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None:
             self.latch(fault)
 
     def forget_fault(self) -> None:
         """The board stays stopped, which clears its fault."""
-        board, io = self._connected()
-        io.call(board.stop, BOUNDS.call_s)
+        board, io = self.connected()
+        io.call(board.stop, BOUNDS.call_timeout_s)
 
     def set_brake(self, engaged: bool) -> None:
         """Refused: mode 15 of a moteus shorts the phases, which holds no rotor."""
         raise DriveRefused("a moteus has no brake that holds a rotor; lock it by hand")
 
-    # Clock
-
-    def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the motor remembers by itself."""
-
-    def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
-        self._origin_s = time.monotonic() - start_s
-
     # What the methods share
 
-    def _connected(self) -> tuple[Board, Io]:
+    def connected(self) -> tuple[Board, Io]:
+        """The board and its loop; raises `DriveRefused` where it is not connected, `DriveFault` where it is lost."""
         if self._io is None or self._board is None:
             raise DriveRefused("not connected")
         self._io.check()

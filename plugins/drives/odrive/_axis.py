@@ -20,13 +20,16 @@ from protocols import DriveFault, DriveRefused, FaultCause
 
 IDLE, CLOSED_LOOP = 1, 8
 HIGH_CURRENT, TORQUE_CONTROL, PASSTHROUGH = 0, 1, 1
-STATE_S, TURN_S = 1.0, 0.3
-MARGIN = 0.5
-"""Of the run's current beyond which the board trips."""
-OFF_RAD = 0.05
-"""How far the frame may be from the angle asked for: an encoder's count, and what the rotor gives."""
-PARTS = ("", ".motor", ".encoder", ".controller")
-CHANGED = (
+MAX_STATE_CHANGE_S = 1.0
+"""Time in which the axis has to reach a requested state."""
+MAX_FRAME_TURN_S = 0.3
+"""Time in which the frame has to reach its angle."""
+CURRENT_MARGIN_RATIO = 0.5
+"""Current beyond the limit, over the limit, at which the board trips."""
+MAX_FRAME_ERROR_RAD = 0.05
+"""Largest difference of the frame from its set-point: an encoder's count, and the rotor's motion."""
+ERROR_SOURCES = ("", ".motor", ".encoder", ".controller")
+RUN_SETTINGS = (
     "config.enable_watchdog",
     "config.watchdog_timeout",
     "motor.config.current_lim",
@@ -36,7 +39,7 @@ CHANGED = (
     "encoder.config.phase_offset_float",
 )
 """What is set for a run, and put back in this order: a watchdog at work does not outlive a timeout of zero."""
-FACTS = (
+CONFIGURATION = (
     "motor.config.motor_type",
     "motor.is_calibrated",
     "encoder.is_ready",
@@ -83,8 +86,8 @@ class Axis:
 
     def learn(self) -> None:
         """Read the configuration; raises `DriveRefused` where it does not fit."""
-        self._own = self._read(CHANGED)
-        self._facts = facts = self._read(FACTS)
+        self._own = self._read(RUN_SETTINGS)
+        self._facts = facts = self._read(CONFIGURATION)
         where = f"{self._line.where}, {self._name}"
         if facts["motor.config.motor_type"] != HIGH_CURRENT:
             raise DriveRefused(f"{where}: motor_type is not HIGH_CURRENT")
@@ -113,7 +116,7 @@ class Axis:
 
     def errors(self) -> Errors:
         """Those that are latched."""
-        return Errors(*map(int, self._line.read([f"{self._name}{part}.error" for part in PARTS])))
+        return Errors(*map(int, self._line.read([f"{self._name}{part}.error" for part in ERROR_SOURCES])))
 
     def clear(self) -> None:
         """Forget them, and the other axis' with them."""
@@ -130,7 +133,7 @@ class Axis:
         self._write(
             {
                 "motor.config.current_lim": current_a,
-                "motor.config.current_lim_margin": MARGIN * current_a,
+                "motor.config.current_lim_margin": CURRENT_MARGIN_RATIO * current_a,
                 "config.watchdog_timeout": watchdog_s,
                 "controller.config.control_mode": TORQUE_CONTROL,
                 "controller.config.input_mode": PASSTHROUGH,
@@ -151,7 +154,7 @@ class Axis:
         """A current along a stator angle: zero, then the frame, then the current."""
         self._torque(0.0)
         wanted = angle_rad - 0.5 * math.pi
-        deadline = time.monotonic() + TURN_S
+        deadline = time.monotonic() + MAX_FRAME_TURN_S
         while (off := self._off(wanted)) is not None:
             if time.monotonic() > deadline:
                 raise DriveFault(FaultCause.WRONG_DATA, f"the encoder's frame is off its angle by {off:.3f} rad")
@@ -169,7 +172,7 @@ class Axis:
         """How far the frame is from its angle; None where it is there."""
         (phase,) = self._line.read([f"{self._name}.motor.current_control.phase"])
         off = math.remainder(wanted - phase, 2.0 * math.pi)
-        return None if abs(off) <= OFF_RAD else off
+        return None if abs(off) <= MAX_FRAME_ERROR_RAD else off
 
     def _turn(self, by_rad: float) -> None:
         name = "encoder.config.phase_offset_float"
@@ -183,11 +186,11 @@ class Axis:
 
     def _enter(self, state: int) -> None:
         self._line.send(f"w {self._name}.requested_state {state}")
-        deadline = time.monotonic() + STATE_S
+        deadline = time.monotonic() + MAX_STATE_CHANGE_S
         while (now := self.state()) != state:
             if time.monotonic() > deadline:
-                told = f"{self._name} is in state {now}, not {state} ({self.errors()})"
-                raise DriveFault(FaultCause.NO_ANSWER, f"{self._line.where}: {told}")
+                message = f"{self._name} is in state {now}, not {state} ({self.errors()})"
+                raise DriveFault(FaultCause.NO_ANSWER, f"{self._line.where}: {message}")
 
     def _read(self, names: Any) -> dict[str, float]:
         return dict(zip(names, self._line.read([f"{self._name}.{name}" for name in names]), strict=True))

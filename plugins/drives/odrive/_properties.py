@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from plugins.link import Line
 from protocols import DriveFault, FaultCause
 
-ANSWER_S, WRITE_S = 0.5, 0.5
+ANSWER_TIMEOUT_S = 0.5
+WRITE_TIMEOUT_S = 0.5
 
 
 class Properties:
@@ -39,7 +40,7 @@ class Properties:
         self._send(f"{line}\n".encode())
 
     def read(self, names: Sequence[str]) -> list[float]:
-        """Properties, asked for in one go; raises `DriveFault` where one is no number."""
+        """Properties, read in one request; raises `DriveFault` where one is no number."""
         self._forget()
         self._send("".join(f"r {name}\n" for name in names).encode())
         return [self._number(name, self._next()) for name in names]
@@ -65,25 +66,25 @@ class Properties:
         try:
             return float(answer)
         except ValueError:
-            told = f"{self.where}: {name} is {answer!r}, expected a number"
-            raise DriveFault(FaultCause.WRONG_DATA, told) from None
+            message = f"{self.where}: {name} is {answer!r}, expected a number"
+            raise DriveFault(FaultCause.WRONG_DATA, message) from None
 
     def _send(self, data: bytes) -> None:
         self.check()
         try:
             with self._writing:
-                taken = self._line.write(data, WRITE_S)
+                taken = self._line.write(data, WRITE_TIMEOUT_S)
         except OSError as error:
             raise self._lose(error.strerror or str(error)) from None
         if not taken:
-            raise self._lose(f"takes nothing for {WRITE_S:g} s")
+            raise self._lose(f"takes nothing for {WRITE_TIMEOUT_S:g} s")
 
     def _next(self) -> str:
-        deadline = time.monotonic() + ANSWER_S
+        deadline = time.monotonic() + ANSWER_TIMEOUT_S
         while b"\n" not in self._come:
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
-                raise self._lose(f"does not answer within {ANSWER_S:g} s")
+                raise self._lose(f"does not answer within {ANSWER_TIMEOUT_S:g} s")
             self._receive(left_s)
         answer, _, self._come = self._come.partition(b"\n")
         return answer.strip().decode("latin1")

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.polled_drive import PolledDrive
 from plugins.drives.odrive._axis import CLOSED_LOOP, IDLE, Axis, Errors
 from plugins.drives.odrive._properties import Properties
 from protocols import (
@@ -32,11 +32,24 @@ from protocols import (
     Telemetry,
 )
 
-VERSION = (0, 5)
-ALIVE_S, RAMP_S, DIE_OUT_S, TRIES, LATE_S = 0.2, 0.5, 0.01, 10, 0.05
-OVER_LIMIT, ZERO, LEAST, ASTRAY, MODULATION = 1.1, 0.02, 0.05, 0.3, 0.8
-"""Parts: of the run's limits, what trips, what is no current, and what is no error of one; of a current, how far it
-may be off; of the bus, what the board modulates."""
+FIRMWARE_VERSION = (0, 5)
+MAX_RAMP_S = 0.5
+"""Time in which the current has to fall to zero."""
+CURRENT_DECAY_S = 0.01
+"""Time for the rest of the current to decay."""
+MAX_CAPTURE_ATTEMPTS = 10
+MAX_READING_DELAY_S = 0.05
+"""A reading that is later than this starts the capture anew."""
+TRIP_RATIO = 1.1
+"""Measured current or voltage over its limit, above which the drive trips."""
+ZERO_CURRENT_RATIO = 0.02
+"""Current over its limit, below which it counts as zero."""
+MIN_CURRENT_ERROR_RATIO = 0.05
+"""Deviation from the set-point over the current limit, below which it is no error."""
+MAX_CURRENT_ERROR_RATIO = 0.3
+"""Deviation from the set-point over the set-point, above which it is an error."""
+MAX_MODULATION_RATIO = 0.8
+"""Voltage over bus voltage, times the root of three, that the board modulates."""
 
 
 class OdriveOptions(Strict):
@@ -55,7 +68,7 @@ class OdriveOptions(Strict):
     """Forget the errors that the board has latched, on connecting: after somebody has seen to their cause."""
 
 
-class OdriveDrive(DriveShell):
+class OdriveDrive(PolledDrive):
     """An axis of an ODrive as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -79,7 +92,6 @@ class OdriveDrive(DriveShell):
         self._options: OdriveOptions = setup.options
         self._line: Properties | None = None
         self._axis: Axis | None = None
-        self._target, self._rotor_angle_rad, self._origin_s = 0j, 0.0, 0.0
 
     # Link
 
@@ -96,20 +108,20 @@ class OdriveDrive(DriveShell):
         o = self._options
         self._line = line = Properties(o.port, o.baud_rate)
         version = tuple(map(int, line.read(["fw_version_major", "fw_version_minor", "fw_version_revision"])))
-        if version[:2] != VERSION:
+        if version[:2] != FIRMWARE_VERSION:
             raise DriveRefused(f"{line.where}: firmware {'.'.join(map(str, version))}, 0.5 is needed")
         self._axis = axis = Axis(line, o.axis)
         axis.learn()
         if axis.pole_pairs != self.setup.motor.pole_pairs:
-            told = f"motor.config.pole_pairs is {axis.pole_pairs}, the nameplate's {self.setup.motor.pole_pairs}"
-            raise DriveRefused(f"{line.where}: {told}")
+            message = f"motor.config.pole_pairs is {axis.pole_pairs}, the nameplate's {self.setup.motor.pole_pairs}"
+            raise DriveRefused(f"{line.where}: {message}")
         if axis.state() != IDLE:
             raise DriveRefused(f"{line.where}: axis {o.axis} is not idle: somebody else drives it")
         self._take_up(axis)
         bus_v = axis.bus_v()
         if bus_v <= 0.0:
             raise DriveFault(FaultCause.BUS_VOLTAGE, f"{line.where}: reads a bus of {bus_v:g} V")
-        self._origin_s = time.monotonic()
+        self.origin_s = time.monotonic()
         return Capabilities(
             name="odrive",
             sampling_frequency_hz=o.sampling_frequency_hz,
@@ -117,7 +129,7 @@ class OdriveDrive(DriveShell):
             pwm_frequencies_hz=(24_000.0,),
             dc_bus_voltage_v=bus_v,
             max_current_a=axis.own_limit_a,
-            max_voltage_v=MODULATION * bus_v / math.sqrt(3.0),
+            max_voltage_v=MAX_MODULATION_RATIO * bus_v / math.sqrt(3.0),
             heeds_bandwidth=False,
             excitations=frozenset(("hold",)),
             watchdog_s=o.watchdog_s,
@@ -153,19 +165,9 @@ class OdriveDrive(DriveShell):
 
     # Power stage
 
-    @property
-    def faults(self) -> tuple[str, ...]:
-        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
-
-    def attend(self) -> None:
-        """Raises `DriveFault` where the line is lost or the axis has tripped."""
-        axis = self._connected()
-        if self.limits is not None and not self.latched:
-            self._require_sound(axis)
-
     def energise(self, limits: Limits) -> None:
         """The board's own current limit and watchdog, then closed loop at no torque."""
-        axis = self._connected()
+        axis = self.connected()
         try:
             axis.switch_on(min(limits.current_a, axis.own_limit_a), self._options.watchdog_s)
         except DriveFault as fault:
@@ -178,108 +180,90 @@ class OdriveDrive(DriveShell):
         needed_v = excitation.longest_current_a * (self.setup.motor.stator_resistance_ohm or 0.0)
         if needed_v > self.limits.voltage_v:
             raise DriveRefused(f"needs {needed_v:.3g} V by the nameplate's resistance, above the limit")
-        return self._held(excitation, self.limits)
+        return self.tripping(self._held(excitation, self.limits))
 
     def _held(self, hold: Hold, limits: Limits) -> Generator[Capture]:
-        axis, fs = self._connected(), self.own.sampling_frequency_hz
-        self._rotor_angle_rad = hold.rotor_angle_rad
-        self._target = complex(*hold.start_dq_a) * cmath.exp(1j * hold.rotor_angle_rad)
-        try:
-            axis.hold(*cmath.polar(self._target))
-            until_s = time.monotonic() + hold.settle_s
-            while (left_s := until_s - time.monotonic()) > 0.0:
-                time.sleep(min(left_s, ALIVE_S))
-                yield self._alive()
-            rows, start_s = yield from self._rows(axis, hold.rows(fs), limits)
-        except DriveFault as fault:
-            raise self.trip(fault) from None
-        rows = rows.astype(np.float32)
-        yield from in_blocks(
-            Capture(
-                start_s=start_s - self._origin_s,
-                sampling_frequency_hz=fs,
-                i_ab=rows[:, :2],
-                v_ab=rows[:, 2:4],
-                v_dc=rows[:, 4],
-            )
-        )
+        axis = self.connected()
+        self.aim(hold)
+        axis.hold(*cmath.polar(self.target_a))
+        yield from self.waiting(hold.settle_s)
+        rows, start_s = yield from self._rows(axis, hold.rows(self.own.sampling_frequency_hz), limits)
+        i, v = (rows[:, k] + 1j * rows[:, k + 1] for k in (0, 2))
+        yield from self.blocks(i, v, start_s - self.origin_s, rows[:, 4])
 
     def _rows(self, axis: Axis, count: int, limits: Limits) -> Generator[Capture, None, tuple[np.ndarray, float]]:
         """Readings, one each period; all anew where one comes later than a direct current bears."""
         fs = self.own.sampling_frequency_hz
-        for _ in range(TRIES):
+        for _ in range(MAX_CAPTURE_ATTEMPTS):
             rows, start_s = list[np.ndarray](), time.monotonic()
-            told_s = start_s
+            yielded_s = start_s
             while len(rows) < count:
                 time.sleep(max(0.0, start_s + len(rows) / fs - time.monotonic()))
                 rows.append(axis.reading())
-                self._watch(axis, rows[-1], limits)
-                if time.monotonic() > start_s + len(rows) / fs + LATE_S:
+                self._watch(rows[-1], limits)
+                if time.monotonic() > start_s + len(rows) / fs + MAX_READING_DELAY_S:
                     break
-                if time.monotonic() - told_s > ALIVE_S:
-                    told_s = time.monotonic()
-                    yield self._alive()
+                if time.monotonic() - yielded_s > self.keepalive_period_s:
+                    yielded_s = time.monotonic()
+                    yield self.keepalive()
             else:
                 time.sleep(max(0.0, start_s + count / fs - time.monotonic()))  # the last row has a period as well
-                self._require_sound(axis)
+                self.require_sound(self.board_fault())
                 return np.array(rows), start_s
-            yield self._alive()
-        told = f"readings come late at {fs:g} Hz; choose a lower sampling_frequency_hz"
-        raise DriveFault(FaultCause.NO_ANSWER, told)
+            yield self.keepalive()
+        message = f"readings come late at {fs:g} Hz; choose a lower sampling_frequency_hz"
+        raise DriveFault(FaultCause.NO_ANSWER, message)
 
-    def _watch(self, axis: Axis, row: np.ndarray, limits: Limits) -> None:
+    def _watch(self, row: np.ndarray, limits: Limits) -> None:
         i, v = math.hypot(row[0], row[1]), math.hypot(row[2], row[3])
-        if i > OVER_LIMIT * limits.current_a:
+        if i > TRIP_RATIO * limits.current_a:
             raise DriveFault(FaultCause.OVERCURRENT, f"{i:.3g} A flow, the limit is {limits.current_a:g} A")
-        if v > OVER_LIMIT * limits.voltage_v:
+        if v > TRIP_RATIO * limits.voltage_v:
             raise DriveFault(FaultCause.INTERNAL, f"{v:.3g} V are commanded, the limit is {limits.voltage_v:g} V")
-        off = abs(complex(row[0], row[1]) - self._target)
-        if off > max(ASTRAY * abs(self._target), LEAST * limits.current_a):
-            self._require_sound(axis)
-            told = f"{i:.3g} A flow, {off:.3g} A off the {abs(self._target):.3g} A asked for"
-            raise DriveFault(FaultCause.INTERNAL, f"{told}: the board limits it, or the rotor has turned")
+        off = abs(complex(row[0], row[1]) - self.target_a)
+        if off > max(MAX_CURRENT_ERROR_RATIO * abs(self.target_a), MIN_CURRENT_ERROR_RATIO * limits.current_a):
+            self.require_sound(self.board_fault())
+            message = f"{i:.3g} A flow, {off:.3g} A off the set-point of {abs(self.target_a):.3g} A"
+            raise DriveFault(FaultCause.INTERNAL, f"{message}: the board limits it, or the rotor has turned")
 
     def telemetry(self) -> Telemetry:
-        """A reading, now; while the axis is idle no current is measured, and none is told."""
-        axis = self._connected()
-        if self.limits is not None and not self.latched and (fault := self._fault(axis)) is not None:
+        """A reading, now; while the axis is idle no current is measured, and none is given."""
+        axis = self.connected()
+        if self.limits is not None and not self.latched and (fault := self.board_fault()) is not None:
             self.trip(fault)
         alpha, beta, _, _, bus_v = axis.reading()
         flowing = axis.state() == CLOSED_LOOP
-        i = complex(alpha, beta) * cmath.exp(-1j * self._rotor_angle_rad) if flowing else 0j
-        return Telemetry(
-            state=self.state,
-            time_s=time.monotonic() - self._origin_s,
-            i_d_a=i.real,
-            i_q_a=i.imag,
-            v_dc_v=bus_v,
-            faults=self.faults,
-        )
+        i = complex(alpha, beta) * cmath.exp(-1j * self.rotor_angle_rad) if flowing else 0j
+        return self.reading(i, bus_v)
 
     def ramp(self) -> None:
         """No torque, and wait until the current is gone."""
-        axis = self._connected()
+        axis = self.connected()
         if self.limits is None:
             return
-        axis.hold(0.0, cmath.phase(self._target))
-        self._target, deadline = 0j, time.monotonic() + RAMP_S
-        while axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO * self.limits.current_a:
+        axis.hold(0.0, cmath.phase(self.target_a))
+        self.target_a, deadline = 0j, time.monotonic() + MAX_RAMP_S
+        while (
+            axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO_CURRENT_RATIO * self.limits.current_a
+        ):
             if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {RAMP_S:g} s of ramping down")
-        time.sleep(DIE_OUT_S)
+                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {MAX_RAMP_S:g} s of ramping down")
+        time.sleep(CURRENT_DECAY_S)
 
     def switch_off(self) -> None:
         """Idle, and the board's settings as they were."""
-        axis = self._connected()
+        axis = self.connected()
         if axis.state() == CLOSED_LOOP:
             self.ramp()
         axis.switch_off()
 
     def forget_fault(self) -> None:
         """Clear the board's own errors; the axis stays idle."""
-        self._connected().clear()
+        self.connected().clear()
 
-    def _fault(self, axis: Axis) -> DriveFault | None:
+    def board_fault(self) -> DriveFault | None:
+        """The axis' errors, or its leaving closed loop."""
+        axis = self.connected()
         errors = axis.errors()
         if errors:
             return _fault(errors, self._options.watchdog_s)
@@ -287,26 +271,10 @@ class OdriveDrive(DriveShell):
             return DriveFault(FaultCause.INTERNAL, "the axis has left closed loop: somebody else drives it")
         return None
 
-    def _require_sound(self, axis: Axis) -> None:
-        fault = self._fault(axis)
-        if fault is not None:
-            raise self.trip(fault)
-
-    # Clock
-
-    def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the motor remembers by itself."""
-
-    def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
-        self._origin_s = time.monotonic() - start_s
-
     # What the methods share
 
-    def _alive(self) -> Capture:
-        return sign_of_life(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
-
-    def _connected(self) -> Axis:
+    def connected(self) -> Axis:
+        """The axis; raises `DriveRefused` where it is not connected, `DriveFault` where the line is lost."""
         if self._line is None or self._axis is None:
             raise DriveRefused("not connected")
         self._line.check()

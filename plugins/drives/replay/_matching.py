@@ -16,8 +16,8 @@ KIND_OF: Mapping[SegmentStage, ExcitationKind] = {
     SegmentStage.LOCK_CHECK: "injection",
     SegmentStage.INJECTION: "injection",
 }
-ALIKE = 0.01
-"""Relative difference of two settings that count as one, and of two currents against the rated one."""
+SETTING_TOLERANCE_RATIO = 0.01
+"""Relative difference of equal settings; of currents, over the rated one."""
 
 _FIELDS: Mapping[ExcitationKind, tuple[str, ...]] = {
     "gates_off": (),
@@ -47,29 +47,29 @@ def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_
         return False
     if segment.samples < excitation.rows(manifest.drive.sampling_frequency_hz):
         return False
-    if abs(math.remainder(segment.rotor_angle_rad - excitation.rotor_angle_rad, math.tau)) > ALIKE:
+    if abs(math.remainder(segment.rotor_angle_rad - excitation.rotor_angle_rad, math.tau)) > SETTING_TOLERANCE_RATIO:
         return False
-    asked, settings = excitation.model_dump(), segment.settings
+    wanted, settings = excitation.model_dump(), segment.settings
     pwm_hz = settings.get("pwm_frequency_hz") or manifest.drive.pwm_frequency_hz
     if not _alike(excitation.pwm_frequency_hz or manifest.drive.pwm_frequency_hz, pwm_hz, 0.0):
         return False
     word = _WORDS[excitation.kind]
-    if word is not None and settings.get(word, asked[word]) != asked[word]:
+    if word is not None and settings.get(word, wanted[word]) != wanted[word]:
         return False
     return all(
-        _alike(asked[field], settings.get(field), scale_a if field.endswith("_a") else 0.0)
+        _alike(wanted[field], settings.get(field), scale_a if field.endswith("_a") else 0.0)
         for field in _FIELDS[excitation.kind]
-        if not (field == "held_a" and asked["swept_axis"] == "dq")
+        if not (field == "held_a" and wanted["swept_axis"] == "dq")
     )
 
 
-def _alike(asked: float | None, recorded: Any, scale: float) -> bool:
-    if asked is None or not isinstance(recorded, int | float):
+def _alike(wanted: float | None, recorded: Any, scale: float) -> bool:
+    if wanted is None or not isinstance(recorded, int | float):
         return True
-    return abs(asked - recorded) <= ALIKE * max(abs(asked), abs(recorded), scale)
+    return abs(wanted - recorded) <= SETTING_TOLERANCE_RATIO * max(abs(wanted), abs(recorded), scale)
 
 
 def in_words(excitation: Excitation) -> str:
-    """What was asked for, as an error says it."""
-    told = ", ".join(f"{field} {getattr(excitation, field):g}" for field in _FIELDS[excitation.kind])
-    return f"{excitation.kind}" + (f" with {told}" if told else "")
+    """The excitation in words, for errors."""
+    fields = ", ".join(f"{field} {getattr(excitation, field):g}" for field in _FIELDS[excitation.kind])
+    return f"{excitation.kind}" + (f" with {fields}" if fields else "")

@@ -178,7 +178,7 @@ class ReplayDrive(DriveShell):
         self._recording = None
 
     def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: what was played is told from the run's clock."""
+        """Nothing to keep: the run's clock gives what was played."""
 
     def restore(self, point_id: str, start_s: float) -> None:
         """Go on after what lies before the experiment's clock."""

@@ -14,8 +14,8 @@ class SerialPort:
 
     frame_overhead_bytes: ClassVar[int] = 16
     """Identifier, offset, CRC-32, stuffing and the closing zero around a block's data."""
-    for_blocks: ClassVar[float] = 0.9
-    """Part of the line that is left to blocks by telemetry, requests, and what has to be asked for twice."""
+    block_load_ratio: ClassVar[float] = 0.9
+    """Part of the line that telemetry, requests and repetitions leave to blocks."""
 
     requests_each = 16
     blocks_each = 64
@@ -38,7 +38,12 @@ class SerialPort:
     def bulk_rate(self, layout: BlockLayout) -> float | None:
         if self._line_rate is None:
             return None
-        return SerialPort.for_blocks * self._line_rate * layout.block / (layout.block + SerialPort.frame_overhead_bytes)
+        return (
+            SerialPort.block_load_ratio
+            * self._line_rate
+            * layout.block
+            / (layout.block + SerialPort.frame_overhead_bytes)
+        )
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
         taken = self._line.write(self._before + all_to_serial(frames), timeout_s)

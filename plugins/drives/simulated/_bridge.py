@@ -29,7 +29,7 @@ from plugins.drives.simulated._energy import Array
 from plugins.drives.simulated._numba import inlined
 from plugins.drives.simulated._state import BEHIND_A, BEHIND_B, DUE, LEVEL, SQRT3
 
-NEVER = 1e9
+NO_EDGE_S = 1e9
 """No edge is pending [s]."""
 Three = tuple[float, float, float]
 
@@ -149,19 +149,19 @@ def _next(x: Array, leg: int, rising: bool, commanded_s: float, half_s: float, n
     """When something happens to a leg: an edge comes, is commanded, or is called off before it came."""
     due = float(x[DUE + leg])
     on_its_way = (x[LEVEL + leg] > 0.5) != rising
-    if due < NEVER:
+    if due < NO_EDGE_S:
         return due if on_its_way or commanded_s >= half_s else min(due, max(commanded_s, now_s))
-    return max(commanded_s, now_s) if on_its_way and commanded_s < half_s else NEVER
+    return max(commanded_s, now_s) if on_its_way and commanded_s < half_s else NO_EDGE_S
 
 
 @inlined
 def _act(b: BridgeParameters, x: Array, leg: int, rising: bool, now_s: float, charge: float, i: float) -> None:
-    if x[DUE + leg] >= NEVER:
+    if x[DUE + leg] >= NO_EDGE_S:
         x[DUE + leg] = now_s + edge_delay(rising, b.dead_s[leg], charge, b.power, i)
         return
     if x[DUE + leg] <= now_s:
         x[LEVEL + leg] = 1.0 - x[LEVEL + leg]
-    x[DUE + leg] = NEVER
+    x[DUE + leg] = NO_EDGE_S
 
 
 @inlined
@@ -230,7 +230,7 @@ def traverse(b: BridgeParameters, w: Part, x: Array) -> Course:
         _act(b, x, leg, w.rising, now, charge, i[leg])
     if w.stop_s >= b.half_s:
         for j in range(3):
-            if x[DUE + j] < NEVER:
+            if x[DUE + j] < NO_EDGE_S:
                 x[DUE + j] = max(0.0, x[DUE + j] - b.half_s)
     return Course(
         flux_alpha,

@@ -252,18 +252,18 @@ class _Branches(NamedTuple):
 
 
 def _branches(plant: Plant, sample_s: float) -> _Branches:
-    found, eddy, damper = _Branches(), plant.effects.eddy_currents, plant.damper
+    rates, eddy, damper = _Branches(), plant.effects.eddy_currents, plant.damper
     if eddy is not None and (eddy.core_loss_q_ohm is not None or eddy.time_constant_s is not None):
         rate = 1.0 / (eddy.time_constant_s or 0.1 * sample_s)
         along_q = eddy.core_loss_q_ohm or eddy.core_loss_ohm
-        found = found._replace(
+        rates = rates._replace(
             core_d_per_h=rate / eddy.core_loss_ohm, core_q_per_h=rate / along_q, core_rate=rate, has_branches=True
         )
     if damper is not None:
         rate = 1.0 / damper.time_constant_s
         along_d, along_q = (rate / damper.ohm, 0.0) if damper.axis == "d" else (0.0, rate / damper.ohm)
-        found = found._replace(damper_d_per_h=along_d, damper_q_per_h=along_q, damper_rate=rate, has_branches=True)
-    return found
+        rates = rates._replace(damper_d_per_h=along_d, damper_q_per_h=along_q, damper_rate=rate, has_branches=True)
+    return rates
 
 
 def _mechanics(plant: Plant, nameplate: Nameplate) -> tuple[float, float, float]:

@@ -14,11 +14,11 @@ from plugins.drives.simulated.options import SimulatedOptions
 from plugins.drives.simulated.switching import PhaseSensors
 from protocols import InputError
 
-INVERTER = "drive.plant.switching"
-SENSORS = "drive.plant.sensors"
-NEEDED = "needs plant.inverter: switched"
-FINEST = 0.015
-"""R h / L of a part of the carrier's period at most: a part is right to first order in it."""
+INVERTER_KEY = "drive.plant.switching"
+SENSORS_KEY = "drive.plant.sensors"
+SWITCHED_ONLY = "needs plant.inverter: switched"
+MAX_STEP_DECAY = 0.015
+"""Largest R h / L of a part of the carrier's period: a part is right to first order in it."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Ratings:
 
 
 def carrier_frequencies(options: SimulatedOptions) -> tuple[float, ...]:
-    """The PWM frequencies that can be asked for [Hz]; raises `InputError` for one that the sampling does not fit."""
+    """The supported PWM frequencies [Hz]; raises `InputError` for one that the sampling does not fit."""
     own = options.pwm_frequency_hz or options.sampling_frequency_hz
     choices = options.pwm_frequencies_hz or (0.5 * own, own, 2.0 * own)
     if options.plant.inverter == "averaged":
@@ -43,8 +43,8 @@ def carrier_frequencies(options: SimulatedOptions) -> tuple[float, ...]:
         for f in given:
             if not _fits(options, f):
                 late = f" and {options.voltage_delay_samples:g} samples later" if options.voltage_delay_samples else ""
-                told = f"the carrier has to turn at every row{late}, and at {f:g} Hz it does not"
-                raise InputError("drive", field, told)
+                message = f"the carrier has to turn at every row{late}, and at {f:g} Hz it does not"
+                raise InputError("drive", field, message)
     return tuple(sorted({own, *(f for f in choices if _fits(options, f))}))
 
 
@@ -68,10 +68,10 @@ def refuse_switched_options(options: SimulatedOptions) -> None:
         ("drive.plant", "switching", "switching" in plant.model_fields_set),
         ("drive", "current_sensors", options.current_sensors == 3),
         ("drive", "current_sampling", options.current_sampling == "averaged"),
-        *((SENSORS, name, name in plant.sensors.model_fields_set) for name in PhaseSensors.model_fields),
+        *((SENSORS_KEY, name, name in plant.sensors.model_fields_set) for name in PhaseSensors.model_fields),
     ):
         if given:
-            raise InputError(owner, field, NEEDED)
+            raise InputError(owner, field, SWITCHED_ONLY)
 
 
 def without_bridge(options: SimulatedOptions) -> SimulatedOptions:
@@ -100,7 +100,7 @@ def derive_bench(
         raise InputError("drive", "voltage_delay_samples", "two samples at most on a switched inverter")
     own_hz = options.pwm_frequency_hz or options.sampling_frequency_hz
     turns = round(2.0 * own_hz / options.sampling_frequency_hz)
-    parts = max(1, math.ceil(0.5 * plant.resistance_ohm / (own_hz * known.l_h) / FINEST))
+    parts = max(1, math.ceil(0.5 * plant.resistance_ohm / (own_hz * known.l_h) / MAX_STEP_DECAY))
     s, effects, bus = options.plant.switching, options.plant.effects, options.plant.switching.bus
     dead = _dead_times(options, own_hz, known.dc_bus_v)
     switch_v, switch_ohm, diode_v, diode_ohm, knee = _devices(options, known)
@@ -179,19 +179,21 @@ def _devices(options: SimulatedOptions, known: Ratings) -> tuple[float, float, f
 
 
 def _refuse_long(options: SimulatedOptions, s: SwitchingParameters) -> None:
-    """What does not fit into the shortest period of the carrier that can be asked for."""
+    """Refuse what does not fit into the carrier's shortest supported period."""
     fastest = max(carrier_frequencies(options))
     period, words = 1.0 / fastest, f"of the carrier at {fastest:g} Hz"
     if s.bridge.minimum_s >= period:
         raise InputError(
-            INVERTER, "minimum_pulse_s", f"{_us(s.bridge.minimum_s)} is no shorter than the period {words}"
+            INVERTER_KEY, "minimum_pulse_s", f"{_us(s.bridge.minimum_s)} is no shorter than the period {words}"
         )
     for field, value in (("dead_time_s", max(s.bridge.dead_s)), ("timer_s", s.bridge.timer_s)):
         if value >= 0.5 * period:
-            raise InputError(INVERTER, field, f"{_us(value)} is no shorter than half the period {words}")
+            raise InputError(INVERTER_KEY, field, f"{_us(value)} is no shorter than half the period {words}")
     if abs(s.shift_s) >= 0.5 * period:
-        told = "with effects.voltage_delay, " if options.plant.effects.voltage_delay else ""
-        raise InputError(INVERTER, "sampling_offset_s", f"{told}{_us(s.shift_s)} is half the period {words} or more")
+        prefix = "with effects.voltage_delay, " if options.plant.effects.voltage_delay else ""
+        raise InputError(
+            INVERTER_KEY, "sampling_offset_s", f"{prefix}{_us(s.shift_s)} is half the period {words} or more"
+        )
 
 
 def _refuse_weak(options: SimulatedOptions, s: SwitchingParameters, known: Ratings, resistance_ohm: float) -> None:
@@ -200,14 +202,14 @@ def _refuse_weak(options: SimulatedOptions, s: SwitchingParameters, known: Ratin
     at_trip, half_s = f"the {trip_a:.3g} A at which the drive trips", 0.5 / max(carrier_frequencies(options))
     swing_s = s.bridge.two_capacitances_f * known.dc_bus_v / trip_a
     if given.output_capacitance_f is not None and swing_s >= half_s:
-        told = f"{at_trip} take {_us(swing_s)} from rail to rail, half the carrier's period is {_us(half_s)}"
-        raise InputError(INVERTER, "output_capacitance_f", told)
+        message = f"{at_trip} take {_us(swing_s)} from rail to rail, half the carrier's period is {_us(half_s)}"
+        raise InputError(INVERTER_KEY, "output_capacitance_f", message)
     if not given.bus.resistance_ohm:
         return
     most_w, loss_w = known.dc_bus_v**2 / (4.0 * given.bus.resistance_ohm), 1.5 * resistance_ohm * trip_a**2
     if most_w <= loss_w:
-        told = f"lets no more than {most_w:.3g} W through, and {at_trip} take {loss_w:.3g} W in the winding"
-        raise InputError(INVERTER, "bus.resistance_ohm", f"{given.bus.resistance_ohm:g} ohm {told}")
+        message = f"lets no more than {most_w:.3g} W through, and {at_trip} take {loss_w:.3g} W in the winding"
+        raise InputError(INVERTER_KEY, "bus.resistance_ohm", f"{given.bus.resistance_ohm:g} ohm {message}")
 
 
 def _trip_a(options: SimulatedOptions, known: Ratings) -> float:
@@ -223,18 +225,18 @@ def _sensing(options: SimulatedOptions, known: Ratings) -> SensingParameters:
     given = sensors.model_fields_set
     for field in ("gain_c_minus_1", "offset_c_a"):
         if field in given and not three:
-            raise InputError(SENSORS, field, "this drive has two sensors: give drive.current_sensors: 3")
+            raise InputError(SENSORS_KEY, field, "this drive has two sensors: give drive.current_sensors: 3")
     quantum, full_scale = two.quantum_a, math.inf
     if sensors.bits is None:
         if "full_scale_a" in given:
-            raise InputError(SENSORS, "full_scale_a", "belongs to a converter: give bits")
+            raise InputError(SENSORS_KEY, "full_scale_a", "belongs to a converter: give bits")
     else:
         if "quantum_a" in given:
-            raise InputError(SENSORS, "bits", "give either bits or quantum_a")
+            raise InputError(SENSORS_KEY, "bits", "give either bits or quantum_a")
         full_scale = sensors.full_scale_a or 4.0 * known.rated_a
         if full_scale < (trip := _trip_a(options, known)):
-            told = f"{full_scale:g} A is below the {trip:.4g} A at which the drive trips"
-            raise InputError(SENSORS, "full_scale_a", told)
+            message = f"{full_scale:g} A is below the {trip:.4g} A at which the drive trips"
+            raise InputError(SENSORS_KEY, "full_scale_a", message)
         quantum = 2.0 * full_scale / 2**sensors.bits
     return SensingParameters(
         three=three,

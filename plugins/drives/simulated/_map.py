@@ -23,10 +23,10 @@ from plugins.drives.simulated._energy import Array, Energy, Magnetics, current, 
 from plugins.drives.simulated._inverse import flux_at
 from protocols import InputError, Motor
 
-WHERE = "drive.plant.magnetics"
-CELLS = (24, 36)
-SMOOTHER = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Times the least weight of the third differences, until the energy is convex."""
+OPTION_KEY = "drive.plant.magnetics"
+SPLINE_CELLS = (24, 36)
+SMOOTHING_FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Weights of the third differences over the least, tried in order until the energy is convex."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def map_motor(name: str) -> Motor:
 
 def _about(name: str) -> dict[str, Any]:
     if name not in map_names():
-        raise InputError(WHERE, "name", f"no map {name!r}; there are {', '.join(map_names())}")
+        raise InputError(OPTION_KEY, "name", f"no map {name!r}; there are {', '.join(map_names())}")
     text = (files("plugins.drives.simulated") / "maps" / f"{name}.json").read_text(encoding="utf-8")
     content: dict[str, Any] = json.loads(text)
     return content
@@ -150,10 +150,10 @@ def map_energy(table: FluxTable) -> Magnetics:
     """
     i_dq, psi_dq = _symmetrised(table)
     box = _box(psi_dq, i_dq)
-    asked = np.vstack((psi_dq, _on_the_axis(psi_dq)))
-    for factor in SMOOTHER:
+    flux_points = np.vstack((psi_dq, _on_the_axis(psi_dq)))
+    for factor in SMOOTHING_FACTORS:
         spline = _fit(box, i_dq, psi_dq, factor * table.smoothing)
-        points = np.array([hessian(box, spline, float(d), float(q)) for d, q in asked])
+        points = np.array([hessian(box, spline, float(d), float(q)) for d, q in flux_points])
         if ((points[:, 0] > 0) & (points[:, 0] * points[:, 2] > points[:, 1] ** 2)).all():
             break
     else:
@@ -204,17 +204,17 @@ def misfit_in_words(table: FluxTable, magnetics: Magnetics) -> str:
     """By how much the plant's smooth map differs from the file's points, and how it was turned; one line."""
     share = 100.0 * fit_error(table, magnetics) / math.sqrt(float((table.i_dq**2).sum(axis=1).mean()))
     points = f"{len(table.i_dq)} points within {share:.2g} % of the current, rms"
-    told = f"{table.source}: the motor's smooth map meets its {points}"
+    message = f"{table.source}: the motor's smooth map meets its {points}"
     if not table.holds_zero:
-        told += "; they begin beside zero current, which does not tell where the magnet lies: on d, as in the file"
+        message += "; they begin beside zero current, which does not tell where the magnet lies: on d, as in the file"
     if abs(table.turned_rad) > math.radians(0.05):
-        told += f"; turned by {-math.degrees(table.turned_rad):+.1f} degrees, so that the magnet lies on d"
-    return told
+        message += f"; turned by {-math.degrees(table.turned_rad):+.1f} degrees, so that the magnet lies on d"
+    return message
 
 
 def _on_the_axis(psi_dq: Array) -> Array:
     """Flux linkages without a q component over the range of the points', one a cell of the spline."""
-    psi_d = np.linspace(psi_dq[:, 0].min(), psi_dq[:, 0].max(), CELLS[0])
+    psi_d = np.linspace(psi_dq[:, 0].min(), psi_dq[:, 0].max(), SPLINE_CELLS[0])
     return np.column_stack((psi_d, np.zeros(len(psi_d))))
 
 
@@ -223,8 +223,8 @@ def _symmetrised(table: FluxTable) -> tuple[Array, Array]:
     mirror = np.array([1.0, -1.0])
     apart = np.abs(table.i_dq[:, None, :] - (table.i_dq * mirror)[None, :, :]).sum(axis=2)
     twin = np.argmin(apart, axis=1)
-    found = apart[np.arange(len(twin)), twin] < 1e-6 * table.reach_a
-    psi = np.where(found[:, None], 0.5 * (table.psi_dq + (table.psi_dq * mirror)[twin]), table.psi_dq)
+    has_twin = apart[np.arange(len(twin)), twin] < 1e-6 * table.reach_a
+    psi = np.where(has_twin[:, None], 0.5 * (table.psi_dq + (table.psi_dq * mirror)[twin]), table.psi_dq)
     return np.vstack((table.i_dq, table.i_dq * mirror)), np.vstack((psi, psi * mirror))
 
 
@@ -247,10 +247,10 @@ def _box(psi_dq: Array, i_dq: Array) -> Energy:
         a04=0.0,
         a60=0.0,
         a06=0.0,
-        rows=CELLS[0],
-        columns=CELLS[1],
-        cells_per_wb_d=CELLS[0] / (high - low),
-        cells_per_wb_q=CELLS[1] / (2 * high_q),
+        rows=SPLINE_CELLS[0],
+        columns=SPLINE_CELLS[1],
+        cells_per_wb_d=SPLINE_CELLS[0] / (high - low),
+        cells_per_wb_q=SPLINE_CELLS[1] / (2 * high_q),
         low_d=low,
         high_d=high,
         high_q=high_q,
@@ -270,8 +270,8 @@ def _fit(box: Energy, i_dq: Array, psi_dq: Array, smoothing: float) -> Array:
         spline = BSpline(knots, eye, 3)
         return np.asarray(spline(t)), np.asarray(spline.derivative()(t))
 
-    b, b1 = basis(CELLS[0], (psi_dq[:, 0] - box.low_d) * m)
-    c, c1 = basis(CELLS[1], (psi_dq[:, 1] + box.high_q) * n)
+    b, b1 = basis(SPLINE_CELLS[0], (psi_dq[:, 0] - box.low_d) * m)
+    c, c1 = basis(SPLINE_CELLS[1], (psi_dq[:, 1] + box.high_q) * n)
     d_rows = m * np.einsum("pj,pk->pjk", b1, c).reshape(len(psi_dq), -1)
     q_rows = n * np.einsum("pj,pk->pjk", b, c1).reshape(len(psi_dq), -1)
     rows, right = np.vstack((d_rows, q_rows)), np.concatenate((i_dq[:, 0], i_dq[:, 1]))

@@ -72,8 +72,8 @@ def load(directory: Path, point_id: str) -> Saved:
         try:
             content = _Checkpoint.model_validate(json.loads(path.read_text(encoding="utf-8")))
         except (OSError, ValueError, ValidationError):
-            continue  # a torn file is as good as none: the other one is asked
-        if content.point_id == point_id and len(content.state) == layout.LENGTH:
+            continue  # a torn file is as good as none: the other one is read
+        if content.point_id == point_id and len(content.state) == layout.STATE_LENGTH:
             memory = Memory(
                 np.array(content.state),
                 content.ticks,

@@ -19,8 +19,8 @@ from plugins.drives.simulated.effects import Effects
 from plugins.drives.simulated.options import Plant
 from protocols import CoEnergySpline, InputError, MotorModel
 
-WHERE = "drive.plant.model"
-DEGREE = 5
+OPTION_KEY = "drive.plant.model"
+SPLINE_DEGREE = 5
 
 
 def as_modelled(plant: Plant) -> tuple[Plant, FluxTable | None]:
@@ -41,19 +41,19 @@ def as_modelled(plant: Plant) -> tuple[Plant, FluxTable | None]:
 
 
 def _effects(model: MotorModel) -> Effects:
-    found = {}
+    effects = {}
     for effect in model.effects:
         field = Effects.model_fields.get(effect.name)
         if field is None:
-            raise InputError(WHERE, effect.name, "the simulated plant has no effect of that name")
+            raise InputError(OPTION_KEY, effect.name, "the simulated plant has no effect of that name")
         known = get_args(field.annotation)[0].model_fields
-        found[effect.name] = {name: p.value for name, p in effect.parameters.items() if name in known}
+        effects[effect.name] = {name: p.value for name, p in effect.parameters.items() if name in known}
     try:
-        return Effects.model_validate(found)
+        return Effects.model_validate(effects)
     except ValidationError as error:
         wrong = error.errors()[0]
-        told = f"{wrong['msg'][:1].lower()}{wrong['msg'][1:]}, and the model says {wrong['input']!r}"
-        raise InputError(WHERE, ".".join(map(str, wrong["loc"])), told) from None
+        message = f"{wrong['msg'][:1].lower()}{wrong['msg'][1:]}, and the model says {wrong['input']!r}"
+        raise InputError(OPTION_KEY, ".".join(map(str, wrong["loc"])), message) from None
 
 
 def flux_table(model: MotorModel, source: Path, nodes: int = 25) -> FluxTable:
@@ -80,13 +80,13 @@ def _flux(spline: CoEnergySpline, i_d: Array, i_q: Array) -> Array:
     from scipy.interpolate import BSpline
 
     cells = np.array([spline.d_intervals, spline.q_intervals])
-    along_q = int(cells[1]) + DEGREE
+    along_q = int(cells[1]) + SPLINE_DEGREE
     even = np.minimum(np.arange(along_q), along_q - 1 - np.arange(along_q))
-    coefficients = np.array(spline.coefficients_j).reshape(int(cells[0]) + DEGREE, -1)[:, even]
+    coefficients = np.array(spline.coefficients_j).reshape(int(cells[0]) + SPLINE_DEGREE, -1)[:, even]
     low = np.array([spline.d_low_a, -spline.q_high_a])
     step = (np.array([spline.d_high_a, spline.q_high_a]) - low) / cells
-    knots_d, knots_q = (low[k] + step[k] * np.arange(-DEGREE, cells[k] + DEGREE + 1) for k in range(2))
-    in_d = BSpline(knots_d, coefficients, DEGREE)
-    psi_d = BSpline(knots_q, in_d.derivative()(i_d).T, DEGREE)(i_q).T
-    psi_q = BSpline(knots_q, in_d(i_d).T, DEGREE).derivative()(i_q).T
+    knots_d, knots_q = (low[k] + step[k] * np.arange(-SPLINE_DEGREE, cells[k] + SPLINE_DEGREE + 1) for k in range(2))
+    in_d = BSpline(knots_d, coefficients, SPLINE_DEGREE)
+    psi_d = BSpline(knots_q, in_d.derivative()(i_d).T, SPLINE_DEGREE)(i_q).T
+    psi_q = BSpline(knots_q, in_d(i_d).T, SPLINE_DEGREE).derivative()(i_q).T
     return np.stack([psi_d, psi_q], axis=-1)

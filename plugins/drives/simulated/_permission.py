@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from orchestrator.driving import SINGLE
+from orchestrator.driving import SINGLE_PRECISION_RATIO
 from plugins.drives.simulated._derive import Nameplate, TruePlant
 from plugins.drives.simulated._derive_switching import carrier_frequencies, declared_delay
 from plugins.drives.simulated._map import misfit_in_words
@@ -32,7 +32,7 @@ class Permission:
         pwm = options.pwm_frequency_hz or options.sampling_frequency_hz
         table = plant.table
         reach = min(2.5 * nameplate.rated_a, plant.reach_a)
-        if options.max_voltage_v is not None and options.max_voltage_v > bus_v / SQRT3 * SINGLE:
+        if options.max_voltage_v is not None and options.max_voltage_v > bus_v / SQRT3 * SINGLE_PRECISION_RATIO:
             raise InputError("drive", "max_voltage_v", f"the bus of {bus_v:g} V gives {bus_v / SQRT3:.4g} V at most")
         capabilities = Capabilities(
             name="simulated",
@@ -61,7 +61,7 @@ class Permission:
         fs = self.capabilities.sampling_frequency_hz
         if excitation.control.bandwidth_hz > fs / 10:
             raise DriveRefused(f"bandwidth {excitation.control.bandwidth_hz:g} Hz is above a tenth of the sampling")
-        if _largest_d(excitation) > self.reach_positive_d_a * SINGLE:
+        if _largest_d(excitation) > self.reach_positive_d_a * SINGLE_PRECISION_RATIO:
             raise DriveRefused(f"i_d above {self.reach_positive_d_a:.4g} A: this motor is not known there")
         if isinstance(excitation, Injection) and max(excitation.frequency_hz, excitation.rotation_hz) > 0.5 * fs:
             raise DriveRefused(f"injection at {excitation.frequency_hz:g} Hz is above half the sampling frequency")

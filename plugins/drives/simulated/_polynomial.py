@@ -5,7 +5,7 @@ rated current,
 
     H / I^2 = L_d (x^2/2 + s_d u_d(x)) + L_q (y^2/2 + s_q u_q(y)) + sqrt(L_d L_q) s_c (x y^2 + 0.7 x^2 y^2),
 
-so that one shape serves every size; the three strengths are solved for the asked-for falls of
+so that one shape serves every size; the three strengths are solved for the specified falls of
 inductance. The form is that of Jebai, Combes, Malrait, Martin and Rouchon (energy-based modelling
 of saturated PMSMs, CDC 2014), with a sixth power on each axis.
 """
@@ -21,7 +21,7 @@ from plugins.drives.simulated._inverse import flux_at
 from plugins.drives.simulated.options import NameplateMagnetics
 from protocols import InputError
 
-WHERE = "drive.plant.magnetics"
+OPTION_KEY = "drive.plant.magnetics"
 
 
 def polynomial_energy(psi_m: float, l_d: float, l_q: float, poly: Array, reach_a: float) -> Magnetics:
@@ -38,7 +38,7 @@ def polynomial_energy(psi_m: float, l_d: float, l_q: float, poly: Array, reach_a
         low, high = (float(psi[0]) - psi_m for psi in flux_at(energy, d_axis))
         high_q = float(flux_at(energy, q_axis)[0, 1])
     except ValueError as error:
-        raise InputError(WHERE, "", f"the energy is not convex: {error}") from None
+        raise InputError(OPTION_KEY, "", f"the energy is not convex: {error}") from None
     box = (psi_m + low, psi_m + high, high_q)
     corners = [hessian(*energy, d, high_q) for d in box[:2]] + [hessian(*energy, d, 0.0) for d in box[:2]]
     outside = (max(c[0] for c in corners), max(c[2] for c in corners))
@@ -46,7 +46,7 @@ def polynomial_energy(psi_m: float, l_d: float, l_q: float, poly: Array, reach_a
         for q in np.linspace(0.0, high_q, 25):
             h_dd, h_dq, h_qq = hessian(*energy, float(d), float(q))
             if h_dd <= 0 or h_qq <= 0 or h_dd * h_qq <= h_dq**2:
-                raise InputError(WHERE, "", f"the energy is not convex at psi = ({d:.4g}, {q:.4g}) Wb")
+                raise InputError(OPTION_KEY, "", f"the energy is not convex at psi = ({d:.4g}, {q:.4g}) Wb")
     return _energy(psi_m, l_d, l_q, poly, box, outside)
 
 
@@ -73,14 +73,14 @@ def nameplate_energy(options: NameplateMagnetics, psi_m: float, l_d: float, l_q:
         cross = h[2][1] / (h[2][0] * h[2][2] - h[2][1] ** 2) / np.sqrt(l_d * l_q)
         return (np.array([fall_d, fall_q, cross]) - target)[wanted]
 
-    found = np.zeros(0)
+    values = np.zeros(0)
     if wanted.any():
         start = np.array([0.5, 0.8, 0.15])[wanted]
         solution = least_squares(miss, start, bounds=(0.0, 20.0), xtol=1e-12, ftol=1e-12)
         if float(np.abs(solution.fun).max()) > 1e-3:
-            raise InputError(WHERE, "", "no energy of this form falls as d_fall, q_fall and cross say together")
-        found = solution.x
-    return polynomial_energy(psi_m, l_d, l_q, coefficients(found), 3.0 * rated_a)
+            raise InputError(OPTION_KEY, "", "no energy of this form falls as d_fall, q_fall and cross say together")
+        values = solution.x
+    return polynomial_energy(psi_m, l_d, l_q, coefficients(values), 3.0 * rated_a)
 
 
 def _scaled(strengths: Array, unit: tuple[float, float], l_d: float, l_q: float, rated_a: float) -> Array:

@@ -23,10 +23,10 @@ from plugins.drives.simulated._state import (
     COMMAND_D,
     COMMAND_Q,
     COS,
-    DRIVEN,
     INTEGRAL_D,
     INTEGRAL_Q,
     MOVING,
+    MOVING_DRIVEN,
     OMEGA,
     PSI_D,
     PSI_Q,
@@ -184,7 +184,7 @@ def run(
     `bench` is the switched inverter with its sensors; None, for which other code is compiled, an averaged one.
     `sums` gathers v_d and v_q as the drive believes them: the frozen base voltage is taken from it.
     """
-    off, driven = w.mode == OFF, x[MOVING] == DRIVEN
+    off, driven = w.mode == OFF, x[MOVING] == MOVING_DRIVEN
     own_cos, own_sin, ahead_cos, ahead_sin, turned = c.cos, c.sin, c.cos, c.sin, 0.0
     turn = (w.first + done) * w.turns
     turn = 2 * math.pi * (turn - math.floor(turn))

@@ -14,7 +14,7 @@ import numpy as np
 
 from plugins.drives.simulated import _state as layout
 from plugins.drives.simulated._bench_parameters import BenchParameters
-from plugins.drives.simulated._bridge import NEVER
+from plugins.drives.simulated._bridge import NO_EDGE_S
 from plugins.drives.simulated._derive import TruePlant
 from plugins.drives.simulated._energy import Array
 from plugins.drives.simulated._program import Program, Stretch
@@ -89,10 +89,10 @@ class Simulator:
         self._sums = np.zeros(2)
         self._three = plant.bench is not None and plant.bench.sensing.three
         self._scratch = _buffers(self.block, self._three)
-        state = np.zeros(layout.LENGTH)
+        state = np.zeros(layout.STATE_LENGTH)
         state[layout.PSI_D] = plant.magnetics.energy.psi_m
         state[layout.BUS] = state[layout.SUPPLY] = self.parameters.dc_bus_v
-        state[layout.DUE : layout.DUE + 3] = NEVER
+        state[layout.DUE : layout.DUE + 3] = NO_EDGE_S
         self.memory = Memory(state)
         self.turn_to(angle_rad)
 
@@ -284,7 +284,7 @@ class Simulator:
     @property
     def turns(self) -> bool:
         """Whether another machine turns the rotor."""
-        return float(self.memory.state[layout.MOVING]) == layout.DRIVEN
+        return float(self.memory.state[layout.MOVING]) == layout.MOVING_DRIVEN
 
     @property
     def speed_rad_s(self) -> float:
@@ -300,7 +300,7 @@ class Simulator:
     def _begin(self, stretch: Stretch, control: ControlParameters) -> Piece:
         piece, memory, x = stretch.piece, self.memory, self.memory.state
         if stretch.turned and not self.turns:
-            x[layout.MOVING] = layout.DRIVEN
+            x[layout.MOVING] = layout.MOVING_DRIVEN
             x[layout.ANCHOR] = x[layout.THETA]
         if stretch.on_base:
             memory.open_loop = True

@@ -32,9 +32,9 @@ DRIFT, REMANENT, BEFORE = 63, 66, 69
 """Of three sensors: offset walked so far, what the core remembers, the current at the last row [A]."""
 SIGN_D, SIGN_Q = 72, 73
 """Which way the voltage of steps points now, along each axis."""
-LENGTH = 74
+STATE_LENGTH = 74
 
-DRIVEN = 2.0
+MOVING_DRIVEN = 2.0
 """`MOVING` of a rotor that another machine turns, whatever its torque; 1: it moves by itself; 0: it rests."""
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from plugins.drives.simulated._bridge import NEVER, BridgeParameters, Part, Three, traverse
+from plugins.drives.simulated._bridge import NO_EDGE_S, BridgeParameters, Part, Three, traverse
 from plugins.drives.simulated._energy import Array, Energy, hessian
 from plugins.drives.simulated._iron import carry_branches, move_branches
 from plugins.drives.simulated._numba import inlined
@@ -226,7 +226,7 @@ def advance_switched(
     half_s, carrier, heat_j = sw.bridge.half_s, int(x[CARRIER]), 0.0
     if off:
         for j in range(3):
-            x[LEVEL + j], x[DUE + j] = 0.0, NEVER
+            x[LEVEL + j], x[DUE + j] = 0.0, NO_EDGE_S
         x[BEHIND_A] = x[BEHIND_B] = 0.0
         for _ in range(p.substeps):
             psi_d, psi_q = x[PSI_D], x[PSI_Q]

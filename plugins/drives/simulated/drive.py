@@ -33,7 +33,7 @@ from protocols import (
     Telemetry,
 )
 
-TRUTH = "truth.json"
+TRUTH_FILE = "truth.json"
 
 
 class SimulatedDrive(DriveShell):
@@ -59,7 +59,7 @@ class SimulatedDrive(DriveShell):
         self._made = rig = Rig(self._options, setup.motor, setup.seed)
         if setup.private_directory is not None:
             truth = describe(rig.nameplate, self._plant.plant, setup.seed)
-            write_json(setup.private_directory / TRUTH, truth)
+            write_json(setup.private_directory / TRUTH_FILE, truth)
         rig.warm_up()
         return rig.capabilities
 
@@ -114,7 +114,7 @@ class SimulatedDrive(DriveShell):
 
     def set_brake(self, engaged: bool) -> None:
         """Move the brake; as it engages it turns the shaft by the plant's misalignment."""
-        self.attend()
+        self.check_link()
         if not self._options.has_brake:
             raise DriveRefused("this drive has no brake")
         self._rig.set_brake(engaged)
@@ -128,7 +128,7 @@ class SimulatedDrive(DriveShell):
 
     def restore(self, point_id: str, start_s: float) -> None:
         """Go on after a point as if nothing had happened; the clock stands at `start_s`."""
-        self.attend()
+        self.check_link()
         if self.setup.private_directory is None:
             raise DriveRefused("no private directory, so no state to take up again")
         if self.state is not DriveState.DISARMED:
@@ -161,11 +161,11 @@ class SimulatedDrive(DriveShell):
                 spoil = self._strike(self._faults.strike(due[block])) or spoil
                 continue
             pace.wait(len(block) / fs)
-            self.attend()
+            self.check_link()
             if spoil is not None:
                 block, spoil = corrupted(block, spoil), None
             yield block
-            self.attend()
+            self.check_link()
 
     def _strike(self, fault: Fault) -> Fault | None:
         """Let a fault happen; returns it where it spoils the block to come."""
@@ -206,7 +206,7 @@ class SimulatedDrive(DriveShell):
 
     # Watchdog and link
 
-    def attend(self) -> None:
+    def check_link(self) -> None:
         """What every call but the stopping ones begins with; raises `DriveFault`."""
         self._check_link()
         if self._watch():

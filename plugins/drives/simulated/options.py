@@ -87,7 +87,7 @@ class Brake(Strict):
 
     start: Literal["engaged", "released"] = "engaged"
     works: bool = True
-    """False: it never engages, whatever it is told."""
+    """False: it never engages, whatever the command."""
     slip_torque_nm: Positive | None = None
     """Torque above which it slips. None: never."""
 
@@ -154,7 +154,7 @@ class SimulatedOptions(Strict):
     pwm_frequency_hz: Positive | None = None
     """None: the sampling frequency."""
     pwm_frequencies_hz: tuple[Positive, ...] | None = None
-    """All that can be asked for. None: half, once and twice the drive's own."""
+    """All supported ones. None: half, once and twice the drive's own."""
     dc_bus_voltage_v: Positive | None = None
     """None: what gives twice the rated voltage."""
     voltage_delay_samples: Annotated[float, Field(ge=0, le=3)] = 0.0

@@ -26,8 +26,8 @@ from protocols import Capabilities, CurrentControl, DriveRefused, Excitation, Ga
 
 __all__ = ["Nameplate", "Rig", "Step", "Stretch", "Tripped", "is_ramp"]
 
-ENDLESS = 1 << 60
-"""Samples of a state that lasts until something else is asked for."""
+ENDLESS_SAMPLES = 1 << 60
+"""Samples of a state that lasts until the next command."""
 _LATEST = "latest"
 
 
@@ -120,7 +120,7 @@ class Rig:
     def braked(self) -> bool:
         return self.bench.braked
 
-    # What it is told
+    # Commands
 
     def limit(self, limits: Limits) -> None:
         """Take over the limits of an experiment."""
@@ -162,7 +162,7 @@ class Rig:
 
     def hold(self, samples: int) -> Iterator[Step]:
         """The present operating point, without end."""
-        still = Piece(CONTROL, ENDLESS, *self.simulator.set_point)
+        still = Piece(CONTROL, ENDLESS_SAMPLES, *self.simulator.set_point)
         return self._run(Program((Stretch(still),)), samples)
 
     def record(self, rows: int, off: bool, samples: int) -> Iterator[Step]:
@@ -172,11 +172,11 @@ class Rig:
 
     def off(self, samples: int) -> Iterator[Step]:
         """Gates off, without end."""
-        return self._run(Program((Stretch(Piece(OFF, ENDLESS)),)), samples)
+        return self._run(Program((Stretch(Piece(OFF, ENDLESS_SAMPLES)),)), samples)
 
     def drain(self) -> None:
         """Gates off at once, until the diodes have brought the current to zero."""
-        for _ in self._run(self.gates_off(), ENDLESS):
+        for _ in self._run(self.gates_off(), ENDLESS_SAMPLES):
             pass
 
     def to_zero(self, samples: int) -> Iterator[Step]:
@@ -218,7 +218,7 @@ class Rig:
             Hold(current_d_a=0.0, current_q_a=0.0, settle_s=0.0, duration_s=2e-3),
             GatesOff(duration_s=2e-3),
         ):
-            for _ in self.excite(excitation, ENDLESS):
+            for _ in self.excite(excitation, ENDLESS_SAMPLES):
                 pass
         simulator.memory, self.number = memory, number
 

@@ -15,13 +15,13 @@ from plugins.drives.vesc._link import Link
 from plugins.drives.vesc._packets import Command, Sampling, Values, numbers_in, rows_of
 from protocols import DriveFault, DriveRefused, FaultCause
 
-ANSWER_S = 1.0
-CONSOLE_S = 0.55
-"""Between two lines to the Lisp console: what comes within half a second after a line is passed over without a word."""
-RELEASE_S = 1.1
-"""After a tone was begun the bridge stays on for a second, whatever is asked for."""
-FOC = 2
-WITH_INJECTION_OF_ITS_OWN = range(3, 9)
+ANSWER_TIMEOUT_S = 1.0
+CONSOLE_PERIOD_S = 0.55
+"""Time between two lines to the Lisp console, which silently drops a line within half a second of another."""
+TONE_RELEASE_S = 1.1
+"""Time after a tone's start during which the bridge stays on, whatever the command."""
+FOC_MOTOR_TYPE = 2
+INJECTING_SENSOR_MODES = range(3, 9)
 """Sensor modes FOC_SENSOR_MODE_HFI to HFI_V5."""
 
 
@@ -58,11 +58,11 @@ class Board:
 
     def __init__(self, link: Link) -> None:
         self._link = link
-        self._said_s, self.released_s = time.monotonic(), 0.0  # whoever was here before may just have said something
+        self._sent_s, self.released_s = time.monotonic(), 0.0  # an earlier host may just have sent something
 
     def version(self) -> tuple[int, int, str]:
         """Firmware's version, and the board's name."""
-        answer = self._link.ask(bytes([Command.FW_VERSION]), Command.FW_VERSION, ANSWER_S)
+        answer = self._link.ask(bytes([Command.FW_VERSION]), Command.FW_VERSION, ANSWER_TIMEOUT_S)
         if len(answer) < 4:
             raise DriveFault(FaultCause.WRONG_DATA, f"{self._link.where}: a version of {len(answer)} octets")
         return answer[1], answer[2], answer[3:].split(b"\0")[0].decode("latin1")
@@ -70,7 +70,7 @@ class Board:
     def settings(self) -> Settings:
         """Read the configuration that is at work."""
         limits = self._numbers(
-            _asked(
+            _conf_get(
                 "l-current-max-scale",
                 "l-current-min-scale",
                 "l-abs-current-max",
@@ -82,7 +82,7 @@ class Board:
             7,
         )
         # Six digits behind the point are few for the proportional gain of a small winding.
-        kinds = _asked("foc-current-ki", "motor-type", "foc-sensor-mode", "m-invert-direction")
+        kinds = _conf_get("foc-current-ki", "motor-type", "foc-sensor-mode", "m-invert-direction")
         rest = self._numbers(f"(conf-get 'foc-f-zv) (* 1000.0 (conf-get 'foc-current-kp)) {kinds}", 6)
         values: list[Any] = [*limits, rest[0], rest[1] / 1000.0, rest[2], *map(int, rest[3:])]
         return Settings(*values)
@@ -95,15 +95,15 @@ class Board:
             "l-abs-current-max": f"{abs_current_a:.6f}",
             "timeout-msec": f"{timeout_ms:.0f}",
         }
-        told = " ".join(f"(conf-set '{name} {value})" for name, value in wanted.items())
-        held = self._numbers(_asked(*wanted), len(wanted), before=told)
+        commands = " ".join(f"(conf-set '{name} {value})" for name, value in wanted.items())
+        held = self._numbers(_conf_get(*wanted), len(wanted), before=commands)
         for (name, value), now in zip(wanted.items(), held, strict=True):
             if abs(now - float(value)) > 1e-4 * abs(float(value)) + 1e-6:
                 raise DriveFault(FaultCause.WRONG_DATA, f"{name} is {now:g} after {value} was written")
 
     def values(self) -> Values:
         """A reading, of all that has been since the one before."""
-        return Values.of(self._link.ask(Values.question(), Command.GET_VALUES_SELECTIVE, ANSWER_S))
+        return Values.of(self._link.ask(Values.question(), Command.GET_VALUES_SELECTIVE, ANSWER_TIMEOUT_S))
 
     def alive(self) -> None:
         """What the board's own timeout hears."""
@@ -114,16 +114,18 @@ class Board:
         text = f"rotor_lock_openloop {current_a:.6g} 0 {degrees % 360.0:.6f}"
         self._link.forget(Command.PRINT)
         self._link.send(bytes([Command.TERMINAL_CMD]) + text.encode() + b"\0")
-        told = ""
-        while not told.endswith("OK\n"):
-            answer = self._link.take(Command.PRINT, ANSWER_S)
+        output = ""
+        while not output.endswith("OK\n"):
+            answer = self._link.take(Command.PRINT, ANSWER_TIMEOUT_S)
             if answer is None:
-                raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: {text!r} has no answer; {told.strip()!r}")
-            told += answer[1:].rstrip(b"\0").decode("latin1")
-            if "must be" in told or "requires" in told:
-                raise DriveRefused(f"{self._link.where}: {told.splitlines()[-1]}")
-            if "Fault occured" in told:
-                raise DriveFault(FaultCause.INTERNAL, f"{self._link.where}: {told.splitlines()[-1]}")
+                raise DriveFault(
+                    FaultCause.NO_ANSWER, f"{self._link.where}: {text!r} has no answer; {output.strip()!r}"
+                )
+            output += answer[1:].rstrip(b"\0").decode("latin1")
+            if "must be" in output or "requires" in output:
+                raise DriveRefused(f"{self._link.where}: {output.splitlines()[-1]}")
+            if "Fault occured" in output:
+                raise DriveFault(FaultCause.INTERNAL, f"{self._link.where}: {output.splitlines()[-1]}")
 
     def sample(self, mode: Sampling, rows: int) -> None:
         """Have so many rows sampled, every period; they come by `row`."""
@@ -137,7 +139,7 @@ class Board:
     def row_rate_hz(self) -> float:
         """What the board's rows say of their rate, to 10 Hz below."""
         self.sample(Sampling.NOW, 1)
-        row = self.row(ANSWER_S)
+        row = self.row(ANSWER_TIMEOUT_S)
         if row is None:
             raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: samples no rows")
         return float(rows_of([row])["rate"][0])
@@ -147,36 +149,36 @@ class Board:
 
         The tone switches the bridge on and begins with its first period. The frame turns some time later.
         """
-        self._say(
+        self._evaluate(
             f"(progn (foc-play-stop) (foc-play-tone 0 {frequency_hz:.6f} {amplitude_v:.6f}) "
             f"(foc-openloop 0.0 {60.0 * turns_hz:.6f}) (sleep {lasts_s:.3f}) (foc-play-stop))"
         )
-        self.released_s = time.monotonic() + RELEASE_S
+        self.released_s = time.monotonic() + TONE_RELEASE_S
 
     # The console
 
-    def _numbers(self, asked: str, count: int, before: str = "") -> list[float]:
+    def _numbers(self, query: str, count: int, before: str = "") -> list[float]:
         """Values of expressions; what the console prints has room for 128 letters."""
-        expression = f"(progn {before} (list {asked}))"
+        expression = f"(progn {before} (list {query}))"
         self._link.forget(Command.LISP_PRINT)
-        self._say(expression)
-        deadline, told = time.monotonic() + ANSWER_S, ""
+        self._evaluate(expression)
+        deadline, output = time.monotonic() + ANSWER_TIMEOUT_S, ""
         while (left := deadline - time.monotonic()) > 0.0:
             answer = self._link.take(Command.LISP_PRINT, left)
             if answer is None:
                 break
-            told = answer[1:].rstrip(b"\0").decode("latin1")
-            if told.startswith("> ("):
-                found = numbers_in(told)
-                if len(found) == count:
-                    return found
-        raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: no answer to {expression!r}; {told!r}")
+            output = answer[1:].rstrip(b"\0").decode("latin1")
+            if output.startswith("> ("):
+                numbers = numbers_in(output)
+                if len(numbers) == count:
+                    return numbers
+        raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: no answer to {expression!r}; {output!r}")
 
-    def _say(self, expression: str) -> None:
-        time.sleep(max(0.0, self._said_s + CONSOLE_S - time.monotonic()))
+    def _evaluate(self, expression: str) -> None:
+        time.sleep(max(0.0, self._sent_s + CONSOLE_PERIOD_S - time.monotonic()))
         self._link.send(bytes([Command.LISP_REPL_CMD]) + expression.encode() + b"\0")
-        self._said_s = time.monotonic()
+        self._sent_s = time.monotonic()
 
 
-def _asked(*names: str) -> str:
+def _conf_get(*names: str) -> str:
     return " ".join(f"(conf-get '{name})" for name in names)

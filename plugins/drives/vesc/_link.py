@@ -10,7 +10,8 @@ from plugins.drives.vesc._packets import Decoder, framed
 from plugins.link import Line
 from protocols import DriveFault, FaultCause
 
-POLL_S, WRITE_S = 0.05, 1.0
+POLL_PERIOD_S = 0.05
+WRITE_TIMEOUT_S = 1.0
 
 
 class Link:
@@ -41,11 +42,11 @@ class Link:
         self.check()
         try:
             with self._writing:
-                taken = self._line.write(framed(payload), WRITE_S)
+                taken = self._line.write(framed(payload), WRITE_TIMEOUT_S)
         except OSError as error:
             raise self._lose(error.strerror or str(error)) from None
         if not taken:
-            raise self._lose(f"takes nothing for {WRITE_S:g} s")
+            raise self._lose(f"takes nothing for {WRITE_TIMEOUT_S:g} s")
 
     def take(self, command: int, timeout_s: float) -> bytes | None:
         """The next payload of a command; None where none comes in time."""
@@ -87,7 +88,7 @@ class Link:
         decoder = Decoder()
         while not self._closed.is_set() and self.lost is None:
             try:
-                octets = self._line.read(POLL_S)
+                octets = self._line.read(POLL_PERIOD_S)
             except OSError as error:
                 self._lose(error.strerror or str(error))
                 return

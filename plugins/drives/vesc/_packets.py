@@ -12,7 +12,7 @@ import numpy as np
 
 from protocols import DriveFault, FaultCause
 
-LONGEST = 512
+MAX_PAYLOAD_BYTES = 512
 """Octets of a payload (PACKET_MAX_PL_LEN)."""
 SHORT, LONG, END = 2, 3, 3
 
@@ -70,16 +70,16 @@ class Decoder:
 
     def feed(self, octets: bytes) -> list[bytes]:
         """The payloads that are whole now."""
-        data, at, found = self._waiting + octets, 0, []
+        data, at, payloads = self._waiting + octets, 0, []
         while at < len(data):
             payload, used = _first(data, at)
             if payload is not None:
-                found.append(payload)
+                payloads.append(payload)
             elif used == 0:
                 break
             at += used
         self._waiting = data[at:]
-        return found
+        return payloads
 
 
 def _first(data: bytes, at: int) -> tuple[bytes | None, int]:
@@ -90,7 +90,7 @@ def _first(data: bytes, at: int) -> tuple[bytes | None, int]:
     if len(data) - at < start:
         return None, 0
     n = int.from_bytes(data[at + 1 : at + start])
-    if not (1 if start == SHORT else 255) <= n <= LONGEST:
+    if not (1 if start == SHORT else 255) <= n <= MAX_PAYLOAD_BYTES:
         return None, 1
     begin, end = at + start, at + start + n
     if len(data) < end + 3:
@@ -126,7 +126,7 @@ class Values:
             raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {len(payload)} octets, expected {layout.size}")
         _, mask, d, q, bus, fault, vd, vq, status = layout.unpack(payload)
         if mask != cls.MASK:
-            raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {mask:#x}, {cls.MASK:#x} was asked for")
+            raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {mask:#x}, {cls.MASK:#x} was requested")
         return cls(complex(d, q) / 100.0, bus / 10.0, fault, complex(vd, vq) / 1000.0, bool(status & 1))
 
 

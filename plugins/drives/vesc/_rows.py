@@ -18,12 +18,12 @@ from numpy.typing import NDArray
 from protocols import DriveFault, FaultCause
 
 Vectors = NDArray[np.complex128]
-TABLE = np.sin(2.0 * np.pi * np.arange(32) / 32)
+TONE_TABLE = np.sin(2.0 * np.pi * np.arange(32) / 32)
 """A tone's wave (utils_tab_sin_32_1)."""
-UNIT_RAD = 2.0 * np.pi / 250.0
-"""Of a row's angle, an octet."""
-BESIDE = 1.0 + 1e-4
-"""A tone's frequency in parts of the one asked for: where a period is a whole number of the table's steps at each row,
+ANGLE_STEP_RAD = 2.0 * np.pi / 250.0
+"""Resolution of a row's angle, an octet."""
+TONE_FREQUENCY_RATIO = 1.0 + 1e-4
+"""A tone's frequency over the requested one: where a period is a whole number of the table's steps at each row,
 the board's rounding would decide between two values of the table."""
 _PHASES = 2.0 / 3.0 * np.exp(2j * np.pi * np.arange(3) / 3)
 
@@ -48,7 +48,7 @@ def tone(count: int, frequency_hz: float, amplitude_v: float, row_s: float) -> t
         if place >= 32.0:
             place = np.float32(place - np.float32(32.0))
         places[k] = place
-    return places / 32.0, 1j * amplitude_v * TABLE[places.astype(int)]
+    return places / 32.0, 1j * amplitude_v * TONE_TABLE[places.astype(int)]
 
 
 def turning_frame(rows: np.ndarray, turns_hz: float, row_s: float) -> tuple[NDArray[np.float64], int]:
@@ -58,10 +58,10 @@ def turning_frame(rows: np.ndarray, turns_hz: float, row_s: float) -> tuple[NDAr
     Raises `DriveFault` where the last half of the rows does not turn so.
     """
     steady = 2.0 * np.pi * turns_hz * row_s * np.arange(len(rows), dtype=np.float64)
-    off = np.exp(1j * ((rows["phase"] + 0.5) * UNIT_RAD - steady))
+    off = np.exp(1j * ((rows["phase"] + 0.5) * ANGLE_STEP_RAD - steady))
     first = float(np.angle(off[len(rows) // 2 :].mean()))
     apart = np.abs(np.angle(off * np.exp(-1j * first)))
-    other = np.flatnonzero(apart > 1.5 * UNIT_RAD)
+    other = np.flatnonzero(apart > 1.5 * ANGLE_STEP_RAD)
     begin = int(other[-1]) + 1 if len(other) else 0
     if begin > len(rows) // 2:
         raise DriveFault(FaultCause.WRONG_DATA, f"the frame does not turn at {turns_hz:g} Hz")
@@ -77,7 +77,7 @@ def window(
     last: int,
     step: float,
 ) -> int:
-    """The row, first to last, from which on wave and direction are nearest to those asked for.
+    """The row, first to last, from which on wave and direction are nearest to the requested ones.
 
     A wave half a period on, along the opposite direction, is the same.
 
@@ -86,7 +86,7 @@ def window(
     angle, place : array, shape (n,)
         Direction of the injection [rad], and place in its wave's period, 0 to 1.
     direction_rad, phase : float
-        Those asked for.
+        The requested ones.
     step : float
         Of the place, from row to row.
     """

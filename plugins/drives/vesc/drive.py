@@ -14,9 +14,9 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from orchestrator.polled_drive import PolledDrive
 from plugins.drives.vesc import _rows
-from plugins.drives.vesc._board import FOC, WITH_INJECTION_OF_ITS_OWN, Board, Settings
+from plugins.drives.vesc._board import FOC_MOTOR_TYPE, INJECTING_SENSOR_MODES, Board, Settings
 from plugins.drives.vesc._link import Link
 from plugins.drives.vesc._packets import Sampling, Values, rows_of
 from protocols import (
@@ -37,18 +37,26 @@ from protocols import (
 )
 
 KINDS: frozenset[ExcitationKind] = frozenset({"gates_off", "hold", "injection"})
-OLDEST = (6, 6)
-MOST_ROWS, FOR_INJECTION, BEFORE_THE_FRAME_TURNS = 1000, 600, 100
-"""Of the board's memory; of an injection, which has to wait for up to half a turn for its direction; until it turns."""
+OLDEST_FIRMWARE = (6, 6)
+MEMORY_ROWS = 1000
+"""Rows that the board's memory holds."""
+MAX_INJECTION_ROWS = 600
+"""Rows of an injection, which waits up to half a turn for its direction."""
 RATE_STEP_HZ = 10.0
-ALIVE_S = 0.2
-ROWS_S = 10.0
-"""For the rows to come over a slow line: 50 kB."""
-RAMP_S, STEP_S = 0.5, 0.01
-FREE_A, MISSED = 0.05, 0.3
-"""Below the one the board lets go (`cc_min_current`); by this part of a current the board has not held it."""
-OVERCURRENT, OF_ITS_OWN = 1.5, 0.05
-"""The board trips at this part of the run's limit; never below this part of what it trips at by itself."""
+"""Resolution of the rate that the rows give."""
+MAX_UPLOAD_S = 10.0
+"""Time for the rows to come over a slow line: 50 kB."""
+MAX_RAMP_S = 0.5
+"""Time in which the current has to fall to zero."""
+POLL_PERIOD_S = 0.01
+MIN_HELD_CURRENT_A = 0.05
+"""Current below which the board lets go (`cc_min_current`)."""
+MAX_CURRENT_ERROR_RATIO = 0.3
+"""Deviation of the mean current over its set-point, above which it is an error."""
+TRIP_RATIO = 1.5
+"""The board's trip current over the run's current limit."""
+MIN_TRIP_RATIO = 0.05
+"""Smallest trip current over the board's own one."""
 FAULTS: dict[int, tuple[FaultCause, str]] = {
     1: (FaultCause.BUS_VOLTAGE, "over voltage"),
     2: (FaultCause.BUS_VOLTAGE, "under voltage"),
@@ -70,7 +78,7 @@ class VescOptions(Strict):
     """The board's own timeout is set to it for the run."""
 
 
-class VescDrive(DriveShell):
+class VescDrive(PolledDrive):
     """A VESC as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -93,7 +101,6 @@ class VescDrive(DriveShell):
         self._link: Link | None = None
         self._board: Board | None = None
         self._settings: Settings | None = None
-        self._target, self._rotor_angle_rad, self._origin_s = 0j, 0.0, 0.0
         self._beaten_s, self._missed = math.inf, False
 
     # Link
@@ -112,8 +119,8 @@ class VescDrive(DriveShell):
         self._link = link = Link(o.port, o.baud_rate)
         self._board = board = Board(link)
         major, minor, name = board.version()
-        if (major, minor) < OLDEST:
-            needed = ".".join(f"{n:02d}" for n in OLDEST).lstrip("0")
+        if (major, minor) < OLDEST_FIRMWARE:
+            needed = ".".join(f"{n:02d}" for n in OLDEST_FIRMWARE).lstrip("0")
             raise DriveRefused(f"{link.where}: firmware {major}.{minor:02d} of {name!r}, {needed} or newer is needed")
         self._settings = settings = board.settings()
         _require_usable(settings, link.where)
@@ -121,7 +128,7 @@ class VescDrive(DriveShell):
         bus_v = board.values().bus_v
         if bus_v <= 0.0:
             raise DriveFault(FaultCause.BUS_VOLTAGE, f"{link.where}: reads a bus of {bus_v:g} V")
-        self._origin_s = time.monotonic()
+        self.origin_s = time.monotonic()
         pwm = 0.5 * settings.zero_vectors_hz
         return Capabilities(
             name="vesc",
@@ -132,15 +139,15 @@ class VescDrive(DriveShell):
             voltage_delay_samples=0.5 * fs / pwm,
             max_current_a=settings.own_limit_a,
             max_voltage_v=settings.max_duty * bus_v / math.sqrt(3.0),
-            longest_capture_s=MOST_ROWS / fs,
+            longest_capture_s=MEMORY_ROWS / fs,
             injection_waveforms=frozenset(("sine",)),
             injects_at_zero_only=True,
-            longest_injection_s=FOR_INJECTION / fs,
+            longest_injection_s=MAX_INJECTION_ROWS / fs,
             heeds_bandwidth=False,
             excitations=KINDS,
             watchdog_s=o.watchdog_s,
             watchdog_covers=KINDS - {"gates_off"},
-            notes=(f"{name}, firmware {major}.{minor:02d}; {MOST_ROWS} rows at a time (docs/vesc.md)",),
+            notes=(f"{name}, firmware {major}.{minor:02d}; {MEMORY_ROWS} rows at a time (docs/vesc.md)",),
         )
 
     def release(self) -> None:
@@ -163,25 +170,15 @@ class VescDrive(DriveShell):
 
     # Power stage
 
-    @property
-    def faults(self) -> tuple[str, ...]:
-        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
-
-    def attend(self) -> None:
-        """Raises `DriveFault` where the link is lost or the board has let go."""
-        board = self._connected()
-        if self.limits is not None and not self.latched:
-            self._require_sound(board.values())
-
     def energise(self, limits: Limits) -> None:
-        """Give the board its limits and its timeout; its bridge is switched on by a current that is asked for."""
-        board, own = self._connected(), self._own_settings()
+        """Give the board its limits and its timeout; the first current set-point switches its bridge on."""
+        board, own = self.connected(), self._own_settings()
         try:
             board.hold(0.0, 0.0)
             board.apply(
                 min(limits.current_a / own.current_max_a, own.max_scale),
                 min(limits.current_a / abs(own.current_min_a), own.min_scale),
-                min(max(OVERCURRENT * limits.current_a, OF_ITS_OWN * own.abs_current_a), own.abs_current_a),
+                min(max(TRIP_RATIO * limits.current_a, MIN_TRIP_RATIO * own.abs_current_a), own.abs_current_a),
                 1e3 * self._options.watchdog_s,
             )
             board.alive()
@@ -189,79 +186,63 @@ class VescDrive(DriveShell):
             deadline = self._beaten_s + self._options.watchdog_s
             while (now := board.values()).timed_out and time.monotonic() < deadline:
                 board.alive()
-                time.sleep(STEP_S)
-            self._require_sound(now)
+                time.sleep(POLL_PERIOD_S)
+            self.require_sound(self._fault(now))
         except DriveFault as fault:
             raise self.trip(fault) from None
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Begin it as its rows are drawn; refuses a current that the board would let go."""
-        if 0.0 < excitation.longest_current_a < FREE_A:
-            raise DriveRefused(f"{excitation.longest_current_a:g} A: below {FREE_A:g} A a VESC lets go")
+        if 0.0 < excitation.longest_current_a < MIN_HELD_CURRENT_A:
+            raise DriveRefused(f"{excitation.longest_current_a:g} A: below {MIN_HELD_CURRENT_A:g} A a VESC lets go")
         if isinstance(excitation, Hold):
-            return self._tripping(self._held(excitation))
+            return self.tripping(self._held(excitation))
         if isinstance(excitation, GatesOff):
-            return self._tripping(self._off(excitation))
+            return self.tripping(self._off(excitation))
         assert isinstance(excitation, Injection)
-        if 0.0 < excitation.rotation_hz * FOR_INJECTION / self.own.sampling_frequency_hz < 1.0 - 1e-6:
+        if 0.0 < excitation.rotation_hz * MAX_INJECTION_ROWS / self.own.sampling_frequency_hz < 1.0 - 1e-6:
             raise DriveRefused(f"the injected direction turns at {excitation.rotation_hz:g} Hz: no turn fits the rows")
-        return self._tripping(self._injected(excitation))
+        return self.tripping(self._injected(excitation))
 
     def telemetry(self) -> Telemetry:
         """A reading of the last hundredth of a second."""
-        board = self._connected()
+        board = self.connected()
         board.values()
-        time.sleep(STEP_S)
+        time.sleep(POLL_PERIOD_S)
         now = board.values()
         if self.limits is not None and not self.latched and (fault := self._fault(now)) is not None:
             self.trip(fault)
-        turn = cmath.phase(self._target) - self._rotor_angle_rad if self._target else 0.0
-        i = now.i * cmath.exp(1j * turn)
-        return Telemetry(
-            state=self.state,
-            time_s=time.monotonic() - self._origin_s,
-            i_d_a=i.real,
-            i_q_a=i.imag,
-            v_dc_v=now.bus_v,
-            pwm_frequency_hz=self.own.pwm_frequency_hz,
-            faults=self.faults,
-        )
+        turn = cmath.phase(self.target_a) - self.rotor_angle_rad if self.target_a else 0.0
+        return self.reading(now.i * cmath.exp(1j * turn), now.bus_v, self.own.pwm_frequency_hz)
 
     def ramp(self) -> None:
         """A target of zero: the board lets go within a millisecond."""
-        board = self._connected()
-        board.hold(0.0, math.degrees(cmath.phase(self._target)))
-        self._target, deadline = 0j, time.monotonic() + RAMP_S
+        board = self.connected()
+        board.hold(0.0, math.degrees(cmath.phase(self.target_a)))
+        self.target_a, deadline = 0j, time.monotonic() + MAX_RAMP_S
         board.values()
         while True:
-            time.sleep(STEP_S)
-            if abs(board.values().i) <= FREE_A:
+            time.sleep(POLL_PERIOD_S)
+            if abs(board.values().i) <= MIN_HELD_CURRENT_A:
                 return
             if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {RAMP_S:g} s of ramping down")
+                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {MAX_RAMP_S:g} s of ramping down")
 
     def switch_off(self) -> None:
         """Let go, wait until a tone's second is over, and put the board's settings back."""
-        board, own = self._connected(), self._own_settings()
+        board, own = self.connected(), self._own_settings()
         self.ramp()
         time.sleep(max(0.0, board.released_s - time.monotonic()))
         board.apply(own.max_scale, own.min_scale, own.abs_current_a, own.timeout_ms)
 
     # Excitations
 
-    def _tripping(self, blocks: Generator[Capture]) -> Generator[Capture]:
-        try:
-            yield from blocks
-        except DriveFault as fault:
-            raise self.trip(fault) from None
-
     def _held(self, hold: Hold) -> Generator[Capture]:
-        board, fs = self._connected(), self.own.sampling_frequency_hz
-        self._rotor_angle_rad = hold.rotor_angle_rad
-        self._target = complex(*hold.start_dq_a) * cmath.exp(1j * hold.rotor_angle_rad)
-        size, angle = cmath.polar(self._target)
+        board, fs = self.connected(), self.own.sampling_frequency_hz
+        self.aim(hold)
+        size, angle = cmath.polar(self.target_a)
         board.hold(size, math.degrees(angle))
-        yield from self._waiting(max(hold.settle_s, board.released_s - time.monotonic() if not size else 0.0))
+        yield from self.waiting(max(hold.settle_s, board.released_s - time.monotonic() if not size else 0.0))
         board.values()
         rows, start_s, now = yield from self._sampled(hold.rows(fs))
         i = _rows.currents(rows)
@@ -269,34 +250,34 @@ class VescDrive(DriveShell):
         if size:
             turn = cmath.exp(1j * angle)
             inside = i / turn
-            if abs(inside.mean() - size) > MISSED * size:
-                told = f"{size:.4g} A were asked for, {inside.mean():.4g} A flow: the board limits it, or has let go"
-                raise DriveFault(FaultCause.INTERNAL, told)
+            if abs(inside.mean() - size) > MAX_CURRENT_ERROR_RATIO * size:
+                message = f"set-point {size:.4g} A, measured {inside.mean():.4g} A: the board limits it, or has let go"
+                raise DriveFault(FaultCause.INTERNAL, message)
             own = self._own_settings()
             moved = _rows.control(inside, size, (own.proportional, own.integral), 1.0 / fs)
             v = (now.v + moved - moved.mean()) * turn
-        yield from self._blocks(i, v, start_s, now.bus_v)
+        yield from self.blocks(i, v, start_s, now.bus_v)
 
     def _off(self, gates_off: GatesOff) -> Generator[Capture]:
-        board = self._connected()
+        board = self.connected()
         self.ramp()
-        yield from self._waiting(board.released_s - time.monotonic())
+        yield from self.waiting(board.released_s - time.monotonic())
         rows, start_s, now = yield from self._sampled(gates_off.rows(self.own.sampling_frequency_hz))
         i = _rows.currents(rows)
-        yield from self._blocks(i, np.zeros_like(i), start_s, now.bus_v)
+        yield from self.blocks(i, np.zeros_like(i), start_s, now.bus_v)
 
     def _injected(self, e: Injection) -> Generator[Capture]:
         """A tone along q of a frame that turns, from the bridge's first period on: so its rows are the wave's own."""
-        board, own, fs = self._connected(), self._own_settings(), self.own.sampling_frequency_hz
-        frequency, count = e.frequency_hz * _rows.BESIDE, e.rows(fs)
+        board, own, fs = self.connected(), self._own_settings(), self.own.sampling_frequency_hz
+        frequency, count = e.frequency_hz * _rows.TONE_FREQUENCY_RATIO, e.rows(fs)
         self.ramp()
-        self._rotor_angle_rad = e.rotor_angle_rad
-        yield from self._waiting(max(e.settle_s, board.released_s - time.monotonic()))
-        board.sample(Sampling.START, MOST_ROWS)
-        board.tone(frequency, e.amplitude_v, e.rotation_hz, MOST_ROWS / fs + 0.05)
-        rows, start_s, now = yield from self._come(MOST_ROWS)
+        self.rotor_angle_rad = e.rotor_angle_rad
+        yield from self.waiting(max(e.settle_s, board.released_s - time.monotonic()))
+        board.sample(Sampling.START, MEMORY_ROWS)
+        board.tone(frequency, e.amplitude_v, e.rotation_hz, MEMORY_ROWS / fs + 0.05)
+        rows, start_s, now = yield from self._come(MEMORY_ROWS)
         frame, begin = _rows.turning_frame(rows, e.rotation_hz, 1.0 / fs)
-        place, voltage = _rows.tone(MOST_ROWS, frequency, e.amplitude_v, 1.0 / fs)
+        place, voltage = _rows.tone(MEMORY_ROWS, frequency, e.amplitude_v, 1.0 / fs)
         i, turn = _rows.currents(rows), np.exp(1j * frame)
         moved = _rows.control(i / turn, 0.0, (own.proportional, own.integral), 1.0 / fs)
         late_s = e.discard_s
@@ -306,83 +287,61 @@ class VescDrive(DriveShell):
             e.rotor_angle_rad + 2.0 * math.pi * e.rotation_hz * late_s,
             e.frequency_hz * late_s,
             max(begin, round(late_s * fs)),
-            MOST_ROWS - count,
+            MEMORY_ROWS - count,
             e.frequency_hz / fs,
         )
         chosen = slice(at, at + count)
         v = (voltage + moved - moved[chosen].mean()) * turn
-        yield from self._blocks(i[chosen], v[chosen], start_s + at / fs, now.bus_v)
+        yield from self.blocks(i[chosen], v[chosen], start_s + at / fs, now.bus_v)
 
     def _sampled(self, count: int) -> Generator[Capture, None, tuple[np.ndarray, float, Values]]:
-        self._connected().sample(Sampling.NOW, count)
+        self.connected().sample(Sampling.NOW, count)
         return (yield from self._come(count))
 
     def _come(self, count: int) -> Generator[Capture, None, tuple[np.ndarray, float, Values]]:
         """The rows as they come, the clock when they were begun, and a reading from while they were taken."""
-        board, fs = self._connected(), self.own.sampling_frequency_hz
+        board, fs = self.connected(), self.own.sampling_frequency_hz
         begun_s = time.monotonic()
-        yield from self._waiting(count / fs)
+        yield from self.waiting(count / fs)
         now = board.values()
-        self._require_sound(now)
+        self.require_sound(self._fault(now))
         payloads: list[bytes] = []
         while len(payloads) < count:
-            row = board.row(ALIVE_S)
+            row = board.row(self.keepalive_period_s)
             if row is not None:
                 payloads.append(row)
-            elif time.monotonic() - begun_s > ROWS_S:
-                raise DriveFault(FaultCause.NO_ANSWER, f"{len(payloads)} rows of {count} came within {ROWS_S:g} s")
+            elif time.monotonic() - begun_s > MAX_UPLOAD_S:
+                raise DriveFault(
+                    FaultCause.NO_ANSWER, f"{len(payloads)} rows of {count} came within {MAX_UPLOAD_S:g} s"
+                )
             if row is None or len(payloads) % 100 == 0:
-                yield self._alive()
-        self._require_sound(board.values())
-        return rows_of(payloads), begun_s - self._origin_s, now
-
-    def _waiting(self, wait_s: float) -> Generator[Capture]:
-        until_s = time.monotonic() + wait_s
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            time.sleep(min(left_s, ALIVE_S))
-            yield self._alive()
-
-    def _blocks(self, i: _rows.Vectors, v: _rows.Vectors, start_s: float, bus_v: float) -> Iterator[Capture]:
-        arrays = {name: np.stack([x.real, x.imag], axis=1).astype(np.float32) for name, x in (("i_ab", i), ("v_ab", v))}
-        fs, v_dc = self.own.sampling_frequency_hz, np.full(len(i), bus_v, np.float32)
-        return in_blocks(Capture(start_s=start_s, sampling_frequency_hz=fs, v_dc=v_dc, **arrays))
-
-    def _alive(self) -> Capture:
-        return sign_of_life(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
+                yield self.keepalive()
+        self.require_sound(self._fault(board.values()))
+        return rows_of(payloads), begun_s - self.origin_s, now
 
     # Faults
 
     def forget_fault(self) -> None:
         """The board forgets its own fault by itself."""
-        self._connected()
+        self.connected()
         self._missed = False
+
+    def board_fault(self) -> DriveFault | None:
+        """The board's trip, or its time-out."""
+        return self._fault(self.connected().values())
 
     def _fault(self, now: Values) -> DriveFault | None:
         if now.fault:
-            cause, told = FAULTS.get(now.fault, (FaultCause.INTERNAL, "see `faults` in its terminal"))
-            return DriveFault(cause, f"VESC fault {now.fault}: {told}")
+            cause, hint = FAULTS.get(now.fault, (FaultCause.INTERNAL, "see `faults` in its terminal"))
+            return DriveFault(cause, f"VESC fault {now.fault}: {hint}")
         if now.timed_out or self._missed:
             return DriveFault(FaultCause.HEARTBEAT_LOST, f"no beat for {self._options.watchdog_s:g} s")
         return None
 
-    def _require_sound(self, now: Values) -> None:
-        """Raises `DriveFault` where the board has tripped or timed out."""
-        fault = self._fault(now)
-        if fault is not None:
-            raise self.trip(fault)
-
-    # Clock
-
-    def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the motor remembers by itself."""
-
-    def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
-        self._origin_s = time.monotonic() - start_s
-
     # What the methods share
 
-    def _connected(self) -> Board:
+    def connected(self) -> Board:
+        """The board; raises `DriveRefused` where it is not connected, `DriveFault` where the link is lost."""
         if self._link is None or self._board is None:
             raise DriveRefused("not connected")
         self._link.check()
@@ -394,9 +353,9 @@ class VescDrive(DriveShell):
 
 
 def _require_usable(settings: Settings, where: str) -> None:
-    if settings.motor_type != FOC:
+    if settings.motor_type != FOC_MOTOR_TYPE:
         raise DriveRefused(f"{where}: its motor type is not FOC")
-    if settings.sensor_mode in WITH_INJECTION_OF_ITS_OWN:
+    if settings.sensor_mode in INJECTING_SENSOR_MODES:
         raise DriveRefused(f"{where}: its sensor mode injects (HFI), into everything; choose another for the run")
     if settings.inverted:
         raise DriveRefused(f"{where}: its motor direction is inverted, and angles with it; undo that for the run")
@@ -404,10 +363,10 @@ def _require_usable(settings: Settings, where: str) -> None:
         raise DriveRefused(f"{where}: its current limits are {settings.current_min_a:g} and {settings.own_limit_a:g} A")
 
 
-def _rate(zero_vectors_hz: float, told_hz: float, where: str) -> float:
+def _rate(zero_vectors_hz: float, row_rate_hz: float, where: str) -> float:
     """Control periods a second: every zero vector or every other, by what rows say of their rate."""
     for rate_hz in (0.5 * zero_vectors_hz, zero_vectors_hz):
-        if 0.0 <= rate_hz - told_hz <= 2.0 * RATE_STEP_HZ:
+        if 0.0 <= rate_hz - row_rate_hz <= 2.0 * RATE_STEP_HZ:
             return rate_hz
-    told = f"rows of {told_hz:g} Hz at foc_f_zv {zero_vectors_hz:g} Hz"
-    raise DriveRefused(f"{where}: {told}; every zero vector or every other was expected")
+    message = f"rows of {row_rate_hz:g} Hz at foc_f_zv {zero_vectors_hz:g} Hz"
+    raise DriveRefused(f"{where}: {message}; every zero vector or every other was expected")

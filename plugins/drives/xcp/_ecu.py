@@ -38,7 +38,7 @@ class Phase(IntEnum):
 
 
 class Order(IntEnum):
-    """What the routine can be told."""
+    """Commands that the routine knows."""
 
     SWITCH_ON = 1
     SWITCH_OFF = 2

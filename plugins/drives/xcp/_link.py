@@ -29,16 +29,16 @@ IDENTIFICATION = {
     "IDF_REL_ODT_NUMBER_ABS_DAQ_LIST_NUMBER_WORD_ALIGNED": 4,
 }
 TIMESTAMP = {"NO_TIME_STAMP": 0, "S1": 1, "S2": 2, "S4": 4}
-KEPT_ROWS = 200_000
-"""Rows that wait to be taken: a host that is later than so many sees a gap."""
+MAX_WAITING_ROWS = 200_000
+"""Rows that wait for the host; a host that is later sees a gap."""
 SOCKET_BYTES = 4_000_000
-"""What the system is asked to keep for a host that is busy."""
+"""Requested buffer of the system for a host that is busy."""
 
 
 def library() -> Any:
     """pyxcp, imported when a drive is connected and no sooner; raises `PluginError` where it is not installed.
 
-    Its import takes over how Python shows values and errors at a terminal; that is put back. What it logs is told as
+    Its import takes over how Python shows values and errors at a terminal; that is put back. What it logs is raised as
     the drive's fault as well.
     """
     shown = sys.excepthook, sys.displayhook
@@ -65,7 +65,7 @@ class Arrivals:
 
     def __init__(self, daq: Any) -> None:
         self._daq = daq
-        self._frames: deque[bytes] = deque(maxlen=KEPT_ROWS)
+        self._frames: deque[bytes] = deque(maxlen=MAX_WAITING_ROWS)
         self._newest: tuple[float, bytes] = (0.0, b"")
         self.xcp_master: Any = None
 
@@ -133,14 +133,14 @@ class Link:
 
     def open(self, event: int) -> None:
         """Connect and let the DAQ list run at the event; raises `DriveRefused` where the ECU has no room for it."""
-        self._say(self._connect)
+        self._call(self._connect)
         is_intel = str(self._master.slaveProperties.byteOrder) == "INTEL"
         self.layout = Layout("<" if is_intel else ">")
         if self._master.slaveProperties.bytesPerElement != 1:
             raise DriveRefused(f"{self.where}: addresses count words, expected octets")
         if not self._master.slaveProperties.supportsDaq:
             raise DriveRefused(f"{self.where}: has no DAQ")
-        self._say(lambda: self._measure(event))
+        self._call(lambda: self._measure(event))
 
     def _connect(self) -> None:
         self._master.transport.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BYTES)
@@ -154,8 +154,8 @@ class Link:
         stamp = TIMESTAMP[str(resolution.timestampMode.size)] if resolution.timestampMode.fixed else 0
         self._head = head + stamp
         if self._head + row.itemsize > m.slaveProperties.maxDto:
-            told = f"a row takes {self._head + row.itemsize} octets, one message has {m.slaveProperties.maxDto}"
-            raise DriveRefused(f"{self.where}: {told}")
+            message = f"a row takes {self._head + row.itemsize} octets, one message has {m.slaveProperties.maxDto}"
+            raise DriveRefused(f"{self.where}: {message}")
         m.freeDaq()
         m.allocDaq(1)
         m.allocOdt(DAQ_LIST, 1)
@@ -171,8 +171,8 @@ class Link:
         """Stop measuring, say goodbye, and let go of the socket and its threads."""
         if self.lost is None:
             with suppress(DriveFault):
-                self._say(lambda: self._master.startStopSynch(0))
-                self._say(self._master.disconnect)
+                self._call(lambda: self._master.startStopSynch(0))
+                self._call(self._master.disconnect)
         self._master.close()
 
     # The variable
@@ -181,22 +181,22 @@ class Link:
         """What stands in the variable."""
         m = self._master
 
-        def said() -> bytes:
+        def upload() -> bytes:
             m.setMta(self._at + offset, self._extension)
             return bytes(m.fetch(octets))
 
-        return self._say(said)
+        return self._call(upload)
 
     def write(self, offset: int, data: bytes) -> None:
         """Put something into the variable."""
         m, most = self._master, self._master.slaveProperties.maxCto - 2
 
-        def said() -> None:
+        def download() -> None:
             m.setMta(self._at + offset, self._extension)
             for first in range(0, len(data), most):
                 m.download(data[first : first + most])
 
-        self._say(said)
+        self._call(download)
 
     # Rows
 
@@ -211,7 +211,7 @@ class Link:
         framed = np.dtype([("head", "V", self._head), ("row", self.layout.row)])
         octets = self._rows.take()
         if len(octets) % framed.itemsize:
-            raise self._lose("rows of a length that was not asked for")
+            raise self._lose("rows of another length than requested")
         if octets:
             self._quiet = AttentiveClock()
         elif self._quiet() > self._timeout_s:
@@ -221,8 +221,8 @@ class Link:
 
     def newest(self) -> np.void:
         """A row that comes from now on; raises `DriveFault` where none does in time."""
-        asked_s, waited_s = time.monotonic(), AttentiveClock()
-        while self._rows.newest[0] <= asked_s:
+        requested_s, waited_s = time.monotonic(), AttentiveClock()
+        while self._rows.newest[0] <= requested_s:
             self.check()
             if waited_s() > self._timeout_s:
                 raise self._lose(f"no row for {self._timeout_s:g} s")
@@ -235,7 +235,7 @@ class Link:
         if self.lost is not None:
             raise self.lost
 
-    def _say(self, talk: Callable[[], T]) -> T:
+    def _call(self, talk: Callable[[], T]) -> T:
         """Have one conversation to its end; where a command or its answer was lost, in step with the ECU, once more."""
         self.check()
         with self._talk:

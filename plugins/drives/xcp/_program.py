@@ -11,10 +11,10 @@ from protocols import CurrentControl, Excitation, GatesOff, Injection, InputErro
 
 DRAIN_S = 0.02
 """Time for the bridge's diodes to bring a residual current to zero."""
-RAMP_PART = 0.3
-"""Of the voltage limit that a ramp may take."""
+RAMP_VOLTAGE_RATIO = 0.3
+"""Voltage of a ramp over the voltage limit."""
 AXES = {"d": (1.0, 0.0), "q": (0.0, 1.0), "dq": (math.sqrt(0.5), math.sqrt(0.5))}
-TURN = 2**32
+COUNTS_PER_TURN = 2**32
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,10 @@ class Planner:
         if isinstance(e, Injection):
             before = round(e.settle_s * fs)
             program |= {"mode": Mode.INJECTION, "freeze_ticks": before, "amplitude_v": e.amplitude_v}
-            program |= {"wave_step": _step(e.frequency_hz / fs), "turn_step": round(TURN * e.rotation_hz / fs)}
+            program |= {
+                "wave_step": _step(e.frequency_hz / fs),
+                "turn_step": round(COUNTS_PER_TURN * e.rotation_hz / fs),
+            }
             program |= {"sine": int(e.waveform == "sine")}
         elif isinstance(e, Trapezoid):
             program |= {"swept": tuple(e.amplitude_a * x for x in AXES[e.swept_axis])}
@@ -78,7 +81,7 @@ class Planner:
 
     def _ramp_ticks(self, control: CurrentControl) -> int:
         """Two time constants of the closed loop, or longer where the voltage does not reach."""
-        reach_s = max(self.inductance_h) * 2.0 * self.limit_current_a / (RAMP_PART * self.limit_voltage_v)
+        reach_s = max(self.inductance_h) * 2.0 * self.limit_current_a / (RAMP_VOLTAGE_RATIO * self.limit_voltage_v)
         return round(max(1.0 / (math.pi * control.bandwidth_hz), reach_s) * self.sampling_frequency_hz)
 
     @property
@@ -111,4 +114,4 @@ def _tuned(w: float, damping: float, r: float, l_h: float) -> tuple[float, float
 
 def _step(periods: float) -> int:
     """Of a phase in 2^-32: rounded up, so that no period begins a row late."""
-    return math.ceil(TURN * periods - 1e-6)
+    return math.ceil(COUNTS_PER_TURN * periods - 1e-6)

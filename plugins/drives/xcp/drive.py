@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, sign_of_life
+from orchestrator.driving import DriveShell, keepalive
 from plugins.drives.xcp._ecu import MAGIC, VERSION, Order, Rows, State, Status, Stream, fault_of
 from plugins.drives.xcp._link import Link
 from plugins.drives.xcp._program import Planner
@@ -35,11 +35,13 @@ from protocols import (
 )
 
 KINDS: frozenset[ExcitationKind] = frozenset({"gates_off", "hold", "trapezoid", "injection"})
-POLL_S = 0.01
-SHORTEST_S, LONGEST_S = 0.1, 0.25
-"""Of a block; signs of life come as seldom as the longest."""
-PATIENCE_S = 2.0
-"""For rows that do not come, beyond what a program takes."""
+POLL_PERIOD_S = 0.01
+MIN_BLOCK_S = 0.1
+"""Shortest block but the last."""
+MAX_BLOCK_S = 0.25
+"""Longest block, and longest time without one."""
+STALL_TIMEOUT_S = 2.0
+"""Time beyond a program's own after which missing rows are a fault."""
 
 
 class XcpOptions(Strict):
@@ -101,8 +103,8 @@ class XcpDrive(DriveShell):
         link.open(o.event)
         facts = np.frombuffer(link.read(0, link.layout.facts.itemsize), link.layout.facts)[0]
         if (facts["magic"], facts["version"]) != (MAGIC, VERSION):
-            told = f"{link.where}: no variable `fluxbench` {VERSION} at {o.address:#x}"
-            raise DriveFault(FaultCause.WRONG_DATA, told)
+            message = f"{link.where}: no variable `fluxbench` {VERSION} at {o.address:#x}"
+            raise DriveFault(FaultCause.WRONG_DATA, message)
         own = self._capabilities(facts)
         Planner(self.setup.motor, own.sampling_frequency_hz, own.max_current_a, own.max_voltage_v).to_zero(0.0)
         word = link.layout.word
@@ -129,8 +131,8 @@ class XcpDrive(DriveShell):
                 watchdog_covers=KINDS if watchdog_ticks else frozenset(),
             )
         except (ValueError, ZeroDivisionError) as error:
-            told = f"the ECU says impossible things of itself: {str(error).splitlines()[0]}"
-            raise DriveFault(FaultCause.WRONG_DATA, told) from None
+            message = f"the ECU says impossible things of itself: {str(error).splitlines()[0]}"
+            raise DriveFault(FaultCause.WRONG_DATA, message) from None
 
     def _take_up(self, own: Capabilities) -> None:
         """Find the ECU off; a lost heartbeat is over, for its host is gone, and another fault stays unless seen to."""
@@ -151,7 +153,7 @@ class XcpDrive(DriveShell):
             link.close()
 
     def heartbeat(self) -> None:
-        """Write the next beat; a link that does not take it is lost, which whoever asks next is told."""
+        """Write the next beat; a link that does not take it is lost, and the next call raises that."""
         link = self._link
         if link is None or link.lost is not None or self._own is None:
             return
@@ -167,7 +169,7 @@ class XcpDrive(DriveShell):
     def faults(self) -> tuple[str, ...]:
         return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
 
-    def attend(self) -> None:
+    def check_link(self) -> None:
         """Raises `DriveFault` where the link is lost or the ECU has tripped."""
         if not self.latched:
             self._require_sound(Status.of(int(self._fresh_row()["status"])))
@@ -200,7 +202,7 @@ class XcpDrive(DriveShell):
         self._tell(Order.SWITCH_OFF)
         status = Status.of(int(self._fresh_row()["status"]))
         if status.state == State.ON:
-            raise DriveFault(FaultCause.STILL_ARMED, "the ECU does not switch off when it is told to")
+            raise DriveFault(FaultCause.STILL_ARMED, "the ECU does not switch off on command")
         if status.state == State.FAULTED:
             self.latch(fault_of(status))
 
@@ -245,25 +247,25 @@ class XcpDrive(DriveShell):
     def _captures(self, excitation: Excitation, number: int) -> Iterator[Capture]:
         """Blocks of the rows that it captures; raises `DriveFault` for a trip, a gap, or rows that stay away."""
         link, fs = self._connected(), self.own.sampling_frequency_hz
-        wanted, longest = excitation.rows(fs), round(LONGEST_S * fs)
+        wanted, longest = excitation.rows(fs), round(MAX_BLOCK_S * fs)
         stream, waiting = Stream(number), np.zeros(0, link.layout.row)
-        told_s, waited_s = time.monotonic(), AttentiveClock()
-        most_s = PATIENCE_S + 1.5 * (excitation.settling_s + excitation.captured_s)
+        yielded_s, waited_s = time.monotonic(), AttentiveClock()
+        most_s = STALL_TIMEOUT_S + 1.5 * (excitation.settling_s + excitation.captured_s)
         while wanted:
             waiting = np.concatenate([waiting, self._next_rows(stream)])
-            while len(waiting) >= min(wanted, SHORTEST_S * fs) and wanted:
+            while len(waiting) >= min(wanted, MIN_BLOCK_S * fs) and wanted:
                 yield self._capture(waiting[:longest])
                 wanted, waiting = wanted - len(waiting[:longest]), waiting[longest:]
-                told_s = time.monotonic()
-            if time.monotonic() - told_s > LONGEST_S:
-                told_s = time.monotonic()
-                yield sign_of_life(self._count() / fs - self._origin_s, fs)
+                yielded_s = time.monotonic()
+            if time.monotonic() - yielded_s > MAX_BLOCK_S:
+                yielded_s = time.monotonic()
+                yield keepalive(self._count() / fs - self._origin_s, fs)
             if waited_s() > most_s:
                 raise self.trip(DriveFault(FaultCause.PROGRAM_TOO_LONG, f"{excitation.kind}: its rows do not come"))
 
     def _next_rows(self, stream: Stream) -> Rows:
         """What has been captured since; raises `DriveFault` where the ECU has tripped or rows are missing."""
-        time.sleep(POLL_S)
+        time.sleep(POLL_PERIOD_S)
         try:
             return stream.captured(self._connected().take())
         except DriveFault as fault:
@@ -285,8 +287,8 @@ class XcpDrive(DriveShell):
         held = np.frombuffer(link.read(link.layout.program_at, written.nbytes), written.dtype)[0]
         for name in program:
             if not np.array_equal(held[name], written[name]):
-                told = f"{name} is {held[name]} in the ECU after {written[name]} was written"
-                raise self.trip(DriveFault(FaultCause.WRONG_DATA, told))
+                message = f"{name} is {held[name]} in the ECU after {written[name]} was written"
+                raise self.trip(DriveFault(FaultCause.WRONG_DATA, message))
         return self._tell(order)
 
     def _tell(self, order: Order) -> int:

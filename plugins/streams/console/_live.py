@@ -77,7 +77,7 @@ class LiveView:
             if progress.finished is not None:
                 stage = progress.finished
                 if ending := stage_ending(stage, progress.clock() - stage.begun_s):
-                    self._say("good", f"{stage_title(progress, stage)}, {ending}")
+                    self._print_line("good", f"{stage_title(progress, stage)}, {ending}")
             self._tell(message)
         self._drive_display(message)
 
@@ -85,7 +85,7 @@ class LiveView:
         self._stop()
 
     def _tell(self, message: Message) -> None:
-        told = said(message)
+        event = said(message)
         if isinstance(message, RunStarted):
             title = Text(one_line(cut(message.name)), style="bold")
             title.append(one_line(f"  {message.motor.name} on the drive {message.drive}"), style="default not bold")
@@ -93,13 +93,13 @@ class LiveView:
         elif isinstance(message, OperatorAnswered):
             prompt, self._prompt = self._prompt or "operator:", ""
             if message.by == "procedure":
-                self._say("info", f"{prompt} {message.answer}, says the procedure")
+                self._print_line("info", f"{prompt} {message.answer}, says the procedure")
         elif isinstance(message, DiagnosisStep):
             self._console.print(_rung(message))
         elif isinstance(message, Diagnosed):
             self._console.print(_diagnosis(message))
-        elif told is not None and not isinstance(message, IN_THE_DISPLAY):
-            self._say(told.mood, told.line)
+        elif event is not None and not isinstance(message, IN_THE_DISPLAY):
+            self._print_line(event.mood, event.line)
 
     def _drive_display(self, message: Message) -> None:
         if isinstance(message, OperatorAsked):
@@ -118,7 +118,7 @@ class LiveView:
             with self._lock:
                 self._live.refresh()
 
-    def _say(self, mark: str, text: str) -> None:
+    def _print_line(self, mark: str, text: str) -> None:
         sign, style = MARKS[mark]
         self._console.print(Text.assemble((sign, style), one_line(cut(text))))
 
@@ -162,7 +162,7 @@ class _Ticker:
             try:
                 with self._lock:
                     self._live.refresh()
-            except (OSError, ValueError):  # the next message meets the same error, and is told of it
+            except (OSError, ValueError):  # the next message meets the same error, and raises it
                 return
 
 
@@ -227,11 +227,11 @@ def _rung(step: DiagnosisStep, cells: int = 24) -> RenderableType:
 
 
 def _diagnosis(message: Diagnosed) -> RenderableType:
-    told = said(message)
-    assert told is not None
-    sign, style = MARKS[told.mood]
+    event = said(message)
+    assert event is not None
+    sign, style = MARKS[event.mood]
     table = _two_columns()
-    table.add_row(Text(sign + told.subject, style=style), Text(one_line(cut(told.text)), style=style))
+    table.add_row(Text(sign + event.subject, style=style), Text(one_line(cut(event.text)), style=style))
     for title, text in slots(message.words):
         table.add_row("  " + title, Text(one_line(cut(text))))
     return table

@@ -27,7 +27,7 @@ from protocols import (
 )
 
 WORTH_A_LINE = ("paused", "stopping", "faulted", "aborted")
-"""States that are told beside the stages."""
+"""States that get a line beside the stages."""
 
 
 class PlainView:
@@ -45,8 +45,8 @@ class PlainView:
     def __init__(self, output: TextIO, *, every_part: float = 0.1, every_s: float = 5.0, least_s: float = 0.5) -> None:
         self._output = output
         self._every_part, self._every_s, self._least_s = every_part, every_s, least_s
-        self._told_part = 0.0
-        self._told_s = float("-inf")
+        self._printed_part = 0.0
+        self._printed_s = float("-inf")
         self._prompt = ""
 
     def show(self, message: Message, progress: Progress) -> None:
@@ -63,7 +63,7 @@ class PlainView:
     def _lines(self, message: Message, progress: Progress) -> list[str]:
         match message:
             case RunStarted():
-                self._told_part = progress.fraction
+                self._printed_part = progress.fraction
             case StageStarted() if progress.stage is not None:
                 points = f", {plural(message.points, 'point')}" if message.points else ""
                 return [f"{stage_title(progress, progress.stage)}: begins{points}"]
@@ -85,17 +85,17 @@ class PlainView:
                 return []
             case StateChanged() if message.target not in WORTH_A_LINE:
                 return []
-        told = said(message)
+        event = said(message)
         slot_lines = columns(list(slots(message.words))) if isinstance(message, Diagnosed) and message.words else []
-        return [] if told is None else [told.line, *slot_lines]
+        return [] if event is None else [event.line, *slot_lines]
 
     def _progress_lines(self, progress: Progress) -> list[str]:
         now = progress.clock()
-        waited = now - self._told_s
-        part = progress.fraction - self._told_part
+        waited = now - self._printed_s
+        part = progress.fraction - self._printed_part
         if waited < self._least_s or (part < self._every_part and waited < self._every_s):
             return []
-        self._told_s, self._told_part = now, progress.fraction
+        self._printed_s, self._printed_part = now, progress.fraction
         reached = "" if progress.achieved is None else f", at {vector(*progress.achieved)}"
         counted = f"{progress.points_done} of {progress.points} points"
         return [f"{progress.fraction:4.0%}  {counted}, {time_left(progress)}{reached}"]
@@ -103,9 +103,9 @@ class PlainView:
     def _work_lines(self, progress: Progress) -> list[str]:
         """What is under way, now and then: a search goes through hundreds of fits."""
         now = progress.clock()
-        if now - self._told_s < self._every_s:
+        if now - self._printed_s < self._every_s:
             return []
-        self._told_s = now
+        self._printed_s = now
         return [f"  {progress.work}"]
 
     def _line(self, text: str) -> None:
@@ -117,7 +117,7 @@ class QuietView(PlainView):
     """Warnings, errors, and how it ended."""
 
     def show(self, message: Message, progress: Progress) -> None:
-        told = said(message)
+        event = said(message)
         is_bad = isinstance(message, RunEnded) and message.outcome != "finished"
-        if told is not None and (is_bad or (isinstance(message, Note) and message.level != "info")):
-            self._line(told.line)
+        if event is not None and (is_bad or (isinstance(message, Note) and message.level != "info")):
+            self._line(event.line)

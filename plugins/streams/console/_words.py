@@ -43,9 +43,9 @@ def stage_ending(stage: StageProgress, seconds: float) -> str | None:
 
 def step_line(step: DiagnosisStep) -> tuple[str, str]:
     """A rung of the ladder: what it added, and chi2, rms and held-out rms."""
-    told = f"chi2 {number(step.chi2, 3):>7}  {quantity(step.rms_v, 'V'):>8}"
+    misfit = f"chi2 {number(step.chi2, 3):>7}  {quantity(step.rms_v, 'V'):>8}"
     held = "" if step.heldout_rms_v is None else f"  held out {quantity(step.heldout_rms_v, 'V'):>8}"
-    return rung_name(step.added, step.index).ljust(24), told + held
+    return rung_name(step.added, step.index).ljust(24), misfit + held
 
 
 def step_bar(step: DiagnosisStep, cells: int, decades: float = 3.0) -> str:
@@ -64,15 +64,15 @@ def summary_rows(message: RunEnded, run: Path, longest: int = 220) -> Iterator[t
     yield "run", str(run)
 
 
-def _estimate_rows(found: EstimationReport, folder: Path, longest: int) -> Iterator[tuple[str, str]]:
-    """What was estimated, what is said of it, and where it is kept."""
-    if found.resistance is not None:
-        yield "R_s", resistance(found.resistance)
-    if found.method is not None:
-        yield "map by", found.method
-    yield "map usable", "yes" if found.usable else "no"
-    yield from (row for row in check_rows(found) if row[1] != UNKNOWN)
-    for k, remark in enumerate(found.remarks):
+def _estimate_rows(report: EstimationReport, folder: Path, longest: int) -> Iterator[tuple[str, str]]:
+    """The estimates, their remarks, and their files."""
+    if report.resistance is not None:
+        yield "R_s", resistance(report.resistance)
+    if report.method is not None:
+        yield "map by", report.method
+    yield "map usable", "yes" if report.usable else "no"
+    yield from (row for row in check_rows(report) if row[1] != UNKNOWN)
+    for k, remark in enumerate(report.remarks):
         yield "" if k else "remarks", shortened(typographic(remark.text), longest)
-    for name, file in sorted(found.files.items(), key=lambda file: (file[0] == "estimates", file[0])):
+    for name, file in sorted(report.files.items(), key=lambda file: (file[0] == "estimates", file[0])):
         yield name, str(folder / file)

@@ -36,7 +36,7 @@ from protocols import (
 )
 
 WORTH_A_LINE = ("paused", "faulted", "aborted")
-"""States that are told; the others are seen."""
+"""States that get a line in the log; the page shows the others."""
 
 
 class Picture:
@@ -55,7 +55,7 @@ class Picture:
         self._progress = Progress(run)
         self._log: deque[tuple[str, str]] = deque(maxlen=lines)
         self._facts: dict[str, Any] = {"about": [], "limit_a": None, "motor": "", "drive": ""}
-        self._asked, self._question = 0, ""
+        self._question_number, self._question = 0, ""
         self._resistance_ohm = 0.0
         self._latest: SamplesCaptured | None = None
         self._reached: list[list[float]] = []
@@ -81,7 +81,7 @@ class Picture:
             case PointDone():
                 self._finish_point(message)
             case OperatorAsked():
-                self._asked, self._question = self._asked + 1, message.prompt
+                self._question_number, self._question = self._question_number + 1, message.prompt
             case OperatorAnswered():
                 self._question = ""
             case MapEstimated():
@@ -149,10 +149,10 @@ class Picture:
             self._take_map(recommended)
 
     def _take_map(self, message: MapEstimated) -> None:
-        found = message.estimate
-        self._maps[found.map.method] = message
-        zero = np.array(list(flux_at_zero(found.map).values()))
-        self._show_flux(plain(found.map.method), found.points.i_dq, found.points.psi_dq - zero)
+        estimate = message.estimate
+        self._maps[estimate.map.method] = message
+        zero = np.array(list(flux_at_zero(estimate.map).values()))
+        self._show_flux(plain(estimate.map.method), estimate.points.i_dq, estimate.points.psi_dq - zero)
 
     def _show_flux(self, by: str, i_dq: RealArray, psi_dq: RealArray) -> None:
         rows = np.column_stack([i_dq, 1e3 * psi_dq])
@@ -172,23 +172,23 @@ class Picture:
         """Its number, the prompt as the answer has to name it, and as it may be shown."""
         if not self._question:
             return None
-        return {"number": self._asked, "prompt": self._question, "text": shown(self._question)}
+        return {"number": self._question_number, "prompt": self._question, "text": shown(self._question)}
 
     def _outcome(self) -> dict[str, Any] | None:
         if self._ended is None:
             return None
         files = self._ended.estimates.files if self._ended.estimates is not None else {}
-        told = (row for row in summary_rows(self._ended, self._run) if row[0] != "run" and row[0] not in files)
-        rows = [[label, shown(text)] for label, text in told]
+        summary = (row for row in summary_rows(self._ended, self._run) if row[0] != "run" and row[0] not in files)
+        rows = [[label, shown(text)] for label, text in summary]
         return {"ending": self._ended.outcome, "mood": OUTCOME_MOODS[self._ended.outcome], "rows": rows}
 
     def _tell(self, message: Message) -> None:
-        told = said(message)
-        if told is None or isinstance(message, OperatorAsked | StagesAppended | RunEnded):
+        event = said(message)
+        if event is None or isinstance(message, OperatorAsked | StagesAppended | RunEnded):
             return
         if isinstance(message, StateChanged) and message.target not in WORTH_A_LINE:
             return
-        self._log.append((told.mood, shown(told.line)))
+        self._log.append((event.mood, shown(event.line)))
 
     def _waveform(self) -> dict[str, Any] | None:
         """The latest block in the believed frame, its peaks kept: time [ms], i_d and i_q [A]."""

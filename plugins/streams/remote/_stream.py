@@ -35,7 +35,7 @@ class RemoteStream:
 
     def __init__(self, setup: StreamSetup) -> None:
         options = setup.options if isinstance(setup.options, RemoteOptions) else RemoteOptions()
-        self._every_s, self._said_s = options.every_s, float("-inf")
+        self._every_s, self._sent_s = options.every_s, float("-inf")
         self._picture = Picture(setup.run)
         self._is_read = True
 
@@ -43,16 +43,16 @@ class RemoteStream:
         """Take one message; raises `OSError` or `ValueError` once where the output is gone."""
         self._picture.take(message)
         now = time.monotonic()
-        if self._is_read and (now - self._said_s >= self._every_s or not isinstance(message, PASSING)):
-            self._said_s = now
-            self._say()
+        if self._is_read and (now - self._sent_s >= self._every_s or not isinstance(message, PASSING)):
+            self._sent_s = now
+            self._send()
 
     def close(self) -> None:
         """Say the last of it."""
         if self._is_read:
-            self._say()
+            self._send()
 
-    def _say(self) -> None:
+    def _send(self) -> None:
         line = json.dumps(self._picture.drawn(), ensure_ascii=True, allow_nan=False)
         try:
             sys.stdout.write(line + "\n")

@@ -82,16 +82,16 @@ class Material:
     @property
     def readings(self) -> tuple[ResistanceReading, ...]:
         """R_s over time, from the estimates or else from the journal; empty where neither has it."""
-        found = self.estimates.resistance if self.estimates is not None else None
-        kept = found.readings if found is not None else ()
-        told = [e.message.estimate.readings for e in self.journal if isinstance(e.message, ResistanceEstimated)]
-        return kept or (told[-1] if told else ())
+        resistance = self.estimates.resistance if self.estimates is not None else None
+        kept = resistance.readings if resistance is not None else ()
+        estimates = [e.message.estimate.readings for e in self.journal if isinstance(e.message, ResistanceEstimated)]
+        return kept or (estimates[-1] if estimates else ())
 
     @property
     def lock(self) -> LockChecked | None:
         """The latest verdict on the rotor's lock."""
-        found = [e.message for e in self.journal if isinstance(e.message, LockChecked)]
-        return found[-1] if found else None
+        checks = [e.message for e in self.journal if isinstance(e.message, LockChecked)]
+        return checks[-1] if checks else None
 
 
 def is_worth_a_report(directory: Path) -> bool:
@@ -125,9 +125,9 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
     estimates = attempt(lambda: load_estimates(directory), wanted=estimates_file.is_file())
     maps: dict[str, FluxMap] = {}
     for file in sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name != "flux_map.nc", f.name)):
-        found = attempt(partial(load_flux_map, file), wanted=True)
-        if found is not None:
-            maps.setdefault(found.method or file.stem, found)
+        flux_map = attempt(partial(load_flux_map, file), wanted=True)
+        if flux_map is not None:
+            maps.setdefault(flux_map.method or file.stem, flux_map)
     achieved = {
         e.message.id: (e.message.achieved_d_a, e.message.achieved_q_a)
         for e in journal
@@ -138,23 +138,23 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
         paths = attempt(lambda: _paths(recording, achieved, problems), wanted=reads_paths)
     manifest = None if recording is None else recording.manifest
     diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
-    problems += _said_after_the_end(journal)
+    problems += _notes_after_the_end(journal)
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), diagnosis, tuple(problems)
     )
 
 
-def _said_after_the_end(journal: Sequence[JournalRecord]) -> list[str]:
+def _notes_after_the_end(journal: Sequence[JournalRecord]) -> list[str]:
     """What a run says when it is over: which of its by-products could not be written."""
-    said: list[str] | None = None
+    notes: list[str] | None = None
     for entry in journal:
         if isinstance(entry.message, RunEnded):
-            said = []
+            notes = []
         elif not isinstance(entry.message, Note):
-            said = None
-        elif said is not None:
-            said.append(f"when the run had ended: {entry.message.text}")
-    return said or []
+            notes = None
+        elif notes is not None:
+            notes.append(f"when the run had ended: {entry.message.text}")
+    return notes or []
 
 
 def _paths(
@@ -189,7 +189,7 @@ def _paths(
             means[segment.stage].append((float(i_dq[:, 0].mean()), float(i_dq[:, 1].mean())))
     if left_out:
         problems.append(f"the current paths are drawn without {left_out} segments, to keep the reading short")
-    points = {stage: np.array(found, dtype=np.float64).reshape(-1, 2) for stage, found in means.items()}
+    points = {stage: np.array(values, dtype=np.float64).reshape(-1, 2) for stage, values in means.items()}
     return Paths(
         classical=tuple(trajectories[SegmentStage.CLASSICAL]),
         injection=points[SegmentStage.INJECTION],
@@ -201,7 +201,7 @@ def _paths(
 
 def _temperatures(recording: Recording, budget: int) -> RealArray:
     """Of the segments of direct current, which come again and again in a run."""
-    found: list[tuple[float, float]] = []
+    means: list[tuple[float, float]] = []
     for segment in recording.segments(SegmentStage.RESISTANCE):
         budget -= segment.samples
         if budget < 0:
@@ -209,8 +209,8 @@ def _temperatures(recording: Recording, budget: int) -> RealArray:
         temperature = recording.load(segment).temperature_c
         if temperature is None:
             continue
-        found.append((segment.start_s, float(np.mean(temperature))))
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+        means.append((segment.start_s, float(np.mean(temperature))))
+    return np.array(means, dtype=np.float64).reshape(-1, 2)
 
 
 def _current(recording: Recording, segment: Segment) -> RealArray:

@@ -22,7 +22,7 @@ _LINES = ("-", "--", ":", "-.")
 
 
 def write_comparison(paths: Sequence[Path], out: Path | None = None) -> Path:
-    """Make the page of several runs; into ``comparison.html`` here, unless told.
+    """Make the page of several runs; into ``comparison.html`` here by default.
 
     Raises
     ------
@@ -31,37 +31,37 @@ def write_comparison(paths: Sequence[Path], out: Path | None = None) -> Path:
     StorageError
         Where the file cannot be written.
     """
-    found = compare_runs(*paths)
-    told = found.comparison
+    runs = compare_runs(*paths)
+    comparison = runs.comparison
     page = filled(
         "comparison.html",
-        title=" · ".join(run.name for run in told.runs),
-        remarks=[typographic(remark.text) for remark in told.remarks],
-        runs=run_rows(told),
-        changes=change_rows(told),
-        pictures=list(_pictures(found)),
+        title=" · ".join(run.name for run in comparison.runs),
+        remarks=[typographic(remark.text) for remark in comparison.remarks],
+        runs=run_rows(comparison),
+        changes=change_rows(comparison),
+        pictures=list(_pictures(runs)),
     )
     target = out if out is not None else Path(FILE_NAME)
     replace_file(target, page.encode("utf-8"))
     return target
 
 
-def _pictures(found: SideBySide) -> Iterator[Picture]:
-    if not any(run.surface for run in found.runs):
+def _pictures(compared: SideBySide) -> Iterator[Picture]:
+    if not any(run.surface for run in compared.runs):
         yield Picture("Maps", "Not drawn: no run has a flux map.")
         return
     for k, (axis, other) in enumerate((("d", "q"), ("q", "d"))):
         caption = f"Less its value at zero current; i_{other} held at nothing, and at half of what was reached."
-        yield Picture(f"ψ_{axis} over i_{axis}", caption, _fluxes(found, k))
-    for k, change in enumerate(found.comparison.maps, start=1):
+        yield Picture(f"ψ_{axis} over i_{axis}", caption, _fluxes(compared, k))
+    for k, change in enumerate(compared.comparison.maps, start=1):
         if change.rms_percent is not None:
-            title = f"{found.comparison.runs[k].name} less {found.comparison.runs[0].name}"
-            yield Picture(title, "Length of the flux’ difference in mWb.", _difference(found, k))
+            title = f"{compared.comparison.runs[k].name} less {compared.comparison.runs[0].name}"
+            yield Picture(title, "Length of the flux’ difference in mWb.", _difference(compared, k))
 
 
-def _fluxes(found: SideBySide, axis: int) -> str:
+def _fluxes(compared: SideBySide, axis: int) -> str:
     figure, axes = new_figure()
-    for n, run in enumerate(found.runs):
+    for n, run in enumerate(compared.runs):
         if run.surface is None:
             continue
         nodes, across = (run.surface.i_d, run.surface.i_q)[axis], (run.surface.i_d, run.surface.i_q)[1 - axis]
@@ -70,19 +70,19 @@ def _fluxes(found: SideBySide, axis: int) -> str:
             at = np.column_stack((x, np.full_like(x, held))[:: 1 if axis == 0 else -1])
             psi = 1e3 * (run.surface.psi(at) - run.surface.psi(np.zeros((1, 2))))[:, axis]
             psi[~run.surface.inside(at)] = np.nan
-            name = None if m else label(found.comparison.runs[n].name, 18)
+            name = None if m else label(compared.comparison.runs[n].name, 18)
             axes.plot(x, psi, _LINES[n % len(_LINES)], color=_COLOURS[n % len(_COLOURS)], lw=1.4, label=name)
     letter = "dq"[axis]
     name_axes(axes, f"$i_{letter}$ [A]", f"$\\psi_{letter}$ [mWb]")
-    legend_above(axes, min(len(found.runs), 3))
+    legend_above(axes, min(len(compared.runs), 3))
     return uri(figure)
 
 
-def _difference(found: SideBySide, run: int) -> str:
+def _difference(compared: SideBySide, run: int) -> str:
     figure, axes = new_figure()
-    first = found.runs[0].surface
+    first = compared.runs[0].surface
     assert first is not None  # a difference was made with it
-    length = 1e3 * np.linalg.norm(found.apart(run), axis=2)
+    length = 1e3 * np.linalg.norm(compared.apart(run), axis=2)
     mesh = axes.pcolormesh(first.i_d, first.i_q, length.T, shading="nearest", cmap="viridis", rasterized=True)
     figure.colorbar(mesh, ax=axes).ax.tick_params(labelsize=STYLE.small_pt)
     current_plane(axes)

@@ -88,8 +88,8 @@ def nameplate(motor: Motor) -> str:
         (motor.rated_speed_rpm, "rpm", ""),
         (motor.rated_torque_nm, "Nm", ""),
     )
-    told = [quantity(value, unit, 5) + kind for value, unit, kind in rated if value is not None]
-    return ", ".join([*told, plural(motor.pole_pairs, "pole pair")])
+    ratings = [quantity(value, unit, 5) + kind for value, unit, kind in rated if value is not None]
+    return ", ".join([*ratings, plural(motor.pole_pairs, "pole pair")])
 
 
 def summary(material: Material) -> Iterator[Line]:
@@ -108,8 +108,8 @@ def summary(material: Material) -> Iterator[Line]:
 
 def remarks(material: Material) -> list[str]:
     """What the estimators say beside their numbers."""
-    found = material.estimates
-    return [typographic(remark.text) for remark in found.remarks] if found is not None else []
+    report = material.estimates
+    return [typographic(remark.text) for remark in report.remarks] if report is not None else []
 
 
 @dataclass(frozen=True)
@@ -123,20 +123,20 @@ class Formula:
 
 def formulas(material: Material) -> Iterator[Formula]:
     """The maps that are formulas."""
-    for method, made in material.estimates.maps.items() if material.estimates is not None else ():
-        if made.form is not None:
-            yield Formula(method, made.form.formula, tuple(coefficient_rows(made.form)))
+    for method, report in material.estimates.maps.items() if material.estimates is not None else ():
+        if report.form is not None:
+            yield Formula(method, report.form.formula, tuple(coefficient_rows(report.form)))
 
 
 def checks(material: Material) -> Iterator[Check]:
     """Checks that need no truth, each beside what the paper prints of its own crossings."""
-    found = material.estimates
-    if found is None:
+    report = material.estimates
+    if report is None:
         return
-    parity, reciprocity, whose = _symmetry(found)
+    parity, reciprocity, whose = _symmetry(report)
     both = f"the paper’s: {percent(PAPER_CROSSINGS.d_percent)} on d, {percent(PAPER_CROSSINGS.q_percent)} on q"
-    for name, meaning, value, told in (
-        ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", found.crossings, both),
+    for name, meaning, value, verdict in (
+        ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", report.crossings, both),
         (
             "Parity",
             f"Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.{whose}",
@@ -145,7 +145,7 @@ def checks(material: Material) -> Iterator[Check]:
         ),
     ):
         bars = tuple(_bar(axis, getattr(value, f"{axis}_percent", None)) for axis in "dq")
-        yield Check(name, meaning, bars, told)
+        yield Check(name, meaning, bars, verdict)
     for name, meaning, figure in (
         (
             "Reciprocity",
@@ -155,41 +155,41 @@ def checks(material: Material) -> Iterator[Check]:
         (
             "Classical against injection",
             "rms of the flux difference over the plane, of the rated flux.",
-            found.classical_against_injection_percent,
+            report.classical_against_injection_percent,
         ),
     ):
         yield Check(name, meaning, (_bar("", figure),), "tick: the paper’s crossings on d")
 
 
-def _symmetry(found: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
+def _symmetry(report: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
     """Parity and reciprocity, and whose: an energy's map has both by construction, so those of another are shown."""
-    made, other = found.recommended, found.measured_symmetry
-    if made is None or made.basis is not Basis.ENERGY:
-        return found.parity, found.reciprocity_percent, ""
+    best, other = report.recommended, report.measured_symmetry
+    if best is None or best.basis is not Basis.ENERGY:
+        return report.parity, report.reciprocity_percent, ""
     if other is None:
-        return found.parity, found.reciprocity_percent, " By construction: the map is an energy’s."
-    own = found.maps[other].checks
-    return own.parity, own.reciprocity_percent, f" Of the {other} map; that by {found.method} has it by construction."
+        return report.parity, report.reciprocity_percent, " By construction: the map is an energy’s."
+    own = report.maps[other].checks
+    return own.parity, own.reciprocity_percent, f" Of the {other} map; that by {report.method} has it by construction."
 
 
 def _bar(axis: str, value: float | None) -> Bar:
     paper = (PAPER_CROSSINGS.q_percent if axis == "q" else PAPER_CROSSINGS.d_percent) or 1.0
     full = max(1.15 * (value or 0.0), 1.5 * paper)
-    told = NOT_MEASURED if value is None else percent(value)
-    return Bar(axis, told, round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
+    text = NOT_MEASURED if value is None else percent(value)
+    return Bar(axis, text, round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
 
 
-def map_rows(found: FluxMap, motor: Motor | None) -> list[list[str]]:
+def map_rows(grid: FluxMap, motor: Motor | None) -> list[list[str]]:
     """Fluxes and inductances with 95 % uncertainties at nine working points, as text."""
-    reach = min(-found.i_d[0], found.i_d[-1], -found.i_q[0], found.i_q[-1])
+    reach = min(-grid.i_d[0], grid.i_d[-1], -grid.i_q[0], grid.i_q[-1])
     rated = motor.rated_current_a if motor is not None else None
     size = float(min(reach, rated)) if rated is not None else float(reach)
     rows: list[list[str]] = []
     for i_d in (-size, 0.0, size):
         for i_q in (-size, 0.0, size):
-            d, q = int(np.abs(found.i_d - i_d).argmin()), int(np.abs(found.i_q - i_q).argmin())
-            point = [fixed(float(found.i_d[d]), 2), fixed(float(found.i_q[q]), 2)]
-            row = point + [_with_error(found, name, d, q) for name in MAP_QUANTITIES]
+            d, q = int(np.abs(grid.i_d - i_d).argmin()), int(np.abs(grid.i_q - i_q).argmin())
+            point = [fixed(float(grid.i_d[d]), 2), fixed(float(grid.i_q[q]), 2)]
+            row = point + [_with_error(grid, name, d, q) for name in MAP_QUANTITIES]
             if row not in rows:
                 rows.append(row)
     return rows
@@ -208,19 +208,19 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
     yield "seed", str(record.seed)
     if record.sealed:
         yield "sealed options", ", ".join(record.sealed)
-    made = record.provenance
-    yield "fluxbench", made.fluxbench
-    if made.git is not None:
-        yield "source", f"{made.git.sha}{' with changes' if made.git.dirty else ''}"
-    yield "plugins", ", ".join(f"{p.name} ({p.distribution} {p.version})" for p in made.plugins) or "none"
-    yield "machine", f"{made.platform}, Python {made.python}"
-    yield "packages", ", ".join(f"{name} {version}" for name, version in made.packages.items())
+    versions = record.provenance
+    yield "fluxbench", versions.fluxbench
+    if versions.git is not None:
+        yield "source", f"{versions.git.sha}{' with changes' if versions.git.dirty else ''}"
+    yield "plugins", ", ".join(f"{p.name} ({p.distribution} {p.version})" for p in versions.plugins) or "none"
+    yield "machine", f"{versions.platform}, Python {versions.python}"
+    yield "packages", ", ".join(f"{name} {version}" for name, version in versions.packages.items())
 
 
 def events(material: Material) -> list[Event]:
     """What the journal says beside single points, the oldest first."""
-    told = ((entry.t, said(entry.message)) for entry in material.journal)
-    return [Event(_clock(t), say.subject, say.text, say.mood) for t, say in told if say is not None]
+    described = ((entry.t, said(entry.message)) for entry in material.journal)
+    return [Event(_clock(t), event.subject, event.text, event.mood) for t, event in described if event is not None]
 
 
 def _outcome(material: Material) -> Line:
@@ -233,44 +233,44 @@ def _outcome(material: Material) -> Line:
 
 
 def _resistance(material: Material) -> Line:
-    found = material.estimates.resistance if material.estimates is not None else None
-    if found is None:
+    estimate = material.estimates.resistance if material.estimates is not None else None
+    if estimate is None:
         return Line("R_s", NOT_MEASURED)
     motor = motor_of(material)
     nameplate = motor.stator_resistance_ohm if motor is not None else None
     beside = "" if nameplate is None else f"; nameplate {quantity(nameplate, 'ohm', 4)}"
-    return Line("R_s", f"{resistance(found)}; {resistance_course(found)}{beside}")
+    return Line("R_s", f"{resistance(estimate)}; {resistance_course(estimate)}{beside}")
 
 
 def _map_lines(material: Material) -> Iterator[Line]:
-    found = material.estimates
-    if found is None or found.method is None:
+    report = material.estimates
+    if report is None or report.method is None:
         yield Line("Flux map", NOT_MEASURED)
         return
-    shown = material.maps.get(found.method)
+    shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"
-    use = "usable" if found.usable else "not to be used"
-    yield Line("Flux map", f"{use}: by {found.method}{size}", "good" if found.usable else "bad")
-    if not found.usable:
-        for place, remark in enumerate(found.remarks[:3]):
+    use = "usable" if report.usable else "not to be used"
+    yield Line("Flux map", f"{use}: by {report.method}{size}", "good" if report.usable else "bad")
+    if not report.usable:
+        for place, remark in enumerate(report.remarks[:3]):
             yield Line("" if place else "because", typographic(remark.text))
 
 
 def _inductance_line(material: Material) -> Iterator[Line]:
     """The three inductances over the plane, on one line."""
-    made = material.estimates.recommended if material.estimates is not None else None
-    if made is None or made.inductances is None:
+    report = material.estimates.recommended if material.estimates is not None else None
+    if report is None or report.inductances is None:
         return
-    found, motor = made.inductances, motor_of(material)
-    told = []
+    range_, motor = report.inductances, motor_of(material)
+    ranges = []
     for symbol, low, high, nameplate in (
-        ("L_dd", found.l_dd_low_h, found.l_dd_high_h, motor.d_inductance_h if motor else None),
-        ("L_qq", found.l_qq_low_h, found.l_qq_high_h, motor.q_inductance_h if motor else None),
+        ("L_dd", range_.l_dd_low_h, range_.l_dd_high_h, motor.d_inductance_h if motor else None),
+        ("L_qq", range_.l_qq_low_h, range_.l_qq_high_h, motor.q_inductance_h if motor else None),
     ):
         beside = "" if nameplate is None else f" (nameplate {quantity(nameplate, 'H', 4)})"
-        told.append(f"{symbol} {quantity(low, 'H', 4)} to {quantity(high, 'H', 4)}{beside}")
-    told.append(f"L_dq up to {quantity(found.l_dq_largest_h, 'H')} in size")
-    yield Line("Inductances", "; ".join(told))
+        ranges.append(f"{symbol} {quantity(low, 'H', 4)} to {quantity(high, 'H', 4)}{beside}")
+    ranges.append(f"L_dq up to {quantity(range_.l_dq_largest_h, 'H')} in size")
+    yield Line("Inductances", "; ".join(ranges))
 
 
 def _amount(material: Material) -> Line:
@@ -281,9 +281,9 @@ def _amount(material: Material) -> Line:
     return Line("Measured", f"{plural(len(segments), 'segment')}, {duration(seconds)} of waveforms")
 
 
-def _with_error(found: FluxMap, name: str, d: int, q: int) -> str:
+def _with_error(grid: FluxMap, name: str, d: int, q: int) -> str:
     """Value and 95 % uncertainty in thousandths of the unit."""
-    value, std = (float(getattr(found, key)[d, q]) for key in (name, f"{name}_std"))
+    value, std = (float(getattr(grid, key)[d, q]) for key in (name, f"{name}_std"))
     return with_error(value, 1.96 * std, -3) if np.isfinite(value) else NOT_MEASURED
 
 

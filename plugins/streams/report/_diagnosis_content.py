@@ -29,79 +29,79 @@ class Experiment:
 Rows = list[tuple[str, ...]]
 
 
-def verdict(found: SavedDiagnosis) -> Verdict:
+def verdict(diagnosis: SavedDiagnosis) -> Verdict:
     """The verdict, and what it means."""
-    return VERDICTS[found.report.verdict]
+    return VERDICTS[diagnosis.report.verdict]
 
 
-def reasons(found: SavedDiagnosis) -> list[str]:
+def reasons(diagnosis: SavedDiagnosis) -> list[str]:
     """Why this verdict and no better one, a sentence each."""
-    return [_squared(reason.sentence) for reason in found.report.reasons]
+    return [_squared(reason.sentence) for reason in diagnosis.report.reasons]
 
 
-def accuracy(found: SavedDiagnosis) -> str:
+def accuracy(diagnosis: SavedDiagnosis) -> str:
     """How well the model reproduces the current, and how well its map is known."""
-    return " ".join(accuracy_sentences(found.report))
+    return " ".join(accuracy_sentences(diagnosis.report))
 
 
-def search_moves(found: SavedDiagnosis) -> Rows:
+def search_moves(diagnosis: SavedDiagnosis) -> Rows:
     """Every move of the search."""
-    return [tuple(map(_squared, row)) for row in search_rows(found.report.search)]
+    return [tuple(map(_squared, row)) for row in search_rows(diagnosis.report.search)]
 
 
 def _squared(text: str) -> str:
     return typographic(text).replace("chi2", "χ²")
 
 
-def filled_slots(found: SavedDiagnosis) -> Iterator[tuple[str, str]]:
+def filled_slots(diagnosis: SavedDiagnosis) -> Iterator[tuple[str, str]]:
     """The five slots, title and text."""
-    for title, text in slots(found.words):
+    for title, text in slots(diagnosis.words):
         yield title.capitalize(), text
 
 
-def ladder_rows(found: SavedDiagnosis) -> Rows:
+def ladder_rows(diagnosis: SavedDiagnosis) -> Rows:
     """The error after each added effect; the last line is the noise floor. None where nothing was fitted."""
-    if found.report.convention is not None:
+    if diagnosis.report.convention is not None:
         return []
-    floor = found.report.noise_floor
+    floor = diagnosis.report.noise_floor
     held_out = floor.rms_v if floor.heldout_rms_v is None else floor.heldout_rms_v
     alone = "noise alone", "1", quantity(floor.rms_v, "V"), quantity(held_out, "V"), ""
-    return [*rungs(found.report.ladder), alone]
+    return [*rungs(diagnosis.report.ladder), alone]
 
 
-def effect_rows(found: SavedDiagnosis) -> Rows:
-    """Every parameter of every effect, with its interval and what the effect cannot be told from."""
+def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
+    """Every parameter of every effect, with its interval and the effects that are indistinguishable from it."""
     rows: Rows = []
-    for effect in found.report.effects:
+    for effect in diagnosis.report.effects:
         about = (number(effect.relative_size, 3), listed([plain(twin) for twin in effect.twins]) or "nothing")
         first, *others = parameter_rows(effect)
         rows += [(plain(effect.name), *first, *about), *(("", *row, "", "") for row in others)]
     return rows
 
 
-def joint(found: SavedDiagnosis, most: int = 7) -> Sequence[JointEntry]:
+def joint(diagnosis: SavedDiagnosis, most: int = 7) -> Sequence[JointEntry]:
     """The first entries of the joint fit's ranking."""
-    return found.report.joint[:most]
+    return diagnosis.report.joint[:most]
 
 
-def alike_rows(found: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
+def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     """What looks alike in this data set: ties in the search, and where search and joint fit (|z|) disagree."""
     rows: Rows = [
         (plain(effect.name), ", ".join(map(plain, effect.twins)), "does as well in its place")
-        for effect in found.report.effects
+        for effect in diagnosis.report.effects
         if effect.twins
     ]
-    named = {effect.name for effect in found.report.effects}
-    ranking = {entry.name: entry for entry in found.report.joint}
+    named = {effect.name for effect in diagnosis.report.effects}
+    ranking = {entry.name: entry for entry in diagnosis.report.joint}
     for name, entry in ranking.items():
-        if name not in named | {effect.name for effect in found.report.minor} and abs(entry.z or 0.0) >= sure_z:
-            told = f"in the joint fit z = {number(entry.z, 3)}, yet not worth a name"
-            rows.append((plain(name), "–", told))
-    for effect in found.report.minor:
-        told = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
-        rows.append((plain(effect.name), "–", told))
-    minor = {effect.name for effect in found.report.minor}
-    for name in found.report.traces:
+        if name not in named | {effect.name for effect in diagnosis.report.minor} and abs(entry.z or 0.0) >= sure_z:
+            reason = f"in the joint fit z = {number(entry.z, 3)}, yet not worth a name"
+            rows.append((plain(name), "–", reason))
+    for effect in diagnosis.report.minor:
+        reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
+        rows.append((plain(effect.name), "–", reason))
+    minor = {effect.name for effect in diagnosis.report.minor}
+    for name in diagnosis.report.traces:
         if name in minor:
             continue
         if name not in ranking or abs(ranking[name].z or 0.0) < sure_z:
@@ -109,22 +109,22 @@ def alike_rows(found: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     return rows
 
 
-def leftover_rows(found: SavedDiagnosis) -> Rows:
+def leftover_rows(diagnosis: SavedDiagnosis) -> Rows:
     """Shapes of what is left, with their shares."""
-    return [(plain(s.group), percent(100.0 * (s.share or 0.0))) for s in found.report.unexplained.shape]
+    return [(plain(s.group), percent(100.0 * (s.share or 0.0))) for s in diagnosis.report.unexplained.shape]
 
 
-def leftover_told(found: SavedDiagnosis) -> str:
+def leftover_text(diagnosis: SavedDiagnosis) -> str:
     """How much of the error is left."""
-    fraction = found.report.unexplained.fraction
+    fraction = diagnosis.report.unexplained.fraction
     return "" if fraction is None else f"{percent(100.0 * fraction)} of the first error, beyond the noise, is left."
 
 
-def experiment(found: SavedDiagnosis) -> Experiment | None:
+def experiment(diagnosis: SavedDiagnosis) -> Experiment | None:
     """The next experiment as a stage of a procedure."""
     import yaml
 
-    proposal = found.report.next_experiment
+    proposal = diagnosis.report.next_experiment
     if proposal is None:
         return None
     text = yaml.safe_dump({"stages": [proposal.stage]}, sort_keys=False, default_flow_style=None, width=60)
@@ -132,6 +132,6 @@ def experiment(found: SavedDiagnosis) -> Experiment | None:
     return Experiment(text, f"Tells {first} from {second}, {duration(60.0 * proposal.minutes)}.")
 
 
-def remarks(found: SavedDiagnosis) -> list[str]:
+def remarks(diagnosis: SavedDiagnosis) -> list[str]:
     """The diagnosis' own remarks."""
-    return [typographic(remark.text) for remark in found.report.remarks]
+    return [typographic(remark.text) for remark in diagnosis.report.remarks]

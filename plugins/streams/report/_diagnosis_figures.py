@@ -171,8 +171,8 @@ def with_zero_sequence(i_abc: RealArray, residual_abc: RealArray) -> RealArray:
     if len(i_abc) <= len(knots):
         return residual_abc
     hats = np.stack([np.interp(i_abc, knots, unit) for unit in np.eye(len(knots))], axis=-1)
-    seen = hats - hats.mean(axis=1, keepdims=True)
-    curve = np.linalg.lstsq(seen.reshape(-1, len(knots)), residual_abc.ravel(), rcond=1e-6)[0]
+    centred = hats - hats.mean(axis=1, keepdims=True)
+    curve = np.linalg.lstsq(centred.reshape(-1, len(knots)), residual_abc.ravel(), rcond=1e-6)[0]
     return np.asarray(residual_abc + (hats @ curve).mean(axis=1, keepdims=True))
 
 
@@ -234,10 +234,10 @@ def ripple_figure(excerpts: Sequence[CurrentExcerpt], before: Sequence[CurrentEx
     figure, above, below = _two_panels()
     styles = (("s", "none", "--"), ("o", BLACK, "-")) if len(excerpts) > 1 else (("o", BLACK, "-"),)
     for excerpt, (mark, fill, line) in zip(excerpts, styles, strict=True):
-        time, told = 1e3 * excerpt.time_s, f"{excerpt.amplitude_v or 1.0:g} V"
+        time, volts = 1e3 * excerpt.time_s, f"{excerpt.amplitude_v or 1.0:g} V"
         measured, predicted = _ripples(excerpt)
-        above.plot(time, measured, mark, color=BLACK, mfc=fill, ms=4.5, label=f"measured, {told}")
-        above.plot(time, predicted, line, color=MODEL, lw=1.5, label=f"model, {told}")
+        above.plot(time, measured, mark, color=BLACK, mfc=fill, ms=4.5, label=f"measured, {volts}")
+        above.plot(time, predicted, line, color=MODEL, lw=1.5, label=f"model, {volts}")
         below.plot(time, measured - predicted, line, color=MODEL, lw=1.3)
     for excerpt, (_, _, line) in zip(before, styles, strict=False):
         measured, predicted = _ripples(excerpt)

@@ -1,4 +1,4 @@
-"""Which pictures of a diagnosis go on the page, in which order, and what is said below them. Draws nothing itself."""
+"""Chooses a diagnosis's pictures for the page, their order and their captions. Draws nothing itself."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
 
 
-def diagnosis_pictures(found: SavedDiagnosis) -> Iterator[Picture]:
+def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
     """The ladder first, then what the residual looks like, then the waveforms behind it."""
-    ladder, floor = found.report.ladder, found.report.noise_floor.rms_v
+    ladder, floor = diagnosis.report.ladder, diagnosis.report.noise_floor.rms_v
     if ladder and floor:
         caption = (
             f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {quantity(floor, 'V')}."
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
-    yield from _joint(found)
-    if found.steps:
-        before, after = found.steps[0], found.steps[-1]
+    yield from _joint(diagnosis)
+    if diagnosis.steps:
+        before, after = diagnosis.steps[0], diagnosis.steps[-1]
         yield from _residuals(before, after)
         yield from _waveforms(before, after)
 
 
-def _joint(found: SavedDiagnosis) -> Iterator[Picture]:
-    entries = findings.joint(found)
+def _joint(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
+    entries = findings.joint(diagnosis)
     if entries:
         caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
         yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
 
 
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
-    told = "" if before is after else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}."
+    gain = "" if before is after else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}."
     first, last = figures.plane_figures(before, after)
     yield Picture(
         "Residual on the current plane",
-        f"Both on one scale: rms in each cell as colour, mean as arrow.{told}",
+        f"Both on one scale: rms in each cell as colour, mean as arrow.{gain}",
         first,
         "" if before is after else last,
     )
@@ -83,8 +83,8 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
 
 def _ripple(shown: Sequence[CurrentExcerpt]) -> str:
     at = vector(shown[0].i_d_a, shown[0].i_q_a)
-    told = "One amplitude was injected." if len(shown) == 1 else "Two amplitudes part where the iron has memory."
-    return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {told} Below: measured less model."
+    amplitudes = "One amplitude was injected." if len(shown) == 1 else "Two amplitudes part where the iron has memory."
+    return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {amplitudes} Below: measured less model."
 
 
 def _effects(step: DiagnosisStep) -> str:

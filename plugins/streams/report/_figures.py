@@ -63,11 +63,11 @@ def flux_figure(maps: dict[str, FluxMap], axis: str) -> str:
     other = "q" if axis == "d" else "d"
     held = held_currents(maps.values(), other)
     for value, colour in zip(held, _colours_of(held), strict=True):
-        for found in maps.values():
-            current, flux, std = profile(found, f"psi_{axis}", axis, value)
-            flux = (flux - flux_at_zero(found)[axis]) * 1e3
-            axes.plot(current, flux, BASIS_LINES.get(found.basis, ":"), color=colour, lw=1.5)
-            if found.basis is not Basis.INTEGRATION:
+        for grid in maps.values():
+            current, flux, std = profile(grid, f"psi_{axis}", axis, value)
+            flux = (flux - flux_at_zero(grid)[axis]) * 1e3
+            axes.plot(current, flux, BASIS_LINES.get(grid.basis, ":"), color=colour, lw=1.5)
+            if grid.basis is not Basis.INTEGRATION:
                 axes.fill_between(current, flux - 1.96e3 * std, flux + 1.96e3 * std, color=colour, alpha=0.2, lw=0)
         axes.plot([], [], "-", color=colour, label=_amperes(value, held))
     name_axes(axes, CURRENT_LABELS[axis], rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")
@@ -91,17 +91,17 @@ def difference_figure(classical: FluxMap, injection: FluxMap) -> str:
     return uri(figure)
 
 
-def inductance_figure(found: FluxMap, name: str) -> str:
+def inductance_figure(grid: FluxMap, name: str) -> str:
     """l_dd, l_qq or l_dq over the current plane, in mH; L_dq about zero in two hues."""
     figure, axes = new_figure()
-    values = 1e3 * np.asarray(getattr(found, name))
+    values = 1e3 * np.asarray(getattr(grid, name))
     mesh_scale = _scale(values, about_zero=name == "l_dq")
-    mesh = axes.pcolormesh(found.i_d, found.i_q, values.T, shading="nearest", rasterized=True, **mesh_scale)
+    mesh = axes.pcolormesh(grid.i_d, grid.i_q, values.T, shading="nearest", rasterized=True, **mesh_scale)
     bar = figure.colorbar(mesh, ax=axes)
     bar.set_label("mH")
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if high - low > 1e-9 * max(abs(low), abs(high)):
-        _contours(axes, found, values)
+        _contours(axes, grid, values)
         bar.ax.set_ylim(low, high)
     current_plane(axes)
     return uri(figure)
@@ -129,9 +129,9 @@ def held_currents(maps: Iterable[FluxMap], axis: str) -> tuple[float, ...]:
 
     They lie on the first map's grid, so that its curves are the file's own numbers.
     """
-    found = next(iter(maps))
-    grid = np.asarray(getattr(found, f"i_{axis}"))
-    known = np.isfinite(found.psi_d).any(axis=1 if axis == "d" else 0)
+    first = next(iter(maps))
+    grid = np.asarray(getattr(first, f"i_{axis}"))
+    known = np.isfinite(first.psi_d).any(axis=1 if axis == "d" else 0)
     usable = grid[known] if known.any() else grid
     wanted = np.array([usable[0], usable[0] / 2, 0.0, usable[-1] / 2, usable[-1]])
     nearest = usable[np.abs(usable[:, None] - wanted).argmin(axis=0)]
@@ -158,8 +158,8 @@ def _colours_of(held: Sequence[float]) -> list[str]:
     return [HELD_COLOURS[round(2 + 2 * value / largest)] for value in held]
 
 
-def _contours(axes: Axes, found: FluxMap, values: RealArray) -> None:
+def _contours(axes: Axes, grid: FluxMap, values: RealArray) -> None:
     if min(values.shape) < 2:
         return
-    lines = axes.contour(found.i_d, found.i_q, np.ma.masked_invalid(values.T), levels=6, colors=BLACK, linewidths=0.6)
+    lines = axes.contour(grid.i_d, grid.i_q, np.ma.masked_invalid(values.T), levels=6, colors=BLACK, linewidths=0.6)
     axes.clabel(lines, fontsize=9, fmt=lambda level: number(level, 3))

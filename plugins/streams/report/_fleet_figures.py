@@ -15,25 +15,25 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def quantity_figure(found: FleetQuantity) -> str:
+def quantity_figure(quantity: FleetQuantity) -> str:
     """A quantity's course with its control limits, and beside it how often which value is met."""
     figure = empty_figure()
-    scale = _scale(found)
+    scale = _scale(quantity)
     factor = 10.0**-scale.power
-    name = label(found.label, 24) + (f" [{scale.unit}]" if scale.unit else "")
-    if found.chart is None:
+    name = label(quantity.label, 24) + (f" [{scale.unit}]" if scale.unit else "")
+    if quantity.chart is None:
         axes = bare(figure.add_subplot())
-        _bars(axes, found.histogram, factor, across=False)
-        _limits(axes.axvline, found, factor)
+        _bars(axes, quantity.histogram, factor, across=False)
+        _limits(axes.axvline, quantity, factor)
         name_axes(axes, name, "recordings")
         return uri(figure)
     course, beside = figure.subplots(1, 2, sharey=True, width_ratios=(3.0, 1.0))
     bare(course)
     bare(beside)
-    _course(course, found.chart, factor)
-    _bars(beside, found.histogram, factor, across=True)
+    _course(course, quantity.chart, factor)
+    _bars(beside, quantity.histogram, factor, across=True)
     for axes in (course, beside):
-        _limits(axes.axhline, found, factor)
+        _limits(axes.axhline, quantity, factor)
     name_axes(course, "", name)
     name_axes(beside, "recordings", "")
     _few_dates(course)
@@ -41,13 +41,13 @@ def quantity_figure(found: FleetQuantity) -> str:
     return uri(figure)
 
 
-def distance_figure(found: Distances) -> str:
+def distance_figure(distances: Distances) -> str:
     """How far each recording is from the middle, over how far one of a clean fleet may be."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     figure, axes = new_figure()
-    place = np.array([point.recording for point in found.points])
-    ratio = np.array([point.ratio for point in found.points])
+    place = np.array([point.recording for point in distances.points])
+    ratio = np.array([point.ratio for point in distances.points])
     out = ratio > 1.0
     axes.plot(place[~out], ratio[~out], ".", color=BLUE, ms=4)
     axes.plot(place[out], ratio[out], "D", color=VERMILION, ms=5, label="unlike the others")
@@ -61,10 +61,10 @@ def distance_figure(found: Distances) -> str:
     return uri(figure)
 
 
-def _scale(found: FleetQuantity) -> Scale:
-    middle = found.middle or 0.0
-    half = found.spread or abs(middle) or 1.0
-    return Scale.of(middle, middle - half, middle + half, found.unit)
+def _scale(quantity: FleetQuantity) -> Scale:
+    middle = quantity.middle or 0.0
+    half = quantity.spread or abs(middle) or 1.0
+    return Scale.of(middle, middle - half, middle + half, quantity.unit)
 
 
 def _course(axes: Axes, chart: ControlChart, factor: float) -> None:
@@ -88,17 +88,17 @@ def _few_dates(axes: Axes, most: int = 4) -> None:
     axes.xaxis.set_major_formatter(ConciseDateFormatter(places))  # type: ignore[no-untyped-call]
 
 
-def _bars(axes: Axes, found: Histogram | None, factor: float, *, across: bool) -> None:
-    if found is None:
+def _bars(axes: Axes, bins: Histogram | None, factor: float, *, across: bool) -> None:
+    if bins is None:
         return
-    edges = factor * np.array(found.edges)
+    edges = factor * np.array(bins.edges)
     draw = axes.barh if across else axes.bar
-    draw(edges[:-1], found.counts, np.diff(edges), align="edge", color=SKY, edgecolor="white", lw=0.4)
+    draw(edges[:-1], bins.counts, np.diff(edges), align="edge", color=SKY, edgecolor="white", lw=0.4)
 
 
-def _limits(line: object, found: FleetQuantity, factor: float) -> None:
-    if found.capability is None or not callable(line):
+def _limits(line: object, quantity: FleetQuantity, factor: float) -> None:
+    if quantity.capability is None or not callable(line):
         return
-    for limit in (found.capability.low, found.capability.high):
+    for limit in (quantity.capability.low, quantity.capability.high):
         if limit is not None:
             line(factor * limit, color=VERMILION, lw=1.2, ls="--")

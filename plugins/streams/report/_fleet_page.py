@@ -21,8 +21,8 @@ _ABOUT = {
     "Limits": "Cpk by the whole sample’s standard deviation, interval by Bissell; share by Clopper and Pearson.",
     "Outliers": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
     "95 times of 100; by one quantity alone where it is not in the distance.",
-    "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: beside all batches and quantities that "
-    "were asked.",
+    "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: significant among all tested batches "
+    "and quantities.",
     "Over time": "By the median of all slopes (Theil and Sen). Chart: an exponentially weighted moving average about "
     "the median, with limits that it leaves once in 500 recordings by chance.",
 }
@@ -42,9 +42,9 @@ def write_fleet_report(report: FleetReport, folder: Path) -> tuple[Path, Path]:
 
 def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) -> str:
     """The page as text, with so many quantities drawn and so many rows of each table."""
-    found, pairs = report.judgement, report.pairs
+    judgement, pairs = report.judgement, report.pairs
     tables = [(title, _ABOUT[title], rows) for title, make in SECTIONS.items() if (rows := make(report))]
-    drawn = sorted((one for one in report.quantities if one.histogram is not None), key=lambda one: not one.of_motor)
+    shown = sorted((one for one in report.quantities if one.histogram is not None), key=lambda one: not one.of_motor)
     return filled(
         "fleet.html",
         title=Path(report.table).name,
@@ -52,44 +52,44 @@ def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) ->
         remarks=[typographic(remark.text) for remark in report.remarks],
         counts=count_rows(report),
         judgement=_judgement(report),
-        judged=[] if found is None else judgement_rows(found),
+        judged=[] if judgement is None else judgement_rows(judgement),
         pairs="" if pairs is None else f"{plural(pairs.count, 'motor')} measured twice, {pairs.unpaired} once.",
         paired=[] if pairs is None else pair_rows(pairs),
         changed=[] if pairs is None else change_rows(pairs),
         tables=tables,
         most_rows=most_rows,
-        pictures=list(_pictures(report, drawn[:most_pictures])),
+        pictures=list(_pictures(report, shown[:most_pictures])),
     )
 
 
 def _under(report: FleetReport) -> str:
-    told = [plural(report.recordings, "recording")]
+    parts = [plural(report.recordings, "recording")]
     if report.serials:
-        told.append(f"of {plural(report.serials, 'motor')}")
+        parts.append(f"of {plural(report.serials, 'motor')}")
     if report.first is not None and report.last is not None:
-        told.append(f"from {date(report.first)} to {date(report.last)} UTC")
-    return " ".join(told)
+        parts.append(f"from {date(report.first)} to {date(report.last)} UTC")
+    return " ".join(parts)
 
 
 def _judgement(report: FleetReport) -> dict[str, str] | None:
-    found = report.judgement
-    if found is None:
+    counts = report.judgement
+    if counts is None:
         return None
-    mood = "bad" if found.failed else "warning" if found.unsure or found.not_measured else "good"
-    told = (
-        f"{found.failed} fail, {found.unsure} cannot be told within their intervals, {found.not_measured} not measured."
+    mood = "bad" if counts.failed else "warning" if counts.unsure or counts.not_measured else "good"
+    detail = (
+        f"{counts.failed} fail, {counts.unsure} are undecided by their intervals, {counts.not_measured} not measured."
     )
-    return {"mood": mood, "head": f"{found.passed} of {report.recordings} pass", "told": told}
+    return {"mood": mood, "head": f"{counts.passed} of {report.recordings} pass", "detail": detail}
 
 
-def _pictures(report: FleetReport, drawn: Sequence[FleetQuantity]) -> Iterator[Picture]:
+def _pictures(report: FleetReport, quantities: Sequence[FleetQuantity]) -> Iterator[Picture]:
     if report.distances is None:
         yield Picture("Robust distance", "Not drawn: too few complete recordings.")
     else:
         count, of = report.distances.counted, len(report.distances.quantities)
-        told = f"Of {of} quantities; middle and scatter by {count} recordings."
-        yield Picture("Robust distance", told, distance_figure(report.distances))
-    for one in drawn:
+        caption = f"Of {of} quantities; middle and scatter by {count} recordings."
+        yield Picture("Robust distance", caption, distance_figure(report.distances))
+    for one in quantities:
         limits = " Dashed: the limits of the file." if one.capability is not None else ""
-        told = f"Known of {one.count} of {one.asked} recordings.{limits}"
-        yield Picture(one.label, told, quantity_figure(one))
+        caption = f"Known of {one.count} of {one.asked} recordings.{limits}"
+        yield Picture(one.label, caption, quantity_figure(one))

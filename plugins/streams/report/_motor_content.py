@@ -18,25 +18,25 @@ from plugins.streams.report._content import Line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
 TORQUE_HEAD = ("torque", "i_d", "i_q", "length", "angle from d")
-COPPER_PER_K = 0.00393
+COPPER_COEFFICIENT_PER_K = 0.00393
 """Relative change of copper's resistance a kelvin, at 20 degrees Celsius."""
 
 
 def motor_lines(material: Material) -> Iterator[Line]:
     """Label and text; nothing of what was not measured."""
-    found, motor = material.estimates, motor_of(material)
-    if found is not None and found.resistance is not None:
-        yield Line("R_s", resistance(found.resistance))
-        yield Line("R_s at 20 °C", _at_20_c(found.resistance, _ambient_c(material)))
-        yield Line("R_s over the run", resistance_course(found.resistance))
-    shown = material.maps.get(found.method) if found is not None and found.method is not None else None
+    report, motor = material.estimates, motor_of(material)
+    if report is not None and report.resistance is not None:
+        yield Line("R_s", resistance(report.resistance))
+        yield Line("R_s at 20 °C", _at_20_c(report.resistance, _ambient_c(material)))
+        yield Line("R_s over the run", resistance_course(report.resistance))
+    shown = material.maps.get(report.method) if report is not None and report.method is not None else None
     if shown is not None and motor is not None:
-        yield from _of_map(shown, motor, _magnet_by_emf(found))
+        yield from _of_map(shown, motor, _magnet_by_emf(report))
 
 
-def _magnet_by_emf(found: EstimationReport | None) -> tuple[float, float] | None:
+def _magnet_by_emf(report: EstimationReport | None) -> tuple[float, float] | None:
     """psi_M and its standard deviation [Wb], where a rotor has turned."""
-    for remark in found.remarks if found is not None else ():
+    for remark in report.remarks if report is not None else ():
         flux, std = remark.values.get("flux_wb"), remark.values.get("std_wb")
         if remark.code == "spin.magnet_flux" and isinstance(flux, float) and isinstance(std, float):
             return flux, std
@@ -47,42 +47,42 @@ def _ambient_c(material: Material) -> float | None:
     return None if material.record is None else material.record.procedure.about.ambient_c
 
 
-def _at_20_c(found: ResistanceEstimate, ambient_c: float | None) -> str:
+def _at_20_c(estimate: ResistanceEstimate, ambient_c: float | None) -> str:
     """By copper's coefficient, from the first reading, which the winding's own heat has not reached yet."""
     if ambient_c is None:
-        return "not known: nobody said how warm the room was (--ambient)"
-    cold = found.first_ohm / (1.0 + COPPER_PER_K * (ambient_c - 20.0))
+        return "not known: the room's temperature was not given (--ambient)"
+    cold = estimate.first_ohm / (1.0 + COPPER_COEFFICIENT_PER_K * (ambient_c - 20.0))
     return f"{quantity(cold, 'ohm', 4)}, if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
 
 
-def _of_map(found: FluxMap, motor: Motor, magnet: tuple[float, float] | None) -> Iterator[Line]:
-    l_d, l_q = (_at(found, getattr(found, name), 0.0, 0.0) for name in ("l_dd", "l_qq"))
+def _of_map(grid: FluxMap, motor: Motor, magnet: tuple[float, float] | None) -> Iterator[Line]:
+    l_d, l_q = (_at(grid, getattr(grid, name), 0.0, 0.0) for name in ("l_dd", "l_qq"))
     if l_d is not None and l_q is not None:
         yield Line("L_d, L_q unsaturated", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}")
     if magnet is not None:
-        said = f"{quantity(magnet[0], 'Wb', 4)} ± {quantity(1.96 * magnet[1], 'Wb', 1)} (95 %), by the back-EMF"
+        measured = f"{quantity(magnet[0], 'Wb', 4)} ± {quantity(1.96 * magnet[1], 'Wb', 1)} (95 %), by the back-EMF"
         nameplate = "" if motor.pm_flux_wb is None else f"; nameplate {quantity(motor.pm_flux_wb, 'Wb', 4)}"
-        yield Line("ψ of the magnet", said + nameplate)
+        yield Line("ψ of the magnet", measured + nameplate)
     elif motor.pm_flux_wb is not None:
         why = "nameplate: a locked rotor does not show it"
         yield Line("ψ of the magnet", f"{quantity(motor.pm_flux_wb, 'Wb', 4)} ({why})")
     rated_a = motor.rated_current_a
     if rated_a is None:
         return
-    saturated = [_at(found, getattr(found, name), 0.0, rated_a) for name in ("l_dd", "l_qq")]
+    saturated = [_at(grid, getattr(grid, name), 0.0, rated_a) for name in ("l_dd", "l_qq")]
     if saturated[0] is not None and saturated[1] is not None:
         yield Line("L_d, L_q at rated i_q", f"{quantity(saturated[0], 'H', 4)}, {quantity(saturated[1], 'H', 4)}")
-    yield from _torque(found, motor, rated_a)
-    ratios = saliency(found).ratio
-    at_rest, loaded = _at(found, ratios, 0.0, 0.0), _at(found, ratios, 0.0, rated_a)
-    told = [f"{number(r, 3)} {where}" for r, where in ((at_rest, "at no current"), (loaded, "at rated i_q")) if r]
-    if told:
-        yield Line("Saliency", f"{', '.join(told)} (largest over smallest inductance)")
+    yield from _torque(grid, motor, rated_a)
+    ratios = saliency(grid).ratio
+    at_rest, loaded = _at(grid, ratios, 0.0, 0.0), _at(grid, ratios, 0.0, rated_a)
+    parts = [f"{number(r, 3)} {where}" for r, where in ((at_rest, "at no current"), (loaded, "at rated i_q")) if r]
+    if parts:
+        yield Line("Saliency", f"{', '.join(parts)} (largest over smallest inductance)")
 
 
-def _torque(found: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
+def _torque(grid: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
     try:
-        best = mtpa(found, motor.pole_pairs, np.array([rated_a]))
+        best = mtpa(grid, motor.pole_pairs, np.array([rated_a]))
     except FluxbenchError:  # a map without i_q > 0, or of a single line
         return
     torque = float(best.torque_nm[0])
@@ -94,7 +94,7 @@ def _torque(found: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
     yield Line("Torque at rated current", f"{quantity(torque, 'Nm', 3)} at {where}{edge}{stated}")
 
 
-def torque_rows(found: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str, ...]]:
+def torque_rows(grid: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str, ...]]:
     """The best currents for torques from a part of the greatest that was measured up to that; see `TORQUE_HEAD`.
 
     None where the magnet's flux is not known, of which most of the torque is.
@@ -102,7 +102,7 @@ def torque_rows(found: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str,
     if motor.pm_flux_wb is None:
         return []
     try:
-        best = mtpa(found, motor.pole_pairs)
+        best = mtpa(grid, motor.pole_pairs)
     except FluxbenchError:  # a map without i_q > 0, or of a single line
         return []
     known = np.isfinite(best.torque_nm) & best.interior
@@ -113,17 +113,17 @@ def torque_rows(found: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str,
         return []
     rows = []
     for part in np.arange(1, steps + 1) / steps:
-        asked = part * torque[-1]
-        d, q = (float(np.interp(asked, torque, i_dq[:, axis])) for axis in (0, 1))
+        torque_nm = part * torque[-1]
+        d, q = (float(np.interp(torque_nm, torque, i_dq[:, axis])) for axis in (0, 1))
         length, angle = math.hypot(d, q), math.degrees(math.atan2(q, d))
-        rows.append((quantity(asked, "Nm"), *(f"{fixed(x, 2)} A" for x in (d, q, length)), f"{fixed(angle, 1)}°"))
+        rows.append((quantity(torque_nm, "Nm"), *(f"{fixed(x, 2)} A" for x in (d, q, length)), f"{fixed(angle, 1)}°"))
     return rows
 
 
-def _at(found: FluxMap, values: RealArray, i_d: float, i_q: float) -> float | None:
+def _at(grid: FluxMap, values: RealArray, i_d: float, i_q: float) -> float | None:
     """The map's value at its node nearest to a current; None where that is more than a step away, or not measured."""
-    d, q = (int(np.abs(np.asarray(axis) - x).argmin()) for axis, x in ((found.i_d, i_d), (found.i_q, i_q)))
-    for axis, k, x in ((found.i_d, d, i_d), (found.i_q, q, i_q)):
+    d, q = (int(np.abs(np.asarray(axis) - x).argmin()) for axis, x in ((grid.i_d, i_d), (grid.i_q, i_q)))
+    for axis, k, x in ((grid.i_d, d, i_d), (grid.i_q, q, i_q)):
         steps = np.diff(axis)
         if len(steps) and abs(float(axis[k]) - x) > float(steps.max()):
             return None

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-def torque_figure(found: FluxMap, pole_pairs: int, mtpa: Trajectory | None, mtpv: Trajectory | None) -> str:
+def torque_figure(grid: FluxMap, pole_pairs: int, mtpa: Trajectory | None, mtpv: Trajectory | None) -> str:
     """Lines of equal torque [Nm], the most torque an ampere (MTPA) and a volt (MTPV) where they lie inside the map."""
     figure, axes = new_figure()
-    _lines(axes, found, torque_nm(found, pole_pairs), 11)
+    _lines(axes, grid, torque_nm(grid, pole_pairs), 11)
     for name, line, colour, style in (("MTPA", mtpa, VERMILION, "-"), ("MTPV", mtpv, ORANGE, "--")):
         if line is not None and line.interior.any():
             inside = np.where(line.interior[:, None], line.i_dq, np.nan)
@@ -41,25 +41,25 @@ def torque_figure(found: FluxMap, pole_pairs: int, mtpa: Trajectory | None, mtpv
     return uri(figure)
 
 
-def flux_plane_figure(found: FluxMap, axis: str) -> str:
+def flux_plane_figure(grid: FluxMap, axis: str) -> str:
     """psi_d or psi_q over the current plane, in mWb."""
     figure, axes = new_figure()
-    values = 1e3 * np.asarray(getattr(found, f"psi_{axis}"))
-    mesh = axes.pcolormesh(found.i_d, found.i_q, values.T, shading="nearest", rasterized=True, cmap="YlGnBu", alpha=0.8)
+    values = 1e3 * np.asarray(getattr(grid, f"psi_{axis}"))
+    mesh = axes.pcolormesh(grid.i_d, grid.i_q, values.T, shading="nearest", rasterized=True, cmap="YlGnBu", alpha=0.8)
     figure.colorbar(mesh, ax=axes).set_label("mWb")
-    _lines(axes, found, values, 8)
+    _lines(axes, grid, values, 8)
     current_plane(axes)
     return uri(figure)
 
 
-def saliency_figure(found: FluxMap) -> str:
+def saliency_figure(grid: FluxMap) -> str:
     """From the d axis to the axis of least inductance, electrical degrees: what a tracking by injection is off by."""
     figure, axes = new_figure()
-    degrees = np.degrees(saliency(found).angle_rad)
+    degrees = np.degrees(saliency(grid).angle_rad)
     scale = signed_scale(degrees[np.isfinite(degrees)], 1.4)
-    mesh = axes.pcolormesh(found.i_d, found.i_q, degrees.T, shading="nearest", rasterized=True, **scale)
+    mesh = axes.pcolormesh(grid.i_d, grid.i_q, degrees.T, shading="nearest", rasterized=True, **scale)
     figure.colorbar(mesh, ax=axes).set_label("degrees")
-    _lines(axes, found, degrees, 7)
+    _lines(axes, grid, degrees, 7)
     current_plane(axes)
     return uri(figure)
 
@@ -72,9 +72,9 @@ def temperature_figure(readings: RealArray) -> str:
     return uri(figure)
 
 
-def _lines(axes: Axes, found: FluxMap, values: RealArray, levels: int) -> None:
+def _lines(axes: Axes, grid: FluxMap, values: RealArray, levels: int) -> None:
     known = np.ma.masked_invalid(values.T)
     if min(values.shape) < 2 or known.count() < 4 or float(np.ptp(known.compressed())) == 0.0:
         return
-    lines = axes.contour(found.i_d, found.i_q, known, levels=levels, colors=BLACK, linewidths=0.7)
+    lines = axes.contour(grid.i_d, grid.i_q, known, levels=levels, colors=BLACK, linewidths=0.7)
     axes.clabel(lines, fontsize=STYLE.small_pt - 1, fmt=lambda level: number(level, 3))

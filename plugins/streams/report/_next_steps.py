@@ -16,12 +16,12 @@ def next_steps(material: Material) -> list[Line]:
 
 
 def _about_map(material: Material) -> str:
-    found, run = material.estimates, material.directory.resolve().name
-    if found is None:
+    report, run = material.estimates, material.directory.resolve().name
+    if report is None:
         return f"none yet: fluxbench estimate {run} makes it."
-    if found.usable and "flux_map" in found.files:
-        return f"use results/{found.files['flux_map']}; fluxbench export {run} writes it for a drive or a simulation."
-    why = next((typographic(remark.text) for remark in found.remarks), "none could be made")
+    if report.usable and "flux_map" in report.files:
+        return f"use results/{report.files['flux_map']}; fluxbench export {run} writes it for a drive or a simulation."
+    why = next((typographic(remark.text) for remark in report.remarks), "none could be made")
     return f"do not rely on it: {why}."
 
 

@@ -68,7 +68,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
     """The page as text, with so many rows of the journal."""
     motor = content.motor_of(material)
     main = next(iter(material.maps.values()), None)
-    told = content.events(material)
+    events = content.events(material)
     created = material.manifest.created if material.manifest is not None else ""
     return filled(
         "template.html",
@@ -85,15 +85,15 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),
         remarks=content.remarks(material),
-        sensorless={"head": sensorless.HEAD, "rows": sensorless.rows(material), "told": sensorless.told(material)},
+        sensorless={"head": sensorless.HEAD, "rows": sensorless.rows(material), "note": sensorless.note(material)},
         formulas=list(content.formulas(material)),
         pictures=list(_pictures(material, main)) if draws else [_undrawn(material)],
         quantities=list(MAP_QUANTITIES.values()),
         map_method=main.method if main is not None else "",
         map_rows=content.map_rows(main, motor) if main is not None else [],
         provenance=list(content.provenance(material)),
-        events=told[:most_events],
-        more_events=max(0, len(told) - most_events),
+        events=events[:most_events],
+        more_events=max(0, len(events) - most_events),
         problems=material.problems,
         files=_files(material),
     )
@@ -118,29 +118,29 @@ def _shown(value: object) -> object:
 
 def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
     """The diagnosis' part of the page; None where there was none."""
-    found = material.diagnosis
-    if found is None:
+    diagnosis = material.diagnosis
+    if diagnosis is None:
         return None
     return {
-        "verdict": findings.verdict(found),
-        "reasons": findings.reasons(found),
-        "slots": list(findings.filled_slots(found)),
-        "accuracy": findings.accuracy(found),
-        "search": findings.search_moves(found),
-        "pictures": list(diagnosis_pictures(found)) if draws else [],
-        "ladder": findings.ladder_rows(found),
-        "effects": findings.effect_rows(found),
-        "alike": findings.alike_rows(found),
-        "leftover": findings.leftover_rows(found),
-        "leftover_told": findings.leftover_told(found),
-        "experiment": findings.experiment(found),
-        "remarks": findings.remarks(found),
+        "verdict": findings.verdict(diagnosis),
+        "reasons": findings.reasons(diagnosis),
+        "slots": list(findings.filled_slots(diagnosis)),
+        "accuracy": findings.accuracy(diagnosis),
+        "search": findings.search_moves(diagnosis),
+        "pictures": list(diagnosis_pictures(diagnosis)) if draws else [],
+        "ladder": findings.ladder_rows(diagnosis),
+        "effects": findings.effect_rows(diagnosis),
+        "alike": findings.alike_rows(diagnosis),
+        "leftover": findings.leftover_rows(diagnosis),
+        "leftover_text": findings.leftover_text(diagnosis),
+        "experiment": findings.experiment(diagnosis),
+        "remarks": findings.remarks(diagnosis),
     }
 
 
 def _undrawn(material: Material) -> Picture:
-    told = f"Not drawn: the run was stopped. `fluxbench report {material.directory}` draws what was measured."
-    return Picture("Pictures", told)
+    caption = f"Not drawn: the run was stopped. `fluxbench report {material.directory}` draws what was measured."
+    return Picture("Pictures", caption)
 
 
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
@@ -148,7 +148,7 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     yield _resistance_picture(material)
     for axis, other in (("d", "q"), ("q", "d")):
         title = f"ψ_{axis} over i_{axis}, i_{other} held"
-        known = {m: found for m, found in material.maps.items() if np.isfinite(found.psi_d).any()}
+        known = {m: grid for m, grid in material.maps.items() if np.isfinite(grid.psi_d).any()}
         if not known:
             yield Picture(title, "Not drawn: no flux map was made.")
         else:
@@ -158,13 +158,13 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
         if main is None or not np.isfinite(getattr(main, name)).any():
             yield Picture(title, "Not drawn: not measured.")
         else:
-            caption = f"In mH, by {main.method}. White is outside what was measured."
-            yield Picture(title, caption, figures.inductance_figure(main, name))
+            text = f"In mH, by {main.method}. White is outside what was measured."
+            yield Picture(title, text, figures.inductance_figure(main, name))
     if main is not None and np.isfinite(main.psi_d).any():
         yield from _plane_pictures(main, content.motor_of(material))
     if len(material.paths.temperature_c) > 1:
-        told = "Mean of each segment of direct current, as recorded."
-        yield Picture("Temperature over the run", told, motor_figures.temperature_figure(material.paths.temperature_c))
+        text = "Mean of each segment of direct current, as recorded."
+        yield Picture("Temperature over the run", text, motor_figures.temperature_figure(material.paths.temperature_c))
 
 
 def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
@@ -176,13 +176,13 @@ def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
                 best.append(trajectory(main, motor.pole_pairs))
             except FluxbenchError:  # no point with i_q > 0, or one line of points alone
                 best.append(None)
-        told = "In Nm, with the most torque an ampere (MTPA) and a volt (MTPV), as far as they were measured."
-        yield Picture("Torque", told, motor_figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
+        text = "In Nm, with the most torque an ampere (MTPA) and a volt (MTPV), as far as they were measured."
+        yield Picture("Torque", text, motor_figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
     for axis in ("d", "q"):
         yield Picture(f"ψ_{axis} over the current plane", "In mWb.", motor_figures.flux_plane_figure(main, axis))
     if np.isfinite(main.l_dd * main.l_qq * main.l_dq).any():
-        told = "Electrical degrees from the d axis to that of least inductance: what a tracking by injection is off by."
-        yield Picture("Saliency angle", told, motor_figures.saliency_figure(main))
+        text = "Electrical degrees from the d axis to that of least inductance: what a tracking by injection is off by."
+        yield Picture("Saliency angle", text, motor_figures.saliency_figure(main))
 
 
 def _paths_picture(material: Material) -> Picture:
@@ -193,10 +193,10 @@ def _paths_picture(material: Material) -> Picture:
         "captures of voltage steps": len(paths.steps),
         "points of a rotor that turns": len(paths.spin),
     }
-    told = [f"{count} {what}" for what, count in counts.items() if count]
-    if not told:
+    parts = [f"{count} {what}" for what, count in counts.items() if count]
+    if not parts:
         return Picture(title, "Not drawn: neither sweeps, steps nor points of injection are in the recording.")
-    return Picture(title, f"{' and '.join(told)}, as measured.", figures.paths_figure(paths))
+    return Picture(title, f"{' and '.join(parts)}, as measured.", figures.paths_figure(paths))
 
 
 def _resistance_picture(material: Material) -> Picture:
@@ -221,12 +221,12 @@ def _difference_picture(material: Material) -> Picture:
 
 
 def _first_by(basis: Basis, maps: dict[str, FluxMap]) -> FluxMap | None:
-    return next((found for found in maps.values() if found.basis is basis), None)
+    return next((grid for grid in maps.values() if grid.basis is basis), None)
 
 
 def _methods_in_words(maps: dict[str, FluxMap]) -> str:
     if _first_by(Basis.INTEGRATION, maps) is not None and _first_by(Basis.INJECTION, maps) is not None:
-        others = [name for name, found in maps.items() if found.basis not in BASIS_LINES]
+        others = [name for name, grid in maps.items() if grid.basis not in BASIS_LINES]
         dotted = f" Dotted: {', '.join(others)}." if others else ""
         return f"Dashed: classical, solid: injection, with its 95 % band.{dotted} Counted from zero current."
     return f"By {', '.join(maps)} alone. Counted from zero current."

@@ -18,24 +18,24 @@ HEAD = (
     "axis off by up to",
     "left with the map’s turn",
 )
-ALIKE_PERCENT = 1.0
+AGREEMENT_PERCENT = 1.0
 """Ripple and map agree where neither inductance differs by more: what a drive's control does not feel."""
 
 
 def rows(material: Material) -> list[tuple[str, ...]]:
     """One row for each frequency and size of the ripple."""
-    return [_row(seen) for seen in _seen(material)]
+    return [_row(ripple) for ripple in _ripples(material)]
 
 
-def told(material: Material) -> str:
+def note(material: Material) -> str:
     """What it means for a control, in a few sentences; empty where there is nothing to say."""
-    seen = _seen(material)
-    if not seen:
+    ripples = _ripples(material)
+    if not ripples:
         return ""
-    most = max(abs(value or 0.0) for one in seen for value in (one.l_dd_percent, one.l_qq_percent))
-    worst, left = (max(getattr(one, name) or 0.0 for one in seen) for name in ("angle_error_rad", "left_by_map_rad"))
-    map_ = f"the large-signal map (by {seen[0].method})"
-    if most <= ALIKE_PERCENT:
+    most = max(abs(value or 0.0) for one in ripples for value in (one.l_dd_percent, one.l_qq_percent))
+    worst, left = (max(getattr(one, name) or 0.0 for one in ripples) for name in ("angle_error_rad", "left_by_map_rad"))
+    map_ = f"the large-signal map (by {ripples[0].method})"
+    if most <= AGREEMENT_PERCENT:
         first = f"A small ripple sees the slopes of {map_}, within {fixed(most, 1)} %: one map serves both."
     else:
         first = (
@@ -50,20 +50,20 @@ def told(material: Material) -> str:
     return f"{first} {second}"
 
 
-def _seen(material: Material) -> tuple[SeenByInjection, ...]:
+def _ripples(material: Material) -> tuple[SeenByInjection, ...]:
     return material.estimates.seen_by_injection if material.estimates is not None else ()
 
 
-def _row(seen: SeenByInjection) -> tuple[str, ...]:
+def _row(ripple: SeenByInjection) -> tuple[str, ...]:
     return (
-        f"{number(seen.frequency_hz, 4)} Hz, {number(seen.amplitude_v, 3)} V rms",
-        str(seen.points),
-        _percent(seen.l_dd_percent),
-        _percent(seen.l_qq_percent),
-        _between(seen.saliency_low, seen.saliency_high),
-        _between(seen.map_saliency_low, seen.map_saliency_high),
-        _degrees(seen.angle_error_rad),
-        _degrees(seen.left_by_map_rad),
+        f"{number(ripple.frequency_hz, 4)} Hz, {number(ripple.amplitude_v, 3)} V rms",
+        str(ripple.points),
+        _percent(ripple.l_dd_percent),
+        _percent(ripple.l_qq_percent),
+        _between(ripple.saliency_low, ripple.saliency_high),
+        _between(ripple.map_saliency_low, ripple.map_saliency_high),
+        _degrees(ripple.angle_error_rad),
+        _degrees(ripple.left_by_map_rad),
     )
 
 

@@ -23,7 +23,7 @@ from protocols import RealArray
 WIDTH, HEIGHT = 160.0, 90.0
 MARGIN = (18.0, 8.0, 24.0, 18.0)
 """Left, right, above and below a chart, in its own units."""
-_HAIR, _LINE, _NOTHING = -0.5, -1.0, -0.01
+_HAIR_POINTS, _LINE_POINTS, _INVISIBLE_POINTS = -0.5, -1.0, -0.01
 """Radii in points of the screen, as negative numbers are."""
 
 
@@ -69,13 +69,20 @@ class Chart:
             words.append((WIDTH / 2, -20.0, title))
         words = [word for word in words if word[2]]
         return [
-            lined(f"{self.path}/axes/grid", when, lines, GRID, _HAIR, 1.0),
-            lined(f"{self.path}/axes/frame", when, [frame], GUIDE, _HAIR, 2.0),
+            lined(f"{self.path}/axes/grid", when, lines, GRID, _HAIR_POINTS, 1.0),
+            lined(f"{self.path}/axes/frame", when, [frame], GUIDE, _HAIR_POINTS, 2.0),
             worded(f"{self.path}/axes/words", when, words),
         ]
 
     def line(
-        self, name: str, when: When, x: RealArray, y: RealArray, colour: str, radius: float = _LINE, layer: float = 20.0
+        self,
+        name: str,
+        when: When,
+        x: RealArray,
+        y: RealArray,
+        colour: str,
+        radius: float = _LINE_POINTS,
+        layer: float = 20.0,
     ) -> Entry:
         """A curve; the higher its layer, the further in front."""
         return lined(f"{self.path}/{name}", when, [self.place(x, y)], colour, radius, layer)
@@ -84,7 +91,7 @@ class Chart:
         """Names, each in its colour, above the chart."""
         at = np.array([[WIDTH * (0.42 + 0.5 * (k + 0.5) / len(names)), -11.0] for k in range(len(names))])
         labels, colours = zip(*names, strict=True)
-        words = rr.Points2D(at, labels=labels, show_labels=True, colors=packed_all(colours), radii=_NOTHING)
+        words = rr.Points2D(at, labels=labels, show_labels=True, colors=packed_all(colours), radii=_INVISIBLE_POINTS)
         return entry(f"{self.path}/legend", when, words)
 
     def points(self, name: str, when: When, x: RealArray, y: RealArray, colour: str, radius: float = -1.5) -> Entry:
@@ -110,14 +117,14 @@ def plane(path: str, reach_a: float, limit_a: float | None = None, when: When = 
     words += [(0.0, -1.12 * reach_a, "i_d [A]"), (-1.0 * reach_a, 1.13 * reach_a, "i_q [A]")]
     out = [
         entry(path, when, rr.Transform3D(scale=[1.0 / reach_a, -1.0 / reach_a, 1.0])),
-        lined(f"{path}/axes/grid", when, lines, GRID, _HAIR, 1.0),
-        lined(f"{path}/axes/cross", when, cross, GUIDE, _HAIR, 2.0),
+        lined(f"{path}/axes/grid", when, lines, GRID, _HAIR_POINTS, 1.0),
+        lined(f"{path}/axes/cross", when, cross, GUIDE, _HAIR_POINTS, 2.0),
         worded(f"{path}/axes/words", when, words),
     ]
     if limit_a is not None:
         turn = np.linspace(0.0, 2.0 * math.pi, 181)
         circle = limit_a * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        out.append(lined(f"{path}/axes/limit", when, [circle], GUIDE, _LINE))
+        out.append(lined(f"{path}/axes/limit", when, [circle], GUIDE, _LINE_POINTS))
     return out
 
 
@@ -153,7 +160,7 @@ def picture(
 
 
 def lined(
-    path: str, when: When, strips: Sequence[RealArray], colour: str, radius: float = _LINE, layer: float = 20.0
+    path: str, when: When, strips: Sequence[RealArray], colour: str, radius: float = _LINE_POINTS, layer: float = 20.0
 ) -> Entry:
     """Lines of one colour."""
     size = sum(strip.nbytes for strip in strips)
@@ -172,7 +179,9 @@ def worded(path: str, when: When, words: Sequence[tuple[float, float, str]]) -> 
     """Words about (x, y)."""
     at = np.array([word[:2] for word in words], dtype=np.float64).reshape(-1, 2)
     labels = [word[2] for word in words]
-    return entry(path, when, rr.Points2D(at, labels=labels, show_labels=True, colors=packed(TEXT), radii=_NOTHING))
+    return entry(
+        path, when, rr.Points2D(at, labels=labels, show_labels=True, colors=packed(TEXT), radii=_INVISIBLE_POINTS)
+    )
 
 
 def reach(values: RealArray, part: float = 1.0) -> tuple[float, float]:

@@ -133,7 +133,7 @@ def of_a_fleet(pages: Sequence[str], courses: Sequence[str], end_s: float, abrea
     plots = [_plot(title, time, f"/course/{place}") for place, title in enumerate(courses)]
     tables = {page: page.replace("_", " ") for page in pages[1:]}
     tabs = [
-        rrb.Vertical(_text("What the table tells", "/fleet/told"), name="What does the table tell?"),
+        rrb.Vertical(_text("Remarks on the table", "/fleet/remarks"), name="What does the table show?"),
         *([rrb.Grid(*plots, grid_columns=abreast, name="Does it drift?")] if plots else []),
         *(rrb.Vertical(_text(title, f"/fleet/{page}"), name=title.capitalize()) for page, title in tables.items()),
     ]

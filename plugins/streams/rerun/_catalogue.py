@@ -27,25 +27,25 @@ def runs_in(folder: Path) -> list[Path]:
 
 def row(path: Path) -> dict[str, Any]:
     """One run's line of the table; null where it is not known."""
-    found: dict[str, Any] = dict.fromkeys(COLUMNS)
-    found |= {"run": path.name, "outcome": "unreadable", "view": _view_of(path)}
+    cells: dict[str, Any] = dict.fromkeys(COLUMNS)
+    cells |= {"run": path.name, "outcome": "unreadable", "view": _view_of(path)}
     try:
         run = RunDirectory.open(path)
         messages = [record.message for record in run.journal.read()]
     except FluxbenchError:
-        return found
+        return cells
     record = run.record
     ended = next((m for m in reversed(messages) if isinstance(m, RunEnded)), None)
-    found |= {"created": record.created, "motor": record.procedure.motor.name, "drive": record.procedure.drive.name}
-    found |= {"points": sum(isinstance(m, PointDone) for m in messages)}
-    found["outcome"] = "unfinished" if ended is None else ended.outcome
+    cells |= {"created": record.created, "motor": record.procedure.motor.name, "drive": record.procedure.drive.name}
+    cells |= {"points": sum(isinstance(m, PointDone) for m in messages)}
+    cells["outcome"] = "unfinished" if ended is None else ended.outcome
     if ended is not None and ended.estimates is not None:
-        found |= _estimates(ended.estimates)
-    return found | {"verdict": _verdict(path, messages)}
+        cells |= _estimates(ended.estimates)
+    return cells | {"verdict": _verdict(path, messages)}
 
 
 def _verdict(path: Path, messages: Sequence[Message]) -> Any:
-    """That of ``results/diagnosis.json``, which is the newest; else what the run itself said last."""
+    """That of ``results/diagnosis.json``, which is the newest; else the last one in the journal."""
     try:
         kept = json.loads(read_bytes(path / "results" / "diagnosis.json"))
         return kept.get("report", kept)["verdict"]

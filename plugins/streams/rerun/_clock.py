@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-_PACE = (0.5, 2.0)
+_REAL_TIME_RATIO = (0.5, 2.0)
 
 
 class Clock:
@@ -35,4 +35,4 @@ class Clock:
         if self._first is None:
             return False
         drive, wall = self._last[0] - self._first[0], self._last[1] - self._first[1]
-        return wall > 1.0 and _PACE[0] < drive / wall < _PACE[1]
+        return wall > 1.0 and _REAL_TIME_RATIO[0] < drive / wall < _REAL_TIME_RATIO[1]

@@ -165,7 +165,7 @@ def _found_by(source: Path | str, origin: str) -> AbstractContextManager[str]:
 
 
 def _made_anew(later: Later) -> Later | None:
-    """A view that keeps up with its run; None where it cannot any more, which is said."""
+    """A view that follows its run; None, with a message, where it cannot any more."""
     _tell(f"{later.run} has newer results: the view is made anew")
     try:
         later.make()
@@ -180,11 +180,11 @@ def _browse(runs: Sequence[Path], web: bool, port: int | None) -> int:
     """Serve the catalogue and open it."""
     from plugins.streams.rerun._making import whole_view
 
-    found = [whole_view(run, _tell) for run in runs]
+    views = [whole_view(run, _tell) for run in runs]
     try:
-        return _show_catalogue([one.file for one in found], web, port)
+        return _show_catalogue([one.file for one in views], web, port)
     finally:
-        for one in found:
+        for one in views:
             one.remove()
 
 

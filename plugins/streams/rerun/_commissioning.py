@@ -108,14 +108,14 @@ class Commissioning:
             PointStarted: self._point_started,
             PointDone: self._point_done,
             SamplesCaptured: self._samples,
-            OperatorAsked: self._said,
-            OperatorAnswered: self._said,
+            OperatorAsked: self._logged,
+            OperatorAnswered: self._logged,
             LockChecked: self._lock_checked,
             ResistanceEstimated: self._resistance,
             MapEstimated: self._map,
-            StagesAppended: self._said,
-            StageSufficed: self._said,
-            Note: self._said,
+            StagesAppended: self._logged,
+            StageSufficed: self._logged,
+            Note: self._logged,
             RunEnded: self._run_ended,
         }
 
@@ -159,9 +159,9 @@ class Commissioning:
     def _planes(self) -> list[Entry]:
         return plane("plane/amperes", self._reach_a, None if self._limits is None else self._limits[0])
 
-    def _said(self, message: Message) -> list[Entry]:
-        told = said(message)
-        return [] if told is None else [entry("log", self.when, rr.TextLog(shown(told.line), level=_LEVELS[told.mood]))]
+    def _logged(self, message: Message) -> list[Entry]:
+        text = said(message)
+        return [] if text is None else [entry("log", self.when, rr.TextLog(shown(text.line), level=_LEVELS[text.mood]))]
 
     def _page(self) -> Entry:
         return page("status", self.when, self._status.page())
@@ -177,18 +177,18 @@ class Commissioning:
             properties("run", {"name": message.name, "drive": message.drive, "points": message.points}),
             properties("motor", facts),
             *self._planes(),
-            *self._said(message),
+            *self._logged(message),
             self._page(),
         ]
 
     def _state_changed(self, message: StateChanged) -> list[Entry]:
         self._status.state = message.target
         out = [*self.waveforms(), entry("state/machine", self.when, rr.StateChange(state=message.target)), self._page()]
-        return out + (self._said(message) if message.reason else [])
+        return out + (self._logged(message) if message.reason else [])
 
     def _stage_started(self, message: StageStarted) -> list[Entry]:
         self._status.stage = message
-        return [*self._said(message), self._page()]
+        return [*self._logged(message), self._page()]
 
     def _point_started(self, message: PointStarted) -> list[Entry]:
         self._latest = None
@@ -267,25 +267,26 @@ class Commissioning:
 
     def _lock_checked(self, message: LockChecked) -> list[Entry]:
         self._lock = self._status.lock = message
-        return [*self._said(message), page("trust", self.when, trust_page(self._maps, self._lock))]
+        return [*self._logged(message), page("trust", self.when, trust_page(self._maps, self._lock))]
 
     def _resistance(self, message: ResistanceEstimated) -> list[Entry]:
-        found = message.estimate
-        self._resistance_ohm = found.value_ohm
-        self._status.resistance = found
-        out = [page("resistance/page", self.when, resistance_page(found)), self._page()]
-        out.append(properties("resistance", {"value_ohm": found.value_ohm, "low": found.low, "high": found.high}))
+        estimate = message.estimate
+        self._resistance_ohm = estimate.value_ohm
+        self._status.resistance = estimate
+        out = [page("resistance/page", self.when, resistance_page(estimate)), self._page()]
+        facts = {"value_ohm": estimate.value_ohm, "low": estimate.low, "high": estimate.high}
+        out.append(properties("resistance", facts))
         first_s, last_s = 0.0, self._clock.now()
-        if found.readings:
-            at = np.array([r.start_s for r in found.readings])
+        if estimate.readings:
+            at = np.array([r.start_s for r in estimate.readings])
             order = np.argsort(at, kind="stable")
-            value = np.array([r.value_ohm for r in found.readings])[order]
-            variance = np.square([r.std_ohm for r in found.readings])[order]
+            value = np.array([r.value_ohm for r in estimate.readings])[order]
+            variance = np.square([r.std_ohm for r in estimate.readings])[order]
             out.append(_measurements("resistance/readings", at[order], value, variance))
             first_s, last_s = float(at.min()), max(float(at.max()), last_s)
-        return [*out, *self._resistance_line(found, first_s, last_s)]
+        return [*out, *self._resistance_line(estimate, first_s, last_s)]
 
-    def _resistance_line(self, found: ResistanceEstimate, first_s: float, last_s: float) -> list[Entry]:
+    def _resistance_line(self, estimate: ResistanceEstimate, first_s: float, last_s: float) -> list[Entry]:
         """The estimate as a level up to now, from where the one before it ended; no line joins the two."""
         path = "resistance/estimate"
         gap: list[Entry] = []
@@ -294,24 +295,24 @@ class Commissioning:
             last_s = max(last_s, first_s + 1.0)
             gap = [entry(path, When(experiment_s=first_s - 0.05), rr.Clear(recursive=False))]
         self._resistance_until_s = last_s
-        level = np.array([[found.value_ohm, found.low, found.high]] * 2)
+        level = np.array([[estimate.value_ohm, estimate.low, estimate.high]] * 2)
         return [*gap, scalars(path, np.array([first_s, last_s]), level)]
 
     def _map(self, message: MapEstimated) -> list[Entry]:
-        found = message.estimate
-        self._maps[found.map.method] = found
-        out = self._reached() + self._show_map(found)
+        estimate = message.estimate
+        self._maps[estimate.map.method] = estimate
+        out = self._reached() + self._show_map(estimate)
         out += check_entries(self.when, self._maps)
         return [*out, page("trust", self.when, trust_page(self._maps, self._lock))]
 
-    def _show_map(self, found: FluxMapEstimate) -> list[Entry]:
-        self._shown_map = self._status.map_method = found.map.method
+    def _show_map(self, estimate: FluxMapEstimate) -> list[Entry]:
+        self._shown_map = self._status.map_method = estimate.map.method
         # The limits may lie far beyond what was measured: the box is the map's.
-        self._box = FluxBox(1.05 * reach_of(found.map), 1.05 * flux_height(found.map))
-        out = self._box.furniture(self.when) + self._box.surfaces(self.when, found.map)
-        psi_dq = found.points.psi_dq - np.array(list(flux_at_zero(found.map).values()))
-        out += self._box.points(self.when, found.points.i_dq, psi_dq)
-        return [*out, *inductance_entries(self.when, found.map), self._page()]
+        self._box = FluxBox(1.05 * reach_of(estimate.map), 1.05 * flux_height(estimate.map))
+        out = self._box.furniture(self.when) + self._box.surfaces(self.when, estimate.map)
+        psi_dq = estimate.points.psi_dq - np.array(list(flux_at_zero(estimate.map).values()))
+        out += self._box.points(self.when, estimate.points.i_dq, psi_dq)
+        return [*out, *inductance_entries(self.when, estimate.map), self._page()]
 
     def _run_ended(self, message: RunEnded) -> list[Entry]:
         self._status.ended = message
@@ -322,7 +323,7 @@ class Commissioning:
             facts |= {"method": str(method), "usable": str(message.estimates.usable)}
             if method in self._maps and method != self._shown_map:
                 out += self._show_map(self._maps[method])
-        return [*out, properties("outcome", facts), *self._said(message), self._page()]
+        return [*out, properties("outcome", facts), *self._logged(message), self._page()]
 
 
 def _ripple_chart(when: When, fit: RippleFit, seconds: float) -> list[Entry]:

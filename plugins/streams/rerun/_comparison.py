@@ -21,34 +21,34 @@ _NOW = When(experiment_s=0.0)
 
 def write_comparison(paths: Sequence[Path], file: Path) -> None:
     """Hold runs against the first of them and draw it; raises `RecordingError` where one was not estimated."""
-    found = compare_runs(*paths)
+    compared = compare_runs(*paths)
     tape = Tape(file, name="comparison")
     try:
-        tape.put(_entries(found))
+        tape.put(_entries(compared))
     finally:
         tape.close()
 
 
-def _entries(found: SideBySide) -> Iterator[Entry]:
-    names = [run.name for run in found.comparison.runs]
+def _entries(compared: SideBySide) -> Iterator[Entry]:
+    names = [run.name for run in compared.comparison.runs]
     yield titled(" and ".join(names))
-    for name, text in _pages(found).items():
+    for name, text in _pages(compared).items():
         yield entry(f"comparison/{name}", _NOW, rr.TextDocument(shown(text), media_type=rr.MediaType.MARKDOWN))
     planes = []
-    for k, change in enumerate(found.comparison.maps, start=1):
-        first = found.runs[0].surface
+    for k, change in enumerate(compared.comparison.maps, start=1):
+        first = compared.runs[0].surface
         if first is None or change.rms_percent is None:
             continue
-        length = 1e3 * np.linalg.norm(found.apart(k), axis=2)
+        length = 1e3 * np.linalg.norm(compared.apart(k), axis=2)
         yield from over_plane(f"apart/{k}/amperes", _NOW, (first.i_d, first.i_q), length, "mWb")
         planes.append((shown(f"Flux of {names[k]} less that of {names[0]}, length"), f"/apart/{k}"))
     yield blueprint("comparison", side_by_side(planes))
 
 
-def _pages(found: SideBySide) -> dict[str, str]:
-    told = found.comparison
-    changes, runs = change_rows(told), run_rows(told)
-    remarks = "\n".join(f"- {remark.text}" for remark in told.remarks)
+def _pages(compared: SideBySide) -> dict[str, str]:
+    comparison = compared.comparison
+    changes, runs = change_rows(comparison), run_rows(comparison)
+    remarks = "\n".join(f"- {remark.text}" for remark in comparison.remarks)
     return {
         "changes": f"{remarks}\n\n{markdown_table(changes[0], changes[1:])}",
         "runs": markdown_table(runs[0], runs[1:]),

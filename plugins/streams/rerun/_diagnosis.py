@@ -141,10 +141,10 @@ class Diagnosis:
         report = message.report
         effects = ", ".join(effect.name for effect in report.effects)
         facts = {"verdict": report.verdict, "effects": effects, "round": message.round}
-        told = self._told("words", words_page(message.words, [reason.sentence for reason in report.reasons]))
+        pages = self._text_page("words", words_page(message.words, [reason.sentence for reason in report.reasons]))
         if report.search:
-            told = self._told("search", search_page(report.search))
-        return [*told, properties("diagnosis", facts)]
+            pages = self._text_page("search", search_page(report.search))
+        return [*pages, properties("diagnosis", facts)]
 
     def _proposed(self, message: ExperimentProposed) -> list[Entry]:
         apart = f"**{plain(message.separates[0])}** from **{plain(message.separates[1])}**"
@@ -152,14 +152,14 @@ class Diagnosis:
         text = (
             f"## The next experiment\n\nIt tells {apart} and takes {duration(60.0 * message.minutes)}; {follows}.\n\n"
         )
-        return self._told("next", text + markdown_table(("setting", "value"), setting_rows(message.stage)))
+        return self._text_page("next", text + markdown_table(("setting", "value"), setting_rows(message.stage)))
 
     def _compared(self, message: Compared) -> list[Entry]:
         rows = [(plain(s.stage), quantity(s.rms_v, "V"), number(s.chi2, 3)) for s in message.report.stages]
         head = ("stage", "residual, rms", "χ² per degree of freedom")
-        return self._told("compared", "## The model against the measurements\n\n" + markdown_table(head, rows))
+        return self._text_page("compared", "## The model against the measurements\n\n" + markdown_table(head, rows))
 
-    def _told(self, part: str, text: str) -> list[Entry]:
+    def _text_page(self, part: str, text: str) -> list[Entry]:
         """The page of the diagnosis, which always stands as it was last."""
         self._page[part] = text
         parts = [self._page[name] for name in ("words", "next", "compared", "search") if name in self._page]
@@ -242,60 +242,60 @@ def _residual(when: When, step: DiagnosisStep, scales: _Scales) -> list[Entry]:
     return [*out, chart.legend(when, [(f"phase {n}", c) for n, c in zip("abc", PHASES, strict=True)])]
 
 
-def _excerpt(when: When, path: str, found: CurrentExcerpt) -> list[Entry]:
+def _excerpt(when: When, path: str, excerpt: CurrentExcerpt) -> list[Entry]:
     """Measured and predicted current of the axis that moves more, less its mean."""
-    axis = int(np.ptp(found.measured_a, axis=0).argmax())
-    mean = found.measured_a[:, axis].mean()
-    measured, predicted = found.measured_a[:, axis] - mean, found.predicted_a[:, axis] - mean
+    axis = int(np.ptp(excerpt.measured_a, axis=0).argmax())
+    mean = excerpt.measured_a[:, axis].mean()
+    measured, predicted = excerpt.measured_a[:, axis] - mean, excerpt.predicted_a[:, axis] - mean
     span = reach(np.concatenate([measured, predicted]))
     scale, unit = (1e3, "mA") if span[1] < 1.0 else (1.0, "A")
-    seconds = float(found.time_s[-1]) if len(found.time_s) and found.time_s[-1] > 0 else 1.0
+    seconds = float(excerpt.time_s[-1]) if len(excerpt.time_s) and excerpt.time_s[-1] > 0 else 1.0
     chart = Chart(
         path, (0.0, 1e3 * seconds), (scale * span[0], scale * span[1]), "time [ms]", f"Δi_{'dq'[axis]} [{unit}]"
     )
-    injected = "" if found.amplitude_v is None else f", {quantity(found.amplitude_v, 'V')}"
-    title = f"{plain(found.stage)} at {vector(found.i_d_a, found.i_q_a)}{injected}"
+    injected = "" if excerpt.amplitude_v is None else f", {quantity(excerpt.amplitude_v, 'V')}"
+    title = f"{plain(excerpt.stage)} at {vector(excerpt.i_d_a, excerpt.i_q_a)}{injected}"
     return [
         *chart.furniture(when, title),
-        chart.line("measured", when, 1e3 * found.time_s, scale * measured, MEASURED_ON_SCREEN, -1.6),
-        chart.line("predicted", when, 1e3 * found.time_s, scale * predicted, MODEL, -0.9, 25.0),
+        chart.line("measured", when, 1e3 * excerpt.time_s, scale * measured, MEASURED_ON_SCREEN, -1.6),
+        chart.line("predicted", when, 1e3 * excerpt.time_s, scale * predicted, MODEL, -0.9, 25.0),
         chart.legend(when, [("measured", MEASURED_ON_SCREEN), ("predicted", MODEL)]),
     ]
 
 
-def _loop(when: When, path: str, found: FluxLoop, span_wb: tuple[float, float]) -> list[Entry]:
+def _loop(when: When, path: str, loop: FluxLoop, span_wb: tuple[float, float]) -> list[Entry]:
     """Integrated voltage less the model's map, up and down: a loop that closes as the model improves."""
-    axis = 0 if found.swept_axis == "d" else 1
-    current, apart = found.i_dq[:, axis], (found.psi_measured - found.psi_model)[:, axis]
+    axis = 0 if loop.swept_axis == "d" else 1
+    current, apart = loop.i_dq[:, axis], (loop.psi_measured - loop.psi_model)[:, axis]
     name = "dq"[axis]
     span_mwb = (1e3 * span_wb[0], 1e3 * span_wb[1])
     chart = Chart(path, _around(current), span_mwb, f"i_{name} [A]", f"ψ_{name} − model [mWb]")
     level = np.zeros(2)
     return [
-        *chart.furniture(when, found.segment),
+        *chart.furniture(when, loop.segment),
         chart.line("model", when, np.array(chart.x), level, MODEL),
         chart.line("measured", when, current, 1e3 * (apart - apart.mean()), MEASURED_ON_SCREEN, -1.4, 25.0),
         chart.legend(when, [("integrated voltage", MEASURED_ON_SCREEN), ("the model's map", MODEL)]),
     ]
 
 
-def _openness(found: FluxLoop) -> tuple[float, float]:
+def _openness(loop: FluxLoop) -> tuple[float, float]:
     """The range that holds a loop [Wb]."""
-    axis = 0 if found.swept_axis == "d" else 1
-    apart = (found.psi_measured - found.psi_model)[:, axis]
+    axis = 0 if loop.swept_axis == "d" else 1
+    apart = (loop.psi_measured - loop.psi_model)[:, axis]
     return reach(apart - apart.mean())
 
 
-def _course(when: When, found: ResistanceCourse) -> list[Entry]:
+def _course(when: When, course: ResistanceCourse) -> list[Entry]:
     """R_s over the heat taken up."""
-    both = np.concatenate([found.measured_ohm, found.model_ohm])
-    chart = Chart("heat", _around(found.heat_j), _around(both), "heat in the winding so far [J]", "R_s [Ω]")
-    order = np.argsort(found.heat_j)
+    both = np.concatenate([course.measured_ohm, course.model_ohm])
+    chart = Chart("heat", _around(course.heat_j), _around(both), "heat in the winding so far [J]", "R_s [Ω]")
+    order = np.argsort(course.heat_j)
     return [
         *chart.furniture(when),
-        chart.points("measured", when, found.heat_j, found.measured_ohm, MEASURED_ON_SCREEN, -3.0),
-        chart.line("model", when, found.heat_j[order], found.model_ohm[order], MODEL),
-        chart.legend(when, [("asked for by each dwell", MEASURED_ON_SCREEN), ("the model's", MODEL)]),
+        chart.points("measured", when, course.heat_j, course.measured_ohm, MEASURED_ON_SCREEN, -3.0),
+        chart.line("model", when, course.heat_j[order], course.model_ohm[order], MODEL),
+        chart.legend(when, [("measured by each dwell", MEASURED_ON_SCREEN), ("the model's", MODEL)]),
     ]
 
 

@@ -40,7 +40,7 @@ def _entries(report: FleetReport, most_courses: int = 8) -> Iterator[Entry]:
         "passed": None if judged is None else judged.passed,
     }
     yield properties("fleet", facts)
-    pages = {"told": "\n".join(f"- {remark.text}" for remark in report.remarks)}
+    pages = {"remarks": "\n".join(f"- {remark.text}" for remark in report.remarks)}
     pages |= {title.lower().replace(" ", "_"): _table(make(report)) for title, make in SECTIONS.items()}
     pages["verdicts"] = _table(count_rows(report))
     for name, text in pages.items():

@@ -112,7 +112,7 @@ class LiveFeed:
                 self._feed(line)
 
     def _feed(self, line: socket.socket) -> None:
-        """Hand over entries until the viewer is gone or all is said."""
+        """Hand over entries until the viewer is gone or all are sent."""
         stream = new_stream(self._recording_id, low_latency=True)
         stream.connect_grpc(address(self._port))
         with self._changed:

@@ -70,8 +70,8 @@ def is_stale(directory: Path, file: Path) -> bool:
     """Whether something was found out after the view was made, and there is what to make it of."""
     if not any((directory / name).is_file() for name in ("run.json", "recording.json")):
         return False
-    found = (result.stat().st_mtime for result in (directory / "results").glob("*"))
-    return max(found, default=0.0) > file.stat().st_mtime + 1.0
+    times = (result.stat().st_mtime for result in (directory / "results").glob("*"))
+    return max(times, default=0.0) > file.stat().st_mtime + 1.0
 
 
 def make_view(directory: Path) -> Found:
@@ -79,8 +79,8 @@ def make_view(directory: Path) -> Found:
     try:
         if is_run(directory) and os.access(directory, os.W_OK):
             with tempfile.TemporaryDirectory(prefix=".view-", dir=directory) as name:
-                made = _replayed(directory, Path(name))
-                return Found(made.replace(directory / FILE_NAME))
+                view = _replayed(directory, Path(name))
+                return Found(view.replace(directory / FILE_NAME))
         return _made_elsewhere(directory)
     except OSError as error:
         raise StorageError(f"{directory / FILE_NAME}: cannot be written: {error.strerror or error}") from error
@@ -129,7 +129,7 @@ def _replayed(directory: Path, folder: Path) -> Path:
     from plugins.streams.rerun._replay import replay
 
     messages = replay(directory)
-    first = next(messages)  # what cannot be read is said before anything is made
+    first = next(messages)  # an unreadable run raises before anything is made
     # What is in the file is a matter of the run, and not of how fast it is replayed: the clock stands still.
     setup, name = StreamSetup(run=folder, options=RerunOptions()), directory.resolve().name
     stream = RerunStream(setup, name=name, ripple_every_s=0.0, wall_s=lambda: 0.0)

@@ -75,13 +75,13 @@ class FluxBox:
             out.append(entry(f"flux/{axis}/box/points", when, dots, array_bytes=at.nbytes))
         return out
 
-    def surfaces(self, when: When, found: FluxMap) -> list[Entry]:
+    def surfaces(self, when: When, grid: FluxMap) -> list[Entry]:
         """The map as two surfaces, flux counted from that at zero current."""
-        i_d, i_q = _thinned(found.i_d), _thinned(found.i_q)
-        rows, columns = np.searchsorted(found.i_d, i_d), np.searchsorted(found.i_q, i_q)
-        out, zero = [], flux_at_zero(found)
+        i_d, i_q = _thinned(grid.i_d), _thinned(grid.i_q)
+        rows, columns = np.searchsorted(grid.i_d, i_d), np.searchsorted(grid.i_q, i_q)
+        out, zero = [], flux_at_zero(grid)
         for axis in ("d", "q"):
-            psi = np.asarray(getattr(found, f"psi_{axis}"))[np.ix_(rows, columns)] - zero[axis]
+            psi = np.asarray(getattr(grid, f"psi_{axis}"))[np.ix_(rows, columns)] - zero[axis]
             mesh = _mesh(i_d, i_q, psi, self.height_wb)
             path = f"flux/{axis}/box/surface"
             out.append(
@@ -117,20 +117,20 @@ def _mesh(i_d: RealArray, i_q: RealArray, psi: RealArray, height_wb: float) -> r
     return rr.Mesh3D(vertex_positions=at, triangle_indices=triangles, vertex_colors=colours)
 
 
-def reach_of(found: FluxMap) -> float:
+def reach_of(grid: FluxMap) -> float:
     """Largest current of a map on either axis [A]."""
-    return float(max(np.abs(found.i_d).max(), np.abs(found.i_q).max(), 1e-9))
+    return float(max(np.abs(grid.i_d).max(), np.abs(grid.i_q).max(), 1e-9))
 
 
-def flux_height(found: FluxMap) -> float:
+def flux_height(grid: FluxMap) -> float:
     """Largest flux on either axis, counted from that at zero current [Wb]."""
-    zero = flux_at_zero(found)
-    values = np.concatenate([(found.psi_d - zero["d"]).ravel(), (found.psi_q - zero["q"]).ravel()])
+    zero = flux_at_zero(grid)
+    values = np.concatenate([(grid.psi_d - zero["d"]).ravel(), (grid.psi_q - zero["q"]).ravel()])
     known = np.abs(values[np.isfinite(values)])
     return float(known.max()) if known.size and known.max() > 0.0 else 1.0
 
 
-def inductance_entries(when: When, found: FluxMap) -> list[Entry]:
+def inductance_entries(when: When, grid: FluxMap) -> list[Entry]:
     """L_dd, L_dq and L_qq over the current plane, each with its colour bar; L_dq about zero."""
     return [
         item
@@ -138,8 +138,8 @@ def inductance_entries(when: When, found: FluxMap) -> list[Entry]:
         for item in over_plane(
             f"maps/{name}/amperes",
             when,
-            (found.i_d, found.i_q),
-            1e3 * np.asarray(getattr(found, name)),
+            (grid.i_d, grid.i_q),
+            1e3 * np.asarray(getattr(grid, name)),
             unit,
             about_zero=name == "l_dq",
         )
@@ -182,12 +182,12 @@ CHECKS = Chart("checks", (1e-3, 10.0), (0.0, 1.0), "per cent of the rated flux",
 def check_entries(when: When, maps: Mapping[str, FluxMapEstimate]) -> list[Entry]:
     """Crossings and parity of each method as bars, the paper's crossings beside them."""
     bars: list[tuple[str, float, str]] = []
-    for name, found in maps.items():
-        for what, value in (("crossings", found.checks.crossings), ("parity", found.checks.parity)):
+    for name, estimate in maps.items():
+        for what, value in (("crossings", estimate.checks.crossings), ("parity", estimate.checks.parity)):
             for axis in "dq":
                 figure = None if value is None else getattr(value, f"{axis}_percent")
                 if figure is not None:
-                    bars.append((f"{name}: {what} {axis}", figure, METHODS.get(found.map.basis, MODEL)))
+                    bars.append((f"{name}: {what} {axis}", figure, METHODS.get(estimate.map.basis, MODEL)))
     bars += [(f"the paper: crossings {axis}", getattr(PAPER_CROSSINGS, f"{axis}_percent"), GUIDE) for axis in "dq"]
     out: list[Entry] = []
     at = 1.0 - (np.arange(len(bars)) + 0.5) / len(bars)

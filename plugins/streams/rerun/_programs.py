@@ -16,8 +16,8 @@ def executable() -> str:
     PluginError
         Where it is not there.
     """
-    found = find_spec("rerun_cli")
-    folder = Path(found.origin).parent if found is not None and found.origin else Path()
+    spec = find_spec("rerun_cli")
+    folder = Path(spec.origin).parent if spec is not None and spec.origin else Path()
     for place in (folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun", folder / "rerun", folder / "rerun.exe"):
         if place.is_file():
             return str(place)

@@ -1,6 +1,6 @@
 """A run or recording on disk as the messages that a stream would have got, so that its pictures can be made later.
 
-What is missing or damaged is left out and said in a note.
+Missing or damaged files are left out, with a note.
 """
 
 from __future__ import annotations
@@ -128,49 +128,49 @@ def _results(directory: Path) -> Iterator[Message]:
         yield ResistanceEstimated(estimate=report.resistance)
     yield from _maps(directory)
     try:
-        found = load_diagnosis(directory)
+        diagnosis = load_diagnosis(directory)
     except FluxbenchError as error:
         yield Note(level="warning", text=str(error))
         return
-    if found is not None:
-        yield from found.steps
-        yield Diagnosed(round=0, report=found.report, words=found.words)
+    if diagnosis is not None:
+        yield from diagnosis.steps
+        yield Diagnosed(round=0, report=diagnosis.report, words=diagnosis.words)
 
 
 def _maps(directory: Path) -> Iterator[Message]:
-    """The maps in results/, the recommended one last, with what is said of all."""
+    """The maps in results/, the recommended one last, with the remarks on all."""
     files = sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name == "flux_map.nc", f.name))
     report = _report(directory)
     for file in files:
         try:
-            found = load_flux_map(file)
+            grid = load_flux_map(file)
         except FluxbenchError as error:
             yield Note(level="warning", text=str(error))
             continue
-        i_dq, psi_dq = _grid_points(found)
+        i_dq, psi_dq = _grid_points(grid)
         points = FluxPoints(i_dq=i_dq, psi_dq=psi_dq, segment=("",) * len(i_dq))
         checks = MapChecks()
         remarks: tuple[Remark, ...] = ()
-        if report is not None and found.method in report.maps:
-            checks = report.maps[found.method].checks
-        if report is not None and report.method == found.method:
+        if report is not None and grid.method in report.maps:
+            checks = report.maps[grid.method].checks
+        if report is not None and report.method == grid.method:
             remarks = report.remarks
-        yield MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=checks, remarks=remarks))
+        yield MapEstimated(estimate=FluxMapEstimate(map=grid, points=points, checks=checks, remarks=remarks))
 
 
 def _report(directory: Path) -> EstimationReport | None:
-    """What the estimators said together, of the recommended map; None where it is missing or not theirs."""
+    """The estimators' report with the recommended map; None where it is missing or another's."""
     try:
         return load_estimates(directory)
     except RecordingError:
         return None
 
 
-def _grid_points(found: FluxMap) -> tuple[RealArray, RealArray]:
+def _grid_points(grid: FluxMap) -> tuple[RealArray, RealArray]:
     """Some points of a map's grid, where the points that were measured are not kept."""
-    rows, columns = (np.unique(np.linspace(0, len(axis) - 1, 9).astype(int)) for axis in (found.i_d, found.i_q))
-    d, q = np.meshgrid(found.i_d[rows], found.i_q[columns], indexing="ij")
-    psi = np.stack([getattr(found, name)[np.ix_(rows, columns)] for name in ("psi_d", "psi_q")], axis=-1)
+    rows, columns = (np.unique(np.linspace(0, len(axis) - 1, 9).astype(int)) for axis in (grid.i_d, grid.i_q))
+    d, q = np.meshgrid(grid.i_d[rows], grid.i_q[columns], indexing="ij")
+    psi = np.stack([getattr(grid, name)[np.ix_(rows, columns)] for name in ("psi_d", "psi_q")], axis=-1)
     known = np.isfinite(psi).all(axis=-1)
     return np.stack([d[known], q[known]], axis=1).astype(np.float64), psi[known].astype(np.float64)
 
@@ -186,5 +186,5 @@ def _reached_limits(recording: Recording, segments: Sequence[Segment]) -> Limits
 
 
 def _setting(segment: Segment, *names: str) -> float | None:
-    found = (segment.settings.get(name) for name in names)
-    return next((float(v) for v in found if isinstance(v, int | float)), None)
+    values = (segment.settings.get(name) for name in names)
+    return next((float(v) for v in values if isinstance(v, int | float)), None)

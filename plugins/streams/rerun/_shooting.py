@@ -21,7 +21,8 @@ from plugins.streams.rerun._live import address, free_port, wait_for_viewer
 from plugins.streams.rerun._viewer import has_ended, start, stop, viewer_words
 from protocols import PluginError, RecordingError
 
-STARTS_S, SETTLES_S = 60.0, 30.0
+START_TIMEOUT_S = 60.0
+DRAW_TIMEOUT_S = 30.0
 NO_DRIVER = "does not start: it needs a graphics driver (Debian: mesa-vulkan-drivers)"
 
 
@@ -60,7 +61,7 @@ def headless_viewer(size: tuple[int, int] = (1600, 1000)) -> Iterator[ViewerClie
     with tempfile.TemporaryDirectory() as runtime:
         pid = start(words, {"XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR") or runtime})
         try:
-            if not wait_for_viewer(port, STARTS_S, lambda: has_ended(pid)):
+            if not wait_for_viewer(port, START_TIMEOUT_S, lambda: has_ended(pid)):
                 raise PluginError("stream rerun", "viewer", NO_DRIVER)
             yield ViewerClient.connect(address(port))
         finally:
@@ -92,10 +93,10 @@ def shoot(viewer: ViewerClient, file: Path, wanted: str | None = None, most: int
 
 
 def _until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + SETTLES_S
+    deadline = time.monotonic() + DRAW_TIMEOUT_S
     while not holds():
         if time.monotonic() > deadline:
-            raise PluginError("stream rerun", "viewer", f"did not come to rest within {SETTLES_S:.0f} s")
+            raise PluginError("stream rerun", "viewer", f"did not come to rest within {DRAW_TIMEOUT_S:.0f} s")
         time.sleep(0.1)
 
 
@@ -125,11 +126,11 @@ def _views_of(layout: dict[str, Any], path: str) -> set[str]:
 
 def _settled(viewer: ViewerClient, tab: str, views: set[str]) -> Shot:
     """The picture, once two in a row are the same."""
-    deadline = time.monotonic() + SETTLES_S
+    deadline = time.monotonic() + DRAW_TIMEOUT_S
     last = b""
     while (png := viewer.take_screenshot()) != last and time.monotonic() < deadline:
         last = png
         time.sleep(0.15)
-    seen = [view for view in viewer.get_state().views if view.view_id in views]
-    complaints = tuple(f"{view.name}: {r.severity}: {r.summary}" for view in seen for r in view.reports)
-    return Shot(tab, png, complaints, tuple(seen))
+    shown = [view for view in viewer.get_state().views if view.view_id in views]
+    complaints = tuple(f"{view.name}: {r.severity}: {r.summary}" for view in shown for r in view.reports)
+    return Shot(tab, png, complaints, tuple(shown))

@@ -2,7 +2,7 @@
 
 The writer of rerun's library ends at the first error of the disk, and whoever asks it to flush may then wait for ever,
 at the latest when the process ends. So its bytes come out of a pipe and are written here, where an error is an
-ordinary one, told when the file is closed.
+ordinary one, reported when the file is closed.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ from protocols import (
 
 
 class RerunStream:
-    """Draws a run into ``view.rrd`` and, where asked for, into a viewer that follows."""
+    """Draws a run into ``view.rrd`` and, on request, into a viewer that follows."""
 
     name: ClassVar[str] = "rerun"
     Options: ClassVar[type[BaseModel]] = RerunOptions

@@ -157,7 +157,7 @@ class Tape:
         self._stream.flush()
         self._stream.disconnect()
         del self._stream
-        # The library keeps a stream that nobody holds, with two threads, until it is told (rerun-io/rerun issue 2116).
+        # The library keeps an unreferenced stream, and two threads, until it is disconnected (rerun-io/rerun 2116).
         rerun_bindings.flush_and_cleanup_orphaned_recordings()
         self._spool.close()
 

@@ -20,23 +20,23 @@ def page(path: str, when: When, text: str) -> Entry:
     return entry(path, when, rr.TextDocument(visible(text), media_type=rr.MediaType.MARKDOWN), array_bytes=len(text))
 
 
-def resistance_page(found: ResistanceEstimate) -> str:
+def resistance_page(estimate: ResistanceEstimate) -> str:
     """R_s, its course and its notes."""
     rows = [
-        ("R_s", resistance(found)),
-        ("course", resistance_course(found)),
-        ("readings", str(len(found.readings))),
+        ("R_s", resistance(estimate)),
+        ("course", resistance_course(estimate)),
+        ("readings", str(len(estimate.readings))),
     ]
-    told = (f"- {one_line(remark.text)}" for remark in found.remarks)
-    return "\n\n".join(["# Stator resistance", markdown_table(("", ""), rows), *told])
+    remarks = (f"- {one_line(remark.text)}" for remark in estimate.remarks)
+    return "\n\n".join(["# Stator resistance", markdown_table(("", ""), rows), *remarks])
 
 
 def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) -> str:
     """The checks that need no truth, each method's, beside the paper's."""
     head = ("method", "crossings d", "crossings q", "parity d", "parity q", "reciprocity")
     rows = [
-        (name, *_axes(found.checks.crossings), *_axes(found.checks.parity), percent(found.checks.reciprocity_percent))
-        for name, found in maps.items()
+        (name, *_axes(entry.checks.crossings), *_axes(entry.checks.parity), percent(entry.checks.reciprocity_percent))
+        for name, entry in maps.items()
     ]
     rows.append(("the paper's", *_axes(PAPER_CROSSINGS), "", "", ""))
     parts = [
@@ -47,16 +47,16 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
     ]
     if lock is not None:
         parts.append(f"**Rotor:** {one_line(lock.summary)}")
-    for found in maps.values():
-        parts += [f"- {one_line(remark.text)}" for remark in found.remarks]
+    for one in maps.values():
+        parts += [f"- {one_line(remark.text)}" for remark in one.remarks]
     return "\n\n".join(parts)
 
 
 def words_page(words: DiagnosisWords, reasons: Sequence[str] = ()) -> str:
     """A diagnosis in its five slots, the reasons of its verdict first."""
     why = ["\n".join(f"- {one_line(reason)}" for reason in reasons)] if reasons else []
-    told = (f"## {title.capitalize()}\n\n{one_line(text)}" for title, text in slots(words))
-    return "\n\n".join(["# The diagnosis", *why, *told])
+    sections = (f"## {title.capitalize()}\n\n{one_line(text)}" for title, text in slots(words))
+    return "\n\n".join(["# The diagnosis", *why, *sections])
 
 
 def search_page(events: Sequence[SearchEvent]) -> str:

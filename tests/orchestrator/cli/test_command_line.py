@@ -176,12 +176,12 @@ def test_an_effect_in_a_file_of_one_s_own_is_held_against_the_contract(tmp_path:
 def test_an_effect_s_method_that_nothing_calls_ends_a_command_in_one_line(command: str, tmp_path: Path) -> None:
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
     mine = tmp_path / "mine.py"
-    mine.write_text(EFFECT_THAT_DOUBTS.format(method="doubt"))
-    message = ("plugin 'mine'", "mine.py", "'doubt' is never called", "did you mean 'doubts'?")
-    assert_one_line(called(command, data, "--effects", mine, "--out", tmp_path), 2, *message)
+    mine.write_text(EFFECT_WITH_A_METHOD.format(method="random_direction"))
+    told = ("plugin 'mine'", "mine.py", "'random_direction' is never called", "did you mean 'random_directions'?")
+    assert_one_line(called(command, data, "--effects", mine, "--out", tmp_path), 2, *told)
 
 
-EFFECT_THAT_DOUBTS = """
+EFFECT_WITH_A_METHOD = """
 from protocols import Correction, EffectLayer, EffectParameters, amplitude
 
 

@@ -55,7 +55,7 @@ def test_a_delay_of_a_part_of_a_row_and_a_ripple_without_edges_are_left_to_the_d
         i = np.cumsum(acts) - acts
         ab = [np.stack([x.real, x.imag], axis=1) for x in (i / FS / 0.05, v)]
         check.begin()
-        check.hear(
+        check.update(
             injection, Capture(start_s=0, sampling_frequency_hz=FS, i_ab=ab[0], v_ab=ab[1], v_dc=np.ones(len(t)))
         )
         check.conclude("injection-000")

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, resume_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunResult, RunServices, resume_run
 from plugins.stages.injection import InjectionStage
 from protocols import Excitation, PointDone, StageRun, StageSufficed, StateChanged
 from tests.support.tiny import STAGES, messages_of, run_tiny
@@ -18,11 +18,11 @@ Asked = Callable[[Sequence[Excitation]], Iterator[Excitation]]
 
 @pytest.fixture
 def run_asking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., RunResult]:
-    """A run whose injections are asked for by a function of the planned ones."""
+    """A run whose injections are a function of the planned ones."""
 
-    def run(asked: Asked, *more: dict[str, Any]) -> RunResult:
+    def run(choose: Asked, *more: dict[str, Any]) -> RunResult:
         def as_run(self: InjectionStage, run: StageRun, planned: Sequence[Excitation]) -> Iterator[Excitation]:
-            return asked(planned)
+            return choose(planned)
 
         monkeypatch.setattr(InjectionStage, "as_run", as_run)
         return run_tiny(tmp_path, stages=[STAGES[0], STAGES[7], *more], drive={"watchdog_s": 60.0})
@@ -35,7 +35,7 @@ def injected(result: RunResult) -> list[PointDone]:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"target_d_a": 4.4}, r"stages\.1\.points_a: injection reaches .*limits\.current_a is 4\.5 A"),
         ({"amplitude_v": 151.0}, r"stages\.1\.amplitudes_v: injection needs 151 V"),
@@ -43,11 +43,11 @@ def injected(result: RunResult) -> list[PointDone]:
     ],
 )
 def test_more_than_plan_and_limits_allow_ends_the_run_disarmed(
-    run_asking: Callable[..., RunResult], change: dict[str, float], told: str
+    run_asking: Callable[..., RunResult], change: dict[str, float], message: str
 ) -> None:
     result = run_asking(lambda planned: iter([planned[0], planned[1].model_copy(update=change)]))
     assert result.outcome.ending == "faulted"
-    with pytest.raises(Exception, match=told):
+    with pytest.raises(Exception, match=message):
         raise result.outcome.error or AssertionError
     assert len(injected(result)) == 1
     states = [m.target for m in messages_of(result.path) if isinstance(m, StateChanged)]
@@ -59,8 +59,8 @@ def test_a_point_may_be_elsewhere_and_shorter_and_the_recording_says_so(run_aski
     result = run_asking(lambda planned: iter([one.model_copy(update=elsewhere) for one in planned]))
     assert result.outcome.ending == "finished"
     for message in injected(result):
-        asked = message.segment.settings
-        assert (asked["target_d_a"], asked["target_q_a"], message.segment.samples) == (0.25, -0.5, 1000)
+        settings = message.segment.settings
+        assert (settings["target_d_a"], settings["target_q_a"], message.segment.samples) == (0.25, -0.5, 1000)
 
 
 def test_what_is_enough_is_enough_after_a_resumption_too(
@@ -72,6 +72,6 @@ def test_what_is_enough_is_enough_after_a_resumption_too(
     (enough,) = [m for m in messages_of(result.path) if isinstance(m, StageSufficed)]
     assert (enough.index, enough.points_spared) == (1, 4)
     monkeypatch.undo()
-    again = resume_run(result.path, Crew(AbsentOperator(), Interrupts()))
-    assert again.outcome.ending == "aborted"  # the question is asked once more, and nothing is measured before
+    again = resume_run(result.path, RunServices(AbsentOperator(), Interrupts()))
+    assert again.outcome.ending == "aborted"  # the question comes once more, and nothing is measured before
     assert len(injected(result)) == 2

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, resume_run, table_of
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, resume_run, table_of
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from orchestrator.stages import installed_stages
@@ -233,7 +233,7 @@ def stopped_and_resumed(folder: Path, check: int) -> Path:
     """A run that was stopped when the engine looked for the `check`-th time, and then resumed."""
     result = run_tiny(folder, interrupts=StopAtCheck(check), stages=STAGES[:-1])
     assert result.outcome.ending == "aborted"
-    result = resume_run(result.path, Crew(AbsentOperator(), Interrupts()))
+    result = resume_run(result.path, RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished"
     return result.path
 
@@ -261,7 +261,7 @@ def test_a_run_resumed_within_a_sweep_has_the_very_samples_of_one_that_was_never
 
 def test_a_finished_run_that_is_resumed_has_nothing_left_to_do(whole: Path) -> None:
     before = (whole / "journal.jsonl").read_bytes()
-    result = resume_run(whole, Crew(AbsentOperator(), Interrupts()))
+    result = resume_run(whole, RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished"
     assert "nothing left to do" in result.outcome.reason
     assert result.outcome.estimates is not None
@@ -383,7 +383,7 @@ def test_an_estimator_that_leaves_does_not_take_the_run_with_it(
 def test_a_run_in_progress_cannot_be_resumed_beside_it(whole: Path) -> None:
     run = RunDirectory.open(whole)
     with run.lock(), pytest.raises(RecordingError, match="at work"):
-        resume_run(whole, Crew(AbsentOperator(), Interrupts()))
+        resume_run(whole, RunServices(AbsentOperator(), Interrupts()))
 
 
 def test_the_truth_of_the_plant_is_nowhere_in_the_run_directory(tmp_path: Path) -> None:

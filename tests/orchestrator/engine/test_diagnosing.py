@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, extend_run, resume_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunResult, RunServices, extend_run, resume_run
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from plugins.drives.simulated import SimulatedDrive
@@ -74,16 +74,16 @@ def diagnose(rounds: int) -> dict[str, Any]:
     return {"kind": "diagnose", "rounds": rounds}
 
 
-def told(path: Path, kind: type[Message]) -> list[Any]:
+def of_kind(path: Path, kind: type[Message]) -> list[Any]:
     return [message for message in messages_of(path) if isinstance(message, kind)]
 
 
 def states(path: Path) -> list[str]:
-    return [message.target for message in told(path, StateChanged)]
+    return [message.target for message in of_kind(path, StateChanged)]
 
 
 def go_on(path: Path) -> RunResult:
-    return resume_run(path, Crew(AbsentOperator(), Interrupts()))
+    return resume_run(path, RunServices(AbsentOperator(), Interrupts()))
 
 
 class StopAfter(Interrupts):
@@ -94,7 +94,7 @@ class StopAfter(Interrupts):
         self._run, self._kind, self._count = run, kind, count
 
     def check(self) -> None:
-        if (self._run / "journal.jsonl").exists() and len(told(self._run, self._kind)) >= self._count:
+        if (self._run / "journal.jsonl").exists() and len(of_kind(self._run, self._kind)) >= self._count:
             self.stop("enough")
         super().check()
 
@@ -110,7 +110,7 @@ def decided(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_run_measures_what_its_diagnosis_asks_for_and_ends_with_one_name(decided: Path) -> None:
-    first, second = told(decided, Diagnosed)
+    first, second = of_kind(decided, Diagnosed)
     assert {first.report.effects[0].name, *first.report.effects[0].twins} == {"dead_time", "device_drop"}
     (effect,) = second.report.effects
     assert (effect.name, effect.twins) == ("dead_time", ())
@@ -121,7 +121,7 @@ def test_a_run_measures_what_its_diagnosis_asks_for_and_ends_with_one_name(decid
 
 def test_the_last_diagnosis_is_kept_in_the_results(decided: Path) -> None:
     kept = json.loads((decided / "results" / "diagnosis.json").read_text())
-    last = told(decided, Diagnosed)[-1]
+    last = of_kind(decided, Diagnosed)[-1]
     assert (kept["report"], kept["words"]) == (last.report.model_dump(mode="json"), last.words.model_dump())
     assert (decided / "results" / "diagnosis.npz").stat().st_size > 1000
 
@@ -135,7 +135,7 @@ def test_the_loop_goes_through_its_states_disarmed(decided: Path) -> None:
 
 
 def test_an_appended_stage_is_part_of_the_recording_and_not_of_the_procedure(decided: Path) -> None:
-    (appended,) = told(decided, StagesAppended)
+    (appended,) = of_kind(decided, StagesAppended)
     assert appended.by == len(STAGES)
     run = RunDirectory.open(decided)  # whose procedure still has its hash
     assert len(run.record.procedure.stages) == len(STAGES) + 1
@@ -146,9 +146,9 @@ def test_an_appended_stage_is_part_of_the_recording_and_not_of_the_procedure(dec
 def test_a_round_more_is_measured_as_long_as_there_are_rounds(propose: Propose, tmp_path: Path) -> None:
     propose(EXPERIMENT)
     path = run_tiny(tmp_path, stages=[*OPENING, diagnose(rounds=2)]).path
-    assert [proposal.accepted for proposal in told(path, ExperimentProposed)] == [True, True, False]
-    assert [message.round for message in told(path, Diagnosed)] == [0, 1, 2]
-    ids = [message.id for message in told(path, PointDone)]
+    assert [proposal.accepted for proposal in of_kind(path, ExperimentProposed)] == [True, True, False]
+    assert [message.round for message in of_kind(path, Diagnosed)] == [0, 1, 2]
+    ids = [message.id for message in of_kind(path, PointDone)]
     assert ids[-6:] == [f"resistance-{k:03d}" for k in range(4, 10)]
     assert states(path)[-1] == "finished"
 
@@ -157,9 +157,9 @@ def test_an_experiment_beyond_the_limits_is_proposed_and_not_measured(propose: P
     propose({**EXPERIMENT, "points_a": [[50.0, 0.0]]})
     result = run_tiny(tmp_path, stages=[*OPENING, diagnose(rounds=1)])
     assert result.outcome.ending == "finished"
-    (proposal,) = told(result.path, ExperimentProposed)
+    (proposal,) = of_kind(result.path, ExperimentProposed)
     assert not proposal.accepted
-    assert not told(result.path, StagesAppended)
+    assert not of_kind(result.path, StagesAppended)
     assert any("cannot be run here" in str(message) and "50 A" in str(message) for message in messages_of(result.path))
 
 
@@ -187,21 +187,21 @@ def test_a_run_stopped_anywhere_in_the_loop_goes_on_exactly_there(
     assert stopped.outcome.ending == "aborted"
     assert go_on(stopped.path).outcome.ending == "finished"
     assert samples_of(stopped.path) == whole_loop
-    assert len(told(stopped.path, StagesAppended)) == 1
-    assert [message.round for message in told(stopped.path, Diagnosed)] == [0, 1]
+    assert len(of_kind(stopped.path, StagesAppended)) == 1
+    assert [message.round for message in of_kind(stopped.path, Diagnosed)] == [0, 1]
 
 
 def test_a_finished_run_can_be_gone_on_with(propose: Propose, tmp_path: Path) -> None:
     propose(EXPERIMENT)
     stages = [*OPENING, {"kind": "estimate", "estimators": ["resistance"]}]
     path = run_tiny(tmp_path, stages=stages).path
-    answered, estimated = len(told(path, OperatorAnswered)), states(path).count("estimating")
+    answered, estimated = len(of_kind(path, OperatorAnswered)), states(path).count("estimating")
     more = DiagnoseStage().going_on(EXPERIMENT, tiny_procedure(tmp_path), 1)
-    assert more[0].settings["answer"] == "yes"  # as where the procedure asked for the brake to be engaged
-    result = extend_run(path, more, Crew(AbsentOperator(), Interrupts()))
+    assert more[0].settings["answer"] == "yes"  # as where the procedure has the brake engaged
+    result = extend_run(path, more, RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished"
-    assert [message.id for message in told(path, PointDone)][-3:] == [f"resistance-{k:03d}" for k in (4, 5, 6)]
-    assert len(told(path, OperatorAnswered)) == answered + 1
+    assert [message.id for message in of_kind(path, PointDone)][-3:] == [f"resistance-{k:03d}" for k in (4, 5, 6)]
+    assert len(of_kind(path, OperatorAnswered)) == answered + 1
     assert states(path).count("estimating") == estimated + 1
     starts = [segment.start_s for segment in open_recording(path).segments()]
     assert starts == sorted(starts)
@@ -211,20 +211,22 @@ def test_stages_beyond_the_limits_are_not_appended(tmp_path: Path) -> None:
     path = run_tiny(tmp_path, stages=OPENING).path
     journal = (path / "journal.jsonl").read_bytes()
     with pytest.raises(CapabilityError, match="50 A"):
-        extend_run(path, [ResistanceStage(points_a=((50.0, 0.0),)).entry()], Crew(AbsentOperator(), Interrupts()))
+        extend_run(
+            path, [ResistanceStage(points_a=((50.0, 0.0),)).entry()], RunServices(AbsentOperator(), Interrupts())
+        )
     assert (path / "journal.jsonl").read_bytes() == journal
 
 
 def test_a_run_that_is_not_finished_is_not_appended_to(tmp_path: Path) -> None:
     result = run_tiny(tmp_path, stages=OPENING, interrupts=StopAfter(tmp_path / "run", PointDone, 2))
     with pytest.raises(RecordingError, match=r"not finished.*resume"):
-        extend_run(result.path, [DiagnoseStage().entry()], Crew(AbsentOperator(), Interrupts()))
+        extend_run(result.path, [DiagnoseStage().entry()], RunServices(AbsentOperator(), Interrupts()))
 
 
 def test_a_recording_with_too_little_in_it_gets_no_diagnosis_and_the_run_goes_on(tmp_path: Path) -> None:
     result = run_tiny(tmp_path, stages=[STAGES[0], diagnose(rounds=1)])
     assert result.outcome.ending == "finished"
-    assert not told(result.path, Diagnosed)
+    assert not of_kind(result.path, Diagnosed)
     assert any("no diagnosis" in str(message) for message in messages_of(result.path))
 
 
@@ -242,7 +244,7 @@ def test_a_proposed_experiment_that_the_drive_refuses_is_passed_over(
     monkeypatch.setattr(SimulatedDrive, "start", picky)
     result = run_tiny(tmp_path, drive={"plant": PLANT}, stages=[*OPENING, {"kind": "estimate"}, diagnose(1)])
     assert result.outcome.ending == "finished", result.outcome
-    (note,) = [m.text for m in told(result.path, Note) if "was proposed" in m.text]
+    (note,) = [m.text for m in of_kind(result.path, Note) if "was proposed" in m.text]
     assert note.endswith("the drive refuses it: not at half an ampere; passed over")
-    assert len(told(result.path, Diagnosed)) == 1
+    assert len(of_kind(result.path, Diagnosed)) == 1
     assert go_on(result.path).outcome.ending == "finished"

@@ -37,7 +37,7 @@ class PipedDrive:
     def heartbeat_at(self, time_s: float) -> bytes:
         return INSTANT.pack(time_s)
 
-    def heard(self) -> list[float]:
+    def beats(self) -> list[float]:
         """The instants of the beats since the last look."""
         try:
             return [instant for (instant,) in INSTANT.iter_unpack(os.read(self.far, 1 << 16))]
@@ -55,12 +55,12 @@ def drive() -> Iterator[PipedDrive]:
 
 def test_beats_go_on_while_this_interpreter_is_held_up(drive: PipedDrive) -> None:
     with HeartbeatKeeper(drive, 0.2):  # type: ignore[arg-type]
-        wait_until(lambda: bool(drive.heard()))
+        wait_until(lambda: bool(drive.beats()))
         begun = time.monotonic()
         ctypes.PyDLL(None).usleep(900_000)  # holds the lock of the interpreter, as a busy host would
         held_s = time.monotonic() - begun
-        heard = drive.heard()
-    assert len(heard) >= 0.8 * held_s / 0.05
+        beats = drive.beats()
+    assert len(beats) >= 0.8 * held_s / 0.05
     assert drive.beats_here == 1, "the one that arming begins with"
 
 
@@ -69,24 +69,24 @@ def test_nothing_is_said_beyond_the_lease(drive: PipedDrive, monkeypatch: pytest
     with HeartbeatKeeper(drive, 0.1) as keeper:  # type: ignore[arg-type]
         begun = time.monotonic()
         time.sleep(0.8)
-        assert 0.15 < max(drive.heard()) - begun <= 0.3
+        assert 0.15 < max(drive.beats()) - begun <= 0.3
         keeper.renew()
-        wait_until(lambda: bool(drive.heard()))
+        wait_until(lambda: bool(drive.beats()))
 
 
 def test_nothing_is_said_after_the_end(drive: PipedDrive) -> None:
     with HeartbeatKeeper(drive, 0.1):  # type: ignore[arg-type]
-        wait_until(lambda: bool(drive.heard()))
-    drive.heard()
+        wait_until(lambda: bool(drive.beats()))
+    drive.beats()
     time.sleep(0.3)
-    assert not drive.heard()
+    assert not drive.beats()
 
 
 def test_a_link_that_cannot_be_shared_is_beaten_for_here(drive: PipedDrive) -> None:
     drive.shared = False
     with HeartbeatKeeper(drive, 0.1):  # type: ignore[arg-type]
         wait_until(lambda: drive.beats_here >= 3)
-    assert not drive.heard()
+    assert not drive.beats()
 
 
 def test_a_process_that_somebody_has_stopped_is_known_to_be() -> None:

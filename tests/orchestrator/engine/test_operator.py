@@ -9,7 +9,15 @@ from typing import Any
 import pytest
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, Operator, RunResult, start_run
+from orchestrator.engine import (
+    SAFE_BENCH_WORDS,
+    AbsentOperator,
+    Interrupts,
+    Operator,
+    RunResult,
+    RunServices,
+    start_run,
+)
 from plugins.drives.simulated import SimulatedDrive
 from protocols import Capabilities, CapabilityError, InputError, OperatorAnswered, PointDone
 from tests.support.tiny import STAGES, messages_of, tiny_procedure
@@ -22,10 +30,10 @@ class Person:
     """Says no to everything."""
 
     def __init__(self) -> None:
-        self.asked: list[str] = []
+        self.prompts: list[str] = []
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
-        self.asked.append(prompt)
+        self.prompts.append(prompt)
         return False
 
 
@@ -42,7 +50,7 @@ def real(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run_with(operator: Operator, folder: Path, stages: Sequence[dict[str, Any]] = ASKED, **drive: Any) -> RunResult:
     procedure = tiny_procedure(folder, stages=stages, drive=drive)
-    return start_run(procedure, folder / "run", Crew(operator, Interrupts()))
+    return start_run(procedure, folder / "run", RunServices(operator, Interrupts()))
 
 
 def answers(folder: Path) -> list[OperatorAnswered]:
@@ -53,7 +61,7 @@ def answers(folder: Path) -> list[OperatorAnswered]:
 def test_on_a_real_drive_a_person_is_asked_whatever_the_procedure_answers(tmp_path: Path) -> None:
     person = Person()
     result = run_with(person, tmp_path)
-    assert person.asked == ["Release the brake"]
+    assert person.prompts == ["Release the brake"]
     assert result.outcome.ending == "aborted"
     assert [(found.answer, found.by) for found in answers(tmp_path)] == [("no", "operator")]
 
@@ -62,26 +70,26 @@ def test_on_a_real_drive_a_person_is_asked_whatever_the_procedure_answers(tmp_pa
 def test_with_nobody_there_a_real_drive_is_not_energised_by_a_procedure_s_own_answer(tmp_path: Path) -> None:
     result = run_with(AbsentOperator(), tmp_path)
     assert result.outcome.ending == "aborted"
-    assert WORDS in result.outcome.reason
+    assert SAFE_BENCH_WORDS in result.outcome.reason
     done = [message.id for message in messages_of(tmp_path / "run") if isinstance(message, PointDone)]
     assert done == ["gates_off-000"]
 
 
 @pytest.mark.usefixtures("real")
 def test_words_spelled_out_let_the_procedure_answer_and_stand_in_the_journal(tmp_path: Path) -> None:
-    assert run_with(AbsentOperator(WORDS), tmp_path).outcome.ending == "finished"
-    assert [(found.by, found.words) for found in answers(tmp_path)] == [("procedure", WORDS)]
+    assert run_with(AbsentOperator(SAFE_BENCH_WORDS), tmp_path).outcome.ending == "finished"
+    assert [(found.by, found.words) for found in answers(tmp_path)] == [("procedure", SAFE_BENCH_WORDS)]
 
 
 def test_other_words_are_none() -> None:
-    with pytest.raises(InputError, match=WORDS):
+    with pytest.raises(InputError, match=SAFE_BENCH_WORDS):
         AbsentOperator("yes")
 
 
 @pytest.mark.usefixtures("real")
 def test_a_real_drive_is_not_energised_with_an_example_s_nameplate(tmp_path: Path) -> None:
     with pytest.raises(CapabilityError, match=r"motor.example.*--motor"):
-        start_run(load_procedure("demo"), tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
+        start_run(load_procedure("demo"), tmp_path / "run", RunServices(AbsentOperator(SAFE_BENCH_WORDS), Interrupts()))
     assert not (tmp_path / "run").exists()
 
 
@@ -97,4 +105,4 @@ def test_a_point_in_which_an_interlock_opened_is_not_done_and_the_run_ends(tmp_p
 def test_an_interlock_that_the_drive_does_not_have_is_missed_before_anything(tmp_path: Path) -> None:
     procedure = tiny_procedure(tmp_path, stages=ASKED).model_copy(update={"interlocks": ("door",)})
     with pytest.raises(CapabilityError, match=r"interlocks: 'simulated' has no input door"):
-        start_run(procedure, tmp_path / "run", Crew(AbsentOperator(), Interrupts()))
+        start_run(procedure, tmp_path / "run", RunServices(AbsentOperator(), Interrupts()))

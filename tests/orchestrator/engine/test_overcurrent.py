@@ -1,4 +1,4 @@
-"""What is said of an overcurrent: noise, ripple, the nameplate's inductance, or what nothing measured explains."""
+"""Explanations of an overcurrent: noise, ripple, the nameplate's inductance, or what nothing measured explains."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ def explain(point: PlannedPoint, noise: SensorNoise | None = QUIET, seen: Ripple
 
 
 def test_the_noise_is_named_with_a_current_that_leaves_room_for_it() -> None:
-    told = explain(hold(4.0), NOISY)
-    assert "the noise reaches the trip" in told
+    hint = explain(hold(4.0), NOISY)
+    assert "the noise reaches the trip" in hint
     # 0.4 A sqrt(2 ln 15000) + 0.02 A = 1.77 A of 5 A
-    assert "currents of 3.2 A at most in stages.2" in told
-    assert "limits.current_a of 5.8 A" in told
+    assert "currents of 3.2 A at most in stages.2" in hint
+    assert "limits.current_a of 5.8 A" in hint
 
 
 def test_peak_noise_is_reached_once_in_so_many_rows() -> None:
@@ -49,45 +49,45 @@ def test_peak_noise_is_reached_once_in_so_many_rows() -> None:
 
 
 def test_noise_beyond_the_limit_asks_for_other_sensors() -> None:
-    told = explain(hold(4.0), SensorNoise(offset_a=0.0, longest_a=1.1, mean_square_a2=2.0))
-    assert "quieter sensors" in told
-    assert "at most" not in told
+    hint = explain(hold(4.0), SensorNoise(offset_a=0.0, longest_a=1.1, mean_square_a2=2.0))
+    assert "quieter sensors" in hint
+    assert "at most" not in hint
 
 
 def test_a_ripple_many_times_the_nameplates_is_a_wrong_inductance() -> None:
-    told = explain(injection(3.0, 40.0), seen=RippleRatio("lock_check-000", 10.0))
-    assert "10 times the nameplate's" in told
-    assert "d_inductance_h 0.0043 and q_inductance_h 0.0069" in told
+    hint = explain(injection(3.0, 40.0), seen=RippleRatio("lock_check-000", 10.0))
+    assert "10 times the nameplate's" in hint
+    assert "d_inductance_h 0.0043 and q_inductance_h 0.0069" in hint
 
 
 def test_a_ripple_that_the_plan_knew_is_weakened() -> None:
-    told = explain(injection(4.0, 200.0))
-    assert "the ripple reaches the trip" in told
-    assert "an injection of 85 V ends that" in told
+    hint = explain(injection(4.0, 200.0))
+    assert "the ripple reaches the trip" in hint
+    assert "an injection of 85 V ends that" in hint
 
 
 def test_a_controlled_current_that_nothing_explains_is_an_overshoot_or_a_short() -> None:
-    told = explain(hold(3.0))
-    assert "overshoot" in told
-    assert "control.bandwidth_hz of 12.5" in told
-    assert "expect 8.5 ohm" in told
+    hint = explain(hold(3.0))
+    assert "overshoot" in hint
+    assert "control.bandwidth_hz of 12.5" in hint
+    assert "expect 8.5 ohm" in hint
 
 
 def test_an_injection_that_nothing_explains_is_an_inductance_or_a_short() -> None:
-    told = explain(injection(3.0, 40.0), noise=None)
-    assert "inductance below the nameplate's by 2.2 times" in told
-    assert "short" in told
+    hint = explain(injection(3.0, 40.0), noise=None)
+    assert "inductance below the nameplate's by 2.2 times" in hint
+    assert "short" in hint
 
 
 @pytest.mark.parametrize(
-    ("noise_a", "said"),
+    ("noise_a", "hint"),
     [(0.5, "the noise reaches the trip"), (1.0, "offset, noise or scale of the sensors reach the trip")],
     ids=["in a stage", "with the gates off"],
 )
-def test_a_run_that_trips_on_noise_says_so(tmp_path: Path, noise_a: float, said: str) -> None:
+def test_a_run_that_trips_on_noise_says_so(tmp_path: Path, noise_a: float, hint: str) -> None:
     result = run_tiny(tmp_path, stages=STAGES[:5], drive={"plant": {"sensors": {"noise_a": noise_a}}})
     assert result.outcome.ending == "faulted"
-    assert said in result.outcome.reason, result.outcome.reason
+    assert hint in result.outcome.reason, result.outcome.reason
 
 
 def test_a_nameplate_inductance_ten_times_too_large_is_told_with_the_right_one(tmp_path: Path) -> None:

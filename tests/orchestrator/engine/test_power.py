@@ -58,7 +58,7 @@ def stage(drive: Any, interrupts: Interrupts) -> PowerStage:
 @pytest.fixture(autouse=True)
 def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_power, "LEASE_S", 0.2)
-    monkeypatch.setattr(_power, "WAY_OUT_S", 0.2)
+    monkeypatch.setattr(_power, "SHUTDOWN_TIMEOUT_S", 0.2)
 
 
 def test_a_drive_that_never_yields_is_given_up_and_ramped_down() -> None:
@@ -80,9 +80,9 @@ def test_a_drive_that_does_not_even_ramp_down_is_disarmed_all_the_same() -> None
     with handling_signals() as interrupts:
         power = stage(drive, interrupts)
         power.arm()
-        told = power.stand_down()
-    assert "ramping down failed" in told
-    assert "watchdog" in told
+        message = power.stand_down()
+    assert "ramping down failed" in message
+    assert "watchdog" in message
     assert drive.done == ["arm", "disarm"]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, resume_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunResult, RunServices, resume_run
 from orchestrator.recording import open_recording
 from plugins.drives.simulated import map_motor
 from protocols import Note, PointDone
@@ -80,7 +80,7 @@ def test_a_resumed_stage_keeps_its_strength(swept: Path, tmp_path: Path) -> None
             super().check()
 
     assert run_baldor(tmp_path, interrupts=StopAtSecond()).outcome.ending == "aborted"
-    assert resume_run(tmp_path / "run", Crew(AbsentOperator(), Interrupts())).outcome.ending == "finished"
+    assert resume_run(tmp_path / "run", RunServices(AbsentOperator(), Interrupts())).outcome.ending == "finished"
     samples = {segment.id: segment.sha256 for segment in open_recording(tmp_path / "run").segments()}
     assert samples == {segment.id: segment.sha256 for segment in open_recording(swept).segments()}
 

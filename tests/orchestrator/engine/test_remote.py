@@ -24,11 +24,11 @@ class Page:
         self.interrupts = Interrupts()
         self.operator = RemoteOperator("page", reading, silence_s)
 
-    def say(self, told: Any) -> None:
-        os.write(self.writing, (told if isinstance(told, bytes) else json.dumps(told).encode()) + b"\n")
+    def write(self, message: Any) -> None:
+        os.write(self.writing, (message if isinstance(message, bytes) else json.dumps(message).encode()) + b"\n")
 
     def ends_within(self, seconds: float = 5.0) -> str:
-        """Why the run is asked to end."""
+        """Why the run has to end."""
         deadline = time.monotonic() + seconds
         while time.monotonic() < deadline:
             try:
@@ -54,17 +54,17 @@ def listening(stack: ExitStack, silence_s: float = 30.0) -> Page:
 @pytest.mark.parametrize(("answer", "agreed"), [("yes", True), ("no", False)])
 def test_an_answer_to_the_question_counts(answer: str, agreed: bool, stack: ExitStack) -> None:
     page = listening(stack)
-    page.say({"answer": answer, "question": "Engage the brake"})
+    page.write({"answer": answer, "question": "Engage the brake"})
     assert page.operator.confirm("Engage the brake", page.interrupts) is agreed
 
 
 def test_answers_to_other_questions_and_words_that_are_none_are_passed_over(stack: ExitStack) -> None:
     page = listening(stack)
-    page.say({"answer": "yes", "question": "Release the brake"})
-    page.say({"answer": "perhaps", "question": "Engage the brake"})
-    page.say(b"[1, 2")
-    page.say(b'["yes"]')
-    page.say({"answer": "no", "question": "Engage the brake"})
+    page.write({"answer": "yes", "question": "Release the brake"})
+    page.write({"answer": "perhaps", "question": "Engage the brake"})
+    page.write(b"[1, 2")
+    page.write(b'["yes"]')
+    page.write({"answer": "no", "question": "Engage the brake"})
     assert page.operator.confirm("Engage the brake", page.interrupts) is False
 
 
@@ -78,7 +78,7 @@ def test_a_line_may_come_in_pieces(stack: ExitStack) -> None:
 
 def test_a_stop_ends_a_question_as_well(stack: ExitStack) -> None:
     page = listening(stack)
-    page.say({"stop": "enough"})
+    page.write({"stop": "enough"})
     with pytest.raises(RunInterrupted, match="enough"):
         page.operator.confirm("Engage the brake", page.interrupts)
 
@@ -97,5 +97,5 @@ def test_a_page_that_hangs_ends_the_run(stack: ExitStack) -> None:
 def test_a_page_that_says_now_and_then_that_it_is_there_keeps_the_run(stack: ExitStack) -> None:
     page = listening(stack, silence_s=2.0)
     for _ in range(12):
-        page.say({})
+        page.write({})
         assert page.ends_within(0.25) == ""

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[3]
 WATCHED = """
 import sys
 from pathlib import Path
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, _session, start_run
+from orchestrator.engine import AbsentOperator, RunServices, Interrupts, _session, start_run
 from plugins.drives.simulated import SimulatedDrive
 from tests.support.tiny import STAGES, tiny_procedure
 
@@ -38,8 +38,8 @@ SimulatedDrive.arm, SimulatedDrive.disarm = arm, disarm
 sys.addaudithook(watch)
 folder = Path(sys.argv[1])
 stages = [stage for stage in STAGES if stage["kind"] in ("gates_off", "resistance", "injection")]
-crew = Crew(AbsentOperator(), Interrupts(), {name: {} for name in sys.argv[2:]})
-result = start_run(tiny_procedure(folder, stages=stages), folder / "run", crew)
+services = RunServices(AbsentOperator(), Interrupts(), {name: {} for name in sys.argv[2:]})
+result = start_run(tiny_procedure(folder, stages=stages), folder / "run", services)
 assert result.outcome.ending == "finished", result.outcome
 print(*sorted(late))
 """

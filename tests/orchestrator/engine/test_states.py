@@ -120,7 +120,7 @@ def test_a_stage_that_is_installed_has_its_state_in_the_table() -> None:
 
 
 @pytest.mark.parametrize(
-    ("measuring", "working", "told"),
+    ("measuring", "working", "message"),
     [
         (StageState("stopping", "soak"), (), "the run's own"),
         (StageState("soaking", "stop"), (), "the run's own"),
@@ -131,8 +131,8 @@ def test_a_stage_that_is_installed_has_its_state_in_the_table() -> None:
     ],
 )
 def test_states_that_clash_are_refused_when_the_table_is_made(
-    measuring: StageState | None, working: tuple[StageState, ...], told: str
+    measuring: StageState | None, working: tuple[StageState, ...], message: str
 ) -> None:
     kind = type("Clash", (Soak,), {"__module__": __name__, "measuring": measuring, "working": working})
-    with pytest.raises(PluginError, match=told):
+    with pytest.raises(PluginError, match=message):
         table_of([*installed_stages(), kind])

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.engine._thermometer import open_thermometer
 from orchestrator.recording import open_recording
 from plugins.drives.simulated import SimulatedDrive
@@ -78,7 +78,7 @@ def test_its_readings_are_in_the_recording(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setattr(SimulatedDrive, "checkpoint", warmer_after_a_point)
     procedure = tiny_procedure(tmp_path, stages=STAGES)
     procedure = procedure.model_copy(update={"thermometer": ThermometerChoice(file=file)})
-    result = start_run(procedure, tmp_path / "run", Crew(AbsentOperator(), Interrupts()))
+    result = start_run(procedure, tmp_path / "run", RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished", result.outcome.reason
     recording = open_recording(tmp_path / "run")
     first, second = (recording.load(segment).temperature_c for segment in recording.segments())
@@ -92,7 +92,7 @@ def test_one_that_says_nothing_is_said_once_and_the_run_goes_on(tmp_path: Path) 
     file.write_text("no sensor\n")
     procedure = tiny_procedure(tmp_path, stages=STAGES)
     procedure = procedure.model_copy(update={"thermometer": ThermometerChoice(file=file)})
-    result = start_run(procedure, tmp_path / "run", Crew(AbsentOperator(), Interrupts()))
+    result = start_run(procedure, tmp_path / "run", RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished", result.outcome.reason
     notes = [m.text for m in messages_of(tmp_path / "run") if isinstance(m, Note) and "thermometer" in m.text]
     assert len(notes) == 1
@@ -102,5 +102,5 @@ def test_one_that_is_not_there_is_missed_before_anything_is_energised(tmp_path: 
     procedure = tiny_procedure(tmp_path, stages=STAGES)
     procedure = procedure.model_copy(update={"thermometer": ThermometerChoice(file=tmp_path / "none.csv")})
     with pytest.raises(InputError, match=r"none.csv: no such file"):
-        start_run(procedure, tmp_path / "run", Crew(AbsentOperator(), Interrupts()))
+        start_run(procedure, tmp_path / "run", RunServices(AbsentOperator(), Interrupts()))
     assert not (tmp_path / "run").exists()

@@ -1,6 +1,6 @@
 """A scripted drive for trying the drive kit on: an ideal R-L motor, computed backwards from its current.
 
-No plant and no controller: the current is what was asked for, the voltage is what it takes. The
+No plant and no controller: the current equals its set-point, the voltage is what it takes. The
 watchdog and the state of the power stage are real, so that the kit meets a drive as strict as
 hardware.
 """

@@ -71,7 +71,7 @@ class VoltageARowEarly(VoltageARowLate):
     rows = -1
 
 
-class DelayUnsaid(ExampleDrive):
+class UndeclaredDelay(ExampleDrive):
     """The current follows the voltage by a row and a half, as behind a PWM unit."""
 
     def waveforms(self, excitation: Excitation) -> tuple[Complex, Complex]:
@@ -79,7 +79,7 @@ class DelayUnsaid(ExampleDrive):
         return 0.5 * (np.roll(i, 1) + np.roll(i, 2)), v
 
 
-class DelaySaid(DelayUnsaid):
+class DeclaredDelay(UndeclaredDelay):
     capabilities = ExampleDrive.capabilities.model_copy(update={"voltage_delay_samples": 1.5})
 
 
@@ -156,14 +156,14 @@ class ClipsAboveTheKitsCurrents(ExampleDrive):
     def block(self, excitation: Excitation, i: Complex, v: Complex) -> Capture:
         block = super().block(excitation, i, v)
         clipped = int(np.count_nonzero(np.abs(block.i_ab).max(axis=1) > self.scale_a)) if len(i) else 0
-        return self.told(block.model_copy(update={"i_ab": np.clip(block.i_ab, -self.scale_a, self.scale_a)}), clipped)
+        return self.count(block.model_copy(update={"i_ab": np.clip(block.i_ab, -self.scale_a, self.scale_a)}), clipped)
 
-    def told(self, block: Capture, clipped: int) -> Capture:
+    def count(self, block: Capture, clipped: int) -> Capture:
         return block
 
 
 class SaysThatItClips(ClipsAboveTheKitsCurrents):
-    def told(self, block: Capture, clipped: int) -> Capture:
+    def count(self, block: Capture, clipped: int) -> Capture:
         return block.model_copy(update={"clipped_rows": clipped})
 
 
@@ -174,7 +174,7 @@ WRONG: list[tuple[type[ExampleDrive], str, str]] = [
     (HidesThatItIsSimulated, "host_s_time", "was over after"),
     (VoltageARowLate, "same_row", "t_k + -1.00 Ts"),
     (VoltageARowEarly, "same_row", "t_k + 1.00 Ts"),
-    (DelayUnsaid, "same_row", "t_k + 1.50 Ts"),
+    (UndeclaredDelay, "same_row", "t_k + 1.50 Ts"),
     (SmoothsItsReadings, "same_row", "smoothed"),
     (IgnoresThePwmFrequency, "pwm_frequency_is_at_work", "as if there were no dead time"),
     (TellsThatItIgnoresIt, "pwm_frequency_is_at_work", "10000 Hz is at work"),
@@ -187,7 +187,7 @@ WRONG: list[tuple[type[ExampleDrive], str, str]] = [
 ]
 RIGHT: list[tuple[type[ExampleDrive], str]] = [
     (InRealTime, "host_s_time"),
-    (DelaySaid, "same_row"),
+    (DeclaredDelay, "same_row"),
     (ShowsItByItsDeadTime, "pwm_frequency_is_at_work"),
     (SaysThatItClips, "read_whole"),
 ]

@@ -112,7 +112,7 @@ def test_passes_a_drive_that_heeds_its_inputs(tmp_path: Path) -> None:
 def test_fails_a_drive_that_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drive: type[ExampleDrive], check: str, why: str
 ) -> None:
-    monkeypatch.setattr("orchestrator.testing._drive_interlocks.SHOWN_WITHIN_S", 0.0)
+    monkeypatch.setattr("orchestrator.testing._drive_interlocks.MAX_REPORT_DELAY_S", 0.0)
     found = failures(guarded(drive), tmp_path, only=check)
     assert why in " ".join(found.values()), found
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from orchestrator.testing import DriveConformance
-from orchestrator.testing._drive_bench import FEWEST_PERIODS, SAMPLES_PER_PERIOD, Sizes
+from orchestrator.testing._drive_bench import MIN_PERIODS_PER_TURN, ROWS_PER_PERIOD, Sizes
 from protocols import (
     Capabilities,
     Capture,
@@ -95,9 +95,9 @@ def test_an_injection_is_a_whole_number_of_periods_however_slowly_a_drive_sample
     assert periods == pytest.approx(round(periods))
     assert sizes.rotation_hz * sizes.injection_s == pytest.approx(1.0)
     if longest_s is None:
-        assert periods >= FEWEST_PERIODS - 1e-9
+        assert periods >= MIN_PERIODS_PER_TURN - 1e-9
     else:
-        assert sizes.injection_s <= max(longest_s, SAMPLES_PER_PERIOD / fs) + 1e-9
+        assert sizes.injection_s <= max(longest_s, ROWS_PER_PERIOD / fs) + 1e-9
 
 
 @pytest.mark.parametrize("waveform", ["square", "sine"])

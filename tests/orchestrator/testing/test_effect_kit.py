@@ -84,14 +84,14 @@ class InOneCall(ExampleEffect):
     def correct(self, signals: Signals, p: Any) -> Correction:
         return self.correct_batch(SignalBatch.of([signals]), p)
 
-    def doubts(self, signals: Signals, p: Any) -> Sequence[Correction]:
+    def random_directions(self, signals: Signals, p: Any) -> Sequence[Correction]:
         return [Correction(v_ab=signals.v_ab * (1.0 + 0.1 * p.bias_a_v))]
 
     def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
         share = batch.per_sample(1e4 / batch.pwm_frequency_hz)
         return Correction(v_ab=batch.v_ab - self.late(batch) * np.outer(share, [p.bias_a_v, 0.0]))
 
-    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+    def random_directions_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
         return [Correction(v_ab=batch.v_ab * (1.0 + 0.1 * p.bias_a_v))]
 
     def late(self, batch: SignalBatch) -> np.ndarray:
@@ -130,12 +130,12 @@ class WorksInPlaceOnBatches(InOneCall):
 
 
 class DoubtsBatchesLess(InOneCall):
-    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+    def random_directions_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
         return [Correction(v_ab=batch.v_ab)]
 
 
 class DoubtsOnlyBatches(ExampleEffect):
-    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+    def random_directions_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
         return []
 
 
@@ -306,7 +306,7 @@ class ATwinThatNobodyKnows(ExampleEffect):
 
 
 class MisspeltMethod(ExampleEffect):
-    def doubt(self, signals: Signals, p: Any) -> Sequence[Correction]:
+    def random_direction(self, signals: Signals, p: Any) -> Sequence[Correction]:
         return [self.correct(signals, p)]
 
 
@@ -315,8 +315,8 @@ MUTATIONS: list[tuple[type[ExampleEffect], str]] = [
     (TakesOneFrequencyForAll, "batch_is_corrected"),
     (DropsASampleOfABatch, "batch_is_corrected"),
     (WorksInPlaceOnBatches, "batch_is_not_modified"),
-    (DoubtsBatchesLess, "doubts_of_a_batch"),
-    (DoubtsOnlyBatches, "doubts_of_a_batch"),
+    (DoubtsBatchesLess, "random_directions_of_a_batch"),
+    (DoubtsOnlyBatches, "random_directions_of_a_batch"),
     (Staircase, "has_a_slope"),
     (ZeroSlope, "has_a_slope"),
     (WrongUnit, "machine_of_another_size"),

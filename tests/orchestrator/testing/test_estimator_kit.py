@@ -190,8 +190,8 @@ class RequiresAName(ExampleEstimator):
 
 class TalksInSentences(ExampleEstimator):
     def summed_up(self, readings: list[ResistanceReading]) -> Estimate:
-        said = Remark(code="R_s drifts!", text="R_s drifts!")
-        return super().summed_up(readings).model_copy(update={"remarks": (said,)})
+        remark = Remark(code="R_s drifts!", text="R_s drifts!")
+        return super().summed_up(readings).model_copy(update={"remarks": (remark,)})
 
 
 class NoSummary(ExampleEstimator):

@@ -25,14 +25,14 @@ class ExampleStream:
 
     def __init__(self, setup: StreamSetup) -> None:
         self.run = setup.run
-        self.heard = 0
+        self.count = 0
 
     def receive(self, message: Message) -> None:
-        self.heard += 1
+        self.count += 1
         print(message.kind)
 
     def close(self) -> None:
-        (self.run / "heard.txt").write_text(f"{self.heard}\n", encoding="utf-8")
+        (self.run / "count.txt").write_text(f"{self.count}\n", encoding="utf-8")
 
 
 class ExampleScope(ExampleStream):
@@ -78,8 +78,8 @@ class ChokesOnMaps(ExampleStream):
 
 class NeedsARunToClose(ExampleStream):
     def close(self) -> None:
-        if self.heard == 0:
-            raise RuntimeError("nothing heard")
+        if self.count == 0:
+            raise RuntimeError("nothing received")
 
 
 class RetriesForEver(ExampleStream):
@@ -103,7 +103,7 @@ class LeavesThroughTheWindow(ExampleStream):
 
 class WritesIntoTheWorkingDirectory(ExampleStream):
     def close(self) -> None:
-        Path("heard.txt").write_text("", encoding="utf-8")
+        Path("count.txt").write_text("", encoding="utf-8")
 
 
 class WritesBesideTheRun(ExampleStream):
@@ -182,13 +182,13 @@ MUTATIONS: list[tuple[type[ExampleStream], str]] = [
 def test_fails_a_stream_that_breaks_the_contract(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stream: type[ExampleStream], check: str
 ) -> None:
-    for patience in ("HANGS_S", "THREADS_END_S"):
-        monkeypatch.setattr(f"orchestrator.testing._stream.{patience}", 1.0)
+    for timeout in ("CALL_TIMEOUT_S", "THREADS_END_S"):
+        monkeypatch.setattr(f"orchestrator.testing._stream.{timeout}", 1.0)
     assert failures(kit_for(stream), tmp_path, only=check), f"{stream.__name__} passes {check}"
 
 
 def test_a_stream_that_hangs_is_waited_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("orchestrator.testing._stream.HANGS_S", 0.5)
+    monkeypatch.setattr("orchestrator.testing._stream.CALL_TIMEOUT_S", 0.5)
     begun = time.monotonic()
     found = failures(kit_for(HangsAtTheEnd), tmp_path)
     assert time.monotonic() - begun < 3.0

@@ -18,7 +18,7 @@ def test_without_a_source_it_says_so(capsys: pytest.CaptureFixture[str]) -> None
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["--do", "divine"], "divine"),
         (["--do", "import"], "--mapping"),
@@ -27,11 +27,11 @@ def test_without_a_source_it_says_so(capsys: pytest.CaptureFixture[str]) -> None
     ],
 )
 def test_what_does_not_go_together_is_one_line(
-    tmp_path: Path, words: list[str], told: str, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run_app(["fleet", str(tmp_path), "--out", str(tmp_path / "table"), *words]) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert message in error
     assert error.count("\n") == 1
     assert not (tmp_path / "table").exists()
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.registry import PluginKind, installed, load_plugin
-from plugins.effects._batches import BatchEffect, DoubtfulBatchEffect, by_value, per_segment
+from plugins.effects._batches import BatchEffect, RandomBatchEffect, by_value, per_segment
 from protocols import Correction, EffectParameters, SignalBatch, Signals
 from tests.plugins.effects.segments import (
     segments_alone,
@@ -42,10 +42,10 @@ def test_a_batch_is_corrected_as_its_segments_alone(name: str, recording: Callab
     for label, p in settings(parameters_of(one)):
         alone = [one.correct(signals, p) for signals in segments]
         _same(batch, one.correct_batch(batch, p), alone, f"{name}, {label}")
-        if isinstance(one, DoubtfulBatchEffect):
-            doubts = [one.doubts(signals, p) for signals in segments]
-            for m, doubt in enumerate(one.doubts_batch(batch, p)):
-                _same(batch, doubt, [each[m] for each in doubts], f"{name}, {label}, doubt {m}")
+        if isinstance(one, RandomBatchEffect):
+            directions = [one.random_directions(signals, p) for signals in segments]
+            for m, direction in enumerate(one.random_directions_batch(batch, p)):
+                _same(batch, direction, [each[m] for each in directions], f"{name}, {label}, direction {m}")
 
 
 def _same(batch: SignalBatch, correction: Correction, alone: list[Correction], label: str) -> None:
@@ -81,19 +81,19 @@ def test_a_batch_is_not_written_to(name: str) -> None:
     before = {key: array.tobytes() for key, array in arrays.items()}
     for _, p in settings(parameters_of(one)):
         one.correct_batch(batch, p)
-        if isinstance(one, DoubtfulBatchEffect):
-            one.doubts_batch(batch, p)
+        if isinstance(one, RandomBatchEffect):
+            one.random_directions_batch(batch, p)
     assert [key for key, array in arrays.items() if array.tobytes() != before[key]] == []
 
 
 def test_what_depends_on_a_value_alone_is_worked_out_once_for_each() -> None:
-    asked: list[float] = []
+    evaluated: list[float] = []
 
     def of(value: float) -> np.ndarray:
-        asked.append(value)
+        evaluated.append(value)
         return np.array([value, 2.0 * value])
 
     values = np.array([3.0, 1.0, 3.0])
     np.testing.assert_array_equal(per_segment(values, of), np.stack([values, 2.0 * values], axis=1))
-    assert sorted(asked) == [1.0, 3.0]
+    assert sorted(evaluated) == [1.0, 3.0]
     assert [(value, which.tolist()) for value, which in by_value(np.full(2, 5.0))] == [(5.0, [0, 1])]

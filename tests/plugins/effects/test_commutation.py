@@ -76,8 +76,8 @@ def test_the_kernel_agrees_with_legs_switched_step_by_step(
     motor = np.array([[L_D, 0.0, L_Q]])
     i_ab, v_ab = from_phases(np.array([i_abc, after])), from_phases(np.array([commanded, commanded]))
     swing = Swing(swing_lines(grading), yielding=1.0)
-    told = lost_at_edges(v_ab, i_ab, np.full(2, volts), TWO, np.ones(3), 1.0 / knee, motor, *CARRIER, swing)
-    lost = to_phases(told)[0]
+    lost_ab = lost_at_edges(v_ab, i_ab, np.full(2, volts), TWO, np.ones(3), 1.0 / knee, motor, *CARRIER, swing)
+    lost = to_phases(lost_ab)[0]
     np.testing.assert_allclose(lost, commanded - mean, atol=0.006 * volts)
 
 
@@ -97,5 +97,5 @@ def test_a_knee_s_current_swings_the_node_in_just_the_dead_time(yielding: float)
     stiff, volts = np.array([[1e9, 0.0, 1e9]]), np.full(2, 5.0)
     i_ab, v_ab = from_phases(np.tile([0.0, 1.0, -1.0], (2, 1))), np.zeros((2, 2))
     swing = Swing(swing_lines(0.5), yielding=yielding)
-    told = to_phases(lost_at_edges(v_ab, i_ab, volts, TWO, np.ones(3), 1.0, stiff, *CARRIER, swing))[0]
-    np.testing.assert_allclose(told, 5.0 * np.array([0.0, 0.5, -0.5]), atol=2e-2)
+    lost = to_phases(lost_at_edges(v_ab, i_ab, volts, TWO, np.ones(3), 1.0, stiff, *CARRIER, swing))[0]
+    np.testing.assert_allclose(lost, 5.0 * np.array([0.0, 0.5, -0.5]), atol=2e-2)

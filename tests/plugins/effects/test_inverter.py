@@ -169,13 +169,13 @@ def test_the_drops_size_is_that_at_the_rated_current() -> None:
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "said"),
+    ("a", "b", "expected"),
     [
         (0.32, 0.0, ["leg a's is 32 % longer than the legs' mean: look at its gate driver"]),
         (0.05, 0.085, ["leg c's is 11 % shorter than the legs' mean: look at its gate driver"]),
         (0.01, -0.015, []),
     ],
 )
-def test_a_leg_whose_dead_time_is_none_of_the_others_is_said(a: float, b: float, said: list[str]) -> None:
+def test_a_leg_whose_dead_time_is_none_of_the_others_is_said(a: float, b: float, expected: list[str]) -> None:
     effect = DeadTime()
-    assert [r.text for r in effect.remarks(effect.Parameters(leg_a_longer=a, leg_b_over_c=b))] == said
+    assert [r.text for r in effect.remarks(effect.Parameters(leg_a_longer=a, leg_b_over_c=b))] == expected

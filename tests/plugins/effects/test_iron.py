@@ -363,17 +363,19 @@ def test_what_iron_may_remember_beside_its_way_stays_where_nothing_moves_and_is_
     for psi, stays in ((np.repeat(loop[:1], 4000, axis=0), True), (loop, False)):
         signals = replace(readings(4000), psi_smooth_ab=psi, came_from_ab=np.zeros((1, 2)))
         known = signals.corrected(Hysteresis().correct(signals, p)).i_m_ab
-        doubts = [doubt.arrays["i_m_ab"] - signals.i_m_ab for doubt in Hysteresis().doubts(signals, p)]
-        assert len(doubts) == 4
-        for doubt in doubts:
+        directions = [
+            direction.arrays["i_m_ab"] - signals.i_m_ab for direction in Hysteresis().random_directions(signals, p)
+        ]
+        assert len(directions) == 4
+        for direction in directions:
             # No stop holds more than its limit, whatever it remembers.
-            assert np.abs(doubt).max() <= 0.5 * 0.03 + 1e-12
-            assert np.abs(signals.i_m_ab - known - doubt).max() <= 0.03 + 1e-12
+            assert np.abs(direction).max() <= 0.5 * 0.03 + 1e-12
+            assert np.abs(signals.i_m_ab - known - direction).max() <= 0.03 + 1e-12
             if stays:
-                assert_close(doubt, np.broadcast_to(doubt[0], doubt.shape), 1e-12, of=0.03)
-                assert np.linalg.norm(doubt[0]) > 1e-3
+                assert_close(direction, np.broadcast_to(direction[0], direction.shape), 1e-12, of=0.03)
+                assert np.linalg.norm(direction[0]) > 1e-3
             else:
-                assert_close(doubt[2000:, 0], np.zeros(2000), 1e-6, of=0.03)
+                assert_close(direction[2000:, 0], np.zeros(2000), 1e-6, of=0.03)
 
 
 def test_magnets_warm_by_the_copper_loss_and_by_what_else_stays_as_it_is() -> None:

@@ -11,13 +11,13 @@ from scipy.optimize import least_squares
 from scipy.special import erf
 
 from orchestrator.numerics.types import Array
-from plugins.effects.inverter import WIDTHS, DeadTime, _soft_sign
+from plugins.effects.inverter import PART_WIDTHS, DeadTime, _soft_sign
 from tests.plugins.effects.readings import corrected, readings, reads
 
 STEP, END = 0.01, 40.0
 TABLE = np.asarray(np.arange(0.0, END + 1.5 * STEP, STEP), dtype=np.float64)
 X = np.asarray(np.arange(1, 601) * 0.01, dtype=np.float64)
-NONE = (0.0,) * len(WIDTHS)
+NONE = (0.0,) * len(PART_WIDTHS)
 
 STEPS: dict[str, Callable[[Any], Any]] = {
     "hyperbolic tangent": np.tanh,

@@ -52,22 +52,22 @@ def test_intervals_hold_where_dead_time_spoils_some_of_the_points() -> None:
 
 
 def test_the_smaller_ripple_makes_the_map_and_the_other_is_compared() -> None:
-    told = {remark.code: remark for remark in injection_of(False).remarks}
-    assert told["several_injections"].values == {"injection": "20 V rms at 500 Hz", "points": 25}
-    assert str(told["other_injection"].values["by"]).startswith("40 V rms")
+    remarks = {remark.code: remark for remark in injection_of(False).remarks}
+    assert remarks["several_injections"].values == {"injection": "20 V rms at 500 Hz", "points": 25}
+    assert str(remarks["other_injection"].values["by"]).startswith("40 V rms")
 
 
 def test_points_between_which_the_motor_saturates_are_said_to_be_too_far_apart() -> None:
     found = injection_of(False)
-    assert "too_far_apart" not in {remark.code for remark in found.remarks}
-    strict = InjectionEstimator(steepest=1.05).estimate(clean(), EstimationContext())
-    (told,) = [remark for remark in strict.remarks if remark.code == "too_far_apart"]
-    assert float(told.values["ratio"] or 0.0) > 1.05
+    assert "too_far_apart" not in {far.code for far in found.remarks}
+    strict = InjectionEstimator(max_inductance_ratio=1.05).estimate(clean(), EstimationContext())
+    (far,) = [far for far in strict.remarks if far.code == "too_far_apart"]
+    assert float(far.values["ratio"] or 0.0) > 1.05
     apart = [
-        abs(float(told.values[f"to_{axis}_a"] or 0.0) - float(told.values[f"from_{axis}_a"] or 0.0)) for axis in "dq"
+        abs(float(far.values[f"to_{axis}_a"] or 0.0) - float(far.values[f"from_{axis}_a"] or 0.0)) for axis in "dq"
     ]
     assert max(apart) > 0.5  # two points of the grid, not one of them twice
-    assert "points closer together are wanted there" in told.text
+    assert "points closer together are wanted there" in far.text
 
 
 @pytest.mark.slow
@@ -85,9 +85,9 @@ def test_frequencies_are_kept_apart_as_well() -> None:
     for seen in found.incremental:
         true = np.linalg.inv(saturated_hessian(flux_for(seen.i_dq.astype(np.float64), saturated_current)))
         assert_close(seen.inductance, np.stack([true[:, 0, 0], true[:, 0, 1], true[:, 1, 1]], axis=1), 5e-3)
-    told = found.remarks
-    assert [one.values["injection"] for one in told if one.code == "several_injections"] == ["20 V rms at 500 Hz"]
-    others = {str(one.values["by"]): one.values for one in told if one.code == "other_injection"}
+    remarks = found.remarks
+    assert [one.values["injection"] for one in remarks if one.code == "several_injections"] == ["20 V rms at 500 Hz"]
+    others = {str(one.values["by"]): one.values for one in remarks if one.code == "other_injection"}
     assert {"40 V rms at 300 Hz", "40 V rms at 500 Hz"} <= others.keys()
     # A motor without iron losses: whatever it is injected with, it is one motor.
     assert all(abs(float(one[k] or 0.0)) <= 0.25 for one in others.values() for k in ("d_percent", "q_percent"))
@@ -100,11 +100,11 @@ def test_a_drives_delay_is_taken_from_the_manifest() -> None:
         for s in recording.manifest.segments
     }
     drive = recording.manifest.drive.model_copy(update={"voltage_delay_samples": 2.0})
-    told = MemoryRecording(recording.manifest.model_copy(update={"drive": drive}), late)
-    again = InjectionEstimator().estimate(told, EstimationContext()).map
+    delayed = MemoryRecording(recording.manifest.model_copy(update={"drive": drive}), late)
+    again = InjectionEstimator().estimate(delayed, EstimationContext()).map
     np.testing.assert_allclose(again.psi_q, injection_of(False).map.psi_q, atol=5e-4)
-    untold = InjectionEstimator().estimate(MemoryRecording(recording.manifest, late), EstimationContext()).map
-    assert np.nanmax(np.abs(untold.psi_q - again.psi_q)) > 5e-3
+    undeclared = InjectionEstimator().estimate(MemoryRecording(recording.manifest, late), EstimationContext()).map
+    assert np.nanmax(np.abs(undeclared.psi_q - again.psi_q)) > 5e-3
 
 
 def test_the_transient_after_the_start_is_seen_in_the_data_not_on_the_nameplate() -> None:

@@ -13,7 +13,7 @@ import yaml
 
 from orchestrator.analysis import rated_flux_wb
 from orchestrator.config import load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.recording import open_recording
 from plugins.drives.simulated import SimulatedOptions, TrueMagnetics, map_motor, true_flux
 from plugins.estimators.classical import ClassicalEstimator
@@ -30,7 +30,7 @@ def run(folder: Path, overrides: tuple[str, ...] = (), motor: Path | None = None
     procedure = load_procedure("demo", overrides=overrides, motor=motor)
     stages = tuple(stage for stage in procedure.stages if stage.kind not in ("estimate", "diagnose"))
     procedure = procedure.model_copy(update={"stages": stages})
-    start_run(procedure, folder, Crew(AbsentOperator(), Interrupts()))
+    start_run(procedure, folder, RunServices(AbsentOperator(), Interrupts()))
     return procedure
 
 
@@ -151,8 +151,8 @@ def test_intervals_hold_over_forty_runs(tmp_path: Path) -> None:
         )
         resistance, maps = estimated(folder)
         off, std = errors(maps["energy"].map, truth_of(procedure), procedure.motor)
-        told = std[:, 0] > 1e-6
-        inside_flux.append((np.abs(off) < 1.96 * std)[told].mean(axis=0))
+        uncertain = std[:, 0] > 1e-6
+        inside_flux.append((np.abs(off) < 1.96 * std)[uncertain].mean(axis=0))
         inside_ohm.append(resistance.low < 4.25 < resistance.high)
     flux = np.mean(inside_flux, axis=0)
     assert (flux > 0.88).all(), flux

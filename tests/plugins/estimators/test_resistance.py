@@ -47,8 +47,8 @@ def test_where_the_inverter_cannot_be_told_the_interval_holds_what_it_may_have_i
     found = resistance_of(recording.with_segments(segments))
     assert found.value_ohm > 1.03 * R_S
     assert found.low < R_S < found.high
-    told = next(remark for remark in found.remarks if remark.code == "few_currents")
-    assert told.values["low_ohm"] == found.low
+    few = next(remark for remark in found.remarks if remark.code == "few_currents")
+    assert few.values["low_ohm"] == found.low
 
 
 def test_what_was_measured_before_stands_where_the_inverter_cannot_be_told() -> None:
@@ -72,8 +72,8 @@ def test_resistance_drift_is_read_off_the_sweeps() -> None:
     found = resistance_of(MemoryRecording(recording.manifest, warmed))
     assert found.first_ohm == pytest.approx(R_S, rel=0.01)
     assert found.last_ohm == pytest.approx(1.1 * R_S, rel=0.01)
-    told = next(remark for remark in found.remarks if remark.code == "drift")
-    assert told.values["rise_k"] == pytest.approx(25.0, abs=1.0)
+    drift = next(remark for remark in found.remarks if remark.code == "drift")
+    assert drift.values["rise_k"] == pytest.approx(25.0, abs=1.0)
     starts = [reading.start_s for reading in found.readings]
     assert starts == sorted(starts)
 

@@ -86,7 +86,7 @@ def found(recording: MemoryRecording) -> FluxMapEstimate:
     return SpinEstimator().estimate(recording, EstimationContext())
 
 
-def told(estimate: FluxMapEstimate, code: str, name: str) -> float:
+def remark_value(estimate: FluxMapEstimate, code: str, name: str) -> float:
     value = next(remark for remark in estimate.remarks if remark.code == code).values[name]
     assert isinstance(value, float)
     return value
@@ -99,7 +99,7 @@ def test_the_map_and_the_magnet_are_right_with_a_resistance_that_is_off_by_a_per
     grid = np.stack(axes, axis=-1).astype(np.float64)
     off = np.stack([estimate.map.psi_d - MAGNET_WB, estimate.map.psi_q], axis=-1) - flux_for(grid, saturated_current)
     assert 100.0 / RATED_WB * float(np.sqrt((off[there] ** 2).sum(axis=1).mean())) < 0.1
-    assert told(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
+    assert remark_value(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
     assert [remark.code for remark in estimate.remarks] == ["magnet_flux", "resistance_by_emf"]
 
 
@@ -107,12 +107,12 @@ def test_the_map_and_the_magnet_are_right_with_a_resistance_that_is_off_by_a_per
 def test_a_winding_that_warms_is_no_loss_of_the_inverter() -> None:
     estimate = found(spun(GRID, speeds=(150.0, -250.0), noise=0.005, warmer=0.03))
     assert [remark.code for remark in estimate.remarks] == ["magnet_flux", "resistance_by_emf"]
-    assert told(estimate, "resistance_by_emf", "value_ohm") == pytest.approx(1.015 * R_S, rel=2e-3)
+    assert remark_value(estimate, "resistance_by_emf", "value_ohm") == pytest.approx(1.015 * R_S, rel=2e-3)
 
 
 def test_an_offset_of_the_angle_is_told_in_either_direction_of_turning() -> None:
     estimate = found(spun(GRID, speeds=(150.0, -250.0), offset=0.04))
-    assert told(estimate, "angle_offset", "angle_deg") == pytest.approx(np.degrees(0.04), abs=0.05)
+    assert remark_value(estimate, "angle_offset", "angle_deg") == pytest.approx(np.degrees(0.04), abs=0.05)
 
 
 def off_bridge(offset: float = 0.0) -> MemoryRecording:
@@ -128,10 +128,10 @@ def off_bridge(offset: float = 0.0) -> MemoryRecording:
 @pytest.mark.parametrize("offset", [0.0, 0.5, np.pi], ids=["aligned", "offset", "polarity"])
 def test_without_current_the_emf_says_the_magnets_flux_and_where_it_points(offset: float) -> None:
     estimate = found(off_bridge(offset))
-    assert told(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=1e-3)
+    assert remark_value(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=1e-3)
     assert float(estimate.map.psi_d[0, 0]) == pytest.approx(MAGNET_WB, rel=1e-3)
     if offset:
-        assert abs(told(estimate, "angle_offset", "angle_deg")) == pytest.approx(np.degrees(offset), abs=0.1)
+        assert abs(remark_value(estimate, "angle_offset", "angle_deg")) == pytest.approx(np.degrees(offset), abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_a_constant_speed_in_the_settings_stands_for_the_angle() -> None:
         for s in recording.manifest.segments
     )
     estimate = found(MemoryRecording(recording.manifest, captures).with_segments(segments))
-    assert told(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
+    assert remark_value(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
 
 
 @pytest.mark.slow
@@ -178,5 +178,5 @@ def test_a_point_without_current_says_nothing_of_what_the_inverter_keeps() -> No
         kept = 4.0 / np.pi * lost_v * along * flows
         captures[name] = capture.model_copy(update={"v_ab": capture.v_ab + np.stack([kept.real, kept.imag], axis=1)})
     estimate = found(MemoryRecording(recording.manifest, captures))
-    assert told(estimate, "inverter_loss", "kept_v") == pytest.approx(lost_v, rel=0.05)
-    assert told(estimate, "resistance_by_emf", "value_ohm") == pytest.approx(R_S, rel=0.01)
+    assert remark_value(estimate, "inverter_loss", "kept_v") == pytest.approx(lost_v, rel=0.05)
+    assert remark_value(estimate, "resistance_by_emf", "value_ohm") == pytest.approx(R_S, rel=0.01)

@@ -85,17 +85,17 @@ def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off:
 
 
 @few(
-    "wrong_with, said",
+    "wrong_with, code",
     [({"drop_v": 1.0, "drop_a": 0.05}, "inverter_loss"), ({"delay_samples": 2.4}, "steps_lag"), ({}, "")],
     ids=["drop", "lag", "nothing"],
 )
 def test_what_opens_the_loops_is_told_apart_and_does_not_move_the_map(
-    wrong_with: dict[str, float], said: str, tmp_path: Path
+    wrong_with: dict[str, float], code: str, tmp_path: Path
 ) -> None:
     at = bench(1, **wrong_with)
     stepped = found(recorded(at, tmp_path))
     assert rms(errors(stepped.map, at)[0]) < 0.25
-    assert [remark.code for remark in stepped.remarks] == ([said] if said else [])
+    assert [remark.code for remark in stepped.remarks] == ([code] if code else [])
     late = at.plant.delay_samples
     assert stepped.fit.lag_samples == pytest.approx(0.0, abs=0.05)
     if late:

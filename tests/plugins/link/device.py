@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from plugins.wire import (
-    CAN_FD,
-    CLASSIC,
-    DESCRIPTION,
+    CAN_FD_LAYOUT,
+    CLASSIC_LAYOUT,
+    DESCRIPTION_CAPTURE,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
-    RIPPLE,
+    RIPPLE_FLAG,
     Ack,
     AckStatus,
     Answer,
@@ -139,7 +139,7 @@ class Device:
             ripple_memory_rows=4000,
             description=text,
         )
-        self.description = CaptureSource.complete_with(DESCRIPTION, text.encode())
+        self.description = CaptureSource.complete_with(DESCRIPTION_CAPTURE, text.encode())
         self.file = RegisterFile(capability_registers(OWN, self.facts))
         self.ledger, self.watchdog = Ledger(), Watchdog(WATCHDOG_S)
         self.state, self.fault, self.faults = PowerState.DISARMED, Fault.NONE, 0
@@ -147,7 +147,7 @@ class Device:
         self.ripple: CaptureSource | None = None
         self.arms: list[float] = []
         self.beats = 0
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         self._program: Excitation | None = None
         self._rows = b""
         self._counts = np.zeros((0, 6), dtype="<i2")
@@ -160,13 +160,13 @@ class Device:
 
     # Frames
 
-    def hear(self, frames: Sequence[Frame]) -> list[Frame]:
+    def receive(self, frames: Sequence[Frame]) -> list[Frame]:
         out: list[Frame] = []
         for frame in frames:
             message = decode(*frame)
             if message is None or self.script.mute:
                 continue
-            self.heard.append(message)
+            self.received.append(message)
             out += self._respond(message)
         return self._through(out)
 
@@ -350,7 +350,7 @@ class Device:
             base = base_voltage(program)
             self._counts = demodulate(i_dq, v_dq, base, grid).counts(self.facts.scales)
             self._counts[: self.script.saturated] = 32767
-            self.ripple = CaptureSource(self._number + RIPPLE, self._counts.nbytes)
+            self.ripple = CaptureSource(self._number + RIPPLE_FLAG, self._counts.nbytes)
             self.file["ripple_rows"] = float(len(self._counts))
             self.file["base_voltage_d_v"], self.file["base_voltage_q_v"] = base
         return AckStatus.OK, self._number
@@ -392,11 +392,11 @@ class Device:
 
     def _blocks(self, request: ReadBlock) -> list[Frame]:
         sources = [s for s in (self.capture, self.ripple, self.description) if s and s.number == request.capture]
-        if request.capture != DESCRIPTION:
+        if request.capture != DESCRIPTION_CAPTURE:
             time.sleep(self.script.slow_blocks_s)
         answer = sources[0].answer(request, self.layout) if sources else AckStatus.NOT_CAPTURED
         if isinstance(answer, Answer):
-            if self.script.wrong_crc and request.capture != DESCRIPTION:
+            if self.script.wrong_crc and request.capture != DESCRIPTION_CAPTURE:
                 answer = answer._replace(end=answer.end._replace(crc=answer.end.crc ^ 1))
             return [*(Frame(self.layout.frame_id, payload) for payload in answer.payloads), encode(answer.end)]
         return [encode(Ack(0, request.window, Op.READ_BLOCK, answer, self.state))]
@@ -489,7 +489,7 @@ def on_a_bus(channel: str, fd: bool, script: Script | None = None) -> Iterator[D
     """The device on python-can's bus within this process."""
     import can
 
-    device = Device(CAN_FD if fd else CLASSIC, script)
+    device = Device(CAN_FD_LAYOUT if fd else CLASSIC_LAYOUT, script)
     bus = can.Bus(channel=channel, interface="virtual", ignore_config=True)
 
     def read() -> list[Frame]:
@@ -528,7 +528,7 @@ def _running(
     def loop() -> None:
         while not over.is_set():
             write(device.turn())
-            write(device.hear(read()))
+            write(device.receive(read()))
 
     thread = threading.Thread(target=loop, name="device", daemon=True)
     thread.start()

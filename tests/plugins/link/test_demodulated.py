@@ -1,4 +1,4 @@
-"""Injections as ripple rows: which rows are asked for, live and read again, and the waveforms they stand for."""
+"""Injections as ripple rows: which rows are requested, live and again, and the waveforms they stand for."""
 
 from __future__ import annotations
 

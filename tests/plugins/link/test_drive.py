@@ -128,16 +128,16 @@ def test_a_program_ends_without_a_word_of_progress() -> None:
 def test_only_what_changes_is_written_for_the_next_point() -> None:
     with armed() as b:
         taken(b.drive, HOLD)
-        before = sum(isinstance(m, ParameterWrite) for m in b.device.heard)
+        before = sum(isinstance(m, ParameterWrite) for m in b.device.received)
         taken(b.drive, HOLD.model_copy(update={"current_d_a": -1.0}))
-        assert sum(isinstance(m, ParameterWrite) for m in b.device.heard) == before + 1
+        assert sum(isinstance(m, ParameterWrite) for m in b.device.received) == before + 1
 
 
 # Refusals
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "excitation",
     [
         HOLD.model_copy(update={"current_d_a": float("nan")}),
         HOLD.model_copy(update={"current_d_a": 5.0}),
@@ -146,10 +146,10 @@ def test_only_what_changes_is_written_for_the_next_point() -> None:
     ],
     ids=["no number", "past the limit", "no such PWM frequency", "out of the table's range"],
 )
-def test_what_cannot_be_is_refused_before_anything_moves(asked: Hold) -> None:
+def test_what_cannot_be_is_refused_before_anything_moves(excitation: Hold) -> None:
     with armed() as b:
         with pytest.raises(DriveRefused):
-            taken(b.drive, asked)
+            taken(b.drive, excitation)
         assert b.device.state is PowerState.HOLDING
         assert b.device.i_dq == (0.0, 0.0)
 
@@ -173,7 +173,7 @@ def test_limits_above_the_drives_own_are_refused() -> None:
 
 def test_a_drive_that_another_host_has_armed_is_left_alone() -> None:
     with armed() as b:
-        (reply,) = b.device.hear([encode(Conversation().command(Op.IDENTIFY, PROTOCOL_MAJOR))])
+        (reply,) = b.device.receive([encode(Conversation().command(Op.IDENTIFY, PROTOCOL_MAJOR))])
         ack = decode(*reply)
         assert isinstance(ack, Ack)
         assert ack.status is AckStatus.BUSY
@@ -184,7 +184,7 @@ def test_a_session_number_that_an_earlier_host_had_is_drawn_again(monkeypatch: p
     drawn = iter([4711, 0, 815, 0])
     with bench() as b:
         for session in (4712, 4713):
-            b.device.hear([encode(Command(session, 1, Op.IDENTIFY, PROTOCOL_MAJOR))])
+            b.device.receive([encode(Command(session, 1, Op.IDENTIFY, PROTOCOL_MAJOR))])
         monkeypatch.setattr("plugins.wire._session.secrets.randbelow", lambda _: next(drawn))
         b.drive.connect()
         assert b.device.ledger.session == 816
@@ -237,7 +237,7 @@ def test_an_emergency_stop_is_named() -> None:
     with armed(script=Script(speed=1.0)) as b:
         blocks = b.drive.execute(LONG)
         next(blocks)
-        b.device.hear([encode(EStop())])
+        b.device.receive([encode(EStop())])
         with pytest.raises(DriveFault) as fault:
             list(blocks)
         assert fault.value.cause is FaultCause.EMERGENCY_STOP
@@ -376,7 +376,7 @@ def test_a_drive_that_only_seems_dead_is_still_told_to_stop() -> None:
             b.drive.disarm()
         time.sleep(0.1)
         assert b.device.state in (PowerState.DISARMED, PowerState.FAULTED)
-        assert [m.op for m in b.device.heard if isinstance(m, Command)][-2:] == [Op.STOP, Op.DISARM]
+        assert [m.op for m in b.device.received if isinstance(m, Command)][-2:] == [Op.STOP, Op.DISARM]
 
 
 def test_the_heartbeat_returns_at_once_and_never_raises() -> None:
@@ -393,5 +393,5 @@ def test_the_heartbeat_returns_at_once_and_never_raises() -> None:
 def test_reading_asks_for_blocks_of_its_own_capture_only() -> None:
     with armed() as b:
         taken(b.drive, HOLD)
-        asked = {m.capture for m in b.device.heard if isinstance(m, ReadBlock)}
-    assert asked == {1, 0xFFFF}
+        captures = {m.capture for m in b.device.received if isinstance(m, ReadBlock)}
+    assert captures == {1, 0xFFFF}

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.engine import WORDS
+from orchestrator.engine import SAFE_BENCH_WORDS
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import PointDone, RunEnded
@@ -82,14 +82,14 @@ class Bench:
         else:
             words = ("resume", self._run)
         armed = len(self.machine.events("armed"))
-        process = start_fluxbench(*words, "--quiet", "--unattended", WORDS)
+        process = start_fluxbench(*words, "--quiet", "--unattended", SAFE_BENCH_WORDS)
         wait_until(lambda: len(self.machine.events("armed")) > armed or process.poll() is not None)
         return process
 
     def wait_a_while(self, process: ForkedCommand) -> bool:
         """Some time of the run; False where it came to its end meanwhile.
 
-        On a machine that is too busy to beat in time the watchdog does what it is there for; that is told, not hidden.
+        On a machine that is too busy to beat in time the watchdog does what it is there for; the run then says so.
         """
         try:
             process.wait(self.rng.uniform(0.0, LONGEST_S))
@@ -99,10 +99,10 @@ class Bench:
         return False
 
     def _require_finished_or_starved(self, process: ForkedCommand) -> None:
-        _, told = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=60)
         self.starved += process.returncode == 3
-        assert process.returncode == 0 or (process.returncode == 3 and "drive fault" in told), told
-        assert self.starved <= TIMES, told
+        assert process.returncode == 0 or (process.returncode == 3 and "drive fault" in errors), errors
+        assert self.starved <= TIMES, errors
 
     def require_safe_since(self, time_s: float) -> None:
         """Where the drive was energised it has gone to its safe state in time, and has not been armed since."""
@@ -178,10 +178,10 @@ def test_a_stopped_host_leaves_a_safe_drive_and_ends_in_a_named_fault_when_it_go
         bench.require_safe_since(stopped_s)
         armed = len(bench.machine.events("armed"))
         process.send_signal(signal.SIGCONT)
-        _, told = process.communicate(timeout=30)
+        _, errors = process.communicate(timeout=30)
         if energised and process.returncode != 0:
-            assert process.returncode == 3, told
-            assert "drive fault heartbeat_lost" in told
+            assert process.returncode == 3, errors
+            assert "drive fault heartbeat_lost" in errors
             assert len(bench.machine.events("armed")) == armed, "armed again by itself"
         bench.require_points_kept()
         done += 1
@@ -191,15 +191,15 @@ def test_a_stopped_host_leaves_a_safe_drive_and_ends_in_a_named_fault_when_it_go
 
 def require_named_end(bench: Bench, process: ForkedCommand, done_s: float) -> float | None:
     """The run ends in a lost link within a second; returns how long it took, None where it had just finished."""
-    _, told = process.communicate(timeout=30)
+    _, errors = process.communicate(timeout=30)
     if process.returncode == 0:
         return None
-    assert process.returncode == 3, told
-    if "drive fault heartbeat_lost" in told:  # it had ended before, on a busy machine
+    assert process.returncode == 3, errors
+    if "drive fault heartbeat_lost" in errors:  # it had ended before, on a busy machine
         bench.starved += 1
         return None
-    assert "drive fault link_lost" in told
-    assert told.count("\n") == 1, told
+    assert "drive fault link_lost" in errors
+    assert errors.count("\n") == 1, errors
     ended = messages_of(bench.run)[-1]
     assert isinstance(ended, RunEnded)
     assert ended.outcome == "faulted"

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from orchestrator.engine import PowerStage
-from plugins.link._patience import PATIENCE
 from plugins.link._timeline import Timeline
+from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import Ack, Measurement, Message, Op, ParameterValue, Phase, PowerState, Progress, Status, Tick
 from plugins.wire import register_index as index_of
 from protocols import DriveFault, Excitation, FaultCause, Hold, Note
@@ -35,11 +35,11 @@ def faults_beside_power(message: Message) -> Message:
 
 
 def progress_that_goes_back() -> Lie:
-    told = count()
+    numbers = count()
 
     def lie(message: Message) -> Message:
         if isinstance(message, Progress):
-            return message._replace(phase=Phase.CAPTURING, rows=1000 - next(told))
+            return message._replace(phase=Phase.CAPTURING, rows=1000 - next(numbers))
         return message
 
     return lie
@@ -74,16 +74,16 @@ def clock_that_stands_still() -> Lie:
 
 
 def clock_that_goes_back() -> Lie:
-    told = count(1)
+    numbers = count(1)
 
     def lie(message: Message) -> Message:
-        return message._replace(tick=1_000_000 - 500 * next(told)) if isinstance(message, Tick) else message
+        return message._replace(tick=1_000_000 - 500 * next(numbers)) if isinstance(message, Tick) else message
 
     return lie
 
 
 @pytest.mark.parametrize(
-    ("lie", "excitation", "cause", "told"),
+    ("lie", "excitation", "cause", "message"),
     [
         (too_much_current, HOLD, FaultCause.OVERCURRENT, r"reads 11 A, the limit is 4\.5 A, and it went on"),
         (faults_beside_power, HOLD, FaultCause.WRONG_DATA, "is (running|holding), with faults: overtemperature"),
@@ -95,12 +95,12 @@ def clock_that_goes_back() -> Lie:
     ],
 )
 def test_each_lie_while_a_program_runs_is_named_and_the_way_out_is_taken(
-    lie: Lie, excitation: Excitation, cause: FaultCause, told: str
+    lie: Lie, excitation: Excitation, cause: FaultCause, message: str
 ) -> None:
     with armed() as b:
         taken(b.drive, HOLD)
         b.script.lie = lie
-        with pytest.raises(DriveFault, match=told) as fault:
+        with pytest.raises(DriveFault, match=message) as fault:
             [taken(b.drive, excitation) for _ in range(2)]
         assert fault.value.cause is cause
         b.drive.ramp_down()
@@ -109,27 +109,27 @@ def test_each_lie_while_a_program_runs_is_named_and_the_way_out_is_taken(
 
 
 @pytest.mark.parametrize(
-    ("lie", "told"),
+    ("lie", "message"),
     [
         (same_number_again, "two captures in a row the number 1"),
         (start_in_the_past, "starts .* s before the last one has ended"),
     ],
 )
-def test_a_capture_that_cannot_be_a_new_one_is_refused(lie: Lie, told: str) -> None:
+def test_a_capture_that_cannot_be_a_new_one_is_refused(lie: Lie, message: str) -> None:
     with armed() as b:
         taken(b.drive, HOLD)
         b.script.lie = lie
-        with pytest.raises(DriveFault, match=told):
+        with pytest.raises(DriveFault, match=message):
             taken(b.drive, HOLD)
 
 
 def test_a_program_that_never_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("plugins.link._running.PATIENCE", type(PATIENCE)(stuck_s=0.2, slow=0.0))
-    told = count(1)
+    monkeypatch.setattr("plugins.link._running.TIMEOUTS", type(TIMEOUTS)(no_progress_s=0.2, max_duration_ratio=0.0))
+    numbers = count(1)
 
     def lie(message: Message) -> Message:
         if isinstance(message, Progress):
-            return message._replace(phase=Phase.CAPTURING, rows=next(told))
+            return message._replace(phase=Phase.CAPTURING, rows=next(numbers))
         return message
 
     with armed(script=Script(lie=lie, speed=0.5)) as b:
@@ -145,11 +145,11 @@ def test_a_memory_that_holds_no_row_is_no_drives() -> None:
 
 
 @pytest.mark.parametrize(
-    ("rate", "told"),
+    ("rate", "expected"),
     [(1.0, ""), (1.02, ""), (3.0, r"jumped by .* s in"), (0.0, r"went on by 0 s in"), (0.3, r"went on by")],
 )
 def test_a_clock_keeps_to_that_of_the_host_unless_it_is_a_simulation(
-    rate: float, told: str, monkeypatch: pytest.MonkeyPatch
+    rate: float, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     host_s = 100.0
     monkeypatch.setattr("plugins.link._timeline.time.clock_gettime", lambda clock: host_s)
@@ -163,8 +163,8 @@ def test_a_clock_keeps_to_that_of_the_host_unless_it_is_a_simulation(
         timeline = Timeline(Answering(), FS, is_simulated)  # type: ignore[arg-type]
         timeline.now()
         host_s = 110.0
-        if told and not is_simulated:
-            with pytest.raises(DriveFault, match=told):
+        if expected and not is_simulated:
+            with pytest.raises(DriveFault, match=expected):
                 timeline.now()
         else:
             assert timeline.now() == 1000 + rate * 10.0 * FS

@@ -11,7 +11,7 @@ import pytest
 
 from plugins.link._link import Link
 from plugins.wire import (
-    CLASSIC,
+    CLASSIC_LAYOUT,
     Ack,
     AckStatus,
     BlockLayout,
@@ -42,7 +42,7 @@ class FakePort:
         self.closed = False
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CLASSIC
+        return CLASSIC_LAYOUT
 
     def bulk_rate(self, layout: BlockLayout) -> float | None:
         return None
@@ -65,7 +65,7 @@ class FakePort:
     def close(self) -> None:
         self.closed = True
 
-    def say(self, *messages: Message) -> None:
+    def deliver(self, *messages: Message) -> None:
         self.inbox.put([encode(message) for message in messages])
 
 
@@ -140,19 +140,19 @@ def test_a_beat_never_raises_and_does_not_wait_for_a_send_that_hangs(port: FakeP
 
 def test_silence_after_a_first_status_is_a_lost_link(port: FakePort) -> None:
     link = Link(port, 0.05)
-    port.say(status(1))
+    port.deliver(status(1))
     begun = time.monotonic()
     assert "silent" in lost(link).detail
     assert 0.12 < time.monotonic() - begun < 1.0
     link.close()
 
 
-def test_an_old_status_is_no_sign_of_life(port: FakePort) -> None:
+def test_an_old_status_is_no_keepalive(port: FakePort) -> None:
     link = Link(port, 0.1)
-    port.say(status(100))
+    port.deliver(status(100))
     for seq in (99, 98, 100):
         time.sleep(0.05)
-        port.say(status(seq, PowerState.FAULTED))
+        port.deliver(status(seq, PowerState.FAULTED))
     assert link.news.status == status(100)
     assert "silent" in lost(link).detail
     link.close()
@@ -168,12 +168,12 @@ def test_time_in_which_this_process_did_not_listen_does_not_count(port: FakePort
 
     stopped = Stopped()
     link = Link(stopped, 0.05)
-    stopped.say(status(1))
+    stopped.deliver(status(1))
     assert link.wait(lambda: link.news.statuses == 1, 1.0)
     stopped.sent.append(Frame(0, b""))
     time.sleep(0.45)
     for seq in range(2, 12):
-        stopped.say(status(seq))
+        stopped.deliver(status(seq))
         time.sleep(0.02)
     assert link.lost is None
     link.close()
@@ -183,7 +183,7 @@ def test_its_own_frames_and_strangers_are_passed_over(port: FakePort) -> None:
     link = Link(port, 1.0)
     own = encode(Heartbeat(1, 1, 1))
     port.inbox.put([own, Frame(0x7FF, b"stranger"), Frame(0x90, b"short")])
-    port.say(Ack(7, 9, Op.ARM, AckStatus.OK, PowerState.HOLDING, 3))
+    port.deliver(Ack(7, 9, Op.ARM, AckStatus.OK, PowerState.HOLDING, 3))
     reply = link.reply(lambda message: True, 1.0)
     assert isinstance(reply, Ack)
     assert reply.value == 3
@@ -192,7 +192,7 @@ def test_its_own_frames_and_strangers_are_passed_over(port: FakePort) -> None:
 
 def test_a_late_reply_is_dropped(port: FakePort) -> None:
     link = Link(port, 1.0)
-    port.say(*(Ack(7, seq, Op.ARM, AckStatus.OK, PowerState.HOLDING, seq) for seq in (1, 2, 3)))
+    port.deliver(*(Ack(7, seq, Op.ARM, AckStatus.OK, PowerState.HOLDING, seq) for seq in (1, 2, 3)))
     reply = link.reply(lambda message: isinstance(message, Ack) and message.seq == 2, 1.0)
     assert isinstance(reply, Ack)
     assert reply.seq == 2

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from orchestrator.engine import WORDS
+from orchestrator.engine import SAFE_BENCH_WORDS
 from orchestrator.recording import open_recording
 from protocols import RunEnded
 from tests.support.cases import few
@@ -85,8 +85,8 @@ def require_same_maps(path: Path, reference: Path, flux: float, inductance: floa
 def run_demo(path: Path, *words: str) -> None:
     """The demo to its end, which takes minutes on a busy machine."""
     process = start_fluxbench("run", "demo", *words, "--out", path, "--quiet")
-    _, told = process.communicate(timeout=280)
-    assert process.returncode == 0, told
+    _, errors = process.communicate(timeout=280)
+    assert process.returncode == 0, errors
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_the_demo_over_a_link_gives_the_same_maps(
     # Both ends share a machine with everything else that runs: three times the patience that a bench needs.
     with emulator(tmp_path, *words, "--watchdog", "0.6", link=f"--{plugin}"):
         overrides = [word for setting in settings for word in ("--set", setting)]
-        run_demo(run, "--drive", plugin, "--unattended", WORDS, *overrides)
+        run_demo(run, "--drive", plugin, "--unattended", SAFE_BENCH_WORDS, *overrides)
     ended = messages_of(run)[-1]
     assert isinstance(ended, RunEnded)
     require_same_maps(run, demo_in_process, 2e-3, 5e-3)
@@ -145,16 +145,16 @@ def test_a_door_that_opens_ends_a_run_with_its_name_and_closed_again_the_run_goe
     switches, run = tmp_path / "switches", tmp_path / "run"
     drive = {"name": "serial", "port": str(tmp_path / "line"), "telemetry_period_s": 0.15}
     procedure = tiny_file(tmp_path, drive=drive, stages=MEASURING)
-    safe = ("--quiet", "--unattended", WORDS)
+    safe = ("--quiet", "--unattended", SAFE_BENCH_WORDS)
     with emulator(tmp_path, "--speed", "1", "--watchdog", "2", *with_interlocks(switches)) as machine:
         process = start_fluxbench("run", procedure, "--out", run, *safe)
         wait_until(lambda: list((run / "captures").glob("resistance*")) != [])
         switches.write_text("cover")
-        _, told = process.communicate()
-        assert process.returncode == 3, told
-        assert sum("interlock open: cover; close it, and resume" in line for line in told.splitlines()) == 1, told
+        _, errors = process.communicate()
+        assert process.returncode == 3, errors
+        assert sum("interlock open: cover; close it, and resume" in line for line in errors.splitlines()) == 1, errors
         assert machine.events("safe")[-1]["cause"] == "interlock"
         switches.write_text("")
         resumed = start_fluxbench("resume", run, *safe)
-        _, told = resumed.communicate()
-        assert resumed.returncode == 0, told
+        _, errors = resumed.communicate()
+        assert resumed.returncode == 0, errors

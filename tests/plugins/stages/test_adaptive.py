@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.analysis import injected_points, known_map
 from orchestrator.config import load_procedure, make_plan
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, resume_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, resume_run
 from orchestrator.recording import open_recording
 from orchestrator.testing import StageConformance
 from plugins.drives.simulated import SimulatedOptions, true_flux
@@ -90,9 +90,9 @@ def test_it_computes_disarmed_and_says_the_band_and_the_time_that_is_left(run: P
     before = [states[k - 1] for k, state in enumerate(states) if state == "choosing_points"]
     assert before
     assert set(before) <= {"stopping", "choosing_points"}
-    told = [m.text for m in messages_of(run) if isinstance(m, Note) and "rated flux" in m.text]
-    assert all("s more for 0.3 %" in text for text in told[:-1])
-    assert told[-1].startswith(f"{len(done(run))} points")
+    texts = [m.text for m in messages_of(run) if isinstance(m, Note) and "rated flux" in m.text]
+    assert all("s more for 0.3 %" in text for text in texts[:-1])
+    assert texts[-1].startswith(f"{len(done(run))} points")
 
 
 def test_points_stay_within_the_plan(run: Path) -> None:
@@ -100,20 +100,20 @@ def test_points_stay_within_the_plan(run: Path) -> None:
     planned = [p.excitation for p in plan.points if p.id.startswith("adaptive") and isinstance(p.excitation, Injection)]
     longest = max(point.longest_current_a for point in planned)
     for message in done(run):
-        asked = message.segment.settings
-        assert float(np.hypot(asked["target_d_a"], asked["target_q_a"])) <= longest * (1 + 1e-6)
+        settings = message.segment.settings
+        assert float(np.hypot(settings["target_d_a"], settings["target_q_a"])) <= longest * (1 + 1e-6)
         assert message.segment.samples <= 1e4 * planned[0].duration_s + 1
-        assert asked["amplitude_v"] == planned[0].amplitude_v
+        assert settings["amplitude_v"] == planned[0].amplitude_v
 
 
 def test_a_run_that_is_stopped_within_it_chooses_what_it_would_have_chosen(run: Path, tmp_path: Path) -> None:
     stop = StopAtPoint(tmp_path / "run", FIRST + 4)
     result = run_tiny(tmp_path, stages=TINY, drive=DRIVE, interrupts=stop)
     assert result.outcome.ending == "aborted"
-    result = resume_run(result.path, Crew(AbsentOperator(), Interrupts()))
+    result = resume_run(result.path, RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished", result.outcome
-    asked = [(m.id, m.segment.settings) for m in done(result.path)]
-    assert asked == [(m.id, m.segment.settings) for m in done(run)]
+    chosen = [(m.id, m.segment.settings) for m in done(result.path)]
+    assert chosen == [(m.id, m.segment.settings) for m in done(run)]
 
 
 def test_the_lock_is_checked_at_the_largest_torque_that_it_may_ask_for() -> None:

@@ -60,14 +60,14 @@ class Run:
     read: MemoryRecording | None = None
     procedure: Procedure | None = None
     has_brake: bool = True
-    said: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     @property
     def capabilities(self) -> SimpleNamespace:
         return SimpleNamespace(has_brake=self.has_brake)
 
-    def say(self, message: Note) -> None:
-        self.said.append(message.text)
+    def publish(self, message: Note) -> None:
+        self.notes.append(message.text)
 
     def recording(self) -> MemoryRecording:
         assert self.read is not None
@@ -154,7 +154,7 @@ def read_without_current(pm400: Bench, *readings: tuple[float, float]) -> Memory
     return MemoryRecording(manifest, captures)
 
 
-def asked_for(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
+def chosen_point(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
     """The alignment's point at 90 degrees, as it is run after these readings."""
     (point,) = plan_of(pm400, {"kind": "alignment", "angle_rad": math.pi / 2, "current_a": 2.0}).points
     stage = AlignmentStage(angle_rad=math.pi / 2, current_a=2.0)
@@ -175,12 +175,12 @@ def test_an_offset_that_will_turn_the_rotor_on_the_way_down_is_told(
     run = Run(rig, read=read_without_current(pm400, (reading_a, 0.0)), has_brake=has_brake)
     segment = Segment(id="alignment-000", stage=SegmentStage.ALIGNMENT, start_s=0.0, samples=1)
     AlignmentStage(current_a=2.0, brake=brake).after_point(cast(StageRun, run), segment)
-    assert bool(run.said) == warned
-    assert all("turns a rotor which is free" in text for text in run.said)
+    assert bool(run.notes) == warned
+    assert all("turns a rotor which is free" in text for text in run.notes)
 
 
 def test_what_the_sensors_read_without_current_is_added_in_the_rotors_frame(pm400: Bench) -> None:
-    point = asked_for(pm400, (0.5, 0.5), (0.02, 0.05))
+    point = chosen_point(pm400, (0.5, 0.5), (0.02, 0.05))
     assert isinstance(point.excitation, Hold)
     assert (point.excitation.current_d_a, point.excitation.current_q_a) == pytest.approx((2.05, -0.02))
     assert (point.settings["current_d_a"], point.settings["current_q_a"]) == pytest.approx((2.05, -0.02))
@@ -191,7 +191,7 @@ def test_what_the_sensors_read_without_current_is_added_in_the_rotors_frame(pm40
 def test_nothing_is_added_without_a_reading_or_to_one_that_is_no_offset(
     pm400: Bench, readings: list[tuple[float, float]]
 ) -> None:
-    point = asked_for(pm400, *readings)
+    point = chosen_point(pm400, *readings)
     assert point.settings == {"current_d_a": 2.0, "current_q_a": 0.0}
 
 
@@ -223,7 +223,7 @@ def test_a_rotor_with_more_saliency_than_magnet_rests_with_its_d_axis_on_the_cur
 
 def test_a_current_under_which_the_d_axis_is_no_place_of_rest_is_told() -> None:
     bench = Bench(BALDOR, {"current_a": 18.0, "voltage_v": 380.0}, 800.0)
-    (told,) = plan_of(bench, {"kind": "alignment", "current_a": 12.4}).notes
-    assert "from 3.49 A on" in told
-    assert "1.75 A hold it best" in told
+    (note,) = plan_of(bench, {"kind": "alignment", "current_a": 12.4}).notes
+    assert "from 3.49 A on" in note
+    assert "1.75 A hold it best" in note
     assert not plan_of(bench, {"kind": "alignment", "current_a": 3.4}).notes

@@ -44,6 +44,6 @@ def test_an_experiment_that_is_no_stage_is_refused(pm400: Bench, experiment: dic
 
 def test_a_finished_run_is_gone_on_with_on_the_answer_that_its_procedure_gives(pm400: Bench) -> None:
     brake = {"kind": "operator", "prompt": "?", "brake": "engage", "answer": "yes"}
-    for asked, answer in ([brake], "yes"), ([], None):
-        question = DiagnoseStage().going_on(EXPERIMENT, pm400.procedure(*asked, {"kind": "estimate"}), 1)[0]
+    for operator, answer in ([brake], "yes"), ([], None):
+        question = DiagnoseStage().going_on(EXPERIMENT, pm400.procedure(*operator, {"kind": "estimate"}), 1)[0]
         assert (question.kind, question.settings["answer"]) == ("operator", answer)

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.config import check_plan, load_procedure, make_plan
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, resume_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, resume_run
 from orchestrator.testing import StageConformance
 from plugins.stages.injection import InjectionStage
 from protocols import Injection, PointDone, ProcedureError, SegmentStage, Stage, StageSufficed, StateChanged
@@ -158,8 +158,8 @@ def test_points_between_are_planned_where_the_current_is_largest() -> None:
 
 
 def measured(path: Path) -> list[tuple[float, float]]:
-    asked = [m.segment.settings for m in messages_of(path) if isinstance(m, PointDone) and "injection" in m.id]
-    return [(one["target_d_a"], one["target_q_a"]) for one in asked]
+    targets = [m.segment.settings for m in messages_of(path) if isinstance(m, PointDone) and "injection" in m.id]
+    return [(one["target_d_a"], one["target_q_a"]) for one in targets]
 
 
 def test_steps_in_which_the_iron_bends_are_halved_and_the_run_goes_on_as_it_would_have(tmp_path: Path) -> None:
@@ -179,7 +179,7 @@ def test_steps_in_which_the_iron_bends_are_halved_and_the_run_goes_on_as_it_woul
     stop = StopAtPoint(tmp_path / "part" / "run", 10)
     part = run_tiny(tmp_path / "part", stages=stages, drive=plant, interrupts=stop)
     assert part.outcome.ending == "aborted"
-    resumed = resume_run(part.path, Crew(AbsentOperator(), Interrupts()))
+    resumed = resume_run(part.path, RunServices(AbsentOperator(), Interrupts()))
     assert resumed.outcome.ending == "finished"
     assert measured(part.path) == points
 

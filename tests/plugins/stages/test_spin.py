@@ -1,4 +1,4 @@
-"""A rotor that is turned: what is asked for, who refuses it, and what it tells of a plant whose own map is known."""
+"""A turning rotor: the planned points, who refuses them, and the estimates of a plant whose own map is known."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_gates_off_comes_first_and_the_second_speed_s_points_lie_between_the_fir
 
 
 @pytest.mark.parametrize(
-    ("before", "settings", "said"),
+    ("before", "settings", "message"),
     [
         ({"brake": "engage"}, {}, "stages.1: spin with the brake engaged; put a stage with brake: release before it"),
         ({}, {"speeds_rpm": [9000.0]}, "stages.1.speeds_rpm: spin has a back-EMF of 979.5 V between terminals"),
@@ -66,11 +66,11 @@ def test_gates_off_comes_first_and_the_second_speed_s_points_lie_between_the_fir
     ],
 )
 def test_what_cannot_be_is_refused_with_its_setting(
-    pm400: Bench, before: dict[str, Any], settings: dict[str, Any], said: str
+    pm400: Bench, before: dict[str, Any], settings: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(CapabilityError) as refused:
         planned(pm400, able(pm400), {**RELEASE, **before}, {"kind": "spin", **settings})
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 def test_a_drive_that_turns_no_rotor_is_refused_by_name(pm400: Bench) -> None:
@@ -105,21 +105,21 @@ def test_the_terminals_have_the_magnets_voltage_with_the_gates_off(run: Path, tm
 
 
 def test_the_magnet_the_angle_and_the_resistance_are_told(run: Path) -> None:
-    told = {remark.code: remark for remark in estimated(run).remarks}
-    assert told["spin.magnet_flux"].values["flux_wb"] == pytest.approx(0.3, rel=1e-3)
-    assert told["spin.resistance_by_emf"].values["value_ohm"] == pytest.approx(4.25, rel=0.005)
+    remarks = {remark.code: remark for remark in estimated(run).remarks}
+    assert remarks["spin.magnet_flux"].values["flux_wb"] == pytest.approx(0.3, rel=1e-3)
+    assert remarks["spin.resistance_by_emf"].values["value_ohm"] == pytest.approx(4.25, rel=0.005)
     # The procedure has aligned nothing: it believes the rotor at 0 where it stands at 0.7 rad.
-    assert told["spin.angle_offset"].values["angle_deg"] == pytest.approx(np.degrees(0.7), abs=0.1)
+    assert remarks["spin.angle_offset"].values["angle_deg"] == pytest.approx(np.degrees(0.7), abs=0.1)
 
 
-@pytest.mark.parametrize(("ratio", "said"), [(-1.0, "phases in another order"), (2.0, "0.5 times the pole pairs")])
-def test_no_current_is_held_in_a_frame_that_is_not_the_rotor_s(ratio: float, said: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("ratio", "message"), [(-1.0, "phases in another order"), (2.0, "0.5 times the pole pairs")])
+def test_no_current_is_held_in_a_frame_that_is_not_the_rotor_s(ratio: float, message: str, tmp_path: Path) -> None:
     plant = {**PLANT, "rotor": {"rest_angle_rad": 0.0, "encoder_ratio": ratio}}
     stages = [RELEASE, {"kind": "spin", "speeds_rpm": [1000.0], "turns": 3, "points_a": [[0.0, 1.0]]}]
     result = run_tiny(tmp_path, stages=stages, drive={"plant": plant})
     assert result.outcome.ending == "aborted"
     ended = next(m for m in messages_of(tmp_path / "run") if isinstance(m, RunEnded))
-    assert said in ended.reason
+    assert message in ended.reason
     assert [s.id for s in open_recording(tmp_path / "run").segments()] == ["spin-000"]
 
 
@@ -139,9 +139,9 @@ def test_what_is_stated_holds_behind_dead_time(volts: float, threshold_a: float,
     result = run_tiny(tmp_path, stages=stages, drive=drive, limits={"current_a": 5.0, "voltage_v": 180.0})
     assert result.outcome.ending == "finished"
     run = tmp_path / "run"
-    told = {remark.code: remark.values for remark in estimated(run).remarks}
-    assert told["spin.inverter_loss"]["kept_v"] == pytest.approx(volts, rel=0.02)
-    ohm, std = (told["spin.resistance_by_emf"][name] for name in ("value_ohm", "std_ohm"))
+    values = {remark.code: remark.values for remark in estimated(run).remarks}
+    assert values["spin.inverter_loss"]["kept_v"] == pytest.approx(volts, rel=0.02)
+    ohm, std = (values["spin.resistance_by_emf"][name] for name in ("value_ohm", "std_ohm"))
     assert isinstance(ohm, float)
     assert isinstance(std, float)
     assert abs(ohm - 4.25) < 2.0 * std

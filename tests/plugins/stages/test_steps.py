@@ -1,4 +1,4 @@
-"""Voltage steps: what is asked for, who refuses it, and the map that comes of it on a plant whose own is known."""
+"""Voltage steps: the planned points, who refuses them, and the estimated map of a plant whose own is known."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_each_axis_alone_and_both_at_once_at_two_voltages(pm400: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "said"),
+    ("settings", "message"),
     [
         ({"turn_a": 6.0}, "stages.0.turn_a: steps reaches 6"),
         ({"voltages_v": [200.0, 90.0]}, "stages.0.voltages_v: steps needs 200 V, limits.voltage_v is 150 V"),
@@ -65,10 +65,10 @@ def test_each_axis_alone_and_both_at_once_at_two_voltages(pm400: Bench) -> None:
         ({"voltages_v": [149.0, 90.0], "turn_a": 0.5}, "rows from one turn to the next at 10000 Hz: at most"),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_setting(pm400: Bench, settings: dict[str, Any], said: str) -> None:
+def test_what_cannot_be_is_refused_with_its_setting(pm400: Bench, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(CapabilityError) as refused:
         planned(pm400, pm400.capabilities(excitations=ALL, watchdog_covers=ALL), **settings)
-    assert said in str(refused.value)
+    assert message in str(refused.value)
 
 
 def test_a_drive_whose_programs_cannot_turn_a_voltage_is_refused_by_name(pm400: Bench) -> None:
@@ -111,8 +111,8 @@ def test_one_map_comes_of_steps_and_injection_and_it_is_right(run: Path) -> None
 @pytest.mark.slow
 def test_the_loops_tell_the_resistance_and_what_dead_time_keeps(run: Path) -> None:
     report = estimated(run)
-    told = {remark.code: remark for remark in report.remarks}
-    assert told["steps.inverter_loss"].values["lost_v"] == pytest.approx(0.8, abs=0.05)
+    remarks = {remark.code: remark for remark in report.remarks}
+    assert remarks["steps.inverter_loss"].values["lost_v"] == pytest.approx(0.8, abs=0.05)
     assert report.resistance is not None
     assert report.resistance.low < 4.25 < report.resistance.high
 

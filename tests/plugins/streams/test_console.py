@@ -64,7 +64,7 @@ def listen(monkeypatch: pytest.MonkeyPatch, run: Path, output: io.TextIOBase, mo
     return ConsoleStream(StreamSetup(run=run, options=ConsoleOptions.model_validate({"mode": mode})))
 
 
-def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], **how: Any) -> str:
+def printed(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], **how: Any) -> str:
     output = Output(how.pop("terminal", False))
     stream = listen(monkeypatch, run, output, **how)
     for message in messages:
@@ -84,7 +84,7 @@ def displays() -> list[str]:
 
 
 def test_not_a_terminal_gets_plain_lines_without_escape_codes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    text = told(monkeypatch, tmp_path, a_run(tmp_path))
+    text = printed(monkeypatch, tmp_path, a_run(tmp_path))
     assert ESCAPE not in text
     assert "\r" not in text
     assert "stage 1 of 1, the kit's sweep: begins, 20 points" in text
@@ -147,7 +147,7 @@ def test_stages_without_points_are_counted_too_and_say_what_is_under_way(
 
 
 def test_stages_are_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert "stage 1 of 1, the kit's sweep" in told(monkeypatch, tmp_path, a_run(tmp_path))
+    assert "stage 1 of 1, the kit's sweep" in printed(monkeypatch, tmp_path, a_run(tmp_path))
 
 
 def test_faults_and_their_reason_are_told_in_plain_lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_faults_and_their_reason_are_told_in_plain_lines(monkeypatch: pytest.Mon
         StateChanged(source="sweeping_injection", target="stopping", reason=reason),
         RunEnded(outcome="faulted", reason=reason, run="runs/demo"),
     ]
-    text = told(monkeypatch, tmp_path, messages)
+    text = printed(monkeypatch, tmp_path, messages)
     assert f"stopping: {reason}" in text
     assert f"faulted: {reason}" in text
 
@@ -173,7 +173,7 @@ def test_summary_is_a_table_of_what_was_estimated(monkeypatch: pytest.MonkeyPatc
         reasons=["the rotor turned", "too few points"],
         files={"estimates": "estimates.json", "flux_map": "flux_map.nc"},
     )
-    lines = told(monkeypatch, tmp_path, [end]).splitlines()
+    lines = printed(monkeypatch, tmp_path, [end]).splitlines()
     assert "R_s         4.312 Ω (95 %: 4.305 to 4.320)" in lines
     assert "crossings   d 0.41 %" in lines
     assert "map usable  no" in lines
@@ -183,14 +183,14 @@ def test_summary_is_a_table_of_what_was_estimated(monkeypatch: pytest.MonkeyPatc
 
 
 def test_quiet_says_warnings_errors_and_a_bad_end_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert told(monkeypatch, tmp_path, a_run(tmp_path), mode="quiet") == "warning: the bus sags by 2 %\n"
+    assert printed(monkeypatch, tmp_path, a_run(tmp_path), mode="quiet") == "warning: the bus sags by 2 %\n"
     bad = RunEnded(outcome="aborted", reason="the operator said no", run="runs/demo")
-    assert told(monkeypatch, tmp_path, [bad], mode="quiet") == "aborted: the operator said no\n"
+    assert printed(monkeypatch, tmp_path, [bad], mode="quiet") == "aborted: the operator said no\n"
 
 
 def test_json_is_one_message_a_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     messages: list[Message] = [m for m in one_of_each(tmp_path) if m.kind != "samples_captured"]
-    lines = told(monkeypatch, tmp_path, messages, mode="jsonl").splitlines()
+    lines = printed(monkeypatch, tmp_path, messages, mode="jsonl").splitlines()
     assert [json.loads(line)["kind"] for line in lines] == [m.kind for m in messages]
 
 
@@ -220,14 +220,14 @@ def test_control_characters_in_names_never_reach_the_terminal(monkeypatch: pytes
         ),
         Note(level="error", text=hostile),
     ]
-    assert ESCAPE not in told(monkeypatch, tmp_path, messages)
-    assert f"{ESCAPE}[2J" not in told(monkeypatch, tmp_path, messages, terminal=True)
+    assert ESCAPE not in printed(monkeypatch, tmp_path, messages)
+    assert f"{ESCAPE}[2J" not in printed(monkeypatch, tmp_path, messages, terminal=True)
 
 
 def test_a_terminal_gets_a_live_display_with_stage_bar_time_and_currents(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    text = told(monkeypatch, tmp_path, a_run(tmp_path), terminal=True)
+    text = printed(monkeypatch, tmp_path, a_run(tmp_path), terminal=True)
     assert ESCAPE in text
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
     for wanted in (
@@ -244,7 +244,7 @@ def test_a_terminal_gets_a_live_display_with_stage_bar_time_and_currents(
 
 
 def test_cursor_is_shown_again_after_the_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    text = told(monkeypatch, tmp_path, a_run(tmp_path)[:-1], terminal=True)
+    text = printed(monkeypatch, tmp_path, a_run(tmp_path)[:-1], terminal=True)
     assert text.count(f"{ESCAPE}[?25l") == text.count(f"{ESCAPE}[?25h") > 0
 
 
@@ -257,10 +257,10 @@ def test_live_display_stands_still_while_the_operator_is_asked(monkeypatch: pyte
     stream.receive(OperatorAsked(prompt="Engage the brake."))
     assert not displays()
     assert output.getvalue().endswith(f"{ESCAPE}[2K")
-    asked = len(output.getvalue())
+    length = len(output.getvalue())
     assert f"{ESCAPE}[?25h" in output.getvalue()
     stream.receive(Note(level="info", text="still waiting"))
-    assert "still waiting" in output.getvalue()[asked:]
+    assert "still waiting" in output.getvalue()[length:]
     assert not displays()
     stream.receive(OperatorAnswered(answer="yes", by="operator"))
     assert displays()

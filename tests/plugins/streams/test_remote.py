@@ -1,4 +1,4 @@
-"""What a page is told of a run: where it stands, whole each time, in numbers and texts that a page can show."""
+"""A page's view of a run: its state, whole each time, in numbers and texts that a page can show."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def test_a_question_is_open_from_its_asking_to_its_answer(tmp_path: Path) -> Non
     picture = Picture(tmp_path / "run")
     assert picture.drawn()["question"] is None
     picture.take(OperatorAsked(prompt="Engage the brake \x1b[2J"))
-    asked = picture.drawn()["question"]
-    assert asked == {"number": 1, "prompt": "Engage the brake \x1b[2J", "text": "Engage the brake \\u001b[2J"}
+    question = picture.drawn()["question"]
+    assert question == {"number": 1, "prompt": "Engage the brake \x1b[2J", "text": "Engage the brake \\u001b[2J"}
     picture.take(OperatorAnswered(answer="yes", by="operator", through="page"))
     assert picture.drawn()["question"] is None
     assert picture.drawn()["log"] == [("info", "answered: yes (by operator, through the page)")]

@@ -107,7 +107,7 @@ def run(undrawn: None, finished: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of what is said where there may be a picture or none: figures are not even made."""
+    """For tests of texts beside pictures: figures are not even made."""
     for module in (_figures, _motor_figures):
         for name in [name for name in vars(module) if name.endswith("_figure") and name != "new_figure"]:
             monkeypatch.setattr(module, name, lambda *_: "data:image/svg+xml;base64,")
@@ -232,7 +232,7 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
 
 @pytest.mark.usefixtures("without_figures")
 @few(
-    "name, content, told",
+    "name, content, message",
     [
         ("results/estimates.json", b"{", "estimates.json"),
         ("results/estimates.json", b'{"usable": 1}', "estimates.json"),
@@ -243,12 +243,12 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
     ],
     fast=2,
 )
-def test_a_damaged_file_is_named_and_the_rest_reported(run: Path, name: str, content: bytes, told: str) -> None:
+def test_a_damaged_file_is_named_and_the_rest_reported(run: Path, name: str, content: bytes, message: str) -> None:
     (run / name).write_bytes(content)
     page = page_of(run)
     material = collect(run)
     assert len(material.problems) == 1
-    assert told in material.problems[0]
+    assert message in material.problems[0]
     assert material.problems[0] in page.text
 
 
@@ -346,8 +346,8 @@ def estimated(run: Path, **changes: object) -> Path:
 @pytest.mark.slow
 def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path) -> None:
     made = {"polynomial": MapReport(checks=MapChecks(), form=POLYNOMIAL)}
-    said = (Remark(code="energy.flux_error", text="energy: known to +-0.1 %"),)
-    material = collect(estimated(run, maps=made, remarks=said))
+    flux_error = (Remark(code="energy.flux_error", text="energy: known to +-0.1 %"),)
+    material = collect(estimated(run, maps=made, remarks=flux_error))
     (formula,) = formulas(material)
     assert formula.rows == (("L_d", "43.20 mH", "0.10"), ("α30", "−12.5 A/Wb²", "0.3"))
     assert remarks(material) == ["energy: known to ±0.1 %"]

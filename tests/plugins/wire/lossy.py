@@ -70,9 +70,9 @@ class Device:
 
     def send(self, request: ReadBlock) -> None:
         for frame in self.there([encode(request)]):
-            asked = decode(*frame)
-            if isinstance(asked, ReadBlock):
-                self._queue += self._answer(asked)
+            message = decode(*frame)
+            if isinstance(message, ReadBlock):
+                self._queue += self._answer(message)
 
     def receive(self) -> list[Frame]:
         """All that is under way, through the link; time passes where there is nothing."""
@@ -81,8 +81,8 @@ class Device:
         self.now_s += 1e-3 if frames else 0.1
         return frames
 
-    def _answer(self, asked: ReadBlock) -> list[Frame]:
-        answer = self.source.answer(asked, self.layout)
+    def _answer(self, request: ReadBlock) -> list[Frame]:
+        answer = self.source.answer(request, self.layout)
         if isinstance(answer, Answer):
             return [*(Frame(self.layout.frame_id, payload) for payload in answer.payloads), encode(answer.end)]
-        return [encode(Ack(0, asked.window, Op.READ_BLOCK, AckStatus(answer), PowerState.HOLDING))]
+        return [encode(Ack(0, request.window, Op.READ_BLOCK, AckStatus(answer), PowerState.HOLDING))]

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plugins.wire import (
-    CAN_FD,
-    CLASSIC,
+    CAN_FD_LAYOUT,
+    CLASSIC_LAYOUT,
     Answer,
     BlockLayout,
     BulkEnd,
@@ -35,7 +35,7 @@ from tests.plugins.wire.lossy import Device, Lossy
 from tests.support.cases import few
 
 SERIAL = serial_blocks(1020)
-LAYOUTS = [CLASSIC, CAN_FD, SERIAL]
+LAYOUTS = [CLASSIC_LAYOUT, CAN_FD_LAYOUT, SERIAL]
 NAMES = ["classic", "fd", "serial"]
 ROWS = np.random.default_rng(7).bytes(100_000 * 4 * 2)
 """100,000 rows of four int16 channels."""
@@ -54,7 +54,7 @@ MIXES = list(itertools.product((0.0, 0.01, 0.05), repeat=3))
 
 
 @few("drop, duplicate, reorder", MIXES, fast=2)
-@pytest.mark.parametrize("layout", [CAN_FD, SERIAL], ids=["fd", "serial"])
+@pytest.mark.parametrize("layout", [CAN_FD_LAYOUT, SERIAL], ids=["fd", "serial"])
 def test_hundred_thousand_rows_arrive_exactly(
     layout: BlockLayout, drop: float, duplicate: float, reorder: float
 ) -> None:
@@ -65,7 +65,7 @@ def test_hundred_thousand_rows_arrive_exactly(
 @few("rate", [0.01, 0.0, 0.05])
 def test_hundred_thousand_rows_arrive_exactly_on_classic_can(rate: float) -> None:
     link = Lossy(random.Random(1), rate, rate, rate)
-    assert fetch(device(ROWS, CLASSIC, link), len(ROWS)) == ROWS
+    assert fetch(device(ROWS, CLASSIC_LAYOUT, link), len(ROWS)) == ROWS
 
 
 @few("rates", list(itertools.product((0.0, 0.01, 0.05), repeat=4)), fast=4, ids=str)
@@ -151,14 +151,14 @@ def test_any_frames_are_survived_and_never_make_a_capture(layout: BlockLayout, b
 
 def test_frames_of_the_capture_before_are_not_taken() -> None:
     old, new = ROWS[:6000], ROWS[6000:12000]
-    first = CaptureAssembly(1, len(old), CAN_FD)
-    late = CaptureSource.complete_with(1, old).answer(first.requests()[0], CAN_FD)
-    second = CaptureAssembly(2, len(new), CAN_FD, first_window=first.next_window)
+    first = CaptureAssembly(1, len(old), CAN_FD_LAYOUT)
+    late = CaptureSource.complete_with(1, old).answer(first.requests()[0], CAN_FD_LAYOUT)
+    second = CaptureAssembly(2, len(new), CAN_FD_LAYOUT, first_window=first.next_window)
     [request] = second.requests()
     assert not isinstance(late, int)
-    second.take([*(Frame(CAN_FD.frame_id, payload) for payload in late[0]), encode(late[1])])
+    second.take([*(Frame(CAN_FD_LAYOUT.frame_id, payload) for payload in late[0]), encode(late[1])])
     assert second.received == 0
-    answer = CaptureSource.complete_with(2, new).answer(request, CAN_FD)
+    answer = CaptureSource.complete_with(2, new).answer(request, CAN_FD_LAYOUT)
     assert not isinstance(answer, int)
     second.add(answer[0])
     second.end(answer[1])
@@ -170,32 +170,32 @@ def test_frames_of_the_capture_before_are_not_taken() -> None:
 def test_answers_that_are_late_beyond_all_patience_never_mean_other_blocks() -> None:
     data = ROWS[:60_000]
     source = CaptureSource.complete_with(1, data)
-    assembly = CaptureAssembly(1, len(data), CLASSIC, blocks_each=64, requests_each=5)
-    asked: list[ReadBlock] = []
+    assembly = CaptureAssembly(1, len(data), CLASSIC_LAYOUT, blocks_each=64, requests_each=5)
+    requests: list[ReadBlock] = []
     for _ in range(40):
-        asked += assembly.requests()
+        requests += assembly.requests()
         assembly.give_up()
-    assert len(asked) == 32
+    assert len(requests) == 32
     assert assembly.exhausted
     while assembly.result() is None:
-        assert asked
-        for request in asked:
-            answer = source.answer(request, CLASSIC)
+        assert requests
+        for request in requests:
+            answer = source.answer(request, CLASSIC_LAYOUT)
             assert isinstance(answer, Answer)
             assembly.add(answer.payloads)
             assembly.end(answer.end)
-        asked = assembly.requests()
+        requests = assembly.requests()
     assert bytes(assembly.result() or b"") == data
 
 
 def test_the_next_requests_are_sent_while_answers_are_on_their_way() -> None:
-    assembly = CaptureAssembly(1, 60 * 100, CAN_FD, blocks_each=10, requests_each=4)
+    assembly = CaptureAssembly(1, 60 * 100, CAN_FD_LAYOUT, blocks_each=10, requests_each=4)
     source = CaptureSource.complete_with(1, ROWS[: 60 * 100])
-    asked = assembly.requests()
-    assert [request.blocks for request in asked] == [10] * 4
+    requests = assembly.requests()
+    assert [request.blocks for request in requests] == [10] * 4
     assert not assembly.requests()
-    for request in asked[:2]:
-        answer = source.answer(request, CAN_FD)
+    for request in requests[:2]:
+        answer = source.answer(request, CAN_FD_LAYOUT)
         assert isinstance(answer, Answer)
         assembly.add(answer.payloads)
         assembly.end(answer.end)
@@ -203,11 +203,11 @@ def test_the_next_requests_are_sent_while_answers_are_on_their_way() -> None:
 
 
 def test_missing_blocks_are_named_and_near_ones_merged() -> None:
-    assembly = CaptureAssembly(1, 600, CAN_FD)
+    assembly = CaptureAssembly(1, 600, CAN_FD_LAYOUT)
     assert assembly.missing() == [(0, 10)]
     [request] = assembly.requests()
     source = CaptureSource.complete_with(1, ROWS[:600])
-    answer = source.answer(request, CAN_FD)
+    answer = source.answer(request, CAN_FD_LAYOUT)
     assert not isinstance(answer, int)
     assembly.add([answer[0][k] for k in (0, 2, 4, 5, 6, 8, 9)])
     assert assembly.missing() == [(1, 3), (7, 1)]
@@ -238,7 +238,7 @@ def test_a_capture_can_be_read_while_it_grows(layout: BlockLayout) -> None:
 def test_what_the_ring_has_overwritten_is_refused() -> None:
     source = CaptureSource(3, 50_000, memory_bytes=16_000)
     source.append(ROWS[:40_000])
-    end = Device(source, CAN_FD, list, list)
+    end = Device(source, CAN_FD_LAYOUT, list, list)
     with pytest.raises(DriveFault, match="overwritten"):
         fetch(end, 50_000)
 
@@ -251,14 +251,14 @@ def test_a_capture_longer_than_announced_is_refused_at_once() -> None:
 
 
 def test_another_capture_is_refused_by_name() -> None:
-    end = device(ROWS[:100], CAN_FD, Lossy(random.Random(0)), number=4)
-    assembly = CaptureAssembly(9, 100, CAN_FD)
+    end = device(ROWS[:100], CAN_FD_LAYOUT, Lossy(random.Random(0)), number=4)
+    assembly = CaptureAssembly(9, 100, CAN_FD_LAYOUT)
     with pytest.raises(DriveFault, match="capture 9: not captured"):
         upload(assembly, end.send, end.receive, clock=lambda: end.now_s)
 
 
 def test_a_dead_drive_is_given_up_within_a_second_and_a_half() -> None:
-    end = device(ROWS[:100], CAN_FD, Lossy(random.Random(0), drop=1.0))
+    end = device(ROWS[:100], CAN_FD_LAYOUT, Lossy(random.Random(0), drop=1.0))
     with pytest.raises(DriveFault) as caught:
         fetch(end, 100)
     assert caught.value.cause is FaultCause.NO_ANSWER
@@ -274,15 +274,15 @@ def test_other_traffic_does_not_keep_a_dead_upload_alive() -> None:
         return [Frame(frame_id("Status"), bytes(8))]
 
     with pytest.raises(DriveFault, match="no data"):
-        upload(CaptureAssembly(1, 100, CAN_FD), lambda _: None, receive, clock=lambda: now_s)
+        upload(CaptureAssembly(1, 100, CAN_FD_LAYOUT), lambda _: None, receive, clock=lambda: now_s)
 
 
 def test_a_wrong_crc_is_asked_for_again_before_the_data_are() -> None:
     data = ROWS[:600]
-    assembly = CaptureAssembly(1, len(data), CAN_FD)
+    assembly = CaptureAssembly(1, len(data), CAN_FD_LAYOUT)
     source = CaptureSource.complete_with(1, data)
     [request] = assembly.requests()
-    answer = source.answer(request, CAN_FD)
+    answer = source.answer(request, CAN_FD_LAYOUT)
     assert not isinstance(answer, int)
     assembly.add(answer[0])
     assembly.end(BulkEnd(crc32(data) ^ 1, len(data), request.window))
@@ -296,17 +296,17 @@ def test_a_wrong_crc_is_asked_for_again_before_the_data_are() -> None:
 @pytest.mark.parametrize("length", [-1, 1 << 26])
 def test_a_length_that_cannot_be_addressed_is_refused(length: int) -> None:
     with pytest.raises(InputError, match="cannot be addressed"):
-        CaptureAssembly(1, length, CAN_FD)
+        CaptureAssembly(1, length, CAN_FD_LAYOUT)
 
 
 @given(st.sampled_from(LAYOUTS), st.builds(ReadBlock, *[st.integers(0, 1 << bits) for bits in (14, 5, 16, 2)]))
-def test_any_request_is_answered_or_refused_with_blocks_of_the_capture(layout: BlockLayout, asked: ReadBlock) -> None:
+def test_any_request_is_answered_or_refused_with_blocks_of_the_capture(layout: BlockLayout, request: ReadBlock) -> None:
     data = ROWS[:10_000]
-    answer = CaptureSource.complete_with(1, data).answer(asked, layout)
+    answer = CaptureSource.complete_with(1, data).answer(request, layout)
     if isinstance(answer, int):
-        assert asked.capture != 1 or asked.offset % layout.block or asked.blocks > layout.most
+        assert request.capture != 1 or request.offset % layout.block or request.blocks > layout.most
         return
     sent = b"".join(payload[layout.header :] for payload in answer.payloads)
-    there = data[asked.offset : asked.offset + asked.blocks * layout.block]
+    there = data[request.offset : request.offset + request.blocks * layout.block]
     assert sent[: len(there)] == there
     assert not any(sent[len(there) :])

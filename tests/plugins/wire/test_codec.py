@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plugins.wire import (
-    DESCRIPTION,
+    DESCRIPTION_CAPTURE,
     LAST_CAPTURE,
-    RIPPLE,
+    RIPPLE_FLAG,
     EStop,
     Frame,
     Heartbeat,
@@ -126,7 +126,7 @@ def test_an_emergency_stop_is_one_whatever_its_payload(payload: bytes) -> None:
 
 def test_capture_numbers_ripple_rows_and_the_description_do_not_meet() -> None:
     assert registers()["capture_number"].range == (0, LAST_CAPTURE)
-    assert LAST_CAPTURE < RIPPLE < LAST_CAPTURE + RIPPLE < DESCRIPTION < 1 << 16
+    assert LAST_CAPTURE < RIPPLE_FLAG < LAST_CAPTURE + RIPPLE_FLAG < DESCRIPTION_CAPTURE < 1 << 16
 
 
 def test_a_number_that_does_not_fit_is_refused_by_name() -> None:

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from plugins.wire import Frame, SerialDecoder, all_to_serial, decode, to_serial
-from plugins.wire._framing import LONGEST_PAYLOAD
+from plugins.wire._framing import MAX_PAYLOAD_BYTES
 
 frames = st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=600))
 
@@ -58,10 +58,10 @@ def test_a_line_without_zeros_does_not_fill_the_memory() -> None:
 
 
 def test_the_longest_frame_passes_and_a_longer_one_does_not() -> None:
-    longest = Frame(5, random.Random(1).randbytes(LONGEST_PAYLOAD))
+    longest = Frame(5, random.Random(1).randbytes(MAX_PAYLOAD_BYTES))
     decoder = SerialDecoder()
     assert decoder.feed(to_serial(longest)) == [longest]
-    assert decoder.feed(to_serial(Frame(5, bytes(LONGEST_PAYLOAD + 1)))) == []
+    assert decoder.feed(to_serial(Frame(5, bytes(MAX_PAYLOAD_BYTES + 1)))) == []
     assert decoder.bad_frames == 1
 
 
@@ -81,8 +81,8 @@ def test_the_golden_frames_of_the_page_are_what_is_said() -> None:
         (frame,) = SerialDecoder().feed(bytes.fromhex(line))
         assert (frame.frame_id, frame.payload) == (int(number, 16), bytes.fromhex(payload))
         assert to_serial(frame) == bytes.fromhex(line)
-        said = decode(*frame)
-        assert type(said).__name__ == name
-        assert said is not None
-        told = [getattr(value, "name", None) or f"{value:g}" for value in said]
-        assert fields == ", ".join(f"{field}={value}" for field, value in zip(said._fields, told, strict=True))
+        message = decode(*frame)
+        assert type(message).__name__ == name
+        assert message is not None
+        values = [getattr(value, "name", None) or f"{value:g}" for value in message]
+        assert fields == ", ".join(f"{field}={value}" for field, value in zip(message._fields, values, strict=True))

@@ -28,14 +28,14 @@ from tests.plugins.wire.test_program import CAPABILITIES, FACTS
 NAMES = ("door", "emergency stop")
 
 
-def told_by(text: str, bits: Capability = Capability.INTERLOCKS) -> Capabilities:
+def capabilities_by(text: str, bits: Capability = Capability.INTERLOCKS) -> Capabilities:
     own = RegisterFile(capability_registers(CAPABILITIES, replace(FACTS, bits=bits)))
     return capabilities_of(own.values(), parse_description(text.encode()), None)
 
 
 @given(st.lists(st.text("abc ÄΩ-", min_size=1).filter(str.strip), min_size=1, max_size=8))
 def test_names_come_back_from_the_description(names: list[str]) -> None:
-    assert told_by(interlocks_line(names)).interlocks == tuple(map(str.strip, names))
+    assert capabilities_by(interlocks_line(names)).interlocks == tuple(map(str.strip, names))
 
 
 @pytest.mark.parametrize("names", [["a"] * 9, ["door, cover"], [" "], ["a\nname: b"]])
@@ -45,13 +45,13 @@ def test_names_that_a_description_cannot_carry_are_refused(names: list[str]) -> 
 
 
 def test_a_drive_without_the_capability_has_none_whatever_it_describes() -> None:
-    assert told_by(interlocks_line(NAMES), Capability(0)).interlocks == ()
+    assert capabilities_by(interlocks_line(NAMES), Capability(0)).interlocks == ()
 
 
 @pytest.mark.parametrize("text", ["", "interlocks:", "interlocks: 1,2,3,4,5,6,7,8,9"])
 def test_inputs_without_a_name_each_are_wrong_data(text: str) -> None:
     with pytest.raises(DriveFault, match="its description names") as fault:
-        told_by(text)
+        capabilities_by(text)
     assert fault.value.cause is FaultCause.WRONG_DATA
 
 
@@ -69,8 +69,8 @@ def test_a_trip_names_the_input_in_one_line() -> None:
 
 
 def test_a_measurement_of_version_1_0_says_that_none_is_open() -> None:
-    said = Measurement(1, -2, 3, 300.0, 3)
-    identifier, payload = encode(said)
-    assert decode(identifier, payload) == said
-    assert decode(identifier, payload[:7]) == said._replace(open_interlocks=0)
+    message = Measurement(1, -2, 3, 300.0, 3)
+    identifier, payload = encode(message)
+    assert decode(identifier, payload) == message
+    assert decode(identifier, payload[:7]) == message._replace(open_interlocks=0)
     assert decode(identifier, payload[:6]) is None

@@ -7,7 +7,7 @@ import itertools
 import can
 import pytest
 
-from plugins.wire import NODES, frame_id, from_bus, heard_by_drive, heard_by_host, on_bus
+from plugins.wire import MAX_NODES, filters_of_drive, filters_of_host, frame_id, from_bus, on_bus
 from plugins.wire._dbc import dbc_text, layouts, message_database
 
 LOWEST_OF_DRIVES = frame_id("Status")
@@ -16,26 +16,26 @@ ESTOP = frame_id("EStop")
 
 def test_every_identifier_leaves_room_for_the_node() -> None:
     ids = [layout.frame_id for layout in layouts().values()]
-    on_the_bus = [on_bus(identifier, node) for identifier, node in itertools.product(ids, range(NODES))]
+    on_the_bus = [on_bus(identifier, node) for identifier, node in itertools.product(ids, range(MAX_NODES))]
     assert len(set(on_the_bus)) == len(on_the_bus)
     assert max(on_the_bus) < 1 << 11
 
 
-@pytest.mark.parametrize("node", range(NODES))
+@pytest.mark.parametrize("node", range(MAX_NODES))
 def test_what_is_of_this_node_comes_back_as_it_was_and_nothing_else_but_a_stop(node: int) -> None:
-    for layout, other in itertools.product(layouts().values(), range(NODES)):
+    for layout, other in itertools.product(layouts().values(), range(MAX_NODES)):
         own = from_bus(on_bus(layout.frame_id, other), node)
         assert own == (layout.frame_id if other == node or layout.frame_id == ESTOP else None)
 
 
-@pytest.mark.parametrize("node", range(NODES))
+@pytest.mark.parametrize("node", range(MAX_NODES))
 def test_the_filters_pass_what_is_taken(node: int) -> None:
     with can.Bus(channel="filters", interface="virtual", ignore_config=True) as bus:
         for identifier in range(0x200):
             message = can.Message(arbitration_id=identifier, is_extended_id=False)
-            bus.set_filters(heard_by_host(node))
-            assert bus._matches_filters(message) == (identifier % NODES == node)
-            bus.set_filters(heard_by_drive(node))
+            bus.set_filters(filters_of_host(node))
+            assert bus._matches_filters(message) == (identifier % MAX_NODES == node)
+            bus.set_filters(filters_of_drive(node))
             wanted = from_bus(identifier, node) is not None and identifier < LOWEST_OF_DRIVES
             assert bus._matches_filters(message) == wanted
 

@@ -122,15 +122,15 @@ def through_a_drive(values: dict[str, float]) -> RegisterFile:
 def test_an_excitation_comes_back_to_a_singles_precision(excitation: Excitation) -> None:
     back = program_of(through_a_drive(program_registers(excitation, FS)).values())
     assert type(back) is type(excitation)
-    for (name, asked), (_, held) in zip(excitation, back, strict=True):
+    for (name, wanted), (_, held) in zip(excitation, back, strict=True):
         if name.endswith("_s") and name != "period_s":
-            assert held == pytest.approx(asked, rel=0.0, abs=0.5 / FS + 1e-6 * asked)
-        elif isinstance(asked, float):
-            assert held == pytest.approx(asked, rel=1e-6)
-        elif isinstance(asked, CurrentControl):
-            assert held.bandwidth_hz == pytest.approx(asked.bandwidth_hz, rel=1e-6)
+            assert held == pytest.approx(wanted, rel=0.0, abs=0.5 / FS + 1e-6 * wanted)
+        elif isinstance(wanted, float):
+            assert held == pytest.approx(wanted, rel=1e-6)
+        elif isinstance(wanted, CurrentControl):
+            assert held.bandwidth_hz == pytest.approx(wanted.bandwidth_hz, rel=1e-6)
         else:
-            assert held == asked
+            assert held == wanted
 
 
 @settings(deadline=None)

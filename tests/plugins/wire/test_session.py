@@ -1,4 +1,4 @@
-"""Sessions: a repetition does nothing twice, a stale host is not heard, and held-up heartbeats feed nobody."""
+"""Sessions: a repetition does nothing twice, a stale host is ignored, and held-up heartbeats feed nobody."""
 
 from __future__ import annotations
 
@@ -82,13 +82,13 @@ def test_a_repeated_command_gets_the_stored_reply() -> None:
 
 @given(st.integers(0, 10_000), st.sampled_from([0.0, 0.1, 0.4]))
 def test_over_a_bad_link_each_command_is_done_exactly_once_and_in_order(seed: int, rate: float) -> None:
-    rng, done, asked = random.Random(seed), [], []
+    rng, done, sent = random.Random(seed), [], []
     link = Lossy(rng, rate, rate, 0.0)
     late: list[Frame] = []
     ledger, host = opened()
     for k in range(20):
         command = host.command(Op.CAPTURE_ARM, k)
-        asked.append(k)
+        sent.append(k)
         for _ in range(300):
             arriving = link([encode(command)])
             late += [frame for frame in arriving if rng.random() < rate]
@@ -104,10 +104,10 @@ def test_over_a_bad_link_each_command_is_done_exactly_once_and_in_order(seed: in
                     ledger.store(got, ack(got))
                 if verdict in (Verdict.NEW, Verdict.REPEATED):
                     replies.append(encode(ledger.reply))
-            heard = [decode(*frame) for frame in link(replies)]
-            if any(message is not None and answers(message, command) for message in heard):
+            messages = [decode(*frame) for frame in link(replies)]
+            if any(message is not None and answers(message, command) for message in messages):
                 break
-    assert done == asked
+    assert done == sent
 
 
 def test_a_late_copy_of_an_older_command_is_dropped() -> None:
@@ -133,7 +133,7 @@ def test_arming_issues_a_session_and_closes_the_one_before() -> None:
     ledger, host = opened()
     arm, stale = host.command(Op.ARM), Conversation(host.session)
     while (arm.seq - stale.command(Op.TIME_SYNC).seq) % 256 <= 2:
-        pass  # Its numbers begin anywhere; the arming's own would be that, asked again.
+        pass  # Its numbers begin anywhere; the arming's own would be its repetition.
     assert ledger.judge(arm) is Verdict.NEW
     reply = ledger.store(arm, ack(arm, ledger.issue()))
     assert ledger.judge(arm) is Verdict.REPEATED, "the acknowledgement was lost, and the old session asks again"

@@ -63,12 +63,12 @@ def measured_by(procedure: Procedure, *, standing: bool = False) -> Iterator[Mea
 
 def _standing(point: PlannedPoint) -> list[PlannedPoint]:
     """The vector on the believed d axis; and again with that axis a quarter turn further, on which q was."""
-    asked = point.excitation
-    if not isinstance(asked, Injection):
+    injection = point.excitation
+    if not isinstance(injection, Injection):
         return [point]
-    d, q = asked.start_dq_a
-    on_d = asked.model_copy(update={"rotation_hz": 0.0, "duration_s": asked.duration_s / 2.0})
-    turned = {"rotor_angle_rad": asked.rotor_angle_rad + pi / 2.0, "target_d_a": q, "target_q_a": -d}
+    d, q = injection.start_dq_a
+    on_d = injection.model_copy(update={"rotation_hz": 0.0, "duration_s": injection.duration_s / 2.0})
+    turned = {"rotor_angle_rad": injection.rotor_angle_rad + pi / 2.0, "target_d_a": q, "target_q_a": -d}
     return [replace(point, excitation=one) for one in (on_d, on_d.model_copy(update=turned))]
 
 

@@ -83,7 +83,7 @@ class Budget:
     Attributes
     ----------
     rows : tuple of Row
-        In the order in which they are told.
+        In the order of the page.
     standing : tuple of Errors
         The procedure's bench with two vectors that stand: by rectangles, by trapezoids.
     still : Literal
@@ -121,10 +121,10 @@ def budget(procedure: Procedure, measured: Literal, sources: Sources | None = No
     errors, rated_wb = errors_against(procedure)
     rows, kept = [row_of(ALL, measured, errors)], {}
     for name, plant in plants(procedure, sources).items():
-        found = evaluate(measured_by(with_plant(procedure, plant)))
-        rows.append(row_of(name, found, errors))
+        literal = evaluate(measured_by(with_plant(procedure, plant)))
+        rows.append(row_of(name, literal, errors))
         if name in (RULE, IRON):
-            kept[name] = found
+            kept[name] = literal
     stood = evaluate(measured_by(with_plant(procedure, plant_of(procedure)), standing=True), regress=False)
     by_rule = [errors(stood.injection(rule)) for rule in (Rule.RECTANGLE, Rule.TRAPEZOID)]
     return Budget(
@@ -158,24 +158,24 @@ def errors_against(procedure: Procedure) -> tuple[Callable[[Sequence[FluxPath]],
     return lambda paths: errors_of(paths, truth.flux, rated_wb), rated_wb
 
 
-def row_of(name: str, found: Literal, errors: Callable[[Sequence[FluxPath]], Errors]) -> Row:
+def row_of(name: str, evaluation: Literal, errors: Callable[[Sequence[FluxPath]], Errors]) -> Row:
     """All evaluations of one bench, judged."""
-    literal, classical = found.injection(), found.classical()
-    regression = found.by_regression()
+    literal, classical = evaluation.injection(), evaluation.classical()
+    regression = evaluation.by_regression()
     current, psi = (np.concatenate([getattr(path, part) for path in literal]) for part in ("current", "psi"))
-    by_hessian = fitted_to_second_derivatives(found.current, found.hessian)
+    by_hessian = fitted_to_second_derivatives(evaluation.current, evaluation.hessian)
     by_flux = fitted_to_flux(current, psi, by_hessian)
     return Row(
         name=name,
-        resistance_ohm=found.resistance_ohm,
+        resistance_ohm=evaluation.resistance_ohm,
         classical=errors(classical),
-        closed=errors(found.classical(closed=True)),
+        closed=errors(evaluation.classical(closed=True)),
         literal=errors(literal),
-        trapezoids=errors(found.injection(Rule.TRAPEZOID)),
+        trapezoids=errors(evaluation.injection(Rule.TRAPEZOID)),
         regression=errors(regression),
-        graph=errors([found.over_the_graph()]),
-        second_derivatives=errors([_on(by_hessian, found.current)]),
-        first_derivatives=errors([_on(by_flux, found.current)]),
+        graph=errors([evaluation.over_the_graph()]),
+        second_derivatives=errors([_on(by_hessian, evaluation.current)]),
+        first_derivatives=errors([_on(by_flux, evaluation.current)]),
         gap_percent={"literal": gap_percent(literal, classical), "regression": gap_percent(regression, classical)},
     )
 

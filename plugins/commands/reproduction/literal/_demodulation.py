@@ -43,7 +43,7 @@ class VirtualMeasurement:
 
 
 def virtual_measurement(segment: Segment, capture: Capture, angle_rad: float) -> VirtualMeasurement:
-    """Demodulate a capture by what was asked for in its segment.
+    """Demodulate a capture by its segment's settings.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def virtual_measurement(segment: Segment, capture: Capture, angle_rad: float) ->
     NotMeasuredError
         Where a period is not an even number of samples, or the capture shorter than three.
     """
-    asked = segment.settings
-    rate, frequency = capture.sampling_frequency_hz, float(asked["frequency_hz"])
+    setting = segment.settings
+    rate, frequency = capture.sampling_frequency_hz, float(setting["frequency_hz"])
     period = round(rate / frequency)
     if period < 4 or period % 2 or abs(period - rate / frequency) > 1e-9 * period:
         problem = f"{rate / frequency:g} samples a period; the formula as printed needs an even number, four or more"
@@ -68,7 +68,7 @@ def virtual_measurement(segment: Segment, capture: Capture, angle_rad: float) ->
         raise NotMeasuredError(segment.id, "samples", f"{len(capture)} are fewer than three periods of {period}")
     current = to_dq(capture.i_ab, angle_rad)
     row = np.arange(len(capture))
-    begun_s = float(asked.get("discard_s", 0.0))
+    begun_s = float(setting.get("discard_s", 0.0))
     wave = _triangle(row / period + begun_s * frequency)
     # Row k of each of these is for the instant t = k + period, k + 2 period.
     mean = _window_sums(current, period) / period
@@ -77,12 +77,14 @@ def virtual_measurement(segment: Segment, capture: Capture, angle_rad: float) ->
     product = ripple * wave[half : len(current) - half, None]
     power = float(_window_sums(wave[: period + 1, None] ** 2, period)[0, 0])
     middle = row[period : len(current) - period]
-    turned = 2.0 * np.pi * float(asked["rotation_hz"]) * (middle / rate + begun_s) + segment.rotor_angle_rad - angle_rad
+    turned = (
+        2.0 * np.pi * float(setting["rotation_hz"]) * (middle / rate + begun_s) + segment.rotor_angle_rad - angle_rad
+    )
     return VirtualMeasurement(
         time_s=middle / rate,
         mean=mean[half : len(mean) - half],
         ripple=_window_sums(product, period) / power,
-        swing=float(asked["amplitude_v"]) / frequency * np.stack([np.cos(turned), np.sin(turned)], axis=1),
+        swing=float(setting["amplitude_v"]) / frequency * np.stack([np.cos(turned), np.sin(turned)], axis=1),
     )
 
 

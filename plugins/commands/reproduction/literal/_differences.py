@@ -9,7 +9,7 @@ DIFFERENCES = (
     ),
     (
         "amplitudes",
-        "not said; torque without 3/2 goes with power-invariant vectors",
+        "not given; torque without 3/2 goes with power-invariant vectors",
         "printed amperes and volts are peak values",
         "amplitude-invariant vectors, torque with 3/2",
     ),
@@ -35,7 +35,7 @@ DIFFERENCES = (
         "inverter",
         '"compensation by a suitable model", not given',
         "none",
-        "told from the loops of the sweeps, or as an effect by the diagnosis",
+        "estimated from the loops of the sweeps, or as an effect by the diagnosis",
     ),
     (
         "integration",
@@ -93,7 +93,7 @@ DIFFERENCES = (
     ),
     (
         "parity",
-        "its second relation is printed with the wrong index; said to be satisfied",
+        "its second relation is printed with the wrong index; claimed to be satisfied",
         "checked in H and L",
         "checked in the flux; built into the energy",
     ),

@@ -134,14 +134,14 @@ def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
             closed.append(swept_path(segment, capture, closed=True))
             continue
         angle = segment.rotor_angle_rad
-        found = [virtual_measurement(*part, angle) for part in parts]
+        measurements = [virtual_measurement(*part, angle) for part in parts]
         targets.append([float(segment.settings[f"target_{axis}_a"]) for axis in "dq"])
-        current.append(np.mean([one.mean.mean(axis=0) for one in found], axis=0))
-        hessians.append(hessian(found))
+        current.append(np.mean([one.mean.mean(axis=0) for one in measurements], axis=0))
+        hessians.append(hessian(measurements))
         if regress:
             ripples.append(demodulate(capture, angle, where=segment.id))
-        if (left := _left(found[0], hessians[-1])) > worst:
-            signal, worst = (found[0], hessians[-1]), left
+        if (left := _left(measurements[0], hessians[-1])) > worst:
+            signal, worst = (measurements[0], hessians[-1]), left
     lines = lines_of(np.array(targets)) if len(targets) > 2 else []
     if signal is None or not lines or not sweeps:
         raise NotMeasuredError(
@@ -184,15 +184,15 @@ def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *
     small : float
         Of the rated flux: where a crossing has less, no difference is held against it.
     """
-    found = crossings_of(paths)
-    apart, size = np.abs(found.apart), np.abs(found.psi)
-    told = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
+    crossings = crossings_of(paths)
+    apart, size = np.abs(crossings.apart), np.abs(crossings.psi)
+    relative = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
     current, psi = (np.concatenate([getattr(path, name) for path in paths]) for name in ("current", "psi"))
     off = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
     share = 100.0 / rated_wb
     return Errors(
         crossings=share * _largest(apart),
-        relative=100.0 * _largest(told),
+        relative=100.0 * _largest(relative),
         rms=share * float(np.sqrt(np.mean(off**2))),
         worst=share * float(off.max()),
     )

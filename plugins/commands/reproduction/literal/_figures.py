@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 SIGNAL, GAP = "literal-signal.png", "literal-gap.png"
 
 
-def draw_all(measured: Literal, found: Budget, folder: Path) -> None:
+def draw_all(measured: Literal, budget: Budget, folder: Path) -> None:
     """Write every picture into a folder."""
-    for name, figure in ((SIGNAL, _signal(measured)), (GAP, _gap(found))):
+    for name, figure in ((SIGNAL, _signal(measured)), (GAP, _gap(budget))):
         figure.savefig(folder / name, dpi=STYLE.dpi, metadata={"Software": None})
 
 
@@ -48,12 +48,12 @@ def _signal(measured: Literal) -> Figure:
     return figure
 
 
-def _gap(found: Budget) -> Figure:
+def _gap(budget: Budget) -> Figure:
     """Flux by injection less flux by integration along both axes, with and without hysteresis."""
     figure = empty_figure(9.4, 4.0)
     for column, axes in enumerate(figure.subplots(1, 2)):
         axis = "dq"[column]
-        for bench, colour, words in ((found.still, BLUE, "no hysteresis"), (found.iron, VERMILION, "hysteresis")):
+        for bench, colour, words in ((budget.still, BLUE, "no hysteresis"), (budget.iron, VERMILION, "hysteresis")):
             swept = along(bench.classical(), column)
             for paths, line, rule in (
                 (bench.injection(), "-", "rectangles"),

@@ -20,19 +20,19 @@ from plugins.commands.reproduction.literal._paths import parity_percent
 PAGE_NAME = "literal.md"
 
 
-def write_page(measured: Literal, found: Budget, folder: Path) -> Path:
+def write_page(measured: Literal, budget: Budget, folder: Path) -> Path:
     """Write the literal page and its pictures into a folder; returns the page's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    draw_all(measured, found, folder)
+    draw_all(measured, budget, folder)
     page = folder / PAGE_NAME
-    replace_file(page, _text(measured, found).encode())
+    replace_file(page, _text(measured, budget).encode())
     return page
 
 
-def _text(measured: Literal, found: Budget) -> str:
-    rule = found.row(RULE)
-    iron = found.sources.hysteresis
-    most = max(float(row.literal.crossings[1]) for row in found.rows)
+def _text(measured: Literal, budget: Budget) -> str:
+    rule = budget.row(RULE)
+    iron = budget.sources.hysteresis
+    most = max(float(row.literal.crossings[1]) for row in budget.rows)
     return f"""# The paper, literally
 
 The same experiment as on [the other page](README.md), evaluated as the paper prints it: R_s as voltage over
@@ -46,7 +46,7 @@ flux, |psi(rated i_q) - psi(0, 0)|, unless they say otherwise.
 
 ## The numbers
 
-{_numbers(measured, found)}
+{_numbers(measured, budget)}
 
 ## What makes the errors
 
@@ -54,7 +54,7 @@ Injection as printed. The paper's figures are 1.3 % on d and 2.9 % on q, and it 
 be to the flux where the paths cross, so both readings are given (the second where there is a quarter of the rated
 flux or more). The last columns are what the paper could not know: the distance from the plant's flux over all points.
 
-{_sources(found)}
+{_sources(budget)}
 
 The rule makes {_pair(rule.literal.crossings)} by itself, and nearly all of the map's error on a sound bench: each step
 takes the inductance at its outer end, which saturation has made the smaller one, so the flux comes out up to
@@ -64,16 +64,16 @@ paper's 2.9 % is not known.
 
 Integration without a model of the inverter is worth nothing, as the paper's figure 2 shows:
 
-{_integration(found)}
+{_integration(budget)}
 
 ## What each step of the method is worth
 
-{_steps(found)}
+{_steps(budget)}
 
 Vectors that stand, half of the time on d and half on q ("at least two independent vectors"), instead of one that
 turns, on the bench with all of it:
 
-{_vectors(found)}
+{_vectors(budget)}
 
 A vector that turns averages over the directions in which dead time hurts.
 
@@ -83,7 +83,7 @@ By how much the flux of injection is above that of integration, by least squares
 for integration is then right. Hysteresis: {1e3 * iron["half_width_a"]:.0f} mA of half width, a
 reversible inductance of {100.0 * iron["reversible_ratio"]:.0f} % of the slope.
 
-{_gaps(found)}
+{_gaps(budget)}
 
 The paper suspects hysteresis. The sums by rectangles make a gap of the same sign without any: whoever looks for
 hysteresis in it has to take the rule out first.
@@ -98,13 +98,13 @@ improved.*
 Largest departure from even (11, 22) and odd (12) in i_q, in percent of the mean of the diagonal: "experimentally
 satisfied, both for the Hessian matrix and its inverse".
 
-{_parity(measured, found)}
+{_parity(measured, budget)}
 
 ## The energy from second derivatives
 
 The paper's polynomial, x², y², x³, xy², x⁴, x²y², y⁴, fitted to the measured Hessians, and to the flux by rectangles.
 
-{_energies(found)}
+{_energies(budget)}
 
 "It is numerically better to fit the derivatives of a function than the function itself": so it is, for no sum is
 needed before. What is left on the bench without errors is the polynomial's own: the plant has terms of the sixth
@@ -124,8 +124,8 @@ wave that was switched on decays.*
 """
 
 
-def _numbers(measured: Literal, found: Budget) -> str:
-    whole = found.row(ALL)
+def _numbers(measured: Literal, budget: Budget) -> str:
+    whole = budget.row(ALL)
     low, high = measured.resistance_ohm
     printed = [percent(getattr(PAPER_CROSSINGS, f"{axis}_percent")) for axis in "dq"]
     rows = [
@@ -141,7 +141,7 @@ def _numbers(measured: Literal, found: Budget) -> str:
     return markdown_table(("", "paper", "as printed", "fluxbench, by injection alone"), rows)
 
 
-def _sources(found: Budget) -> str:
+def _sources(budget: Budget) -> str:
     return _table(
         ("switched on", "psi_d crossing", "psi_q crossing", "... of the flux there", "rms", "worst"),
         (
@@ -153,12 +153,12 @@ def _sources(found: Budget) -> str:
                 _two(row.literal.rms),
                 _two(row.literal.worst),
             )
-            for row in found.rows
+            for row in budget.rows
         ),
     )
 
 
-def _integration(found: Budget) -> str:
+def _integration(budget: Budget) -> str:
     return _table(
         ("switched on", "R_s = v/i", "rms as printed", "rms, each sweep's drift taken out"),
         (
@@ -168,19 +168,19 @@ def _integration(found: Budget) -> str:
                 _two(row.classical.rms),
                 _two(row.closed.rms),
             )
-            for row in found.rows
+            for row in budget.rows
         ),
     )
 
 
-def _steps(found: Budget) -> str:
-    told: tuple[tuple[str, str], ...] = (
+def _steps(budget: Budget) -> str:
+    paths: tuple[tuple[str, str], ...] = (
         ("literal", "as printed"),
         ("trapezoids", "trapezoids instead of rectangles"),
         ("regression", "ripple regressed on the injected flux and its squares"),
         ("graph", "... and least squares over all neighbouring points"),
     )
-    benches = [found.row(name) for name in (RULE, ALL)]
+    benches = [budget.row(name) for name in (RULE, ALL)]
 
     def cells(name: str) -> list[str]:
         errors: list[Errors] = [getattr(row, name) for row in benches]
@@ -190,43 +190,43 @@ def _steps(found: Budget) -> str:
         "evaluation",
         *(f"{bench}: {what}" for bench in ("no errors", "all") for what in ("crossings", "rms", "worst")),
     )
-    return _table(head, ((words, *cells(name)) for name, words in told))
+    return _table(head, ((words, *cells(name)) for name, words in paths))
 
 
-def _vectors(found: Budget) -> str:
-    whole = found.row(ALL)
-    told = (("turning", whole.literal, whole.trapezoids), ("standing", *found.standing))
+def _vectors(budget: Budget) -> str:
+    whole = budget.row(ALL)
+    compared = (("turning", whole.literal, whole.trapezoids), ("standing", *budget.standing))
     rows = [
         (words, rule, _pair(one.crossings), _two(one.rms), _two(one.worst))
-        for words, *both in told
+        for words, *both in compared
         for rule, one in zip(("rectangles", "trapezoids"), both, strict=True)
     ]
     return _table(("vector", "sums by", "crossings", "rms", "worst"), rows)
 
 
-def _gaps(found: Budget) -> str:
+def _gaps(budget: Budget) -> str:
     rows = []
     for name in (RULE, IRON):
-        gaps = found.row(name).gap_percent
-        rows += [(_words(found.row(name)), how, _signed(gaps[key])) for key, how in _HOW]
+        gaps = budget.row(name).gap_percent
+        rows += [(_words(budget.row(name)), how, _signed(gaps[key])) for key, how in _HOW]
     return _table(("switched on", "injection evaluated", "psi_d, psi_q against integration"), rows)
 
 
 _HOW = (("literal", "as printed"), ("regression", "ripple regressed, trapezoids"))
 
 
-def _parity(measured: Literal, found: Budget) -> str:
+def _parity(measured: Literal, budget: Budget) -> str:
     rows = []
-    for words, one in (("no errors", found.still), ("all", measured)):
+    for words, one in (("no errors", budget.still), ("all", measured)):
         for name, entries in (("H", one.hessian), ("L", one.inductance)):
             rows.append((words, name, *map(_two, parity_percent(one.lines, one.current, entries))))
     return _table(("bench", "matrix", "11, dd", "22, qq", "12, dq"), rows)
 
 
-def _energies(found: Budget) -> str:
+def _energies(budget: Budget) -> str:
     rows = []
     for name in (RULE, NOISE, ALL):
-        row = found.row(name)
+        row = budget.row(name)
         both = (row.second_derivatives, row.first_derivatives)
         rows.append((_words(row), *(cell for one in both for cell in (_two(one.rms), _two(one.worst)))))
     return _table(("switched on", "to H_kl: rms", "worst", "to the flux: rms", "worst"), rows)

@@ -32,7 +32,7 @@ class Rule(Enum):
 
 @dataclass(frozen=True)
 class Line:
-    """One current path as it was asked for.
+    """One path of current set-points.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Line:
 
 
 def lines_of(targets: Array) -> list[Line]:
-    """Paths among the points that were asked for, shape (n, 2): runs of equal steps."""
+    """Paths among the set-points, shape (n, 2): runs of equal steps."""
     step = np.diff(targets, axis=0)
     # Targets along the diagonal are rounded decimals.
     same = np.abs(np.diff(step, axis=0)).max(axis=1) <= 1e-3 * np.abs(step[1:]).max(axis=1)

@@ -22,9 +22,9 @@ function rows(list, pairs) {
 
 async function ask(path, body) {
   const answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
-  const told = await answer.json().catch(() => ({ problem: `the server says ${answer.status}` }));
-  if (!answer.ok) throw new Error(told.problem);
-  return told;
+  const content = await answer.json().catch(() => ({ problem: `the server says ${answer.status}` }));
+  if (!answer.ok) throw new Error(content.problem);
+  return content;
 }
 
 // What is going on ---------------------------------------------------------------------------------------------------
@@ -98,13 +98,13 @@ function drawRun(now, p) {
   if (atEnd) $("log").scrollTop = $("log").scrollHeight;
 }
 
-function verdict(told) {
-  $("verdict").hidden = told === null;
-  if (told === null) return;
-  $("verdict").className = `verdict ${told.mood}`;
+function verdict(result) {
+  $("verdict").hidden = result === null;
+  if (result === null) return;
+  $("verdict").className = `verdict ${result.mood}`;
   const list = element("dl");
-  rows(list, told.slots);
-  $("verdict").replaceChildren(element("strong", told.name), document.createTextNode(told.meaning), list);
+  rows(list, result.slots);
+  $("verdict").replaceChildren(element("strong", result.name), document.createTextNode(result.meaning), list);
 }
 
 // Pictures -----------------------------------------------------------------------------------------------------------
@@ -255,14 +255,14 @@ async function begin(path, body) {
 }
 
 function drawPlan(plan) {
-  const table = element("table"), told = element("div");
+  const table = element("table"), page = element("div");
   const line = (cells, kind) => { const row = element("tr"); row.append(...cells.map((cell) => element(kind, cell))); return row; };
   const number = (value, unit) => (value === null || value === undefined ? "–" : `${Number(value.toPrecision(3))} ${unit}`);
   const amounts = (row) => [String(row.points), number(row.duration_s, "s"), number(row.peak_current_a, "A"), number(row.peak_voltage_v, "V")];
   table.append(line(["stage", "points", "time", "peak current", "peak voltage"], "th"));
   table.append(...plan.stages.map((row) => line([row.stage.replaceAll("_", " "), ...amounts(row)], "td")), line(["all", ...amounts(plan)], "th"));
-  told.append(table, ...plan.notes.map((note) => element("p", note, "under")));
-  $("plan").replaceChildren(told);
+  page.append(table, ...plan.notes.map((note) => element("p", note, "under")));
+  $("plan").replaceChildren(page);
 }
 
 form.procedure.onchange = () => { summarise(); $("plan").replaceChildren(); };

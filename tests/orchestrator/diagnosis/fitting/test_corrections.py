@@ -118,7 +118,7 @@ def test_what_signals_cannot_be_is_refused_in_one_line(returned: Callable[[Signa
 class Doubting(Returning):
     """Doubts what it is told to."""
 
-    def doubts(self, signals: Signals, p: Returning.Parameters) -> list[Any]:
+    def random_directions(self, signals: Signals, p: Returning.Parameters) -> list[Any]:
         return [self._correct(signals)]
 
 
@@ -135,10 +135,10 @@ def test_what_an_effect_cannot_know_is_asked_where_it_is_there() -> None:
 
 def test_a_doubt_that_signals_cannot_have_is_refused_in_one_line() -> None:
     doubting = Doubting(lambda s: Correction(v_ab=s.v_ab * np.nan))
-    with pytest.raises(PluginError, match="effects: returning: doubts: v_ab is not finite"):
+    with pytest.raises(PluginError, match="effects: returning: random_directions: v_ab is not finite"):
         random_directions_of(active(doubting, size=1.0), one_segment())
-    doubting.doubts = lambda s, p: None  # type: ignore[method-assign,assignment,return-value]
-    with pytest.raises(PluginError, match="effects: returning: doubts: returned NoneType instead of a sequence"):
+    doubting.random_directions = lambda s, p: None  # type: ignore[method-assign,assignment,return-value]
+    with pytest.raises(PluginError, match="effects: returning: random_directions: returned NoneType, no sequence"):
         random_directions_of(active(doubting, size=1.0), one_segment())
 
 
@@ -298,7 +298,7 @@ def test_what_a_batch_cannot_be_is_refused_by_the_effects_name(wrong: Callable[[
 class DoubtingInOneCall(Doubting):
     """Doubts of a whole batch."""
 
-    def doubts_batch(self, batch: SignalBatch, p: Returning.Parameters) -> Any:
+    def random_directions_batch(self, batch: SignalBatch, p: Returning.Parameters) -> Any:
         return self._correct(cast(Any, batch))
 
 
@@ -318,7 +318,7 @@ def test_a_segment_with_fewer_doubts_than_others_has_no_more_than_its_own() -> N
     batch = three_segments()
     doubting = Doubting(lambda s: s)
     two = [Correction(v_ab=batch.v_ab[batch.slice_of(1)] + size) for size in (1.0, 2.0)]
-    doubting.doubts = lambda s, p: two if len(s.v_dc) == 700 else []  # type: ignore[method-assign,assignment]
+    doubting.random_directions = lambda s, p: two if len(s.v_dc) == 700 else []  # type: ignore[method-assign,assignment]
     found = random_directions_of(active(doubting, size=1.0), batch)
     for size, one in zip((1.0, 2.0), found, strict=True):
         moved = one.signals.v_ab - batch.v_ab
@@ -331,8 +331,8 @@ def test_a_segment_with_fewer_doubts_than_others_has_no_more_than_its_own() -> N
 def test_a_doubt_that_a_batch_cannot_have_is_refused_by_the_effects_name(
     wrong: Callable[[Any], Any], message: str
 ) -> None:
-    with pytest.raises(PluginError, match=f"^effects: returning: doubts: .*{message}"):
+    with pytest.raises(PluginError, match=f"^effects: returning: random_directions: .*{message}"):
         random_directions_of(active(Doubting(_second(wrong)), size=1.0), three_segments())
     whole = DoubtingInOneCall(lambda b: [wrong(b)])
-    with pytest.raises(PluginError, match=f"^effects: returning: doubts(_batch)?: .*{message}"):
+    with pytest.raises(PluginError, match=f"^effects: returning: random_directions(_batch)?: .*{message}"):
         random_directions_of(active(whole, size=1.0), three_segments())

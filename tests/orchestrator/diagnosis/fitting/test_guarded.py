@@ -125,10 +125,10 @@ class InOneCall(Brought):
     def correct_batch(self, batch: SignalBatch, p: Brought.Parameters) -> Any:
         return self._of_any(batch)
 
-    def doubts(self, signals: Signals, p: Brought.Parameters) -> Any:
+    def random_directions(self, signals: Signals, p: Brought.Parameters) -> Any:
         return self._of_any(signals)
 
-    def doubts_batch(self, batch: SignalBatch, p: Brought.Parameters) -> Any:
+    def random_directions_batch(self, batch: SignalBatch, p: Brought.Parameters) -> Any:
         return self._of_any(batch)
 
     def shows_in(self, signals: Signals) -> Any:
@@ -160,7 +160,7 @@ def _bounds(batch: SignalBatch) -> None:
     batch.starts[1] = 0
 
 
-@pytest.mark.parametrize("method", ["correct_batch", "doubts_batch"])
+@pytest.mark.parametrize("method", ["correct_batch", "random_directions_batch"])
 @pytest.mark.parametrize("write", [_zero, _shift, _sorted, _first_segment, _as_laid, _losses_of_all, _bounds])
 def test_writing_into_a_batch_is_refused_and_changes_nothing(method: str, write: Callable[[Any], Any]) -> None:
     batch, untouched = _batch(), _batch()
@@ -177,17 +177,21 @@ def test_writing_into_a_batch_is_refused_and_changes_nothing(method: str, write:
 
 
 @pytest.mark.parametrize("write", [_zero, _shift, _sorted, _forgotten])
-def test_writing_into_the_signals_that_are_doubted_or_looked_at_is_refused(write: Callable[[Any], Any]) -> None:
+def test_writing_into_the_signals_that_are_read_is_refused(write: Callable[[Any], Any]) -> None:
     effect: Any = guarded(InOneCall(write))
+    with pytest.raises(PluginError, match="brought: random_directions: writes into the signals"):
+        effect.random_directions(exciting_signals(), VALUES)
     with pytest.raises(PluginError, match="brought: doubts: writes into the signals"):
-        effect.doubts(exciting_signals(), VALUES)
+        guarded(FormerName(write)).doubts(exciting_signals(), VALUES)  # type: ignore[attr-defined]
     with pytest.raises(PluginError, match="brought: shows_in: writes into the signals"):
         effect.shows_in(exciting_signals())
     with pytest.raises(PluginError, match="brought: measured: writes into the signals"):
         guarded(InOneCall(lambda segments: write(segments[0]))).measured([exciting_signals()])  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", ["correct_batch", "doubts", "doubts_batch", "shows_in", "measured"])
+@pytest.mark.parametrize(
+    "name", ["correct_batch", "random_directions", "random_directions_batch", "shows_in", "measured"]
+)
 def test_what_an_effect_does_not_have_its_guard_has_not(name: str) -> None:
     assert not hasattr(guarded(Brought()), name)
     assert hasattr(guarded(InOneCall(lambda _: None)), name)
@@ -197,7 +201,7 @@ def test_a_correction_of_a_batch_and_doubts_are_copies_that_can_be_written_to() 
     batch = _batch()
     of_batch: Any = guarded(InOneCall(lambda b: Correction(v_ab=b.i_ab[::-1])))
     of_doubts: Any = guarded(InOneCall(lambda b: (Correction(v_ab=b.i_ab), Correction(i_ab=b.v_ab))))
-    found = [of_batch.correct_batch(batch, VALUES), *of_doubts.doubts_batch(batch, VALUES)]
+    found = [of_batch.correct_batch(batch, VALUES), *of_doubts.random_directions_batch(batch, VALUES)]
     assert [set(one.arrays) for one in found] == [{"v_ab"}, {"v_ab"}, {"i_ab"}]
     np.testing.assert_array_equal(found[0].v_ab, batch.i_ab[::-1])
     for array in (array for one in found for array in one.arrays.values()):
@@ -226,7 +230,7 @@ def test_no_correction_of_a_batch_and_no_sequence_of_doubts_is_said() -> None:
     nothing: Any = guarded(InOneCall(lambda _: None))
     with pytest.raises(PluginError, match="brought: correct_batch: returned NoneType, no Correction"):
         nothing.correct_batch(_batch(), VALUES)
-    for method, signals in (("doubts", exciting_signals()), ("doubts_batch", _batch())):
+    for method, signals in (("random_directions", exciting_signals()), ("random_directions_batch", _batch())):
         with pytest.raises(PluginError, match=f"brought: {method}: returned NoneType instead of a sequence"):
             getattr(nothing, method)(signals, VALUES)
         with pytest.raises(PluginError, match=f"brought: {method}: returned int, no Correction"):
@@ -276,13 +280,22 @@ def test_metadata_that_cannot_be_fitted_is_named(effect: type[Brought], told: st
     assert str(caught.value) == f"effects: brought: {told}"
 
 
+class FormerName(InOneCall):
+    random_directions = None  # type: ignore[assignment]
+
+    def doubts(self, signals: Signals, p: Brought.Parameters) -> Any:
+        return self._of_any(signals)
+
+
 class Misspelt(Brought):
-    def doubt(self, signals: Signals, p: Brought.Parameters) -> list[Correction]:
+    def random_direction(self, signals: Signals, p: Brought.Parameters) -> list[Correction]:
         return [self.correct(signals, p)]
 
 
 def test_a_method_that_nothing_calls_is_refused_before_anything_is_fitted() -> None:
-    with pytest.raises(PluginError, match=r"^effects: brought: method 'doubt' is never called: .* mean 'doubts'\?$"):
+    with pytest.raises(
+        PluginError, match=r"^effects: brought: method 'random_direction' is never called: .*directions'\?$"
+    ):
         guarded(Misspelt())
 
 
@@ -291,7 +304,7 @@ def test_every_method_that_is_given_signals_is_given_sealed_ones() -> None:
     for hook in set(EFFECT_HOOKS) - {"remarks", "derived"}:
         method = hook_of(effect, hook)
         assert method is not None
-        given = {"measured": _batch().segments, "shows_in": exciting_signals(), "doubts": exciting_signals()}
+        given = {"measured": _batch().segments, "shows_in": exciting_signals(), "random_directions": exciting_signals()}
         parameters = () if hook in ("measured", "shows_in") else (VALUES,)
         with pytest.raises(PluginError, match=f"brought: {hook}: writes into the signals"):
             method(given.get(hook, _batch()), *parameters)

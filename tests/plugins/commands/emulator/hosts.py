@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from plugins.wire import (
-    HEARTBEAT_S,
+    HEARTBEAT_PERIOD_S,
     PROTOCOL_MAJOR,
     Ack,
     AckStatus,
@@ -97,7 +97,7 @@ class Host:
     def receive(self, timeout_s: float = 0.01) -> list[Frame]:
         """Everything that is there; heartbeats go out meanwhile."""
         now_s = time.monotonic()
-        if self.beating and now_s - self._beat_s >= HEARTBEAT_S:
+        if self.beating and now_s - self._beat_s >= HEARTBEAT_PERIOD_S:
             self._beat_s = now_s
             self.send(self.conversation.heartbeat(now_s))
         frames: list[Frame] = self.link.receive(timeout_s)
@@ -126,8 +126,8 @@ class Host:
         for _ in range(60):
             self.messages.clear()
             self.send(request)
-            asked_s = time.monotonic()
-            while time.monotonic() - asked_s < 0.05:
+            sent_s = time.monotonic()
+            while time.monotonic() - sent_s < 0.05:
                 self.receive()
                 for message in self.messages:
                     if isinstance(message, (Ack, ParameterValue)) and answers(message, request):
@@ -183,8 +183,8 @@ class Host:
 
     def _is_complete(self, number: int) -> bool:
         progress, status = self.progress, self.status
-        told = progress is not None and progress.capture == number and progress.phase is Phase.COMPLETE
-        return told or (status is not None and status.state is PowerState.FAULTED)
+        complete = progress is not None and progress.capture == number and progress.phase is Phase.COMPLETE
+        return complete or (status is not None and status.state is PowerState.FAULTED)
 
     def upload(self, number: int, length: int) -> bytes:
         """A capture, verified."""

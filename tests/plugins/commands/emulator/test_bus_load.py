@@ -8,7 +8,7 @@ import time
 import can
 import pytest
 
-from plugins.wire import TELEMETRY_S, frame_id
+from plugins.wire import TELEMETRY_PERIOD_S, frame_id
 from protocols import Injection, Limits
 from tests.plugins.commands.emulator.buses import connected, emulated
 from tests.plugins.link.bench import beating
@@ -49,7 +49,7 @@ def test_bits_are_counted_with_those_that_are_stuffed() -> None:
 
 @pytest.mark.slow
 def test_rows_read_while_they_are_made_take_less_than_a_fifth_of_a_classic_bus_at_1_mbit_s() -> None:
-    heard: list[tuple[float, int, int]] = []
+    frames: list[tuple[float, int, int]] = []
     over = threading.Event()
     with can.Bus(channel="load", interface="virtual", ignore_config=True) as bus, emulated("load", fd=False):
 
@@ -58,7 +58,7 @@ def test_rows_read_while_they_are_made_take_less_than_a_fifth_of_a_classic_bus_a
                 message = bus.recv(0.05)
                 if message is not None:
                     bits = bits_on_the_bus(message.arbitration_id, bytes(message.data))
-                    heard.append((time.monotonic(), message.arbitration_id, bits))
+                    frames.append((time.monotonic(), message.arbitration_id, bits))
 
         listener = threading.Thread(target=listen, daemon=True)
         listener.start()
@@ -68,11 +68,11 @@ def test_rows_read_while_they_are_made_take_less_than_a_fifth_of_a_classic_bus_a
             over.set()
             listener.join()
     # The description was read before: a second or more without a block lies between.
-    blocks = [at for at, identifier, _ in heard if identifier == frame_id("Bulk")]
+    blocks = [at for at, identifier, _ in frames if identifier == frame_id("Bulk")]
     begun = max((k for k in range(1, len(blocks)) if blocks[k] - blocks[k - 1] > 0.2), default=0)
     blocks = blocks[begun:]
     first, last = blocks[0], blocks[-1]
-    load = sum(bits for at, _, bits in heard if first <= at <= last) / (last - first) / BIT_RATE
+    load = sum(bits for at, _, bits in frames if first <= at <= last) / (last - first) / BIT_RATE
     rows_hz = (len(blocks) - 1) / (last - first) * 6 / 16
     print(f"{rows_hz:.0f} ripple rows a second with all else take {100 * load:.1f} % of a classic bus")
     assert live > 0
@@ -84,7 +84,7 @@ def capture_live() -> int:
     """Run the injection; rows that came before its end."""
     with connected("load", fd=False, capture="demodulated") as drive, beating(drive):
         assert drive._host is not None
-        drive._host.write({"telemetry_period_s": TELEMETRY_S}, anew=True)  # as often as on a bench
+        drive._host.write({"telemetry_period_s": TELEMETRY_PERIOD_S}, anew=True)  # as often as on a bench
         drive.arm(Limits(current_a=4.0, voltage_v=150.0))
         sizes = [len(block) for block in drive.execute(INJECTION)]
         drive.disarm()

@@ -11,7 +11,7 @@ from protocols import FluxbenchError
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ([], "give either --serial PATH or --can"),
         (["--serial", "x", "--can", "virtual:0"], "give either"),
@@ -29,9 +29,9 @@ from protocols import FluxbenchError
     ],
 )
 def test_what_cannot_be_emulated_is_told(
-    words: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FluxbenchError, match=told):
+    with pytest.raises(FluxbenchError, match=message):
         command(words)
     assert not list(tmp_path.iterdir())

@@ -12,8 +12,8 @@ import pytest
 from plugins.commands.emulator import Device, DeviceSettings
 from plugins.drives.simulated import SimulatedOptions
 from plugins.wire import (
-    CLASSIC,
-    HEARTBEAT_S,
+    CLASSIC_LAYOUT,
+    HEARTBEAT_PERIOD_S,
     PROTOCOL_MAJOR,
     Ack,
     AckStatus,
@@ -79,7 +79,7 @@ def injection(**changes: Any) -> Injection:
 
 
 def classic(block_bytes: int) -> BlockLayout:
-    return CLASSIC
+    return CLASSIC_LAYOUT
 
 
 class Desk:
@@ -93,7 +93,7 @@ class Desk:
         self.device = Device(made, PM400, 1, classic, settings, self._log, lambda: self.now_s)
         self.conversation = Conversation()
         self.beating = False
-        self.heard: list[Frame] = []
+        self.received: list[Frame] = []
 
     def _log(self, event: str, **details: Any) -> None:
         self.events.append({"event": event, **details})
@@ -103,7 +103,7 @@ class Desk:
 
     def send(self, message: Message) -> list[Message]:
         """One message; what is answered at once."""
-        self.device.hear([encode(message)])
+        self.device.receive([encode(message)])
         frames = [*self.device.urgent, *self.device.bulk]
         self.device.urgent.clear()
         self.device.bulk.clear()
@@ -145,21 +145,21 @@ class Desk:
         return status if status is not AckStatus.OK else self.ask(Op.RUN_PROGRAM).status
 
     def pass_time(self, seconds: float, until: Callable[[], bool] = lambda: False) -> list[Frame]:
-        """Turns of 2 ms with heartbeats; what the device said."""
-        said: list[Frame] = []
+        """Turns of 2 ms with heartbeats; the device's frames."""
+        frames: list[Frame] = []
         beat_s = -math.inf
         for _ in range(round(seconds / 2e-3)):
             self.now_s += 2e-3
             self.device.power.guard(self.now_s)
-            if self.beating and self.now_s - beat_s >= HEARTBEAT_S:
+            if self.beating and self.now_s - beat_s >= HEARTBEAT_PERIOD_S:
                 beat_s = self.now_s
-                self.device.hear([encode(self.conversation.heartbeat(self.now_s))])
+                self.device.receive([encode(self.conversation.heartbeat(self.now_s))])
             self.device.turn()
-            said += self.device.urgent
+            frames += self.device.urgent
             self.device.urgent.clear()
             if until():
                 break
-        return said
+        return frames
 
     @property
     def state(self) -> PowerState:
@@ -255,11 +255,11 @@ def test_a_repeated_command_does_nothing_twice(desk: Desk) -> None:
 def test_a_program_goes_through_its_phases_and_ends_holding(desk: Desk) -> None:
     desk.arm()
     desk.run(HOLD)
-    said = [decode(*frame) for frame in desk.pass_time(0.7)]
-    phases = [m.phase for m in said if isinstance(m, Progress)]
+    messages = [decode(*frame) for frame in desk.pass_time(0.7)]
+    phases = [m.phase for m in messages if isinstance(m, Progress)]
     assert list(dict.fromkeys(phases)) == [Phase.RAMPING, Phase.SETTLING, Phase.CAPTURING, Phase.COMPLETE]
     assert desk.state is PowerState.HOLDING
-    measured = [m for m in said if isinstance(m, Measurement)][-1]
+    measured = [m for m in messages if isinstance(m, Measurement)][-1]
     assert measured.i_q * desk.read("current_scale_a") == pytest.approx(1.0, abs=0.01)
     assert desk.read("energy_used_j") == pytest.approx(1.5 * 4.25 * 1.25 * 0.7, rel=0.2)
 
@@ -413,7 +413,7 @@ def test_a_device_that_was_stopped_trips_before_it_hears_what_queued(desk: Desk)
     queued = [encode(desk.conversation.heartbeat(desk.now_s + 0.05 * k)) for k in range(10)]
     desk.now_s += 0.5
     desk.device.power.guard(desk.now_s)
-    desk.device.hear(queued)
+    desk.device.receive(queued)
     assert desk.state is PowerState.FAULTED
 
 
@@ -462,17 +462,17 @@ def test_live_ripple_and_telemetry_take_less_than_15_percent_of_a_classic_bus(de
     desk.write(**capture_registers(Channel(0), CaptureFormat.INT16, ripple_periods=1) | {"ripple_live": 1.0})
     desk.ask(Op.RUN_PROGRAM)
     desk.pass_time(1.0, until=lambda: desk.device.power.phase is Phase.CAPTURING)
-    said = desk.pass_time(1.0)
-    rows = sum(isinstance(decode(*frame), RippleD) for frame in said)
+    frames = desk.pass_time(1.0)
+    rows = sum(isinstance(decode(*frame), RippleD) for frame in frames)
     assert rows == pytest.approx(500, abs=10)
     # 34 + 8 n of the 47 + 8 n bits can be stuffed: at worst one after the first five and one after every four more.
-    bits = [47 + 8 * len(p) + (34 + 8 * len(p) - 1) // 4 for _, p in said]
+    bits = [47 + 8 * len(p) + (34 + 8 * len(p) - 1) // 4 for _, p in frames]
     heartbeats = 20 * (47 + 56 + (34 + 56 - 1) // 4)
     assert sum(bits) + heartbeats < 0.15 * 1e6
 
 
 def test_telemetry_comes_at_its_pace(desk: Desk) -> None:
-    said = [type(decode(*frame)) for frame in desk.pass_time(2.0)]
-    assert said.count(Status) == pytest.approx(40, abs=2)
-    assert said.count(Measurement) == pytest.approx(40, abs=2)
-    assert said.count(Tick) == 2
+    kinds = [type(decode(*frame)) for frame in desk.pass_time(2.0)]
+    assert kinds.count(Status) == pytest.approx(40, abs=2)
+    assert kinds.count(Measurement) == pytest.approx(40, abs=2)
+    assert kinds.count(Tick) == 2

@@ -19,10 +19,10 @@ from plugins.commands.emulator._ports import PtyPort
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
 from plugins.wire import (
-    CAN_FD,
-    CLASSIC,
-    DESCRIPTION,
-    RIPPLE,
+    CAN_FD_LAYOUT,
+    CLASSIC_LAYOUT,
+    DESCRIPTION_CAPTURE,
+    RIPPLE_FLAG,
     VECTORS,
     AckStatus,
     BlockLayout,
@@ -135,7 +135,7 @@ def test_it_tells_what_it_is_before_anybody_has_a_session(host: Host) -> None:
     assert own["protocol_major"] == 1.0
     assert facts_of(own).memory_bytes == 8192 * 8
     host.identify()
-    description = parse_description(host.upload(DESCRIPTION, int(own["description_bytes"])))
+    description = parse_description(host.upload(DESCRIPTION_CAPTURE, int(own["description_bytes"])))
     assert description["name"] == "fluxbench emulator"
 
 
@@ -211,7 +211,7 @@ def test_ripple_rows_seen_live_are_those_read_afterwards(host: Host) -> None:
     host.finish(ack.value)
     live = {m.n: (m.mean, m.ripple, m.v) for m in host.messages if isinstance(m, RippleD)}
     count = int(host.read("ripple_rows"))
-    table = np.frombuffer(host.upload(ack.value + RIPPLE, 12 * count), dtype="<i2").reshape(-1, 6)
+    table = np.frombuffer(host.upload(ack.value + RIPPLE_FLAG, 12 * count), dtype="<i2").reshape(-1, 6)
     assert count == 250
     assert len(live) > 0.9 * count
     assert all(tuple(table[n, :3]) == row for n, row in live.items())
@@ -360,7 +360,7 @@ def test_a_capture_over_can_fd_is_exact(tmp_path: Path) -> None:
     group, port = "239.74.163.2", free_port()
     words = ("--can", f"udp_multicast:{group}", "--fd", "--can-set", f"port={port}", "--can-set", "hop_limit=0")
     with emulator(tmp_path, *words, "--speed", "max", "--seed", str(SEED)):
-        host = Host(Bus("udp_multicast", group, CAN_FD, fd=True, port=port))
+        host = Host(Bus("udp_multicast", group, CAN_FD_LAYOUT, fd=True, port=port))
         try:
             expected = rows_in_process(plant_in_process(), INJECTION, FLOATS)
             host.arm()
@@ -376,7 +376,7 @@ def test_classic_can_by_python_cans_serial_interface(tmp_path: Path) -> None:
     path = tmp_path / "bus"
     short = Hold(current_d_a=0.5, current_q_a=1.0, settle_s=0.1, duration_s=0.02)
     with emulator(tmp_path, "--can", f"serial:{path}", "--speed", "max", "--seed", str(SEED)):
-        host = Host(Bus("serial", str(path), CLASSIC, timeout=0.01))
+        host = Host(Bus("serial", str(path), CLASSIC_LAYOUT, timeout=0.01))
         try:
             expected = rows_in_process(plant_in_process(), short, FLOATS)
             host.arm()

@@ -1,4 +1,4 @@
-"""What is urgent overtakes, a paced line keeps its pace, and losses are those that were asked for."""
+"""What is urgent overtakes, a paced line keeps its pace, and losses are as specified."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from plugins.commands.emulator._line import Losses, Lossy, Outbox
 from plugins.commands.emulator._ports import Unit
-from plugins.wire import CLASSIC, BlockLayout, Frame, SerialDecoder, to_serial
+from plugins.wire import CLASSIC_LAYOUT, BlockLayout, Frame, SerialDecoder, to_serial
 
 
 class Sink:
@@ -20,14 +20,14 @@ class Sink:
         self.taken: list[Unit] = []
 
     @property
-    def heard_of(self) -> bool | None:
+    def connected(self) -> bool | None:
         return True
 
     def publish(self) -> None:
         pass
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        return CLASSIC
+        return CLASSIC_LAYOUT
 
     def coded(self, frame: Frame) -> Unit:
         return to_serial(frame)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
 from plugins.drives.simulated.rig import Step, Stretch
-from plugins.wire import RIPPLE, CaptureFormat, Channel, ReadBlock, RippleGrid, RowFormat, Scales, demodulate
+from plugins.wire import RIPPLE_FLAG, CaptureFormat, Channel, ReadBlock, RippleGrid, RowFormat, Scales, demodulate
 from plugins.wire import serial_blocks as blocks
 from tests.support.close import assert_close
 
@@ -44,7 +44,7 @@ def test_pieces_make_the_same_rows(frequency: float, periods: int, discarded: in
         np.column_stack((i_dq.real, i_dq.imag)), np.column_stack((v_dq.real, v_dq.imag)), memory.base_v, grid
     ).counts(SCALES)
     assert live == 2 * len(whole)
-    answer = memory.source.answer(ReadBlock(0, 0, 4000, 1 + RIPPLE), blocks(60))
+    answer = memory.source.answer(ReadBlock(0, 0, 4000, 1 + RIPPLE_FLAG), blocks(60))
     assert not isinstance(answer, int)
     data = b"".join(payload[4:] for payload in answer.payloads)[: 12 * len(whole)]
     assert data == whole.tobytes()

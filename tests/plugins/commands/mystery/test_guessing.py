@@ -1,4 +1,4 @@
-"""Guesses: what counts as right, and that a verdict says no more than asked."""
+"""Guesses: what counts as right, and that a verdict reveals no more than the guess."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_names_and_sizes_are_read() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         ("dead_tim", "did you mean dead_time"),
         ("dead_time=much", "no number"),
@@ -33,8 +33,8 @@ def test_names_and_sizes_are_read() -> None:
         (",", "nothing"),
     ],
 )
-def test_a_guess_that_cannot_be_read_is_told_in_one_line(words: str, told: str) -> None:
-    with pytest.raises(InputError, match=told) as caught:
+def test_a_guess_that_cannot_be_read_is_told_in_one_line(words: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
         read_guess(words)
     assert "\n" not in str(caught.value)
 

@@ -23,7 +23,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def say(capsys: pytest.CaptureFixture[str], path: Path, *words: str) -> str:
+def verdict_on(capsys: pytest.CaptureFixture[str], path: Path, *words: str) -> str:
     capsys.readouterr()
     assert command([str(NUMBER), "--out", str(path), *words]) == 0
     return capsys.readouterr().out
@@ -43,26 +43,26 @@ def test_its_run_is_a_recording_with_every_stage_that_tells_effects_apart(run: P
 def test_the_truth_never_enters_the_run_directory(run: Path) -> None:
     hidden = draw(NUMBER).plant["effects"]
     assert hidden
-    told = b"".join(file.read_bytes() for file in run.iterdir() if file.is_file())
+    content = b"".join(file.read_bytes() for file in run.iterdir() if file.is_file())
     for name in hidden:
-        assert name.encode() not in told
+        assert name.encode() not in content
     assert dict(sealed_effects(run)).keys() == hidden.keys()
 
 
 def test_a_guess_is_judged_and_the_rest_not_given_away(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, *others = draw(NUMBER).plant["effects"]
-    printed = say(capsys, run, "--guess", first)
+    printed = verdict_on(capsys, run, "--guess", first)
     assert f"{first}: right" in printed
     assert f"{len(others)} more" in printed
     assert not any(name in printed for name in others)
 
 
 def test_the_whole_truth_is_all_there_is(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "all there is" in say(capsys, run, "--guess", ",".join(draw(NUMBER).plant["effects"]))
+    assert "all there is" in verdict_on(capsys, run, "--guess", ",".join(draw(NUMBER).plant["effects"]))
 
 
 def test_reveal_tells_names_and_sizes(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = json.loads(say(capsys, run, "--guess", "nothing", "--reveal", "--json"))
+    found = json.loads(verdict_on(capsys, run, "--guess", "nothing", "--reveal", "--json"))
     assert not found["guess"]["complete"]
     for name, parameters in draw(NUMBER).plant["effects"].items():
         assert found["hidden"][name].items() >= parameters.items()
@@ -70,7 +70,7 @@ def test_reveal_tells_names_and_sizes(run: Path, capsys: pytest.CaptureFixture[s
 
 def test_asked_again_it_is_not_measured_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (run / "journal.jsonl").read_bytes()
-    assert "fluxbench diagnose" in say(capsys, run)
+    assert "fluxbench diagnose" in verdict_on(capsys, run)
     assert (run / "journal.jsonl").read_bytes() == before
 
 

@@ -21,10 +21,10 @@ from tests.plugins.link.device import on_a_bus, on_a_pty
 def test_a_drive_on_a_serial_line_is_found_and_described(capsys: pytest.CaptureFixture[str]) -> None:
     with on_a_pty() as (_, path):
         assert command(["--serial", path]) == 0
-    told = capsys.readouterr().out
-    assert "test device" in told
-    assert "disarmed, bus 300 V" in told
-    assert f"--drive serial --set drive.port={path}" in told
+    printed = capsys.readouterr().out
+    assert "test device" in printed
+    assert "disarmed, bus 300 V" in printed
+    assert f"--drive serial --set drive.port={path}" in printed
 
 
 def test_a_drive_on_a_can_bus_is_found(capsys: pytest.CaptureFixture[str]) -> None:
@@ -40,7 +40,7 @@ def test_it_only_reads_and_a_fault_stays_as_it_is(capsys: pytest.CaptureFixture[
     with on_a_pty() as (device, path):
         device.trip(Fault.OVERCURRENT, 7.0, 5.6)
         command(["--serial", path])
-        assert {type(message) for message in device.heard} == {ParameterRead, ReadBlock}
+        assert {type(message) for message in device.received} == {ParameterRead, ReadBlock}
         assert device.state is PowerState.FAULTED
     assert "overcurrent" in capsys.readouterr().out
 
@@ -73,5 +73,5 @@ def test_links_of_this_machine_leave_out_what_is_no_bus() -> None:
 def test_importing_it_imports_no_link_library() -> None:
     modules = "plugins.commands.probe._command, plugins.drives.can, plugins.drives.serial"
     code = f"import sys, {modules}; print([m for m in ('can', 'serial', 'yaml', 'asammdf') if m in sys.modules])"
-    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "[]"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, start_run
 from plugins.commands.reproduction._material import Material, collect
 from plugins.commands.reproduction._page import write_page
 from protocols import Procedure, RecordingError
@@ -24,7 +24,7 @@ SHORT = (
 
 
 def run(procedure: Procedure, path: Path) -> Path:
-    result = start_run(procedure, path, Crew(AbsentOperator(), Interrupts()))
+    result = start_run(procedure, path, RunServices(AbsentOperator(), Interrupts()))
     assert result.outcome.error is None, result.outcome.reason
     return path
 

@@ -24,7 +24,7 @@ class Reply:
     body: bytes
 
     @property
-    def told(self) -> Any:
+    def content(self) -> Any:
         return json.loads(self.body)
 
 
@@ -68,12 +68,12 @@ class Served:
         return self.ask("POST", path, {**self.cookie, "Origin": self.origin}, json.dumps(body).encode())
 
     def views(self) -> Iterator[dict[str, Any]]:
-        """What the page is told, from now on."""
+        """What the page receives, from now on."""
         with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)) as line:
             line.request("GET", "/events", headers=self.cookie)
-            for told in line.getresponse():
-                if told.startswith(b"data: "):
-                    yield json.loads(told[6:])
+            for row in line.getresponse():
+                if row.startswith(b"data: "):
+                    yield json.loads(row[6:])
 
     def view_when(self, condition: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """The first view that is like that; there is none any more when the run has ended."""

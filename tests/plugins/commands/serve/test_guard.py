@@ -124,7 +124,7 @@ def test_reports_are_those_of_the_folder_s_runs(run: str, served: Served) -> Non
 def test_a_request_that_is_wrong_is_one_line(body: bytes, served: Served) -> None:
     reply = served.ask("POST", "/start", {**served.cookie, "Origin": served.origin}, body)
     assert reply.status == 400
-    assert "\n" not in reply.told["problem"]
+    assert "\n" not in reply.content["problem"]
 
 
 @pytest.mark.parametrize("name", ["../x.yaml", "/etc/passwd", "--help", "nothing", ""])

@@ -95,8 +95,8 @@ def test_a_page_of_another_origin_can_neither_read_nor_start(tmp_path: Path, chr
         foreign.until("document.title === 'elsewhere'")
         for method in ("GET", "POST"):
             address = f"{served.origin}/{'choices' if method == 'GET' else 'start'}"
-            asked = f"fetch('{address}', {{method: '{method}', credentials: 'include'}})"
-            assert foreign.value(f"{asked}.then(() => 'read', () => 'refused')") == "refused"
+            script = f"fetch('{address}', {{method: '{method}', credentials: 'include'}})"
+            assert foreign.value(f"{script}.then(() => 'read', () => 'refused')") == "refused"
         assert own.value("fetch('/choices').then((answer) => answer.status)") == 200
         chromium.complaints.clear()  # of the foreign page's
 

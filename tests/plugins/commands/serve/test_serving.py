@@ -1,4 +1,4 @@
-"""Runs from the page: started, asked, answered, stopped; and what becomes of them when the server goes."""
+"""Runs from the page: starting, answering, stopping; and what becomes of them when the server goes."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ def is_armed(view: dict[str, Any]) -> bool:
 def until_energised(served: Served, **wanted: Any) -> Path:
     """Start a run, answer its question, and wait for current; the run's directory."""
     assert served.post("/start", {"procedure": "asking.yaml", **wanted}).status == 200
-    asked = question_of(served.view_when(question_of))
-    assert asked is not None
-    assert served.post("/answer", {"question": asked["number"], "answer": "yes"}).status == 200
+    question = question_of(served.view_when(question_of))
+    assert question is not None
+    assert served.post("/answer", {"question": question["number"], "answer": "yes"}).status == 200
     view = served.view_when(lambda view: is_armed(view) and view["picture"]["points"][0] > 2)
     return served.folder / "runs" / str(view["picture"]["run"])
 
 
 def ended_safely(run: Path) -> RunEnded:
-    """How a run ended that had current when it was told to."""
+    """How a run ended that had current at the request to stop."""
     wait_until(lambda: isinstance(messages_of(run)[-1], RunEnded), 60.0)
     messages = messages_of(run)
     assert "current ramped down, drive disarmed" in [m.text for m in messages if isinstance(m, Note)]
@@ -69,7 +69,7 @@ def answers(messages: list[Message]) -> list[OperatorAnswered]:
 
 
 def test_a_run_is_started_asked_about_answered_and_stopped_by_two_browsers(served: Served) -> None:
-    listed = served.get("/choices").told
+    listed = served.get("/choices").content
     names = {one["name"]: one["problem"] for one in listed["procedures"]}
     assert names["asking.yaml"] == names["demo"] == ""
     assert names["broken.yaml"].endswith("broken.yaml: format: missing")
@@ -85,17 +85,17 @@ def test_a_run_is_started_asked_about_answered_and_stopped_by_two_browsers(serve
     assert served.post("/start", wanted).status == 200
     again = served.post("/start", wanted)
     assert again.status == 409
-    assert "one at a time" in again.told["problem"]
+    assert "one at a time" in again.content["problem"]
 
     view = served.view_when(question_of)
-    asked = question_of(view)
-    assert asked is not None
-    assert asked["text"] == "Is the brake engaged?"
+    question = question_of(view)
+    assert question is not None
+    assert question["text"] == "Is the brake engaged?"
     assert not is_armed(view)
-    assert question_of(served.view_when(question_of)) == asked, "who comes later sees the same question"
-    assert served.post("/answer", {"question": asked["number"] + 1, "answer": "yes"}).status == 409
-    assert served.post("/answer", {"question": asked["number"], "answer": "yes"}).status == 200
-    assert served.post("/answer", {"question": asked["number"], "answer": "no"}).status == 409, "the first one counts"
+    assert question_of(served.view_when(question_of)) == question, "who comes later sees the same question"
+    assert served.post("/answer", {"question": question["number"] + 1, "answer": "yes"}).status == 409
+    assert served.post("/answer", {"question": question["number"], "answer": "yes"}).status == 200
+    assert served.post("/answer", {"question": question["number"], "answer": "no"}).status == 409, "the first counts"
 
     armed = served.view_when(lambda view: is_armed(view) and view["picture"]["points"][0] > 2)["picture"]
     assert armed["points"][1] == 41
@@ -110,7 +110,7 @@ def test_a_run_is_started_asked_about_answered_and_stopped_by_two_browsers(serve
     (answered,) = answers(messages_of(run))
     assert (answered.answer, answered.by, answered.through) == ("yes", "operator", "page")
 
-    (row,) = served.get("/choices").told["runs"]
+    (row,) = served.get("/choices").content["runs"]
     assert (row["run"], row["outcome"], row["serial"], row["operator"]) == (run.name, "aborted", "SN-7", "Ada")
     report = served.get(f"/report/{run.name}")
     assert report.status == 200
@@ -156,8 +156,8 @@ def test_when_the_server_hangs_the_run_ramps_down_by_itself(served: Served) -> N
 def test_a_signal_ends_the_run_and_then_the_server(number: signal.Signals, served: Served) -> None:
     run = until_energised(served)
     served.process.send_signal(number)
-    _, told = served.process.communicate(timeout=60)
-    assert served.process.returncode == 0, told
+    _, errors = served.process.communicate(timeout=60)
+    assert served.process.returncode == 0, errors
     assert ended_safely(run).reason == f"the page's server was ended by {number.name}"
 
 
@@ -165,12 +165,12 @@ def test_a_signal_ends_the_run_and_then_the_server(number: signal.Signals, serve
 def test_a_browser_that_is_gone_while_a_question_is_open_leaves_it_open(served: Served) -> None:
     assert served.post("/start", {"procedure": "asking.yaml"}).status == 200
     views = served.views()
-    asked = question_of(next(view for view in views if question_of(view)))
+    question = question_of(next(view for view in views if question_of(view)))
     views.close()  # type: ignore[attr-defined]
-    assert question_of(served.view_when(question_of)) == asked
-    assert served.post("/answer", {"question": asked and asked["number"], "answer": "no"}).status == 200
+    assert question_of(served.view_when(question_of)) == question
+    assert served.post("/answer", {"question": question and question["number"], "answer": "no"}).status == 200
     over = served.view_when(lambda view: not view["going"])
-    assert "said no to: Is the brake engaged?" in over["problem"]
+    assert "answered no to: Is the brake engaged?" in over["problem"]
 
 
 @pytest.mark.slow
@@ -178,9 +178,9 @@ def test_what_is_wrong_with_a_run_is_told_before_and_after_it_is_started(served:
     wanted = {"procedure": "asking.yaml", "settings": ["limits.current_a=-3"]}
     checked = served.post("/check", wanted)
     assert checked.status == 400
-    assert "limits.current_a" in checked.told["problem"]
+    assert "limits.current_a" in checked.content["problem"]
     assert served.post("/start", wanted).status == 200
     over = served.view_when(lambda view: not view["going"])
     assert over["picture"] is None
     assert "limits.current_a" in over["problem"]
-    assert served.get("/choices").told["runs"] == []
+    assert served.get("/choices").content["runs"] == []

@@ -13,7 +13,7 @@ import pytest
 from plugins.drives.can import CanDrive, CanOptions
 from plugins.drives.can._port import CanPort
 from plugins.link import link_errors
-from plugins.wire import CAN_FD, CLASSIC, Frame
+from plugins.wire import CAN_FD_LAYOUT, CLASSIC_LAYOUT, Frame
 from protocols import DriveFault, DriveSetup, FaultCause, InputError, Motor
 from tests.support.tiny import MOTOR
 
@@ -91,9 +91,9 @@ def test_control_frames_are_classic_on_every_bus(pair: tuple[CanPort, _Peer]) ->
     with can.Bus(channel="classic", interface="virtual", ignore_config=True) as other:
         fd = CanPort("virtual", "classic", 1_000_000, fd=True)
         assert fd.send([FRAME], 0.1)
-        heard = other.recv(1.0)
-        assert heard is not None
-        assert not heard.is_fd
+        received = other.recv(1.0)
+        assert received is not None
+        assert not received.is_fd
         fd.close()
 
 
@@ -116,9 +116,9 @@ def test_a_port_speaks_and_hears_for_its_own_node_alone() -> None:
         port = CanPort("virtual", "nodes", 1_000_000, node=2)
         assert port.where == "virtual:nodes node 2"
         assert port.send([FRAME], 0.1)
-        heard = other.recv(1.0)
-        assert heard is not None
-        assert heard.arbitration_id == FRAME.frame_id + 2
+        received = other.recv(1.0)
+        assert received is not None
+        assert received.arbitration_id == FRAME.frame_id + 2
         for node in range(4):
             other.send(message(Frame(FRAME.frame_id + node, bytes([node]))))
         got: list[Frame] = []
@@ -154,8 +154,8 @@ def test_a_bus_that_goes_down_is_a_lost_link() -> None:
 
 def test_rates_and_layouts_are_those_of_the_bus() -> None:
     classic, fd = CanPort("virtual", "a", 500_000), CanPort("virtual", "b", 500_000, fd=True)
-    assert (classic.layout(1020), fd.layout(1020)) == (CLASSIC, CAN_FD)
-    assert classic.bulk_rate(CLASSIC) is None
+    assert (classic.layout(1020), fd.layout(1020)) == (CLASSIC_LAYOUT, CAN_FD_LAYOUT)
+    assert classic.bulk_rate(CLASSIC_LAYOUT) is None
     for port, kilobytes in ((classic, 17.8), (fd, 230.8)):
         port._rates = (500_000, 5_000_000)
         assert port.bulk_rate(port.layout(0)) == pytest.approx(1e3 * kilobytes, rel=0.02)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from plugins.drives.can import CanDrive, CanOptions
 from plugins.drives.can._port import CanPort, classic_rate
 from plugins.drives.can._slcan import SlcanPort
-from plugins.wire import CLASSIC, Frame
+from plugins.wire import CLASSIC_LAYOUT, Frame
 from protocols import DriveSetup, InputError, Motor
 from tests.support.tiny import MOTOR
 
@@ -34,14 +34,14 @@ class Adapter:
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
 
-    def heard(self) -> bytes:
+    def received(self) -> bytes:
         """Everything that comes before a pause: a terminal hands it on in pieces."""
         data = b""
         while select.select([self.master], [], [], 0.005)[0]:
             data += os.read(self.master, 65536)
         return data
 
-    def say(self, letters: bytes) -> None:
+    def write(self, letters: bytes) -> None:
         os.write(self.master, letters)
 
     def close(self) -> None:
@@ -68,10 +68,10 @@ def adapter() -> Iterator[Adapter]:
 @pytest.fixture(scope="module")
 def port(adapter: Adapter) -> Iterator[SlcanPort]:
     made = SlcanPort(adapter.path, 1_000_000, RATE, settings=AWAKE)
-    assert adapter.heard() == b"\rC\rS8\rO\r"
+    assert adapter.received() == b"\rC\rS8\rO\r"
     yield made
     made.close()
-    assert adapter.heard() == b"\rC\r"
+    assert adapter.received() == b"\rC\r"
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +79,7 @@ def oracle() -> Iterator[tuple[Adapter, can.BusABC]]:
     """python-can's own interface, at a line of its own."""
     made = Adapter()
     bus = can.Bus(interface="slcan", channel=made.path, sleep_after_open=0.0, ignore_config=True)
-    made.heard()
+    made.received()
     yield made, bus
     bus.shutdown()
     made.close()
@@ -88,54 +88,54 @@ def oracle() -> Iterator[tuple[Adapter, can.BusABC]]:
 @settings(deadline=None, max_examples=30)
 @given(st.lists(frames, min_size=1, max_size=9))
 def test_what_python_can_says_is_heard(
-    adapter: Adapter, port: SlcanPort, oracle: tuple[Adapter, can.BusABC], said: list[Frame]
+    adapter: Adapter, port: SlcanPort, oracle: tuple[Adapter, can.BusABC], frames: list[Frame]
 ) -> None:
     line, bus = oracle
-    for frame in said:
+    for frame in frames:
         bus.send(can.Message(arbitration_id=frame.frame_id, data=frame.payload, is_extended_id=False))
-    adapter.say(line.heard())
-    assert received(port, len(said)) == said
+    adapter.write(line.received())
+    assert received(port, len(frames)) == frames
 
 
 @settings(deadline=None, max_examples=30)
 @given(st.lists(frames, min_size=1, max_size=9))
 def test_what_is_said_python_can_hears(
-    adapter: Adapter, port: SlcanPort, oracle: tuple[Adapter, can.BusABC], said: list[Frame]
+    adapter: Adapter, port: SlcanPort, oracle: tuple[Adapter, can.BusABC], frames: list[Frame]
 ) -> None:
     line, bus = oracle
-    assert port.send(said, 0.1)
-    line.say(adapter.heard())
+    assert port.send(frames, 0.1)
+    line.write(adapter.received())
     found: list[can.Message] = []
     until_s = time.monotonic() + 5.0
-    while len(found) < len(said) and time.monotonic() < until_s:
+    while len(found) < len(frames) and time.monotonic() < until_s:
         found += [m for m in [bus.recv(0.01)] if m is not None]
-    assert [Frame(m.arbitration_id, bytes(m.data)) for m in found] == said
+    assert [Frame(m.arbitration_id, bytes(m.data)) for m in found] == frames
 
 
 def test_a_frame_that_comes_in_two_parts_is_one(adapter: Adapter, port: SlcanPort) -> None:
     letters = port.as_written(FRAMES)
     for cut in range(1, len(letters)):
-        adapter.say(letters[:cut])
+        adapter.write(letters[:cut])
         first = port.receive(1.0)
-        adapter.say(letters[cut:])
+        adapter.write(letters[cut:])
         assert first + received(port, len(FRAMES) - len(first)) == FRAMES
 
 
 def test_answers_strangers_and_damaged_letters_are_no_frames(adapter: Adapter, port: SlcanPort) -> None:
-    adapter.say(
+    adapter.write(
         b"z\r\a\rV1013\rT000000801AA\rr0800\rt08\rt0802AA\rt0801GG\rtXYZ0\rt0811BB\rt080900112233445566778899\r"
     )
-    adapter.say(b"t0801CC\r")
+    adapter.write(b"t0801CC\r")
     assert received(port, 1) == [Frame(0x80, b"\xcc")]
 
 
 def test_a_drive_s_node_is_on_its_frames_and_no_other_is_heard() -> None:
     line = Adapter()
     port = SlcanPort(line.path, 500_000, RATE, node=2, settings=AWAKE)
-    assert line.heard() == b"\rC\rS6\rO\r"
+    assert line.received() == b"\rC\rS6\rO\r"
     assert port.send(FRAMES[:1], 0.1)
-    assert line.heard().strip() == b"t08280001020304050607"
-    line.say(b"t0800\rt0820\rt0110\r")
+    assert line.received().strip() == b"t08280001020304050607"
+    line.write(b"t0800\rt0820\rt0110\r")
     assert received(port, 2) == [Frame(0x80, b""), Frame(0x10, b"")]  # EStop is everybody's
     port.close()
     line.close()
@@ -146,9 +146,9 @@ def test_an_adapter_that_takes_nothing_is_said_not_to() -> None:
     port = SlcanPort(line.path, 1_000_000, RATE, settings=AWAKE)
     while port.send(FRAMES * 20, 0.02):
         pass
-    line.heard()
+    line.received()
     assert port.send(FRAMES[:1], 0.1)
-    assert line.heard().endswith(b"\rt08080001020304050607\r"), "what was cut off is not ended"
+    assert line.received().endswith(b"\rt08080001020304050607\r"), "what was cut off is not ended"
     port.close()
     line.close()
 
@@ -168,7 +168,7 @@ def test_settings_that_are_not_heeded_here_are_left_to_python_can(more: dict[str
     options = CanOptions(interface="slcan", channel=line.path, settings={**AWAKE, **more})
     opened = CanDrive(DriveSetup(motor=Motor(**MOTOR), options=options, seed=1)).open_port()
     assert type(opened) is kind
-    assert opened.layout(0) is CLASSIC
-    assert opened.bulk_rate(CLASSIC) == pytest.approx(RATE)
+    assert opened.layout(0) is CLASSIC_LAYOUT
+    assert opened.bulk_rate(CLASSIC_LAYOUT) == pytest.approx(RATE)
     opened.close()
     line.close()

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, start_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunResult, RunServices, start_run
 from orchestrator.recording import open_recording
 from plugins.drives.csv_scope._tables import COLUMNS, table_of
 from protocols import DriveFault, FaultCause, Injection, Motor, SegmentStage, Trapezoid
@@ -34,7 +34,7 @@ def run(folder: Path, player: Player, *kinds: str) -> RunResult:
     document["accept_no_watchdog"] = "I stand beside the drive and can cut its power"
     (folder / "procedure.yaml").write_text(yaml.safe_dump(document), encoding="utf-8")
     return start_run(
-        load_procedure(str(folder / "procedure.yaml")), folder / "run", Crew(AbsentOperator(), Interrupts())
+        load_procedure(str(folder / "procedure.yaml")), folder / "run", RunServices(AbsentOperator(), Interrupts())
     )
 
 

@@ -56,7 +56,7 @@ class Servo:
         self._seen_s = time.monotonic()
         self._i, self._target, self._theta, self._v = 0j, 0j, 0.0, 0j
         self._noise = np.random.default_rng(7)
-        self._told, self._heard = b"", b""
+        self._output, self._input = b"", b""
         self._packet, self._pending = 0, b""
 
     # Physics and modes
@@ -156,10 +156,10 @@ class Servo:
 
     def _stream(self, part: StreamSubframe | FlowStreamSubframe) -> bytes:
         if part.type is SubframeType.STREAM_CLIENT_TO_SERVER:
-            self._heard += part.data
-            while b"\n" in self._heard:
-                line, _, self._heard = self._heard.partition(b"\n")
-                self._told += self._talk(line.decode())
+            self._input += part.data
+            while b"\n" in self._input:
+                line, _, self._input = self._input.partition(b"\n")
+                self._output += self._talk(line.decode())
             return b""
         if part.type is SubframeType.STREAM_CLIENT_POLL_SERVER:
             data, self._pending = self._taken(part.data[0]), b""
@@ -172,7 +172,7 @@ class Servo:
         return bytes([0x43, 1, self._packet, len(self._pending)]) + self._pending
 
     def _taken(self, most: int) -> bytes:
-        data, self._told = self._told[:most], self._told[most:]
+        data, self._output = self._output[:most], self._output[most:]
         return data
 
     def _talk(self, line: str) -> bytes:

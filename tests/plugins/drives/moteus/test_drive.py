@@ -131,7 +131,7 @@ def test_without_a_heartbeat_the_board_hears_no_setpoint_and_stops_by_itself() -
         assert port.servo.position_commands == 1, "somebody else than the heartbeat fed the board's watchdog"
         telemetry = drive.telemetry()
         assert telemetry.state is DriveState.FAULTED
-        assert telemetry.faults == ("heartbeat_lost: the board heard no heartbeat for 0.3 s (mode 11)",)
+        assert telemetry.faults == ("heartbeat_lost: the board received no heartbeat for 0.3 s (mode 11)",)
         with pytest.raises(DriveRefused, match="clear it first"):
             drive.arm(LIMITS)
         drive.clear_fault()
@@ -263,7 +263,7 @@ def test_more_voltage_than_allowed_by_the_nameplate_is_refused_before_moving() -
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         (lambda servo: setattr(servo, "register_map", 4), "register map 4"),
         (lambda servo: setattr(servo, "mode", 10), "somebody else drives it"),
@@ -271,14 +271,14 @@ def test_more_voltage_than_allowed_by_the_nameplate_is_refused_before_moving() -
         (lambda servo: servo.configuration.update({"servo.fixed_voltage_mode": 1}), "controls no current"),
     ],
 )
-def test_a_board_that_does_not_fit_is_refused(change: Callable[[Servo], Any], told: str) -> None:
+def test_a_board_that_does_not_fit_is_refused(change: Callable[[Servo], Any], message: str) -> None:
     def made_so(servo: Servo) -> None:
         servo._expires_s = math.inf
         change(servo)
 
     with fdcanusb(made_so) as port:
         drive = made(port)
-        with pytest.raises(DriveRefused, match=told):
+        with pytest.raises(DriveRefused, match=message):
             drive.connect()
         drive.close()
 

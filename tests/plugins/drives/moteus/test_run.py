@@ -12,7 +12,7 @@ import yaml
 pytest.importorskip("moteus", reason="the official library of moteus is an optional extra")
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import SAFE_BENCH_WORDS, AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.recording import open_recording
 from protocols import SegmentStage
 from tests.plugins.drives.moteus.emulator import fdcanusb
@@ -33,7 +33,9 @@ def test_the_page_s_procedure_runs_and_its_holds_show_the_resistance(tmp_path: P
     with fdcanusb() as port:
         document["drive"]["port"] = port.path
         file.write_text(yaml.safe_dump(document), encoding="utf-8")
-        result = start_run(load_procedure(str(file)), tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
+        result = start_run(
+            load_procedure(str(file)), tmp_path / "run", RunServices(AbsentOperator(SAFE_BENCH_WORDS), Interrupts())
+        )
         assert port.servo.mode == 0, "the power stage is still on"
         assert port.servo.configuration["servo.max_current_A"] == 20.0
     assert result.outcome.ending == "finished", result.outcome.reason

@@ -173,7 +173,7 @@ class Port:
         self._thread.join()
 
     def _serve(self) -> None:
-        heard = b""
+        received = b""
         while not self._done.is_set():
             if not select.select([self._fd], [], [], 0.02)[0]:
                 with self._board.lock:
@@ -185,8 +185,8 @@ class Port:
                 return
             if not octets:
                 return
-            heard += octets
-            *lines, heard = heard.split(b"\n")
+            received += octets
+            *lines, received = received.split(b"\n")
             for line in lines:
                 answer = self._board.answer(line.decode())
                 if answer is not None and not self._board.mute:

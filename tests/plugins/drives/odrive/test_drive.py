@@ -55,7 +55,7 @@ def whole(drive: OdriveDrive) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"fw_version_minor": 6}, "firmware 0.6.6, 0.5 is needed"),
         ({"axis0.motor.config.motor_type": 2}, "motor_type"),
@@ -66,10 +66,10 @@ def whole(drive: OdriveDrive) -> np.ndarray:
         ({"axis0.current_state": 8}, "not idle"),
     ],
 )
-def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], told: str) -> None:
+def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], message: str) -> None:
     with on_a_line(lambda board: board.values.update(change)) as (_, port):
         drive = drive_at(port)
-        with pytest.raises(DriveRefused, match=told):
+        with pytest.raises(DriveRefused, match=message):
             drive.connect()
         drive.close()
 

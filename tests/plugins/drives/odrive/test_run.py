@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import SAFE_BENCH_WORDS, AbsentOperator, Interrupts, RunServices, start_run
 from tests.plugins.drives.odrive.emulator import on_a_line, on_tcp
 from tests.support.processes import start_fluxbench, wait_until
 
@@ -34,7 +34,7 @@ def procedure_at(port: str, folder: Path, watchdog_s: float) -> Path:
 def test_the_pages_procedure_finds_the_resistance(tmp_path: Path) -> None:
     with on_tcp() as (board, port):
         procedure = load_procedure(str(procedure_at(port, tmp_path, 10.0)))
-        result = start_run(procedure, tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
+        result = start_run(procedure, tmp_path / "run", RunServices(AbsentOperator(SAFE_BENCH_WORDS), Interrupts()))
         assert not board.armed
     assert result.outcome.ending == "finished", result.outcome.reason
     found = json.loads((tmp_path / "run" / "results" / "estimates.json").read_text())

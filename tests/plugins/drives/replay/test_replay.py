@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.recording import Recording, open_recording
 from plugins.drives.replay import ReplayDrive, ReplayOptions
 from protocols import (
@@ -71,7 +71,7 @@ def test_the_procedure_played_back_gives_the_same_rows(original: Recording, tmp_
     procedure = tiny_procedure(tmp_path)
     choice = DriveChoice.model_validate({"name": "replay", "recording": str(original.path)})
     result = start_run(
-        procedure.model_copy(update={"drive": choice}), tmp_path / "again", Crew(AbsentOperator(), Interrupts())
+        procedure.model_copy(update={"drive": choice}), tmp_path / "again", RunServices(AbsentOperator(), Interrupts())
     )
     assert result.outcome.error is None, result.outcome.reason
     again = open_recording(tmp_path / "again")
@@ -85,14 +85,14 @@ def test_the_procedure_played_back_gives_the_same_rows(original: Recording, tmp_
 def test_what_the_recording_does_not_hold_is_refused(original: Recording) -> None:
     drive = armed(original)
     hold = some_hold(original)
-    for change, told in (
+    for change, message in (
         ({"current_d_a": hold.current_d_a + 0.1}, "holds no hold"),
         ({"rotor_angle_rad": hold.rotor_angle_rad + math.pi / 3}, "holds no hold"),
         ({"pwm_frequency_hz": 1234.0}, "PWM frequency 1234 Hz"),
         ({"duration_s": 1e3}, "holds no hold"),
         ({"current_d_a": math.nan}, "current_d_a is not a finite number"),
     ):
-        with pytest.raises(DriveRefused, match=told):
+        with pytest.raises(DriveRefused, match=message):
             list(drive.execute(hold.model_copy(update=change)))
 
 
@@ -151,9 +151,9 @@ def test_a_recording_that_is_not_there_is_one_clear_error(tmp_path: Path, origin
 def test_gates_off_is_played_where_it_was_recorded(original: Recording) -> None:
     held = [s for s in original.manifest.segments if s.stage.value == "gates_off"]
     drive = armed(original)
-    asked = GatesOff(duration_s=0.01)
+    reading = GatesOff(duration_s=0.01)
     if held:
-        assert len(next(iter(drive.execute(asked)))) > 0
+        assert len(next(iter(drive.execute(reading)))) > 0
     else:
         with pytest.raises(DriveRefused):
-            drive.execute(asked)
+            drive.execute(reading)

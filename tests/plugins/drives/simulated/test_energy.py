@@ -1,4 +1,4 @@
-"""The plant's magnetics: reciprocity, parity, saturation as asked for, and no surprises outside."""
+"""The plant's magnetics: reciprocity, parity, saturation as specified, and no surprises outside."""
 
 from __future__ import annotations
 

@@ -102,7 +102,7 @@ def test_a_rotor_on_a_spring_swings_at_its_resonance() -> None:
     hertz, damping, rad_per_nm = 80.0, 0.05, 1e-4
     brake = {"rad_per_nm": rad_per_nm, "resonance_hz": hertz, "damping": damping}
     plant = plant_of(effects={"brake_compliance": brake}, magnetics=LINEAR)
-    x = np.zeros(layout.LENGTH)
+    x = np.zeros(layout.STATE_LENGTH)
     x[layout.PSI_D], x[layout.COS] = plant.magnetics.energy.psi_m, 1.0
     simulate(plant, np.tile([0.0, 4.25], (3000, 1)), x)  # a torque, until all stands still
     rest = x[layout.THETA]
@@ -125,7 +125,7 @@ def test_housing_and_room_warm_the_winding_as_well() -> None:
     plant = plant_of(effects={"winding_heating": heat}, magnetics=LINEAR)
     n, step = 3000, 1000
     v = np.tile([8.5, 0.0], (n, 1))
-    x = np.zeros(layout.LENGTH)
+    x = np.zeros(layout.STATE_LENGTH)
     x[layout.PSI_D], x[layout.COS] = plant.magnetics.energy.psi_m, 1.0
     x[layout.PSI_D] += 2.0 * L[0]
     x[layout.I_ALPHA] = x[layout.READING_A] = x[layout.IRON_D] = 2.0

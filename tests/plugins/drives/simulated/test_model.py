@@ -77,13 +77,13 @@ def test_resistance_and_effects_are_the_model_s_and_no_others(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("found", "told"),
+    ("found", "message"),
     [
         (effect("leakage", amps=1.0), "leakage: the simulated plant has no effect of that name"),
         (effect("dead_time", voltage_v=-1.5), "dead_time.voltage_v: input should be greater than or equal to 0"),
     ],
 )
-def test_what_the_plant_cannot_be_is_one_line(found: dict[str, Any], told: str, tmp_path: Path) -> None:
+def test_what_the_plant_cannot_be_is_one_line(found: dict[str, Any], message: str, tmp_path: Path) -> None:
     model = saved(tmp_path / "model.json", found)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         true_flux(options_of(plant={"model": str(model)}), PM400)

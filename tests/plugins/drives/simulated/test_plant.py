@@ -39,7 +39,7 @@ def plant_of(motor: Motor = PM400, effects: dict[str, Any] | None = None, **plan
 def simulate(plant: TruePlant, v_ab: np.ndarray, x: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Currents as sampled under given voltages, and the state in the end; the rotor locked at angle 0."""
     n = len(v_ab)
-    state = np.zeros(layout.LENGTH) if x is None else x
+    state = np.zeros(layout.STATE_LENGTH) if x is None else x
     if x is None:
         state[layout.PSI_D], state[layout.COS] = plant.magnetics.energy.psi_m, 1.0
     i, v, bus = np.zeros((n, 2), np.float32), np.ascontiguousarray(v_ab, np.float32), np.zeros(n, np.float32)
@@ -131,7 +131,7 @@ def test_what_goes_in_is_heat_or_field(motor: Motor) -> None:
     volts = (motor.stator_resistance_ohm or 0.0) * motor.rated_current_a
     v = np.tile([volts, 0.7 * volts], (200, 1)).astype(np.float32).astype(np.float64)
     times = 16
-    x = np.zeros(layout.LENGTH)
+    x = np.zeros(layout.STATE_LENGTH)
     x[layout.PSI_D], x[layout.COS] = plant.magnetics.energy.psi_m, 1.0
     slow = plant.parameters._replace(sample_s=1.0 / FS / times)
     i, x = simulate(TruePlant(**{**vars(plant), "parameters": slow}), np.repeat(v, times, axis=0), x)

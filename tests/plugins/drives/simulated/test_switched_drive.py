@@ -35,7 +35,7 @@ def switched(**plant: Any) -> dict[str, Any]:
 
 def readings(s: SensingParameters, i_a: np.ndarray, i_b: np.ndarray, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """(alpha, beta) and the phases as the sensors read them."""
-    x, n = np.zeros(layout.LENGTH), len(i_a)
+    x, n = np.zeros(layout.STATE_LENGTH), len(i_a)
     noise = np.random.default_rng(seed).standard_normal((n, 6)).astype(np.float32)
     phases, found = np.zeros((n, 3), np.float32), np.zeros((n, 2))
     for k in range(n):
@@ -115,7 +115,7 @@ def test_the_converters_bits_are_the_drives(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"plant": {"switching": {"dead_time_s": 1e-6}}}, r"drive\.plant: switching: needs plant\.inverter: switched"),
         ({"plant": {"sensors": {"bits": 12}}}, r"bits: needs plant\.inverter: switched"),
@@ -151,9 +151,9 @@ def test_the_converters_bits_are_the_drives(bench: Bench) -> None:
         ({"plant": switched(), "voltage_delay_samples": 2.5}, "voltage_delay_samples: two samples at most"),
     ],
 )  # fmt: skip
-def test_bad_options_get_one_line(bench: Bench, options: dict[str, Any], told: str) -> None:
+def test_bad_options_get_one_line(bench: Bench, options: dict[str, Any], message: str) -> None:
     plant = options.pop("plant", {})
-    with pytest.raises(InputError, match=told) as refused:
+    with pytest.raises(InputError, match=message) as refused:
         bench(plant=plant, effects=plant.pop("effects", None), noise=True, **options)
     assert "\n" not in str(refused.value)
 

@@ -10,7 +10,7 @@ import pytest
 
 from plugins.drives.simulated import _derive_switching
 from plugins.drives.simulated import _state as layout
-from plugins.drives.simulated._bridge import NEVER, edge_delay, edge_time
+from plugins.drives.simulated._bridge import NO_EDGE_S, edge_delay, edge_time
 from plugins.drives.simulated._derive import TruePlant, bus_voltage, derive, read_nameplate
 from plugins.drives.simulated._energy import current
 from plugins.drives.simulated._program import tune
@@ -38,10 +38,10 @@ def plant_of(motor: Motor = PM400, options: dict[str, Any] | None = None, **plan
 def respond(plant: TruePlant, v_ab: np.ndarray, motor: Motor = PM400) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Currents as sampled under given voltages, the bus as logged, and the state in the end; the rotor locked at 0."""
     n = len(v_ab)
-    x = np.zeros(layout.LENGTH)
+    x = np.zeros(layout.STATE_LENGTH)
     x[layout.PSI_D], x[layout.COS] = plant.magnetics.energy.psi_m, 1.0
     x[layout.SUPPLY] = x[layout.BUS] = plant.parameters.dc_bus_v
-    x[layout.DUE : layout.DUE + 3] = NEVER
+    x[layout.DUE : layout.DUE + 3] = NO_EDGE_S
     i, v, bus = np.zeros((n, 2), np.float32), np.ascontiguousarray(v_ab, np.float32), np.zeros(n, np.float32)
     control = tune(read_nameplate(motor), CurrentControl(), 0.0, FS, max_v=1e9, trip_a=1e9, overload_s=None)
     noise, piece, phases = np.zeros((n, 6), np.float32), Piece(GIVEN, n), np.zeros((n, 3), np.float32)
@@ -83,7 +83,7 @@ def test_without_imperfections_it_is_the_averaged_inverter(bench: Bench, motor: 
 
 
 def test_finer_parts_of_a_period_change_little(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = _derive_switching.FINEST
+    usual = _derive_switching.MAX_STEP_DECAY
     excitation = Injection(
         target_d_a=2.0,
         target_q_a=4.0,
@@ -95,7 +95,7 @@ def test_finer_parts_of_a_period_change_little(bench: Bench, monkeypatch: pytest
     )
     currents = []
     for finest in (1.0, usual, 0.25 * usual):
-        monkeypatch.setattr(_derive_switching, "FINEST", finest)
+        monkeypatch.setattr(_derive_switching, "MAX_STEP_DECAY", finest)
         currents.append(rows(bench(motor=SERVO, plant={"inverter": "switched"}), excitation)[0])
     halves, parts, fine = currents
     assert np.abs(halves - fine).max() > 1e-4
@@ -360,8 +360,8 @@ def test_a_loaded_bus_sinks_and_is_logged_as_the_drive_is_told() -> None:
     assert R * i[-1, 0] == pytest.approx(25.0 * x[layout.SUPPLY] / BUS_V, rel=1e-4)
     _, wrong, _ = respond(plant_of(switching={"bus": {**plain, "gain": 1.02}}), volts)
     assert wrong[-1] == pytest.approx(1.02 * x[layout.SUPPLY], rel=1e-5)
-    _, told, _ = respond(plant_of(switching={"bus": {**plain, "logged": "nominal"}}), volts)
-    assert (told == BUS_V).all()
+    _, logged_v, _ = respond(plant_of(switching={"bus": {**plain, "logged": "nominal"}}), volts)
+    assert (logged_v == BUS_V).all()
     right, _, _ = respond(plant_of(switching={"bus": {**plain, "compensated": True}}), volts)
     assert R * right[-1, 0] == pytest.approx(25.0, rel=1e-5)
 

@@ -246,14 +246,14 @@ class Console:
     """LispBM's console: one expression at a time, answers within half a second, deaf for half a second after each."""
 
     def __init__(self, firmware: Firmware) -> None:
-        self._firmware, self._heard_s = firmware, -math.inf
+        self._firmware, self._received_s = firmware, -math.inf
 
-    def hear(self, text: str) -> None:
+    def receive(self, text: str) -> None:
         """Evaluate on a thread of its own; a fast second line is passed over without a word."""
         begun_s = time.monotonic()
-        if begun_s - self._heard_s <= DEAF_S:
+        if begun_s - self._received_s <= DEAF_S:
             return
-        self._heard_s = begun_s
+        self._received_s = begun_s
 
         def evaluate() -> None:
             value = self._value(_parsed(text))
@@ -379,7 +379,7 @@ class Port:
                     data = data[os.write(self._fd, data) :]
 
     def _serve(self) -> None:
-        heard = b""
+        received = b""
         while not self._done.is_set():
             if not select.select([self._fd], [], [], 0.05)[0]:
                 continue
@@ -389,20 +389,20 @@ class Port:
                 return
             if not octets:
                 return
-            heard += octets
-            while len(heard) >= 5:
-                wide = heard[0] == 3
+            received += octets
+            while len(received) >= 5:
+                wide = received[0] == 3
                 start = 3 if wide else 2
-                end = start + int.from_bytes(heard[1:start])
-                if len(heard) < end + 3:
+                end = start + int.from_bytes(received[1:start])
+                if len(received) < end + 3:
                     break
-                payload, tail, heard = heard[start:end], heard[end : end + 3], heard[end + 3 :]
+                payload, tail, received = received[start:end], received[end : end + 3], received[end + 3 :]
                 assert tail == crc(payload).to_bytes(2) + b"\x03", "a damaged frame"
                 self._take(payload)
 
     def _take(self, payload: bytes) -> None:
         if payload[0] == 138:
-            self._console.hear(payload[1:].rstrip(b"\0").decode())
+            self._console.receive(payload[1:].rstrip(b"\0").decode())
         else:
             self.firmware.answer(payload)
 

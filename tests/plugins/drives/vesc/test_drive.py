@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from plugins.drives.vesc import VescDrive, VescOptions
-from plugins.drives.vesc._rows import TABLE, UNIT_RAD, tone, turning_frame, window
+from plugins.drives.vesc._rows import ANGLE_STEP_RAD, TONE_TABLE, tone, turning_frame, window
 from protocols import DriveFault, DriveRefused, DriveSetup, FaultCause, GatesOff, Hold, Injection, Limits, Motor
 from tests.plugins.drives.vesc.emulator import Firmware, on_a_line, on_tcp
 
@@ -24,7 +24,7 @@ HOLD = Hold(current_d_a=4.0, current_q_a=0.0, settle_s=0.05, duration_s=0.05)
 @pytest.fixture(autouse=True)
 def _a_quick_console(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is tried here is no matter of the console's pace; the kit and the runs keep it."""
-    monkeypatch.setattr("plugins.drives.vesc._board.CONSOLE_S", 0.04)
+    monkeypatch.setattr("plugins.drives.vesc._board.CONSOLE_PERIOD_S", 0.04)
     monkeypatch.setattr("tests.plugins.drives.vesc.emulator.DEAF_S", 0.03)
 
 
@@ -59,7 +59,7 @@ def whole(drive: VescDrive, excitation: Any) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"motor-type": 0}, "motor type"),
         ({"foc-sensor-mode": 4}, "HFI"),
@@ -67,10 +67,10 @@ def whole(drive: VescDrive, excitation: Any) -> np.ndarray:
         ({"l-current-max-scale": 0.0}, "current limits"),
     ],
 )
-def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], told: str) -> None:
+def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], message: str) -> None:
     with on_a_line(lambda firmware: firmware.configuration.update(change)) as (_, port):
         drive = drive_at(port)
-        with pytest.raises(DriveRefused, match=told):
+        with pytest.raises(DriveRefused, match=message):
             drive.connect()
         drive.close()
 
@@ -116,7 +116,7 @@ def test_a_current_that_the_board_does_not_hold_is_a_fault() -> None:
 
 
 def test_a_row_that_is_lost_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("plugins.drives.vesc.drive.ROWS_S", 0.5)
+    monkeypatch.setattr("plugins.drives.vesc.drive.MAX_UPLOAD_S", 0.5)
     with on_a_line() as (firmware, port), armed(port) as drive:
         firmware.drops_row = 17
         with pytest.raises(DriveFault, match="rows of"):
@@ -148,7 +148,7 @@ def test_gates_off_shows_what_the_sensors_show() -> None:
 
 
 @pytest.mark.parametrize(
-    ("excitation", "told"),
+    ("excitation", "message"),
     [
         (HOLD.model_copy(update={"current_d_a": 0.02}), "lets go"),
         (HOLD.model_copy(update={"duration_s": 1.0}), "longer"),
@@ -167,9 +167,9 @@ def test_gates_off_shows_what_the_sensors_show() -> None:
         ),
     ],
 )
-def test_what_it_cannot_is_refused_before_anything_moves(excitation: Any, told: str) -> None:
+def test_what_it_cannot_is_refused_before_anything_moves(excitation: Any, message: str) -> None:
     with on_a_line() as (firmware, port), armed(port) as drive:
-        with pytest.raises(DriveRefused, match=told):
+        with pytest.raises(DriveRefused, match=message):
             whole(drive, excitation)
         assert not firmware.running
 
@@ -193,10 +193,10 @@ def _rows(phase: np.ndarray) -> Any:
 @pytest.mark.parametrize("first_rad", [0.0, 1.234, 6.2])
 def test_the_frame_is_found_finer_than_its_octets(first_rad: float) -> None:
     angle = first_rad + 2.0 * np.pi * 20.0 / 8000.0 * np.arange(1000)
-    octets = (angle % (2.0 * np.pi) / UNIT_RAD).astype(int)
+    octets = (angle % (2.0 * np.pi) / ANGLE_STEP_RAD).astype(int)
     octets[:37] = 12
     found, begin = turning_frame(_rows(octets), 20.0, 1.0 / 8000.0)
-    assert np.abs(np.angle(np.exp(1j * (found - angle)))).max() < 0.1 * UNIT_RAD
+    assert np.abs(np.angle(np.exp(1j * (found - angle)))).max() < 0.1 * ANGLE_STEP_RAD
     assert 30 <= begin <= 37
 
 
@@ -208,7 +208,7 @@ def test_a_frame_that_stands_still_is_told() -> None:
 def test_a_tones_first_row_is_one_step_into_its_wave() -> None:
     place, v = tone(100, 250.0, 3.0, 1.0 / 8000.0)
     assert place[:3] * 32 == pytest.approx([1.0, 2.0, 3.0])
-    assert v[:3] == pytest.approx(3j * TABLE[1:4])
+    assert v[:3] == pytest.approx(3j * TONE_TABLE[1:4])
 
 
 @pytest.mark.parametrize(("direction", "phase"), [(0.0, 0.0), (2.0, 0.3), (-1.0, 0.9)])
@@ -217,6 +217,6 @@ def test_a_window_begins_where_direction_and_wave_are_those_asked_for(direction:
     angle, place = 0.4 + 2.0 * np.pi * k / 600, (k / 20) % 1.0
     at = window(angle, place, direction, phase, 100, 400, 1 / 20)
     vector = np.exp(1j * angle[at]) * np.sin(2.0 * np.pi * place[at])
-    asked = np.exp(1j * direction) * np.sin(2.0 * np.pi * phase)
+    expected = np.exp(1j * direction) * np.sin(2.0 * np.pi * phase)
     assert 100 <= at <= 400
-    assert abs(vector - asked) < 0.2
+    assert abs(vector - expected) < 0.2

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.drives.vesc._packets import LONGEST, ROW, Decoder, Values, framed, numbers_in, rows_of
+from plugins.drives.vesc._packets import MAX_PAYLOAD_BYTES, ROW, Decoder, Values, framed, numbers_in, rows_of
 from protocols import DriveFault
 from tests.plugins.drives.vesc.emulator import crc, packet
 
-payloads = st.binary(min_size=1, max_size=LONGEST)
+payloads = st.binary(min_size=1, max_size=MAX_PAYLOAD_BYTES)
 
 
 @given(payloads)
@@ -36,7 +36,7 @@ def test_nothing_damaged_comes_out_and_what_follows_does(payload: bytes, noise: 
     place = data.draw(st.integers(len(frame) - len(payload) - 3, len(frame) - 4))
     frame[place] ^= data.draw(st.integers(1, 255))
     after = framed(b"after")
-    found = Decoder().feed(noise + bytes(frame) + after * (2 * LONGEST // len(after)))
+    found = Decoder().feed(noise + bytes(frame) + after * (2 * MAX_PAYLOAD_BYTES // len(after)))
     assert payload not in found
     assert b"after" in found
 

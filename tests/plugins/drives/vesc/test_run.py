@@ -14,7 +14,7 @@ import yaml
 
 from orchestrator.analysis import demodulate, invert
 from orchestrator.config import load_procedure
-from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import SAFE_BENCH_WORDS, AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.recording import open_recording
 from protocols import SegmentStage
 from tests.plugins.drives.vesc.emulator import on_a_line, on_tcp
@@ -38,7 +38,7 @@ def procedure_at(port: str, folder: Path, watchdog_s: float) -> Path:
 def test_the_pages_procedure_finds_resistance_and_inductances(tmp_path: Path) -> None:
     with on_tcp() as (firmware, port):
         procedure = load_procedure(str(procedure_at(port, tmp_path, 10.0)))
-        result = start_run(procedure, tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
+        result = start_run(procedure, tmp_path / "run", RunServices(AbsentOperator(SAFE_BENCH_WORDS), Interrupts()))
         assert not firmware.running
         motor, angle = firmware.motor, 0.7
     assert result.outcome.ending == "finished", result.outcome.reason

@@ -22,7 +22,7 @@ from tests.support.processes import wait_until
 SOURCES = Path(__file__).parent / "ecu"
 WATCHDOG_TICKS = 6000
 """Both ends share a machine with everything else that runs: twice the patience that a bench needs."""
-PATIENCE_S = 10.0
+TIMEOUT_S = 10.0
 """The same for an answer."""
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Werror")
 
@@ -75,7 +75,7 @@ def running(program: Program, folder: Path, protocol: Literal["udp", "tcp"] = "t
     """The ECU as a process, listening at the loopback address."""
     port, lamp = free_port(), folder / "lamp"
     process = subprocess.Popen([str(program.path), protocol, str(port), str(lamp)])
-    options = XcpOptions(port=port, protocol=protocol, address=program.address, timeout_s=PATIENCE_S)
+    options = XcpOptions(port=port, protocol=protocol, address=program.address, timeout_s=TIMEOUT_S)
     try:
         wait_until(lambda: process.poll() is not None or (lamp.exists() and lamp.read_text() == "0"))
         assert process.poll() is None

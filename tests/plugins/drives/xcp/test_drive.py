@@ -92,13 +92,13 @@ def test_an_ecu_that_is_driven_already_is_refused(ecu: Ecu) -> None:
 
 
 def test_what_does_not_stand_in_the_ecu_after_writing_is_a_fault(ecu: Ecu, monkeypatch: pytest.MonkeyPatch) -> None:
-    told = Link.write
+    write = Link.write
 
     def spoilt(self: Link, offset: int, data: bytes) -> None:
         changed = np.frombuffer(data, self.layout.program).copy() if offset == self.layout.program_at else None
         if changed is not None:
             changed["limit_current_a"] += 1.0
-        told(self, offset, data if changed is None else changed.tobytes())
+        write(self, offset, data if changed is None else changed.tobytes())
 
     monkeypatch.setattr(Link, "write", spoilt)
     drive = drive_for(ecu)

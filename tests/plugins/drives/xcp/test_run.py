@@ -49,16 +49,16 @@ def test_a_host_that_is_killed_leaves_the_gates_off_and_the_run_goes_on_later(tm
         process.communicate()
         wait_until(lambda: not ecu.gates_are_on, 1.2)
         resumed = start_fluxbench("resume", tmp_path / "run", *SAFE)
-        _, told = resumed.communicate()
-        assert resumed.returncode == 0, told
+        _, errors = resumed.communicate()
+        assert resumed.returncode == 0, errors
 
 
 def test_the_routine_is_written_and_a_config_that_was_filled_in_stays(tmp_path: Path) -> None:
     assert called("xcp", tmp_path / "ecu").returncode == 0
     config = tmp_path / "ecu" / "fluxbench_config.h"
     config.write_text("mine")
-    told = called("xcp", tmp_path / "ecu")
-    assert [Path(line).name for line in told.stdout.split()] == ["fluxbench_xcp.h", "fluxbench_xcp.c"]
+    done = called("xcp", tmp_path / "ecu")
+    assert [Path(line).name for line in done.stdout.split()] == ["fluxbench_xcp.h", "fluxbench_xcp.c"]
     assert config.read_text() == "mine"
     (tmp_path / "file").touch()
     assert called("xcp", tmp_path / "file").returncode == 2

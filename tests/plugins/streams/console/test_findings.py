@@ -37,7 +37,7 @@ from protocols import (
 from tests.plugins.streams.example_run import a_map, a_report
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis, some_steps
 
-SAID = Remark(code="said", values={"apart_percent": 1.5}, text="they differ by 1.5 %")
+REMARK = Remark(code="apart", values={"apart_percent": 1.5}, text="they differ by 1.5 %")
 COMPARED = Compared(report=a_comparison())
 DIAGNOSED = Diagnosed(round=0, report=a_diagnosis(), words=WORDS)
 PROPOSED = ExperimentProposed(
@@ -59,7 +59,7 @@ class Output(io.StringIO):
         return self.terminal
 
 
-def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], mode: str, columns: int = 120) -> str:
+def printed(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], mode: str, columns: int = 120) -> str:
     output = Output()
     output.terminal = mode == "live"
     monkeypatch.setattr(sys, "stdout", output)
@@ -73,7 +73,7 @@ def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], mo
 
 
 def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert told(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
+    assert printed(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
         "comparison: the saturated model has chi2 54890, worst in resistance-022 with 1.48 V rms "
         "where noise makes 3.45 mV",
         "the model alone           chi2    5489    300 mV  held out   350 mV",
@@ -89,7 +89,7 @@ def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_terminal_sees_the_error_fall_in_colour(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    text = told(monkeypatch, tmp_path, MESSAGES, "live")
+    text = printed(monkeypatch, tmp_path, MESSAGES, "live")
     assert "\x1b[31m━" in text  # red far above the noise
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
     before, after = (next(line for line in plain.splitlines() if name in line) for name in ("alone", "+ dead time"))
@@ -103,20 +103,20 @@ def test_a_terminal_sees_the_error_fall_in_colour(monkeypatch: pytest.MonkeyPatc
 def test_a_narrow_terminal_cuts_the_ladder_instead_of_folding_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    text = told(monkeypatch, tmp_path, list(some_steps()), "live", columns=60)
+    text = printed(monkeypatch, tmp_path, list(some_steps()), "live", columns=60)
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
     assert sum("chi2" in line for line in plain.splitlines()) == 2
 
 
 def test_quiet_leaves_a_diagnosis_to_the_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert told(monkeypatch, tmp_path, MESSAGES, "quiet") == ""
+    assert printed(monkeypatch, tmp_path, MESSAGES, "quiet") == ""
 
 
 def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     found = a_map("energy")
     points = FluxPoints(i_dq=found.psi_d[:2, :2], psi_dq=found.psi_d[:2, :2], segment=("a", "b"))
-    estimated = MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=MapChecks(), remarks=[SAID]))
-    lines = told(monkeypatch, tmp_path, [*MESSAGES, estimated], "jsonl").splitlines()
+    estimated = MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=MapChecks(), remarks=[REMARK]))
+    lines = printed(monkeypatch, tmp_path, [*MESSAGES, estimated], "jsonl").splitlines()
     objects = [json.loads(line) for line in lines]
     assert [o["kind"] for o in objects] == [m.kind for m in [*MESSAGES, estimated]]
     assert max(map(len, lines)) < 6000
@@ -133,7 +133,7 @@ def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytes
     assert step["resistance"] == {}
     assert objects[-1]["estimate"]["map"] == {"method": "energy", "basis": "energy"}
     assert objects[-1]["estimate"]["points"] == {}
-    assert objects[-1]["estimate"]["remarks"] == [SAID.model_dump()]
+    assert objects[-1]["estimate"]["remarks"] == [REMARK.model_dump()]
     assert objects[-3]["words"] == WORDS.model_dump()
 
 
@@ -144,7 +144,7 @@ def test_json_lines_leave_out_what_an_estimator_keeps_for_itself(
     loss = PhaseLoss(np.arange(3.0), np.arange(3.0))
     points = FluxPoints(i_dq=found.psi_d[:2, :2], psi_dq=found.psi_d[:2, :2], segment=("a", "b"))
     swept = SweptFlux(map=found, points=points, checks=MapChecks(), paths=(), loss=loss)
-    (line,) = told(monkeypatch, tmp_path, [MapEstimated(estimate=swept)], "jsonl").splitlines()
+    (line,) = printed(monkeypatch, tmp_path, [MapEstimated(estimate=swept)], "jsonl").splitlines()
     assert json.loads(line)["estimate"]["map"] == {"method": "energy", "basis": "energy"}
     assert "loss" not in json.loads(line)["estimate"]
 
@@ -157,11 +157,11 @@ def test_a_report_that_says_little_is_told_all_the_same(monkeypatch: pytest.Monk
     bare = a_comparison().model_copy(update={"chi2": None, "worst": (), "noise_floor": NoiseFloor(rms_v=None)})
     silent = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, ""))
     empty: list[Message] = [Compared(report=bare), Diagnosed(round=2, report=a_diagnosis(), words=silent)]
-    assert told(monkeypatch, tmp_path, empty, "plain").splitlines() == [
+    assert printed(monkeypatch, tmp_path, empty, "plain").splitlines() == [
         "comparison: the saturated model has chi2 – where noise makes –",
         "diagnosis: explained, after experiment 2",
     ]
-    assert told(monkeypatch, tmp_path, empty, "live")
+    assert printed(monkeypatch, tmp_path, empty, "live")
 
 
 def test_a_bar_is_as_long_as_the_error_has_decades_above_the_noise() -> None:

@@ -1,4 +1,4 @@
-"""A diagnosis as a recording with dead time has it, made of formulas: for the tests of what is drawn and said of it."""
+"""A diagnosis as a recording with dead time has it, made of formulas, for the tests of pictures and texts."""
 
 from __future__ import annotations
 

@@ -155,7 +155,7 @@ def test_numbers_that_are_missing_are_said_to_be() -> None:
     rungs = [{"added": None, "chi2": None, "rms_v": None, "heldout_rms_v": None, "current_rms_a": None}]
     found = saved(ladder=rungs, unexplained={"fraction": None, "shape": []}, joint=[])
     assert findings.ladder_rows(found)[0] == ("the model alone", *["–"] * 4)
-    assert findings.leftover_told(found) == ""
+    assert findings.leftover_text(found) == ""
 
 
 def test_an_inverter_s_residual_falls_on_one_curve_once_the_zero_sequence_is_back() -> None:

@@ -32,7 +32,7 @@ def report() -> FleetReport:
 def test_the_page_shows_outliers_limits_distributions_and_pictures(report: FleetReport) -> None:
     page = render(report, most_pictures=1)
     assert report.judgement is not None
-    for told in (
+    for text in (
         "<h1>line 3</h1>",
         "60 recordings of 60 motors from 2026-03-02 08:00 to 2026-03-04 19:00 UTC",
         f"{report.judgement.passed} of 60 pass",
@@ -40,7 +40,7 @@ def test_the_page_shows_outliers_limits_distributions_and_pictures(report: Fleet
         "Cpk",
         "R_s at 20 °C",
     ):
-        assert told in page, told
+        assert text in page, text
     assert page.count("<img src=") == 2  # distances, and the one quantity
     assert "<script" not in page
 
@@ -72,9 +72,9 @@ def test_the_command_writes_both_into_the_tables_folder_and_says_what_it_found(t
     assert done.returncode == 0, done.stderr
     assert "0 of 12 pass; 12 fail" in done.stdout
     assert done.stdout.splitlines()[-2:] == [f"{tmp_path}/fleet-report.html", f"{tmp_path}/fleet-report.json"]
-    told = json.loads((tmp_path / "fleet-report.json").read_text())
-    assert told["pairs"]["count"] == 12
-    assert told["pairs"]["changes"] == []
+    document = json.loads((tmp_path / "fleet-report.json").read_text())
+    assert document["pairs"]["count"] == 12
+    assert document["pairs"]["changes"] == []
 
 
 @pytest.mark.slow
@@ -97,9 +97,9 @@ def test_the_viewers_file_has_the_tables_and_each_course(report: FleetReport, tm
     found = entities(file)
     charts = [one for one in report.quantities if one.chart is not None and one.of_motor]
     assert [found[f"/course/{k}"] for k in range(len(charts))] == [60] * len(charts)
-    (told,) = [row for row in rows(file, "/fleet/told") if row.get("TextDocument:text")]
-    assert report.remarks[0].text in told["TextDocument:text"][0]
-    assert "/fleet/outliers" in found
+    (remarks,) = [row for row in rows(file, "/fleet/remarks") if row.get("TextDocument:text")]
+    assert report.remarks[0].text in remarks["TextDocument:text"][0]
+    assert "/fleet/unlike_the_others" in found
 
 
 def test_a_folder_that_is_not_there_is_made_and_one_that_cannot_be_is_said(report: FleetReport, tmp_path: Path) -> None:
@@ -113,14 +113,14 @@ def test_a_folder_that_is_not_there_is_made_and_one_that_cannot_be_is_said(repor
 def test_what_is_wrong_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
     table = written(Fleet(12).rows(), tmp_path / "fleet.parquet")
     unknown = limits_file(tmp_path, "R_x_ohm: {low: 9}")
-    for words, told in (
+    for words, message in (
         ((tmp_path / "none",), "no such table"),
         ((table, "--limits", unknown), f"{unknown}: quantities.R_x_ohm: unknown quantity; did you mean 'R_s_ohm'?"),
         ((table, "--against", "pairs"), "no serial number is measured twice"),
     ):
         done = called("fleet", "report", *words)
         assert done.returncode == 2
-        assert told in done.stderr
+        assert message in done.stderr
         assert done.stderr.count("\n") == 1
 
 

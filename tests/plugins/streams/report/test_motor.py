@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.runs import RunDirectory
 from plugins.streams.report._collect import Material, Paths, collect
-from plugins.streams.report._motor_content import COPPER_PER_K, motor_lines
+from plugins.streams.report._motor_content import COPPER_COEFFICIENT_PER_K, motor_lines
 from plugins.streams.report._page import render
 from protocols import About, Remark
 from tests.plugins.streams.example_run import a_run_directory
@@ -47,8 +47,8 @@ def test_torque_is_the_map_s_at_the_best_angle_of_the_rated_current(material: Ma
     motor = manifest.motor
     assert motor.rated_current_a
     assert motor.pm_flux_wb
-    said = lines(material)["Torque at rated current"]
-    found = float(said.split(" Nm")[0])
+    torque = lines(material)["Torque at rated current"]
+    found = float(torque.split(" Nm")[0])
     # Magnet alone, all of the current on q: reluctance adds a little to that, or nothing.
     magnet = 1.5 * motor.pole_pairs * motor.pm_flux_wb * motor.rated_current_a
     assert 0.95 * magnet < found < 1.3 * magnet
@@ -62,7 +62,7 @@ def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Ma
     warm = Material(**{**vars(material), "record": record.model_copy(update={"procedure": procedure})})
     assert material.estimates is not None
     assert material.estimates.resistance is not None
-    cold = material.estimates.resistance.first_ohm / (1.0 + 25.0 * COPPER_PER_K)
+    cold = material.estimates.resistance.first_ohm / (1.0 + 25.0 * COPPER_COEFFICIENT_PER_K)
     assert lines(warm)["R_s at 20 °C"].startswith(f"{cold:.4g} Ω")
 
 
@@ -76,10 +76,10 @@ def test_a_recorded_temperature_is_drawn_over_time(material: Material) -> None:
 def test_a_rotor_that_turned_says_its_magnet(material: Material) -> None:
     assert material.estimates is not None
     assert "a locked rotor does not show it" in lines(material)["ψ of the magnet"]
-    said = Remark.of("spin.magnet_flux", "psi_M = {flux_wb} Wb (+-{std_wb})", flux_wb=0.2876, std_wb=0.0001)
-    turned = material.estimates.model_copy(update={"remarks": (*material.estimates.remarks, said)})
-    told = lines(Material(**{**vars(material), "estimates": turned}))["ψ of the magnet"]
-    assert told.startswith("287.6 mWb ± 196 µWb (95 %), by the back-EMF; nameplate 300 mWb")
+    remark = Remark.of("spin.magnet_flux", "psi_M = {flux_wb} Wb (+-{std_wb})", flux_wb=0.2876, std_wb=0.0001)
+    turned = material.estimates.model_copy(update={"remarks": (*material.estimates.remarks, remark)})
+    line = lines(Material(**{**vars(material), "estimates": turned}))["ψ of the magnet"]
+    assert line.startswith("287.6 mWb ± 196 µWb (95 %), by the back-EMF; nameplate 300 mWb")
 
 
 @pytest.mark.slow

@@ -23,16 +23,16 @@ def an_estimate(**change: object) -> EstimationReport:
 
 
 @pytest.mark.parametrize(
-    ("estimates", "told"),
+    ("estimates", "text"),
     [
         (None, "none yet: fluxbench estimate run"),
         (an_estimate(), "use results/flux_map.nc; fluxbench export run"),
         (an_estimate(usable=False, reasons=["the rotor turned"]), "do not rely on it: the rotor turned."),
     ],
 )
-def test_the_first_line_is_about_the_map(estimates: EstimationReport | None, told: str) -> None:
+def test_the_first_line_is_about_the_map(estimates: EstimationReport | None, text: str) -> None:
     about_map, about_model = next_steps(Material(Path("run"), None, None, (), estimates, {}, Paths(), None, ()))
-    assert about_map.text.startswith(told)
+    assert about_map.text.startswith(text)
     assert about_model.text.startswith("not diagnosed: fluxbench diagnose run")
 
 

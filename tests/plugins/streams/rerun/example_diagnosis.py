@@ -40,7 +40,7 @@ def a_diagnosis(pictures: bool = True) -> list[Message]:
 WORDS = DiagnosisWords(
     where_it_fails="At every operating point, most near zero current: 1.9 V rms against 4 mV of noise.",
     what_it_looks_like="Odd in the phase currents, as an inverter's errors are.",
-    likely_cause="Dead time, 8.0 V (95 %: 7.9 to 8.1 V); device drop cannot be told from it here.",
+    likely_cause="Dead time, 8.0 V (95 %: 7.9 to 8.1 V); device drop is indistinguishable from it here.",
     if_added="The held-out error falls from 1.9 V to 4.2 mV; the noise floor is 4 mV.",
     to_decide="Hold direct currents at two PWM frequencies: 0.4 min.",
 )

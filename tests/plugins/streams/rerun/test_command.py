@@ -64,32 +64,32 @@ def test_a_recording_that_no_run_made_is_replayed_too() -> None:
 def test_a_view_is_made_where_there_is_none_and_made_anew_where_it_is_torn(tmp_path: Path, example: Path) -> None:
     run = copied(example, tmp_path / "run")
     before = {p.name for p in run.iterdir()}
-    told: list[str] = []
-    found = whole_view(run, told.append)
+    messages: list[str] = []
+    found = whole_view(run, messages.append)
     assert found.file == run / "view.rrd"
     assert is_whole(found.file)
     assert {p.name for p in run.iterdir()} == before | {"view.rrd"}
-    assert "is missing" in told[-1]
+    assert "is missing" in messages[-1]
     whole = entities(found.file)
     with found.file.open("r+b") as torn:
         torn.truncate(found.file.stat().st_size // 2)
-    whole_view(run, told.append)
-    assert "is torn" in told[-1]
+    whole_view(run, messages.append)
+    assert "is torn" in messages[-1]
     assert entities(found.file) == whole
-    whole_view(run, told.append)
-    assert len(told) == 2
+    whole_view(run, messages.append)
+    assert len(messages) == 2
 
 
 @pytest.mark.slow
 def test_a_view_that_is_older_than_the_results_is_made_anew(tmp_path: Path, example: Path) -> None:
     run = copied(example, tmp_path / "run")
-    told: list[str] = []
-    file = whole_view(run, told.append).file
+    messages: list[str] = []
+    file = whole_view(run, messages.append).file
     os.utime(file, (file.stat().st_mtime - 3600.0,) * 2)
-    whole_view(run, told.append)
-    assert "is older than the run's results" in told[-1]
-    whole_view(run, told.append)
-    assert len(told) == 2
+    whole_view(run, messages.append)
+    assert "is older than the run's results" in messages[-1]
+    whole_view(run, messages.append)
+    assert len(messages) == 2
 
 
 @pytest.mark.slow

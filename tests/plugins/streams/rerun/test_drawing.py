@@ -1,4 +1,4 @@
-"""Thinning keeps peaks, colours can be told apart, axes carry round numbers, the clock follows the drive's."""
+"""Thinning keeps peaks, colours differ, axes carry round numbers, the clock follows the drive's."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ def address(tmp_path: Path) -> Iterator[str]:
         yield address
 
 
-def asked(address: str, path: str | None = None, host: str | None = None) -> tuple[int, bytes, str | None]:
+def fetch(address: str, path: str | None = None, host: str | None = None) -> tuple[int, bytes, str | None]:
     """Status, content, and who is let read it."""
     place = urlsplit(address)
     with closing(http.client.HTTPConnection("127.0.0.1", place.port or 0, timeout=10)) as line:
@@ -33,20 +33,20 @@ def asked(address: str, path: str | None = None, host: str | None = None) -> tup
 
 
 def test_with_its_token_the_page_gets_the_file_and_is_let_read_it(address: str) -> None:
-    assert asked(address) == (200, b"RRF2 and so on", ORIGIN)
+    assert fetch(address) == (200, b"RRF2 and so on", ORIGIN)
     assert urlsplit(address).path.endswith("/view.rrd")
 
 
 @pytest.mark.parametrize("path", ["/view.rrd", "/wrong/view.rrd", "//view.rrd", "/", "/wrong/../view.rrd"])
 def test_without_it_nobody_gets_anything(path: str, address: str) -> None:
-    status, content, reader = asked(address, path)
+    status, content, reader = fetch(address, path)
     assert status in (403, 404)
     assert b"RRF2" not in content
     assert reader is None
 
 
 def test_under_a_foreign_name_nobody_gets_anything(address: str) -> None:
-    assert asked(address, host="bench.example.org")[0] == 403
+    assert fetch(address, host="bench.example.org")[0] == 403
 
 
 def test_each_time_there_is_another_token(address: str, tmp_path: Path) -> None:
@@ -58,6 +58,6 @@ def test_each_time_there_is_another_token(address: str, tmp_path: Path) -> None:
 def test_when_it_was_seen_nobody_listens_any_more(tmp_path: Path) -> None:
     (tmp_path / "view.rrd").write_bytes(b"RRF2")
     with handed_out(tmp_path / "view.rrd", ORIGIN) as address:
-        assert asked(address)[0] == 200
+        assert fetch(address)[0] == 200
     with pytest.raises(ConnectionRefusedError):
-        asked(address)
+        fetch(address)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plugins.wire import (
-    RIPPLE,
+    RIPPLE_FLAG,
     VECTORS,
     AckStatus,
     CaptureFormat,
@@ -74,7 +74,7 @@ def test_rows_are_the_least_squares_of_the_samples(
     i, v = (np.column_stack((x.real, x.imag)) for x in (i_dq, v_dq))
     expected = demodulate(i, v, base, grid)
     rows = int(own["ripple_rows"])
-    data = host.upload(ack.value + RIPPLE, rows * grid.row_bytes)
+    data = host.upload(ack.value + RIPPLE_FLAG, rows * grid.row_bytes)
     found = np.frombuffer(data, dtype="<i2").reshape(-1, grid.columns)
     assert len(found) == len(expected) > 10
     assert np.abs(found - expected.counts(scales).astype(int)).max() <= MOST_COUNTS

@@ -74,12 +74,12 @@ def test_either_end_lost_leaves_it_safe_and_the_run_goes_on_later(board: Board, 
         board.send(signal.SIGSTOP)
         time.sleep(2.5)
         board.send(signal.SIGCONT)
-        _, told = process.communicate()
-        assert process.returncode == 3, told
+        _, errors = process.communicate()
+        assert process.returncode == 3, errors
     assert "faulted" in probed(board)
     resumed = start_fluxbench("resume", tmp_path / "run", *SAFE)
-    _, told = resumed.communicate()
-    assert resumed.returncode == 0, told
+    _, errors = resumed.communicate()
+    assert resumed.returncode == 0, errors
 
 
 def probed(board: Board) -> str:

@@ -41,8 +41,8 @@ def injected(
     return segment, capture
 
 
-def measured(seconds: float, **asked: float) -> VirtualMeasurement:
-    return virtual_measurement(*injected(seconds, **asked), angle_rad=0.0)
+def measured(seconds: float, **settings: float) -> VirtualMeasurement:
+    return virtual_measurement(*injected(seconds, **settings), angle_rad=0.0)
 
 
 def worst(found: Array) -> float:

@@ -19,7 +19,7 @@ from protocols import (
 )
 
 
-class Agenda:
+class PointQueue:
     """The stages of one run, in order, and how far it is with them.
 
     Attributes
@@ -61,7 +61,7 @@ class Agenda:
         """Planned time of what is not done yet, on the drive's clock."""
         return max(0.0, self._left_s)
 
-    def tick_off(self, point: PlannedPoint, segment: Segment) -> None:
+    def mark_done(self, point: PlannedPoint, segment: Segment) -> None:
         """A point of the plan is done."""
         self.done[point.id] = segment
         self._left_s -= point.seconds
@@ -74,14 +74,12 @@ class Agenda:
         """The point as a stage wants it run; `InputError` where that is more than plan, limits or drive allow."""
         if excitation == point.excitation:
             return point
-        asked = point.run_as(excitation)
-        if excitation.kind != point.excitation.kind or asked.seconds > point.seconds * (1.0 + 1e-9):
+        changed = point.run_as(excitation)
+        if excitation.kind != point.excitation.kind or changed.seconds > point.seconds * (1.0 + 1e-9):
             stage = self.stages[point.stage_index].name
-            raise PluginError(
-                "stages", stage, f"{point.id} is asked for as another kind of excitation, or a longer one"
-            )
-        check_point(self.plan, asked, self._capabilities)
-        return asked
+            raise PluginError("stages", stage, f"{point.id} is run as another kind of excitation, or a longer one")
+        check_point(self.plan, changed, self._capabilities)
+        return changed
 
     def suffice(self, index: int) -> StageSufficed:
         """What a stage has measured is enough."""
@@ -94,11 +92,11 @@ class Agenda:
 
     def factor(self, index: int) -> float | None:
         """By how much the injection of a stage is weaker than planned; None where nothing of it is measured yet."""
-        found = (factor_of(point, self.done[point.id]) for point in self.plan.points_of(index) if point.id in self.done)
-        return next((factor for factor in found if factor is not None), None)
+        every = (factor_of(point, self.done[point.id]) for point in self.plan.points_of(index) if point.id in self.done)
+        return next((factor for factor in every if factor is not None), None)
 
     def passed(self, index: int) -> bool:
-        """Whether the run was beyond this stage in an earlier life: what it asked or found is in the journal."""
+        """Whether the run passed this stage before it was resumed: its questions and results are in the journal."""
         return index < self._resumed_at or any(
             point.id in self.done for point in self.plan.points if point.stage_index > index
         )
