@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.selection import sufficiency
-from orchestrator.plausibility import DOUBTED, MOTOR_RANGES, REFUSED
+from orchestrator.plausibility import MOTOR_RANGES, PLAUSIBLE_BOUNDS, POSSIBLE_BOUNDS
 from orchestrator.registry import PluginKind, installed
 from orchestrator.time_constants import LINE_ERROR
 from plugins.stages.lock_check import LockCheckStage
@@ -24,11 +24,11 @@ EXPECTED = {
     "confidence of a lock": [LockCheckStage.least_confidence],
     "L / R": [round(0.5 / (3.0 * LINE_ERROR) ** 0.5, 1)],
     "R_s, half of its 95 % interval": [MapCriteria().resistance_percent],
-    "measured bus, of the nominal one": [*DOUBTED.bus],
+    "measured bus, of the nominal one": [*PLAUSIBLE_BOUNDS.bus],
     "largest current": [100 * sufficiency.LEAST_CURRENT, sufficiency.LEAST_CURRENT_SIGMAS],
     "noise, as a voltage, of the excitation": [100 * CRITERIA.verdict.noise_of_excitation],
     "error of the simulated current, of its range": [100 * CRITERIA.verdict.current_error],
-    "currents of a log, of the rated one": [*DOUBTED.rated_currents],
+    "currents of a log, of the rated one": [*PLAUSIBLE_BOUNDS.rated_currents],
     "operating points for any cause": [
         sufficiency.LEAST_OPERATING_POINTS,
         sufficiency.LEAST_OPERATING_POINTS // sufficiency.OPERATING_POINTS_PER_SWEEP,
@@ -65,7 +65,7 @@ def test_the_ranges_of_a_nameplate_are_the_code_s() -> None:
             number, prefix = re.fullmatch(r"([\d.]+)(?: ([µnmk]?)(?:A|V|Ω|H|Wb))?", cell).groups()  # type: ignore[union-attr]
             stated.append(float(number) * units[prefix or ""])
         assert stated == pytest.approx(MOTOR_RANGES[field]), row
-    assert f"above {REFUSED.rated_currents[1]:g} nothing is computed" in PAGE
+    assert f"above {POSSIBLE_BOUNDS.rated_currents[1]:g} nothing is computed" in PAGE
 
 
 def test_every_drive_is_on_the_page() -> None:

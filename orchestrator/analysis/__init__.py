@@ -26,6 +26,7 @@ from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import Ripple, axes_apart_rad, demodulate, injection_frequency, one_way_rad
 from orchestrator.analysis._ripple_regression import ONE_AXIS
 from orchestrator.analysis._rotor_lock import judge_lock
+from orchestrator.analysis._row_decay import decay_weight, exact_inductance
 from orchestrator.analysis._spin import (
     SpinFit,
     SpunPoints,
@@ -84,11 +85,13 @@ __all__ = [
     "check_map",
     "close_loops",
     "crossings_of",
+    "decay_weight",
     "demodulate",
     "difference_percent",
     "dwell",
     "each_capture",
     "evaluate_sweep",
+    "exact_inductance",
     "find_dwells",
     "fit_energy",
     "fit_polynomial",

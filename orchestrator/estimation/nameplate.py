@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from orchestrator.estimation.usability import unmet
-from protocols import EstimationReport, FluxMap, Motor, Remark
+from protocols import CheckOutcome, EstimationReport, FluxMap, MapCriteria, Motor, Remark, UsabilityCheck
 
 
 def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor) -> EstimationReport:
@@ -23,9 +22,32 @@ def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], moto
     far = [name for name in told if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
     remarks = [_remark(name, *pairs[name], questioned=name in far) for name in told]
     signs = {ratios[name] > 1.0 for name in far}
+    report = report.model_copy(update={"remarks": (*report.remarks, *remarks)})
     if len(far) == len(ratios) >= 2 and "R_s" in far and len(signs) == 1:
-        return report.checked(unmet("nameplate", remarks))
-    return report.model_copy(update={"remarks": (*report.remarks, *remarks)})
+        return report.checked([_scale_check(ratios, pairs["R_s"], criteria)])
+    return report
+
+
+def _scale_check(ratios: Mapping[str, float], ohms: tuple[float, float], criteria: MapCriteria) -> UsabilityCheck:
+    """The failed check of a scale that a wrong nameplate and wrongly scaled readings make alike."""
+    text = (
+        "{names} are all about {ratio:.3g} times the nameplate's: either the nameplate is wrong, or the currents or "
+        "voltages are scaled. The recording alone cannot decide. Measure between two terminals: {found_ohm:.3g} ohm if "
+        "the readings are right, {stated_ohm:.3g} ohm if the nameplate is; then correct the nameplate or the scale"
+    )
+    names = ", ".join(ratios)
+    ratio = math.exp(sum(map(math.log, ratios.values())) / len(ratios))
+    found_ohm, stated_ohm = (2.0 * ohm for ohm in ohms)
+    figures = {"ratio": ratio, "found_ohm": found_ohm, "stated_ohm": stated_ohm}
+    return UsabilityCheck(
+        name="nameplate",
+        outcome=CheckOutcome.FAILED,
+        required=True,
+        value=max(ratio, 1.0 / ratio),
+        limit=criteria.nameplate_factor,
+        unit="1",
+        remark=Remark.of("nameplate_or_readings", text, names=names, **figures),
+    )
 
 
 def _remark(name: str, found: float, stated: float, *, questioned: bool) -> Remark:
@@ -51,9 +73,12 @@ def _pairs(
 
 
 def _unsaturated(found: FluxMap) -> tuple[float, float]:
+    """L_dd and L_qq where the least current flows; nil where it is not known to a half."""
     there = np.isfinite(found.l_dd) & np.isfinite(found.l_qq)
     if not there.any():
         return 0.0, 0.0
     size = np.hypot(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
     nearest = np.unravel_index(int(np.argmin(np.where(there, size, np.inf))), size.shape)
-    return float(found.l_dd[nearest]), float(found.l_qq[nearest])
+    pairs = (found.l_dd[nearest], found.l_dd_std[nearest]), (found.l_qq[nearest], found.l_qq_std[nearest])
+    l_d, l_q = (float(value) if not 1.96 * std > 0.5 * value else 0.0 for value, std in pairs)
+    return l_d, l_q

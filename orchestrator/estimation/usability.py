@@ -184,9 +184,17 @@ def _methods(evidence: MapEvidence) -> UsabilityCheck:
         differ = value > criteria.accuracy_percent or ratio is not None
         if ratio is not None:
             text += ", by {ratio_percent:.1f} % throughout, more than their errors explain"
-        if differ:
-            text += ": one of them is wrong, or they see different inductances; a diagnosis can tell"
         values = {"apart_percent": value, "ratio_percent": None if ratio is None else 100.0 * abs(ratio[0] - 1.0)}
+        bands = _bands_percent(evidence)
+        if differ and ratio is None and bands is not None and value <= sum(bands):
+            # Neither is wrong by more than it says, and neither confirms the other to what is promised.
+            text += (
+                ", within their own 95 % bands of {classical_percent:.2g} and {injection_percent:.2g} %: the one with "
+                "the wider band confirms nothing"
+            )
+            values |= {"injection_percent": bands[0], "classical_percent": bands[1]}
+        elif differ:
+            text += ": one of them is wrong, or they see different inductances; a diagnosis can tell"
         remark = Remark.of("methods_differ" if differ else "methods", text, **values)
         return _within("methods", value, criteria.accuracy_percent, remark, failed=differ)
     frequencies = _frequency_difference_percent(evidence)
@@ -222,15 +230,21 @@ def _energy(evidence: MapEvidence) -> UsabilityCheck:
 
 def flux_band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriteria) -> UsabilityCheck:
     """The 95 % band of the flux, rms over the map."""
-    variance = flux_map.psi_d_std**2 + flux_map.psi_q_std**2
-    if not reference_wb or not np.isfinite(variance).any():
+    value = _band_percent(flux_map, reference_wb)
+    if value is None:
         return _missing("flux_band", "the flux has no standard deviation", required=True)
-    # A map's error is told per axis.
-    value = 100.0 * 1.96 * math.sqrt(0.5 * float(np.nanmean(variance))) / reference_wb
     text = "the flux is known to +-{half_percent:.2g} % of the rated flux (95 %, rms over the map)"
     wide = value > criteria.accuracy_percent
     remark = Remark.of("uncertain_map" if wide else "flux_band", text, half_percent=value)
     return _within("flux_band", value, criteria.accuracy_percent, remark)
+
+
+def _band_percent(flux_map: FluxMap, reference_wb: float | None) -> float | None:
+    """Half width of the 95 % band of one axis' flux, rms over the map; None where it is not known."""
+    variance = flux_map.psi_d_std**2 + flux_map.psi_q_std**2
+    if not reference_wb or not np.isfinite(variance).any():
+        return None
+    return 100.0 * 1.96 * math.sqrt(0.5 * float(np.nanmean(variance))) / reference_wb
 
 
 def convex(flux_map: FluxMap) -> UsabilityCheck:
@@ -300,6 +314,14 @@ def _resistance_nameplate(resistance: ResistanceEstimate, motor: Motor, criteria
     )
     check = _within("resistance_nameplate", factor, criteria.resistance_factor, remark)
     return check.model_copy(update={"unit": "1"})
+
+
+def _bands_percent(evidence: MapEvidence) -> tuple[float, float] | None:
+    """Half widths of the bands of injection's and integration's flux vector; None where one is not known."""
+    reference = _reference_wb(evidence.maps, evidence.motor)
+    bands = [_band_percent(one, reference) for one in evidence.pair or ()]
+    known = [math.sqrt(2.0) * band for band in bands if band is not None]
+    return (known[0], known[1]) if len(known) == 2 else None
 
 
 def _frequency_difference_percent(evidence: MapEvidence) -> float | None:

@@ -64,6 +64,11 @@ class VoltageFit:
         Of bias (2, where estimated), V_f, and the step's two parameters: the readings' common error.
     biased : bool
         Whether the bias was estimated.
+    unlike_step_v : float
+        rms of the held voltages beside the best step, where that is too much for an inverter of this shape: nothing
+        is then taken off (`error_v` is empty). Zero where the step fits.
+    with_step_ohm : float
+        R_s with the best step taken off, where that does not fit: the truth may be anywhere between.
     """
 
     resistance_ohm: float
@@ -77,6 +82,8 @@ class VoltageFit:
     noise_v: float
     loss_covariance: Array
     biased: bool
+    unlike_step_v: float = 0.0
+    with_step_ohm: float = 0.0
 
     def resistive(self, i_ab: Array, v_ab: Array, pwm_hz: float) -> Array:
         """Voltage without the inverter's share, shape (n, 2)."""
@@ -151,6 +158,19 @@ class _Held:
             return 1.0, 0.0
         return min(((self._best_threshold(largest, k), k) for k in abruptness), key=self.left)
 
+    def beside_step_v(self, shape: tuple[float, float]) -> float:
+        """rms of what no step, no drift and no matrix between voltage and current explains [V].
+
+        Unequal sensors make such a matrix, and it says nothing against a step.
+        """
+        alpha, beta = self.i_ab.T
+        matrix = [np.stack(pair, axis=1).ravel() for pair in ((alpha, -beta), (beta, alpha), (-beta, alpha))]
+        design = np.column_stack([self.design(shape), *matrix])
+        size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+        answer, _, rank, _ = np.linalg.lstsq(design / size, self.target, rcond=1e-9)
+        off = self.target - (design / size) @ answer
+        return math.sqrt(float(off @ off) / max(len(off) - int(rank), 1))
+
     def _best_threshold(self, largest: float, abruptness: float) -> float:
         from scipy.optimize import minimize_scalar
 
@@ -174,8 +194,11 @@ def fit_voltage(
     pwm_hz: Array,
     heat: Array | None = None,
     *,
+    own_std_v: float = 0.0,
     strong_current_ratio: float = 0.2,
     long_gap: float = 8.0,
+    unlike_share: float = 0.01,
+    unlike_stds: float = 4.0,
     abruptness: Sequence[float] = (-1.0, -0.5, 0.0, 0.4, 0.7, 1.0, 1.4),
 ) -> VoltageFit:
     """Regress held voltages on held currents.
@@ -186,10 +209,15 @@ def fit_voltage(
     time_s, pwm_hz : array, shape (n,)
     heat : array, shape (n,), optional
         What the currents had brought the winding by then, in any unit: R_s may rise with it.
+    own_std_v : float
+        Standard deviation of a held voltage by its own noise [V].
     strong_current_ratio : float
         Of the largest current: what is held at less says little of R_s.
     long_gap : float
         Times the usual time between two holds: the winding cools in a longer one, and R_s may jump.
+    unlike_share, unlike_stds : float
+        Of the largest resistive voltage, and of a held voltage's own noise: an inverter's step does not fit where more
+        than both is left beside it.
     abruptness : sequence of float
         Shapes of the inverter's step that are tried; denser than what noise tells apart.
 
@@ -218,7 +246,13 @@ def fit_voltage(
         walk=no_walk(v_ab.size),
     )
     shape = held.best_shape(largest, abruptness)
-    if drifts:
+    beside_v = held.beside_step_v(shape) if frequencies else 0.0
+    with_step_ohm = float(held.walk.solve(held.design(shape), held.target)[1][0])
+    unlike = beside_v > max(unlike_share * largest * abs(with_step_ohm), unlike_stds * own_std_v)
+    if unlike:
+        # A walk of R_s would take all of that up, and leave a narrow interval about a wrong R_s.
+        frequencies, held, shape = [], replace(held, on=[]), (1.0, 0.0)
+    elif drifts:
         held = replace(held, walk=random_walk(late, i_ab, strong).likeliest(held.design(shape), held.target))
         shape = held.best_shape(largest, abruptness)
         held = replace(held, walk=held.walk.likeliest(held.design(shape), held.target))
@@ -249,4 +283,6 @@ def fit_voltage(
         noise_v=float(np.sqrt(variance)),
         loss_covariance=covariance[losses, losses],
         biased=both_ways,
+        unlike_step_v=beside_v if unlike else 0.0,
+        with_step_ohm=with_step_ohm if unlike else 0.0,
     )

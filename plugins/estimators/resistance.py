@@ -103,7 +103,7 @@ class ResistanceEstimator:
             problem = "no segment of stage resistance or classical in which a current rests"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
         fit = self._fit(recording, used)
-        if not fit.error_v:
+        if not fit.error_v and not fit.unlike_step_v:
             used = sorted([*used, *self._means(recording)], key=lambda one: one[1].start_s)
             fit = self._fit(recording, used)
         strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > self.strong_current_ratio * largest]
@@ -113,6 +113,9 @@ class ResistanceEstimator:
         if not readings or not np.isfinite(fit.resistance_ohm):
             raise NotMeasuredError(recording.manifest.name, "segments", "what was held determines no resistance")
         value, low, high, beside = _with_known(known, fit, self._doubt(recording, fit, largest))
+        if fit.unlike_step_v:
+            aside = 2.0 * fit.unlike_step_v / largest
+            low, high = min(low, fit.with_step_ohm - aside), max(high, fit.with_step_ohm + aside)
         return ResistanceEstimate(
             value_ohm=value,
             low=low,
@@ -127,7 +130,7 @@ class ResistanceEstimator:
 
     def _doubt(self, recording: RecordingReader, fit: VoltageFit, largest_a: float) -> float:
         """By how much R_s may be less, where the inverter's share in it is not known [ohm]."""
-        if fit.error_v:
+        if fit.error_v or fit.unlike_step_v:
             return 0.0
         lost_v = self.max_loss_ratio * recording.manifest.drive.dc_bus_voltage_v + self.max_loss_v
         # A loss of one volt in each phase is a vector of at most 4/3 V along the current.
@@ -146,6 +149,7 @@ class ResistanceEstimator:
             np.array([d.start_s + 0.5 * d.seconds for _, d in used]),
             np.array([_pwm_hz(recording, s) for s, _ in used]),
             self._heat([d for _, d in used]),
+            own_std_v=float(np.sqrt(np.median([np.trace(d.v_covariance) / 2.0 for _, d in used]))),
             strong_current_ratio=self.strong_current_ratio,
         )
 
@@ -301,7 +305,14 @@ def _remarks(
     remarks = []
     if not held:
         remarks.append(Remark.of("no_holds", "no DC holds: R_s is from the rests of the classical sweeps"))
-    if not fit.error_v:
+    if fit.unlike_step_v:
+        text = (
+            "no dead time and no device drop explains the held voltages: {beside_v:.2g} V (rms) remain beside the best "
+            "step, as of a bridge that leaves out short pulses; nothing is taken off, and R_s may be as little as "
+            "{low_ohm:.3g} ohm; hold larger currents, or set a shorter minimum pulse"
+        )
+        remarks.append(Remark.of("unlike_inverter", text, beside_v=fit.unlike_step_v, low_ohm=low))
+    elif not fit.error_v:
         text = (
             "too few different currents to tell R_s from what the inverter keeps: without that it may be as little as "
             "{low_ohm:.3g} ohm; hold three currents of different size, or inject"

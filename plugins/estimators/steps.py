@@ -8,7 +8,7 @@ is sure.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,15 +16,19 @@ import numpy as np
 from orchestrator.analysis import (
     STEP_KNOTS,
     Beliefs,
+    FluxPath,
     StepsFit,
     StepTrace,
     check_map,
+    decay_weight,
     each_capture,
+    exact_inductance,
     fit_steps,
     reference_flux_wb,
     trace_steps,
 )
 from orchestrator.numerics.surface import inside_hull, require_area
+from orchestrator.numerics.types import Array
 from orchestrator.time_constants import recording_notes
 from plugins.estimators._energies import gridded, pm_flux
 from plugins.estimators._maps import SteppedFlux, voltage_delay
@@ -33,6 +37,7 @@ from protocols import (
     Capture,
     Estimate,
     EstimationContext,
+    FluxMap,
     FluxPoints,
     NotMeasuredError,
     RecordingReader,
@@ -56,6 +61,16 @@ class StepsEstimator:
         Passes over the captures until the fitted lag agrees with the assumed one.
     lag_tolerance_samples : float
         Difference of these lags that needs no further pass.
+    inductance_tolerance : float
+        Relative change of an inductance, by how the current decays between rows, that needs no further pass.
+    control_rows : float
+        Rows for each period of the carrier, from which on they are the control's own: the voltage is constant between
+        them. Slower rows are means, or leave out what was commanded in between.
+    decay_std_ratio : float
+        Of what the decay between the control's own rows changes in an inductance: iron saturates meanwhile.
+    mean_std_ratio : float
+        Of the same, where rows are slower than the control: means err in the other direction than instants, and what
+        was commanded within a row is not known (simulated: up to twice of it).
     min_remark_samples : float
         Lag from which on a remark reports it: iron's hysteresis opens a loop by less.
     min_interval_ratio : float
@@ -63,8 +78,12 @@ class StepsEstimator:
     """
 
     resistance_std_ratio: float = 0.01
-    max_passes: int = 3
+    max_passes: int = 4
     lag_tolerance_samples: float = 0.05
+    inductance_tolerance: float = 2e-4
+    control_rows: float = 0.9
+    decay_std_ratio: float = 0.1
+    mean_std_ratio: float = 2.0
     min_remark_samples: float = 0.3
     min_interval_ratio: float = 0.005
 
@@ -81,11 +100,14 @@ class StepsEstimator:
         if not segments:
             raise NotMeasuredError(where, "segments", "no segment of stage steps")
         beliefs = self._beliefs(ResistanceEstimator().estimate(recording, context))
-        traces, fit, late = self._fitted(recording, segments, beliefs)
+        rows = self._rows(recording)
+        traces, fit, late = self._fitted(recording, segments, beliefs, rows)
         current = np.concatenate([trace.i for trace in traces])
         if not inside_hull(current, np.zeros((1, 2)), where)[0]:
             raise NotMeasuredError(where, "segments", "zero current lies outside what the steps pass")
-        flux_map = gridded("steps", recording, fit.energy, current)
+        doubt_h = self._decay_doubt_h(fit, rows)
+        flux_map = _doubted(gridded("steps", recording, fit.energy, current), doubt_h)
+        fit = replace(fit, paths=tuple(_doubted_path(path, doubt_h) for path in fit.paths))
         rated = reference_flux_wb(flux_map, recording.manifest.motor)
         thin = slice(None, None, max(1, len(current) // 4000))
         names = [trace.where for trace in traces for _ in range(len(trace.i))]
@@ -112,10 +134,10 @@ class StepsEstimator:
         return Beliefs(known.value_ohm, std)
 
     def _fitted(
-        self, recording: RecordingReader, segments: Sequence[Segment], beliefs: Beliefs
+        self, recording: RecordingReader, segments: Sequence[Segment], beliefs: Beliefs, rows: _Rows
     ) -> tuple[list[StepTrace], StepsFit, float]:
         """Traces, what they say, and by how many samples the voltage acts later than the manifest says."""
-        declared, late = voltage_delay(recording), 0.0
+        declared, late, later_s = voltage_delay(recording), 0.0, np.zeros(2)
         reach = each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max()))
         knots_a = STEP_KNOTS * max(reach)
         most = max(1, 9000 // len(segments))
@@ -123,16 +145,33 @@ class StepsEstimator:
         def traced(segment: Segment, capture: Capture) -> StepTrace:
             delay = declared + late
             angle = segment.rotor_angle_rad
-            return trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=most)
+            trace = trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=most)
+            return replace(trace, charge=trace.charge + later_s * trace.i)
 
         for left in reversed(range(self.max_passes)):
             traces = each_capture(recording, segments, traced)
             require_area(np.concatenate([trace.i for trace in traces]), recording.manifest.name)
             fit = fit_steps(traces, beliefs)
-            if not left or abs(fit.lag_samples) < self.lag_tolerance_samples:
+            before, later_s = later_s, rows.decay_s(fit, later_s)
+            moved_h = fit.resistance_ohm * np.abs(later_s - before)
+            is_same_map = bool((moved_h < self.inductance_tolerance * _at_rest(fit)).all())
+            settled = is_same_map and abs(fit.lag_samples) < self.lag_tolerance_samples
+            if not left or settled:
                 break
             late = max(late + fit.lag_samples, -declared)
         return traces, fit, late + fit.lag_samples
+
+    def _rows(self, recording: RecordingReader) -> _Rows:
+        drive = recording.manifest.drive
+        carrier_hz = drive.pwm_frequency_hz or 0.0
+        return _Rows(1.0 / drive.sampling_frequency_hz, drive.sampling_frequency_hz >= self.control_rows * carrier_hz)
+
+    def _decay_doubt_h(self, fit: StepsFit, rows: _Rows) -> Array:
+        """Standard deviation of the inductances by what the current does between rows, shape (2,) [H]."""
+        drop_h = fit.resistance_ohm * rows.step_s
+        size = np.maximum(_at_rest(fit), 1e-9 * drop_h)
+        share = self.decay_std_ratio if rows.exact else self.mean_std_ratio
+        return share * np.array([drop_h * decay_weight(drop_h / h) for h in size])
 
     def _remarks(self, fit: StepsFit, late: float, rated: float | None, volts: float) -> list[Remark]:
         remarks = []
@@ -167,6 +206,45 @@ class StepsEstimator:
             )
             remarks.append(Remark.of("loops_differ", text, spread_percent=spread))
         return remarks
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Time between rows [s], and whether the voltage is constant between them."""
+
+    step_s: float
+    exact: bool
+
+    def decay_s(self, fit: StepsFit, taken_s: Array) -> Array:
+        """By how much later than a straight line's the current between rows counts, shape (2,), `taken_s` being in."""
+        if not self.exact or fit.resistance_ohm <= 0.0:
+            return np.zeros(2)
+        straight = _at_rest(fit) + fit.resistance_ohm * taken_s
+        exact = [exact_inductance(float(h), fit.resistance_ohm, self.step_s) for h in straight]
+        drop_h = fit.resistance_ohm * self.step_s
+        return np.array([self.step_s * decay_weight(drop_h / max(h, 1e-9 * drop_h)) for h in exact])
+
+
+def _at_rest(fit: StepsFit) -> Array:
+    """L_dd and L_qq without current, shape (2,) [H]."""
+    return np.asarray(fit.energy.inductance(np.zeros((1, 2)))[0][0, [0, 2]])
+
+
+def _doubted(flux_map: FluxMap, doubt_h: Array) -> FluxMap:
+    """The same with inductances that may all be off by so much along each axis."""
+    d_h, q_h = doubt_h
+    stds = {
+        "psi_d_std": np.hypot(flux_map.psi_d_std, d_h * np.abs(flux_map.i_d[:, None])),
+        "psi_q_std": np.hypot(flux_map.psi_q_std, q_h * np.abs(flux_map.i_q[None, :])),
+        "l_dd_std": np.hypot(flux_map.l_dd_std, d_h),
+        "l_qq_std": np.hypot(flux_map.l_qq_std, q_h),
+    }
+    return flux_map.model_copy(update=stds)
+
+
+def _doubted_path(path: FluxPath, doubt_h: Array) -> FluxPath:
+    apart = path.current - path.current.mean(axis=0)
+    return replace(path, std=np.hypot(path.std, doubt_h * np.sqrt((apart**2).mean(axis=0))))
 
 
 def _off_the_known(fit: StepsFit, beliefs: Beliefs, doubtful: float = 3.0) -> list[Remark]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.estimation import estimate_recording
-from protocols import EstimationReport, Motor
+from protocols import CheckOutcome, EstimationReport, Motor
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.test_checks import exact_map
 from tests.orchestrator.estimation.made_up import R_S, RECORDING, Resistance, Ripples, Sweeps
@@ -61,6 +61,11 @@ def test_all_off_the_same_way_is_a_scale_of_the_readings(tmp_path: Path) -> None
     found = report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=0.5, q_inductance_h=0.5)
     assert set(far(found)) == {"R_s", "L_d", "L_q"}
     assert not found.usable
+    failed = [check for check in found.checks if check.outcome is CheckOutcome.FAILED]
+    assert [check.name for check in failed] == ["nameplate"]
+    reason = failed[0].remark.text
+    assert "either the nameplate is wrong, or the currents or voltages are scaled" in reason
+    assert f"{2 * R_S.value_ohm:.3g} ohm if the readings are right, {R_S.value_ohm:.3g} ohm if the nameplate" in reason
     assert far(report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=2.0, q_inductance_h=2.0))
     assert report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=2.0, q_inductance_h=2.0).usable
 

@@ -12,8 +12,14 @@ from tests.support.close import assert_close
 
 PHASES = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]])
 
-SIZES = np.array([0.1, 0.3, 1.0, 2.0, 3.0])
-HELD = np.concatenate([np.outer(sign * SIZES, e) for e in np.eye(2) for sign in (1.0, -1.0)])
+
+def on_both_axes(sizes: Array) -> Array:
+    """Currents of these sizes and both signs on each axis, shape (n, 2)."""
+    held: Array = np.concatenate([np.outer(sign * sizes, e) for e in np.eye(2) for sign in (1.0, -1.0)])
+    return held
+
+
+HELD = on_both_axes(np.array([0.1, 0.3, 1.0, 2.0, 3.0]))
 TIME_S = np.arange(len(HELD), dtype=float)
 PWM_HZ = np.where(np.arange(len(HELD)) % 2, 20e3, 10e3)
 
@@ -88,3 +94,31 @@ def test_one_held_current_gives_the_ratio() -> None:
     fit = fit_voltage(np.array([[2.0, 0.0]]), np.array([[8.4, 0.0]]), np.zeros(1), np.full(1, 1e4))
     assert fit.resistance_ohm == pytest.approx(4.2)
     assert fit.error_v == {}
+
+
+def bridge_without_short_pulses(i_ab: Array, shortest_v: float, ohm: float) -> Array:
+    """Voltage that a current control commands where pulses below some voltage never reach the phase."""
+    needed = ohm * (i_ab @ PHASES.T)
+    commanded: Array = (np.sign(needed) * np.maximum(np.abs(needed), shortest_v)) @ (2 / 3 * PHASES)
+    return commanded
+
+
+@pytest.mark.parametrize("shortest_v", [1.0, 2.0, 4.0, 6.0])
+def test_a_minimum_pulse_is_no_dead_time_and_leaves_the_resistance_uncertain(shortest_v: float) -> None:
+    held = on_both_axes(np.array([1.0, 3.0, 5.0, 7.5, 10.0]))
+    commanded: Array = bridge_without_short_pulses(held, shortest_v, 0.63)
+    commanded += 5e-3 * np.random.default_rng(1).normal(size=held.shape)
+    time_s = np.arange(len(held), dtype=float)
+    fit = fit_voltage(held, commanded, time_s, np.full(len(held), 1e4), own_std_v=5e-3)
+    assert fit.error_v == {}
+    assert fit.unlike_step_v > 0.01
+    assert fit.with_step_ohm < 0.63 < fit.resistance_ohm + 2.0 * fit.std_ohm
+
+
+@pytest.mark.parametrize("gain_b", [0.9, 1.1])
+def test_unequal_sensors_say_nothing_against_a_dead_time(gain_b: float) -> None:
+    read: Array = HELD @ PHASES.T * [1.0, gain_b, 1.0] @ (2 / 3 * PHASES)
+    voltage = 4.0 * HELD + 0.8 * step_ab(HELD, 0.06) + 1e-3 * np.random.default_rng(1).normal(size=HELD.shape)
+    fit = fit_voltage(read, voltage, TIME_S, np.full(len(HELD), 1e4))
+    assert fit.unlike_step_v == 0.0
+    assert fit.error_v[1e4] == pytest.approx(0.8, rel=0.2)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from orchestrator.estimation.usability import resistance_checks
 from plugins.estimators.resistance import ResistanceEstimator
-from protocols import (
-    SegmentStage,
-)
+from protocols import CheckOutcome, EstimationContext, MapCriteria, SegmentStage
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.plant import R_S, Array
 from tests.plugins.estimators.recordings import (
+    PHASES,
     behind_dead_time,
     clean,
     resistance_of,
@@ -113,3 +113,29 @@ def test_sweeps_alone_tell_a_resistance_too() -> None:
     found = resistance_of(clean().only(SegmentStage.CLASSICAL))
     assert found.value_ohm == pytest.approx(R_S, rel=5e-3)
     assert "no_holds" in {remark.code for remark in found.remarks}
+
+
+def test_a_bridge_that_leaves_out_short_pulses_is_no_dead_time_and_the_interval_holds_the_truth() -> None:
+    recording = clean().only(SegmentStage.RESISTANCE)
+
+    def commanded(i_ab: Array) -> Array:
+        needed = R_S * (i_ab @ PHASES.T)
+        out: Array = (np.sign(needed) * np.maximum(np.abs(needed), 4.0)) @ (2 / 3 * PHASES)
+        return out
+
+    behind = {}
+    for segment in recording.manifest.segments:
+        capture = recording.load(segment)
+        beside = capture.v_ab - R_S * capture.i_ab
+        behind[segment.id] = capture.model_copy(update={"v_ab": commanded(capture.i_ab.mean(axis=0)[None]) + beside})
+    found = ResistanceEstimator().estimate(MemoryRecording(recording.manifest, behind), EstimationContext())
+    assert found.inverter == ()
+    assert found.low < R_S < found.high
+    assert any(remark.code == "unlike_inverter" for remark in found.remarks)
+    assert not any(remark.code in ("inverter_loss", "few_currents") for remark in found.remarks)
+    interval = next(
+        check
+        for check in resistance_checks(found, recording.manifest.motor, {SegmentStage.RESISTANCE}, MapCriteria())
+        if check.name == "resistance_interval"
+    )
+    assert interval.outcome is CheckOutcome.FAILED

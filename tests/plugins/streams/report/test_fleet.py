@@ -99,7 +99,7 @@ def test_the_viewers_file_has_the_tables_and_each_course(report: FleetReport, tm
     assert [found[f"/course/{k}"] for k in range(len(charts))] == [60] * len(charts)
     (remarks,) = [row for row in rows(file, "/fleet/remarks") if row.get("TextDocument:text")]
     assert report.remarks[0].text in remarks["TextDocument:text"][0]
-    assert "/fleet/unlike_the_others" in found
+    assert "/fleet/outliers" in found
 
 
 def test_a_folder_that_is_not_there_is_made_and_one_that_cannot_be_is_said(report: FleetReport, tmp_path: Path) -> None:
