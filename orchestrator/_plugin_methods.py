@@ -1,4 +1,4 @@
-"""Whether the methods of a plugin's class are those of its contract, and can be called as the contract calls them."""
+"""Checks that a plugin's class has the methods of its contract, with compatible signatures."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def method_problem(plugin: type[Any], method: str, contract: type[Any], declared
         return f"is missing: write def {method}({', '.join(arguments)})"
     passed = arguments[1:]
     try:
-        # Looked up on the class, a plain function is not bound yet.
+        # A plain function of the class is not bound yet.
         bound = isinstance(inspect.getattr_static(plugin, method), staticmethod | classmethod)
         inspect.signature(found).bind(*(passed if bound else arguments))
     except TypeError:
@@ -40,7 +40,7 @@ def method_problem(plugin: type[Any], method: str, contract: type[Any], declared
 
 
 def hook_problem(plugin: type[Any]) -> str | None:
-    """The first public method of an effect's class that would never be called, or not as it is written.
+    """The first public method of an effect's class that would never be called, or with other arguments.
 
     Attributes that cannot be called, nested classes and names that begin with an underscore are the effect's own.
 

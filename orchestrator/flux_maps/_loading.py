@@ -18,7 +18,7 @@ from orchestrator.flux_maps._gridding import CSV_UNITS, TORQUE, MapFile, gridded
 from orchestrator.flux_maps._mapped import read_mapped
 from orchestrator.flux_maps._surface import require_usable
 from orchestrator.numerics.types import Array
-from orchestrator.plain_files import LARGEST, read_text
+from orchestrator.plain_files import MAX_FILE_SIZES, read_text
 from orchestrator.recording import read_model
 from protocols import FluxMap, InputError
 
@@ -93,7 +93,11 @@ def _read_netcdf(path: Path) -> FluxMap:
 
 
 def _read_csv(path: Path) -> tuple[str, dict[str, Array]]:
-    lines = (line for line in read_text(path, LARGEST.kept_bytes, "utf-8-sig").splitlines() if not line.startswith("#"))
+    lines = (
+        line
+        for line in read_text(path, MAX_FILE_SIZES.kept_bytes, "utf-8-sig").splitlines()
+        if not line.startswith("#")
+    )
     rows = list(csv.reader(lines))
     header = [name.strip().lower().replace("_vs", "_wb") for name in rows[0]] if rows else []
     wanted = {"i_d": "i_d_a", "i_q": "i_q_a"} | {name: f"{name}_{unit}" for name, unit in CSV_UNITS.items()}

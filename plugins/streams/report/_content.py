@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from orchestrator.formatting.events import said
+from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
 from orchestrator.formatting.quantities import (
     duration,
@@ -219,7 +219,7 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
 
 def events(material: Material) -> list[Event]:
     """What the journal says beside single points, the oldest first."""
-    described = ((entry.t, said(entry.message)) for entry in material.journal)
+    described = ((entry.t, describe(entry.message)) for entry in material.journal)
     return [Event(_clock(t), event.subject, event.text, event.mood) for t, event in described if event is not None]
 
 

@@ -24,7 +24,7 @@ from orchestrator.formatting.colours import (
     Q_AXIS,
     packed_all,
 )
-from orchestrator.formatting.events import said
+from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.profiles import flux_at_zero
 from orchestrator.formatting.quantities import vector
@@ -160,7 +160,7 @@ class Commissioning:
         return plane("plane/amperes", self._reach_a, None if self._limits is None else self._limits[0])
 
     def _logged(self, message: Message) -> list[Entry]:
-        text = said(message)
+        text = describe(message)
         return [] if text is None else [entry("log", self.when, rr.TextLog(shown(text.line), level=_LEVELS[text.mood]))]
 
     def _page(self) -> Entry:
