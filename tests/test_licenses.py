@@ -43,9 +43,8 @@ def stated(package: str) -> str | None:
         content = metadata(package)
     except PackageNotFoundError:
         return None
-    expression = content["License-Expression"]
-    if expression:
-        return str(expression)
+    if "License-Expression" in content:
+        return content["License-Expression"]
     classifiers = [c.rpartition(" :: ")[2] for c in content.get_all("Classifier") or [] if c.startswith("License ::")]
     return OF_METADATA[classifiers[0]]
 

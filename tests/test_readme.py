@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.registry import PluginKind, installed
 from tests.support.processes import called
 from tests.support.tiny import all_effects_but
 
@@ -76,3 +77,18 @@ def test_the_two_commands_are_targets_of_the_makefile() -> None:
     for target in ("demo", "test"):
         assert f"    make {target}" in (ROOT / "README.md").read_text()
         assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE)
+
+
+def test_make_help_lists_every_target() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    (phony,) = re.findall(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)
+    done = subprocess.run(
+        ["make", "--no-print-directory", "help"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert sorted(line.split()[0] for line in done.stdout.splitlines()) == sorted(phony.split())
+
+
+def test_pages_count_the_effects_that_there_are() -> None:
+    count = len(installed(PluginKind.EFFECTS))
+    assert f"{count} effects in all" in (ROOT / "README.md").read_text()
+    assert f"It diagnoses {count} effects" in (ROOT / "docs" / "how-it-compares.md").read_text()
