@@ -155,6 +155,8 @@ from protocols._procedure import (
     Procedure,
     StageEntry,
     ThermometerChoice,
+    shipped_procedure,
+    shipped_procedures,
 )
 from protocols._recording import (
     Capture,
@@ -203,10 +205,6 @@ from protocols._reports import (
     WorstSegment,
 )
 from protocols._search_trace import SearchDecision, SearchEvent, SearchMeasure, SearchMove
-from protocols._shipped import (
-    shipped_procedure,
-    shipped_procedures,
-)
 from protocols._signal_batch import SignalBatch
 from protocols._signals import Correction, LossHistory, Signals
 from protocols._stages import (

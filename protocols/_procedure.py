@@ -6,6 +6,7 @@ the nameplate and the limits when the plan is made, so that one procedure serves
 
 from __future__ import annotations
 
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -108,3 +109,16 @@ class Procedure(Strict):
     accept_no_watchdog: Literal["I stand beside the drive and can cut its power"] | None = None
     """A drive without a dead man is refused unless this sentence is written out."""
     stages: Annotated[tuple[StageEntry, ...], Field(min_length=1)]
+
+
+def shipped_procedures() -> tuple[str, ...]:
+    """Names of the procedures in the package, in alphabetical order."""
+    folder = files("protocols") / "procedures"
+    return tuple(sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml")))
+
+
+def shipped_procedure(name: str) -> str:
+    """YAML text of a shipped procedure; raises `KeyError` where there is none of that name."""
+    if name not in shipped_procedures():
+        raise KeyError(name)
+    return (files("protocols") / "procedures" / f"{name}.yaml").read_text(encoding="utf-8")

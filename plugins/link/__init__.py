@@ -1,6 +1,5 @@
 """What drives behind every link share: the host's conversation, the receive loop, uploads, faults, ways out."""
 
-from plugins.link._clock import AttentiveClock
 from plugins.link._drive import LinkDrive
 from plugins.link._errors import link_errors
 from plugins.link._host import Host
@@ -8,5 +7,6 @@ from plugins.link._line import Line
 from plugins.link._link import Link
 from plugins.link._options import LinkOptions
 from plugins.link._port import Port
+from plugins.link._timeouts import ProcessClock
 
-__all__ = ["AttentiveClock", "Host", "Line", "Link", "LinkDrive", "LinkOptions", "Port", "link_errors"]
+__all__ = ["Host", "Line", "Link", "LinkDrive", "LinkOptions", "Port", "ProcessClock", "link_errors"]

@@ -10,10 +10,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from plugins.link._clock import AttentiveClock
 from plugins.link._errors import link_errors
 from plugins.link._port import Port
-from plugins.link._timeouts import TIMEOUTS
+from plugins.link._timeouts import TIMEOUTS, ProcessClock
 from plugins.wire import (
     STALE_PERIODS,
     Ack,
@@ -152,7 +151,7 @@ class Link:
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait until it is so, which is looked at whenever something came; raises where the link is lost."""
-        clock, held = AttentiveClock(), False
+        clock, held = ProcessClock(), False
         with self._changed:
             while not held and (left_s := timeout_s - clock()) > 0.0:
                 held = self._changed.wait_for(

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from plugins.link._clock import AttentiveClock
-from plugins.link._timeouts import TIMEOUTS
+from plugins.link._timeouts import TIMEOUTS, ProcessClock
 from plugins.wire import BlockLayout, CaptureAssembly
 from protocols import DriveFault, FaultCause
 
@@ -36,7 +35,7 @@ class Reader:
             blocks_each=port.blocks_each,
             requests_each=port.requests_each,
         )
-        self._clock = AttentiveClock()
+        self._clock = ProcessClock()
         self._requested_s = self._received_s = 0.0
         self._rounds, self._before = 0, -1
         self._timeout_s = TIMEOUTS.upload_s

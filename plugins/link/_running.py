@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterator
 
 from orchestrator.driving import keepalive
 from plugins.link._claims import ProgramProgress
-from plugins.link._clock import AttentiveClock
 from plugins.link._demodulated import RippleRead, ripple_periods
 from plugins.link._host import Host
 from plugins.link._machine import Machine, Rows, SecondsOfTick
 from plugins.link._raw import RawRead
 from plugins.link._timeline import Timeline
-from plugins.link._timeouts import TIMEOUTS
+from plugins.link._timeouts import TIMEOUTS, ProcessClock
 from plugins.wire import (
     Capability,
     Channel,
@@ -76,7 +75,7 @@ class Program:
             self._source = RawRead(host, machine, self.number, self._rows)
         self._has_run = False
         self._seen = ProgramProgress(self._rows)
-        self._clock = AttentiveClock()
+        self._clock = ProcessClock()
         self._moved_s = 0.0
 
     def captures(self, seconds_of_tick: SecondsOfTick) -> Iterator[Capture]:

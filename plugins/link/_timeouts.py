@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 
@@ -54,3 +55,17 @@ class Timeouts:
 
 
 TIMEOUTS = Timeouts()
+
+
+class ProcessClock:
+    """Seconds during which this process ran, not stopped or starved; read it in every turn of a waiting loop."""
+
+    def __init__(self) -> None:
+        self._last_s, self._total_s = time.monotonic(), 0.0
+
+    def __call__(self) -> float:
+        """Seconds since it was made."""
+        now_s = time.monotonic()
+        self._total_s += min(now_s - self._last_s, TIMEOUTS.max_scheduling_gap_s)
+        self._last_s = now_s
+        return self._total_s

@@ -40,38 +40,38 @@ class Servo:
             raise PluginError("drive", "novanta", f"needs pip install ingenialink ({error})") from error
         self._errors: tuple[type[Exception], ...] = (ILError, OSError, ValueError)
         self._network = EthernetNetwork()
-        with self._told():
+        with self._link_errors():
             self._servo: Any = self._network.connect_to_slave(host, str(dictionary), port)
 
     def read(self, name: str, axis: int | None = None) -> float:
         """A register of the axis, or of another one."""
-        with self._told():
+        with self._link_errors():
             return float(self._servo.read(name, subnode=self._axis if axis is None else axis))
 
     def write(self, values: Mapping[str, float], axis: int | None = None) -> None:
         """Write registers, one after the other."""
-        with self._told():
+        with self._link_errors():
             for name, value in values.items():
                 self._servo.write(name, value, subnode=self._axis if axis is None else axis)
 
     def state(self) -> str:
         """The state of the power stage in the library's own words: RDY, ENABLED, FAULT, ..."""
-        with self._told():
+        with self._link_errors():
             return str(self._servo.get_state(self._axis).name)
 
     def enable(self) -> None:
         """Power stage on."""
-        with self._told():
+        with self._link_errors():
             self._servo.enable(self._axis)
 
     def disable(self) -> None:
         """Power stage off."""
-        with self._told():
+        with self._link_errors():
             self._servo.disable(self._axis)
 
     def forget_fault(self) -> None:
         """Reset what the drive has latched."""
-        with self._told():
+        with self._link_errors():
             self._servo.fault_reset(self._axis)
 
     # Rows
@@ -82,12 +82,12 @@ class Servo:
 
     def monitor(self, rows: int, divider: int) -> None:
         """Begin a window of so many rows, now."""
-        with self._told():
+        with self._link_errors():
             self._servo.monitoring_disable()
             self._servo.monitoring_remove_all_mapped_registers()
         window = {"MON_CFG_SOC_TYPE": 0, "MON_CFG_TRIGGER_DELAY": 0, "MON_CFG_WINDOW_SAMP": rows}
         self.write({"MON_DIST_FREQ_DIV": divider, **window}, axis=0)
-        with self._told():
+        with self._link_errors():
             for channel, name in enumerate(ROWS):
                 self._servo.monitoring_set_mapped_register(channel, name, ROW_OCTETS, axis=self._axis)
             self._servo.monitoring_enable()
@@ -101,7 +101,7 @@ class Servo:
                 raise DriveFault(FaultCause.NO_ANSWER, f"{self.where}: no {rows} rows within {within_s + MARGIN_S:g} s")
             time.sleep(POLL_S)
             yield None
-        with self._told():
+        with self._link_errors():
             self._servo.monitoring_read_data()
             channels = [self._servo.monitoring_channel_data(channel) for channel in range(len(ROWS))]
             self._servo.monitoring_disable()
@@ -110,12 +110,12 @@ class Servo:
         yield np.array(channels, dtype=float).T
 
     def _waiting(self) -> int:
-        with self._told():
+        with self._link_errors():
             return int(self._servo.monitoring_actual_number_bytes())
 
     def close(self) -> None:
         """Let go of the network."""
-        with self._told():
+        with self._link_errors():
             self._network.disconnect_from_slave(self._servo)
 
     def angle_rad(self) -> float:
@@ -123,10 +123,10 @@ class Servo:
         return 2.0 * math.pi * self.read("COMMU_ANGLE_VALUE")
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _link_errors(self) -> Iterator[None]:
         with self._talk:
             try:
                 yield
             except self._errors as error:
-                told = str(error).splitlines() or [type(error).__name__]
-                raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {told[0]}") from None
+                lines = str(error).splitlines() or [type(error).__name__]
+                raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {lines[0]}") from None

@@ -8,13 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plugins.drives.simulated._bench_parameters import BenchParameters
 from plugins.drives.simulated._derive_switching import Ratings, derive_bench, refuse_switched_options, without_bridge
 from plugins.drives.simulated._energy import Magnetics, hessian
 from plugins.drives.simulated._map import FluxTable, load_table, map_energy, usable_reach
 from plugins.drives.simulated._model import as_modelled
 from plugins.drives.simulated._polynomial import nameplate_energy, polynomial_energy
-from plugins.drives.simulated._sensing import SensorParameters
+from plugins.drives.simulated._sensing import BenchParameters, SensorParameters
 from plugins.drives.simulated._state import SQRT3, PlantParameters
 from plugins.drives.simulated.effects import Effects
 from plugins.drives.simulated.options import MapMagnetics, NameplateMagnetics, Plant, SimulatedOptions

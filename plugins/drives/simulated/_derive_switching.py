@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from plugins.drives.simulated._bench_parameters import BenchParameters
 from plugins.drives.simulated._bridge import BridgeParameters, Three
-from plugins.drives.simulated._sensing import SensingParameters, SensorParameters
+from plugins.drives.simulated._sensing import BenchParameters, SensingParameters, SensorParameters
 from plugins.drives.simulated._state import PlantParameters
 from plugins.drives.simulated._switching import SwitchingParameters
 from plugins.drives.simulated.options import SimulatedOptions

@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from plugins.drives.simulated._bench_parameters import BenchParameters
 from plugins.drives.simulated._energy import Array, Energy
 from plugins.drives.simulated._numba import inlined, kernel
 from plugins.drives.simulated._plant import advance
-from plugins.drives.simulated._sensing import Rows, SensorParameters, read, sense
+from plugins.drives.simulated._sensing import BenchParameters, Rows, SensorParameters, read, sense
 from plugins.drives.simulated._state import (
     ANCHOR,
     BUS,

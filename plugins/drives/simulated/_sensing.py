@@ -10,6 +10,7 @@ import numpy as np
 from plugins.drives.simulated._energy import Array
 from plugins.drives.simulated._numba import inlined
 from plugins.drives.simulated._state import BEFORE, DRIFT, READING_A, READING_B, REMANENT, SQRT3
+from plugins.drives.simulated._switching import SwitchingParameters
 
 Rows = np.ndarray[Any, np.dtype[np.float32]]
 
@@ -43,6 +44,13 @@ class SensingParameters(NamedTuple):
     quantum_a: float
     full_scale_a: float
     """Readings end there; infinite without a converter."""
+
+
+class BenchParameters(NamedTuple):
+    """The switched inverter and its sensors together, as the step loop takes them."""
+
+    switching: SwitchingParameters
+    sensing: SensingParameters
 
 
 @inlined

@@ -13,13 +13,12 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from plugins.drives.simulated import _state as layout
-from plugins.drives.simulated._bench_parameters import BenchParameters
 from plugins.drives.simulated._bridge import NO_EDGE_S
 from plugins.drives.simulated._derive import TruePlant
 from plugins.drives.simulated._energy import Array
 from plugins.drives.simulated._program import Program, Stretch
 from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece, run
-from plugins.drives.simulated._sensing import Rows
+from plugins.drives.simulated._sensing import BenchParameters, Rows
 from plugins.drives.simulated._state import PlantParameters
 from plugins.drives.simulated._switching import at_frequency
 from protocols import Capture

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from plugins.drives.xcp._ecu import Layout, Rows
-from plugins.link import AttentiveClock
+from plugins.link import ProcessClock
 from protocols import DriveFault, DriveRefused, FaultCause, PluginError
 
 T = TypeVar("T")
@@ -129,7 +129,7 @@ class Link:
         self._master.transport.get = self._answer
         self._master.transport._record_pdu = lambda *pdu: None  # for diagnostics: most of what a row costs
         self.layout = Layout("<")
-        self._head, self._quiet = 0, AttentiveClock()
+        self._head, self._quiet = 0, ProcessClock()
 
     def open(self, event: int) -> None:
         """Connect and let the DAQ list run at the event; raises `DriveRefused` where the ECU has no room for it."""
@@ -203,7 +203,7 @@ class Link:
     def clear(self) -> None:
         """Forget the rows that wait."""
         self._rows.clear()
-        self._quiet = AttentiveClock()
+        self._quiet = ProcessClock()
 
     def take(self) -> Rows:
         """The rows that have come since, as `Layout.row`; raises `DriveFault` where none has for too long."""
@@ -213,7 +213,7 @@ class Link:
         if len(octets) % framed.itemsize:
             raise self._lose("rows of another length than requested")
         if octets:
-            self._quiet = AttentiveClock()
+            self._quiet = ProcessClock()
         elif self._quiet() > self._timeout_s:
             raise self._lose(f"no row for {self._timeout_s:g} s")
         taken: Rows = np.frombuffer(octets, framed)["row"]
@@ -221,7 +221,7 @@ class Link:
 
     def newest(self) -> np.void:
         """A row that comes from now on; raises `DriveFault` where none does in time."""
-        requested_s, waited_s = time.monotonic(), AttentiveClock()
+        requested_s, waited_s = time.monotonic(), ProcessClock()
         while self._rows.newest[0] <= requested_s:
             self.check()
             if waited_s() > self._timeout_s:
@@ -261,7 +261,7 @@ class Link:
         That one lets each row that comes prolong it, so that a lost answer is waited for for ever, and counts time in
         which this process was kept from listening.
         """
-        transport, waited_s = self._master.transport, AttentiveClock()
+        transport, waited_s = self._master.transport, ProcessClock()
         with transport.resQueue_condition:
             while not transport.resQueue:
                 if waited_s() > self._timeout_s:

@@ -16,7 +16,7 @@ from orchestrator.driving import DriveShell, keepalive
 from plugins.drives.xcp._ecu import MAGIC, VERSION, Order, Rows, State, Status, Stream, fault_of
 from plugins.drives.xcp._link import Link
 from plugins.drives.xcp._program import Planner
-from plugins.link import AttentiveClock
+from plugins.link import ProcessClock
 from protocols import (
     Capabilities,
     Capture,
@@ -249,7 +249,7 @@ class XcpDrive(DriveShell):
         link, fs = self._connected(), self.own.sampling_frequency_hz
         wanted, longest = excitation.rows(fs), round(MAX_BLOCK_S * fs)
         stream, waiting = Stream(number), np.zeros(0, link.layout.row)
-        yielded_s, waited_s = time.monotonic(), AttentiveClock()
+        yielded_s, waited_s = time.monotonic(), ProcessClock()
         most_s = STALL_TIMEOUT_S + 1.5 * (excitation.settling_s + excitation.captured_s)
         while wanted:
             waiting = np.concatenate([waiting, self._next_rows(stream)])
@@ -297,7 +297,7 @@ class XcpDrive(DriveShell):
         self._number = number = self._number % 0xFFFF + 1
         link.clear()
         link.write(link.layout.order_at, np.array(number << 16 | order, link.layout.word).tobytes())
-        waited_s = AttentiveClock()
+        waited_s = ProcessClock()
         while (status := Status.of(int(self._fresh_row()["status"]))).number != number:
             if waited_s() > self._options.timeout_s:
                 raise DriveFault(FaultCause.NO_ANSWER, f"the ECU's routine does not see the order {order.name.lower()}")
