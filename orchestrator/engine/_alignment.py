@@ -42,7 +42,7 @@ class AlignmentCheck:
         """Raise `DriveFault` (wrong_data) where the voltage of another row makes the current."""
         if not self._i:
             return
-        fit = alignment_of(np.concatenate(self._i), np.concatenate(self._v), most_samples=CHECKED_ROWS)
+        fit = alignment_of(np.concatenate(self._i), np.concatenate(self._v), max_samples=CHECKED_ROWS)
         self.begin()
         if fit is None or fit.explained < MIN_EXPLAINED_RATIO:
             return

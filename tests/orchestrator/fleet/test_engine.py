@@ -81,12 +81,12 @@ def answer_to(port: int, encrypted: bool) -> bytes:
 
 def test_all_are_answered_once_whatever_they_raise_and_few_are_in_flight(client: Client) -> None:
     tasks = [Task(f"t{n}", stumble if n % 7 == 0 else double, (n,)) for n in range(40)]
-    take = one_by_one(tasks)
+    upcoming = one_by_one(tasks)
     given = answered = most = 0
 
     def next_task() -> Task | None:
         nonlocal given, most
-        task = take()
+        task = upcoming()
         given += task is not None
         most = max(most, given - answered)
         return task
