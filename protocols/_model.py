@@ -112,8 +112,12 @@ class ModelNoise(Strict):
     """By how much held voltages are off, each its own way, on either axis (rms), at the drive's own PWM frequency."""
     dithered: bool = False
     """Whether what trembles in a held voltage takes of that, as it does of the steps of a modulator's timer."""
-    variance_factors: dict[str, tuple[Annotated[float, Field(ge=1)], ...]] = Field(default_factory=dict)
-    """Of each kind of stage's means and Fourier modes: variance over the readings' own, the model's error in it."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_former_fields(cls, values: object) -> object:
+        """Files of earlier versions have a model error as noise too (`variance_factors`); it is read and not used."""
+        return {k: v for k, v in values.items() if k != "variance_factors"} if isinstance(values, dict) else values
 
     @property
     def scatters(self) -> bool:

@@ -72,7 +72,7 @@ def compare_recording(
     """
     if model is None and has_model(out or recording.path):
         model = read_model(out or recording.path)
-    setup = open_for_refit(recording, model).unweighed
+    setup = open_for_refit(recording, model)
     remarks = list(setup.remarks)
     if model is None and out is not None:
         remarks.append(

@@ -211,12 +211,12 @@ def _diagnosed_in_fleet(
     found = _diagnosed(recording, asked, None, priors)
     if found.setup is None:
         return found
-    unlike = unlike_the_fleet(found.search.sized)
+    unlike = unlike_the_fleet(found.search.fit)
     if unlike and ENDED_EARLY not in found.report.remarks:
         asked.tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
         found = _diagnosed(recording, asked, None, priors.without(unlike))
     if on_step is not None and found.setup is not None:
-        _show(found.setup.unweighed, found.search, found.report.ladder, on_step)
+        _show(found.setup, found.search, found.report.ladder, on_step)
     said = (*found.report.remarks, *_of_fleet(priors, unlike, found.report))
     used = {**found.report.criteria, "fleet": priors.without(unlike).model_dump(mode="json")}
     return replace(found, report=found.report.model_copy(update={"remarks": said, "criteria": used}))
@@ -327,18 +327,18 @@ def _reported(
 ) -> Diagnosis:
     """The report of what a search came to, its model written to `model.json`."""
     setup, search, doubtful, spared = searched.setup, searched.search, searched.doubtful, searched.spared
-    first, last, sized, plain = search.steps[0].fit, search.fit, search.sized, setup.unweighed
+    first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
-    sizes = search.shares or shares(setup, first, sized)
-    active = found_effects(setup.fitter, sized, evidence, search.rivals, sizes)
+    sizes = search.shares or shares(setup, first, last)
+    active = found_effects(setup.fitter, last, evidence, search.rivals, sizes)
     of_map = map_effects(last, freed)
     found = of_map + tuple(e for e in active if e.name not in search.minor)
     periodic = sum(not line.switching for line in setup.fitter.noise.lines)
     error = current_error(last)
     # As whoever reads the model back will find it, not as the search left it.
-    held = plain.fitter.hold(last.model)
-    uncertainty = MapUncertainty.of(setup.fitter, sized, library)
+    held = setup.fitter.hold(last.model)
+    uncertainty = MapUncertainty.of(setup.fitter, last, library)
     map_error = uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
     record = verdict_record(
         first,
@@ -351,14 +351,14 @@ def _reported(
     )
     judgement = judge(record)
     verdict = judgement.verdict
-    left = unexplained(plain, first.chi2_per_dof, last)
+    left = unexplained(setup, first.chi2_per_dof, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     rest = left_fraction(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
     joint = joint_fit(setup.fitter, search, library)
     ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
     if on_step is not None:
-        _show(plain, search, ladder, on_step)
+        _show(setup, search, ladder, on_step)
     report = DiagnosisReport(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
@@ -371,11 +371,11 @@ def _reported(
         joint=joint,
         ladder=ladder,
         unexplained=left,
-        next_experiment=_proposal(asked.propose, plain, last, library, found, verdict, [*doubtful, *search.traces]),
+        next_experiment=_proposal(asked.propose, setup, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
             *([ENDED_EARLY] if searched.is_early else []),
             *_remarks(setup, search, verdict, left, doubtful),
-            *said_by_effects(sized, {effect.name for effect in found}),
+            *said_by_effects(last, {effect.name for effect in found}),
             *said_of_sizes(last),
             *other_opinion(joint, active),
         ),
@@ -392,7 +392,7 @@ def _reported(
     baseline = baseline_of(model)
     if isinstance(baseline, Nameplate):
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
-    kept = kept_model(setup, sized, baseline, (*of_map, *active), ladder)
+    kept = kept_model(setup, last, baseline, (*of_map, *active), ladder)
     try:
         write_model(asked.out or recording.path, kept)
     except StorageError as error:

@@ -20,7 +20,6 @@ from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
-from orchestrator.diagnosis.selection.refining import repolished
 from orchestrator.diagnosis.selection.shares import rated_flux_wb, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
@@ -107,7 +106,7 @@ def _added(
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
         tell("is a finer map worth its freedom?")
         steps[-1] = replace(steps[-1], fit=_as_detailed_as_asked(setup, steps[-1].fit))
-    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup.unweighed, steps))
+    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup, steps))
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
     benefits = [
@@ -131,7 +130,7 @@ def _grown(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
     again = with_effect(fitter, still, candidate)
     shapes = {a.name: [n for n in a.free if n in a.candidate.of_role(ParameterRole.SHAPE)] for a in fit.model.active}
     free = [a.freeing(*shapes.get(a.name, ())) for a in again.model.active]
-    again = repolished(fitter, fitter.fit(again.model.with_active(free), again.frame))
+    again = fitter.fit(again.model.with_active(free), again.frame)
     return min(grown, again, key=lambda f: f.chi2)
 
 
@@ -201,7 +200,7 @@ def _removed(
             steps += first_steps(setup, "saturated", library)
         else:
             steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
-    ladder = (*kept.ladder[: at - 1], *kept_rungs(setup.unweighed, steps))
+    ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
     remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks)
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
@@ -248,12 +247,11 @@ def _keep_refit(
     write_model(out or recording.path, kept)
     uncertainty = MapUncertainty.of(setup.fitter, fit)
     band_percent = 100.0 * uncertainty.band_wb(visited(fit)) / rated_flux_wb(setup)
-    judged = setup.judged(fit)
-    deliver(delivery_of(uncertainty, judged, kept, None, band_percent), recording, out)
+    deliver(delivery_of(uncertainty, fit, kept, None, band_percent), recording, out)
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(
         effects=map_effects(fit, dict.fromkeys(freed, 0.0)) + found,
         ladder=tuple(ladder),
-        unexplained=unexplained(setup.unweighed, ladder[0].chi2 or math.inf, judged),
+        unexplained=unexplained(setup, ladder[0].chi2 or math.inf, fit),
         remarks=tuple(remarks),
     )

@@ -65,12 +65,8 @@ def _always(value: Any) -> Callable[[Mapping[str, Any]], Any]:
 
 
 RULES = (
-    Rule("selection.forward_search", "_many_are_missing", _always(False)),
-    Rule("selection.forward_search", "_stands_before_a_form", _always(False)),
     Rule("selection.forward_search", "_stands_in", _always(False)),
-    Rule("selection.refining", "repolished", _given("fit")),
     Rule("selection.refining", "settled", _given("fit")),
-    Rule("selection.refining", "to_spare", _always([])),
     Rule("selection.refining", "_other_forms", _always([])),
     Rule("selection.workflow", "_detailed", _given("fit")),
     Rule("selection.workflow", "pruned", _given_and(list, "search")),
@@ -78,22 +74,16 @@ RULES = (
     Rule("selection.workflow", "converged", _given("search")),
     Rule("selection.workflow", "with_its_scatter", _always(None)),
     Rule("selection.modulator_timer", "with_its_timer", _given("setup")),
-    Rule("selection.modulator_timer", "with_sharper_timer", _given("setup", "doubting")),
+    Rule("selection.modulator_timer", "with_sharper_timer", _given("setup")),
     Rule("selection.modulator_timer", "with_timer_of_fit", _always(None)),
-    Rule("selection.joint_search", "in_better_form", _given("fit")),
-    Rule("selection.joint_search", "in_simpler_forms", _given("fit")),
     Rule("selection.joint_search", "in_forms_still_asked_for", _given("fit")),
     Rule("selection.joint_search", "with_overlooked", _given("fit")),
     Rule("selection.joint_search", "exchanged", _given_and(dict, "fit")),
     Rule("selection.joint_search", "without_doubles", _given_and(dict, "fit")),
-    Rule("selection.joint_workflow", "without_needless_scatter", _given("setup", "doubting", "fit")),
     Rule("selection.joint_workflow", "on_a_sharper_map", _given("fit")),
     Rule("selection.joint_workflow", "no_sharper_than_asked", _given("fit")),
-    Rule("selection.joint_workflow", "timed_anew", _given("setup", "doubting", "fit", "rivals")),
-    Rule("selection.joint_workflow", "with_its_noise", _given("setup", "fit")),
+    Rule("selection.joint_workflow", "timed_anew", _given("setup", "fit", "rivals")),
     Rule("selection.joint_workflow", "without_stand_ins", _given_and(list, "search")),
-    Rule("uncertainty.scatter", "doubting_zeros", _given("setup")),
-    Rule("uncertainty.scatter", "beside_scatter", _always(None)),
 )
 BY_LABEL = {rule.label: rule for rule in RULES}
 

@@ -116,16 +116,6 @@ class DiagnosisSetup:
         return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
 
     @property
-    def unweighed(self) -> DiagnosisSetup:
-        """The same, the model's own error being none: what a model is judged by."""
-        return self.with_noise(self.fitter.noise.of_model.model_copy(update={"variance_factors": {}}))
-
-    def judged(self, fit: Fit) -> Fit:
-        """A fit's model held against the recording where the model's own error is no noise."""
-        plain = self.unweighed
-        return fit if plain is self else plain.fitter.hold(fit.model)
-
-    @property
     def criteria(self) -> FittingCriteria:
         return self.prepared.criteria.fitting
 

@@ -35,10 +35,9 @@ def unfinished_search(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
 
 def _with_own_noise(checkpoint: Checkpoint) -> Checkpoint:
     """The same, its first steps fitted with what has come to be taken for noise since."""
-    plain = checkpoint.setup.unweighed
-    if checkpoint.first[-1].fit.frame.noise is plain.fitter.noise:
+    if checkpoint.first[-1].fit.frame.noise is checkpoint.setup.fitter.noise:
         return checkpoint
-    return replace(checkpoint, first=tuple(refitted_steps(plain, checkpoint.first)))
+    return replace(checkpoint, first=tuple(refitted_steps(checkpoint.setup, checkpoint.first)))
 
 
 def _of_joint_fit(checkpoint: Checkpoint) -> tuple[Search, list[str]]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.selection.refining import polished, repolished
+from orchestrator.diagnosis.selection.refining import polished
 from orchestrator.diagnosis.selection.scoring import log_evidence
 from protocols import ParameterRole
 
@@ -37,6 +37,6 @@ def with_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
     if len(steps) > given:
         # Forms are asked for once all of them are there: another's lack would bend them.
         last = steps[-1]
-        fit = polished(setup.fitter, repolished(setup.fitter, last.fit), max(1.0, last.fit.chi2_per_dof))
+        fit = polished(setup.fitter, last.fit, max(1.0, last.fit.chi2_per_dof))
         steps[-1] = replace(last, fit=fit)
     return steps

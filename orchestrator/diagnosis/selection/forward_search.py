@@ -17,14 +17,12 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
 from orchestrator.diagnosis.selection.joint_search import INDISTINGUISHABLE_SHARE
-from orchestrator.diagnosis.selection.refining import flexible, in_simple_form, polished, repolished, rigid_in
+from orchestrator.diagnosis.selection.refining import polished
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     Score,
     asked,
     does_as_well,
-    form_gain,
-    gain_together,
     gain_with,
     linear_view,
     log_evidence,
@@ -35,11 +33,6 @@ from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import ParameterRole
 
-MANY_MISSING_CHI2_RATIO: float = 3.0
-"""All effects are fitted together at once where they leave so many times less than the best single one, to first
-order. The ratio was 3.6 to 29 on six benches of many effects, and 1.0 to 1.1 on eight of one or two."""
-LEAST_SHARE_BEFORE_FORM: float = 0.5
-"""Part of the residual that an absent effect has to explain to be tried before a form: the larger part."""
 LEAST_EFFECT_SIZE: float = 0.02
 """Effects smaller than this part of their typical size are not named."""
 LEAST_SHARE_OF_EXCESS: float = 0.2
@@ -76,14 +69,10 @@ class Search:
     """Effects that do as well as an accepted one in its place."""
     view: LinearView | None = None
     """Of the last fit."""
-    unbent: bool = False
-    """Whether the newest effect waits to be bent until another one is in the model that explains more."""
     minor: tuple[str, ...] = ()
     """Effects of the last fit that are in the model, but no causes."""
     shares: Mapping[str, Share] = field(default_factory=dict)
     """Of the effects of a joint fit."""
-    weighed: Fit | None = None
-    """The last fit with the model's own error as noise, where that is much; the steps are judged without."""
 
     @property
     def fit(self) -> Fit:
@@ -93,11 +82,6 @@ class Search:
     def bare_steps(self) -> list[Step]:
         """Those without any effect: the first model's, and the map's own."""
         return [step for step in self.steps if step.added is None or step.added in MAP_RUNGS]
-
-    @property
-    def sized(self) -> Fit:
-        """The last fit as sizes and their errors are told by it."""
-        return self.weighed or self.fit
 
 
 def forward(
@@ -115,18 +99,14 @@ def forward(
     rivals : mapping, optional
         Of the effects that the steps have already.
     most : int, optional
-        Effects that the model may have, where that is less than the criteria's. The search ends where many are missing.
+        Effects that the model may have, where that is less than the criteria's.
     """
-    few, start = most is not None, len(steps[0].fit.model.active)
     most = fitter.prepared.criteria.selection.most_effects if most is None else most
     search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
     # What did as well in the place of an accepted effect cannot be told to be there beside it.
     rejected = {n for tied in (rivals or {}).values() for n in tied}
     while len(search.fit.model.active) < most and not fitter.effort.exhausted:
-        if few and len(search.fit.model.active) > start and _many_are_missing(_viewed(fitter, search, candidates)):
-            fitter.trace.record("screen", before=search.fit, taken=False, note="more effects are missing than a few")
-            break
-        if not _one_more(fitter, search, candidates, rejected) and not _bent_after_all(fitter, search):
+        if not _one_more(fitter, search, candidates, rejected):
             break
     search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
     return search
@@ -137,15 +117,6 @@ def _viewed(fitter: Fitter, search: Search, candidates: Sequence[Candidate]) -> 
     if search.view is None or search.view.fit.model is not search.fit.model:
         search.view = linear_view(fitter, search.fit, candidates)
     return search.view
-
-
-def _many_are_missing(view: LinearView) -> bool:
-    """Whether all absent effects together leave so much less than the best one that a few will not do."""
-    fit = view.fit
-    if not view.absent:
-        return False
-    least = max(fit.chi2 - gain_together(view), fit.dof)
-    return fit.chi2 - score(view)[0].gain > MANY_MISSING_CHI2_RATIO * least
 
 
 def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str]) -> bool:
@@ -193,7 +164,8 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
         for g, n, t in ranked[1:]
         if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
     ]
-    _taken(fitter, search, Step(name, trial, gain), candidates, inflation)
+    search.steps.append(Step(name, polished(fitter, trial, inflation), gain))
+    fitter.tell(f"+ {plain(name)}: chi2 {number(search.fit.chi2_per_dof)}")
     if search.fit.objective > fit.objective:
         # What it promised where the model stood does not hold where it leads.
         note = "the complete refit leaves more than before"
@@ -207,36 +179,6 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
     rejected.clear()
     rejected.update(n for tied in search.rivals.values() for n in tied)
     return True
-
-
-def _taken(fitter: Fitter, search: Search, step: Step, candidates: Sequence[Candidate], inflation: float) -> None:
-    """Let an effect into the model, and extend forms unless an absent effect explains more of what it leaves."""
-    fit = in_simple_form(fitter, step.fit)
-    search.view = linear_view(fitter, fit, candidates, rigid_in(fit.model.active[-1:]))
-    search.unbent = _stands_before_a_form(search.view)
-    if not search.unbent:
-        fit = repolished(fitter, flexible(fitter, fit, inflation))
-    search.steps.append(replace(step, fit=fit))
-    fitter.tell(f"+ {plain(step.added or '')}: chi2 {number(search.fit.chi2_per_dof)}")
-
-
-def _bent_after_all(fitter: Fitter, search: Search) -> bool:
-    """Extend the forms that waited for another effect, which did not come; False where none waited."""
-    if not search.unbent:
-        return False
-    search.unbent = False
-    search.steps[-1] = replace(search.steps[-1], fit=repolished(fitter, flexible(fitter, search.fit, 1.0)))
-    return True
-
-
-def _stands_before_a_form(view: LinearView) -> bool:
-    """Whether an effect that is absent explains most of what is left, and more than the newest one's flexible form.
-
-    The form would be bent to what is missing beside it; it is asked again with that in the model.
-    """
-    scores, fit = score(view), view.fit
-    most = LEAST_SHARE_BEFORE_FORM * (fit.chi2 - fit.dof)
-    return bool(scores) and scores[0].gain > max(form_gain(view), most)
 
 
 def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:

@@ -20,7 +20,7 @@ from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.identifiability import separable
-from orchestrator.diagnosis.selection.refining import in_order, rigid_in, to_spare
+from orchestrator.diagnosis.selection.refining import in_order, rigid_in
 from orchestrator.diagnosis.selection.scoring import (
     asked,
     asked_to_stay,
@@ -107,17 +107,16 @@ def _record_shapes(fitter: Fitter, fit: Fit, freer: Fit) -> None:
 
 
 def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
-    """What all effects together come to in the better of two forms, without those that the data do not ask for.
+    """What all effects together come to, without those that the data do not ask for, and rivals that do as well.
 
     Parameters
     ----------
     fit : Fit
         Of all effects in their own forms.
     """
-    fit = in_simpler_forms(fitter, in_better_form(fitter, fit))
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
     fit, doubles = without_doubles(fitter, downwards(fitter, with_overlooked(fitter, fit, library)))
-    fit = in_forms_still_asked_for(fitter, in_better_form(fitter, fit, at_once=True))
+    fit = in_forms_still_asked_for(fitter, fit)
     return fit, {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
 
 
@@ -202,37 +201,6 @@ def with_flexible_forms(fitter: Fitter, fit: Fit, share: float | None = None) ->
     return fit.model.with_active(active)
 
 
-def in_better_form(fitter: Fitter, fit: Fit, *, at_once: bool = False) -> Fit:
-    """The fit with those effects in their second form that do better so; no descent from the first leads there.
-
-    It is as it was where the first forms leave nothing.
-
-    Parameters
-    ----------
-    at_once : bool
-        Those that do better after one step; by default those that are bent so that they may stand in for it.
-    """
-    limits = fit.criteria.selection
-    if fit.chi2_per_dof <= limits.detected_chi2:
-        return fit
-    for one in fit.model.active:
-        # Before its end a search knows too little to tell two simple forms apart.
-        models = [_with_form(fit.model, form) for form in one.other_forms() if at_once or one.bent_by]
-        glances = [glanced(fitter, model, fit) for model in models]
-        best = min(range(len(glances)), key=lambda k: glances[k].objective, default=None)
-        if best is None or glances[best].chi2_per_dof > MAX_CHI2_RATIO_OF_SECOND_FORM * fit.chi2_per_dof:
-            continue
-        if at_once and glances[best].objective >= fit.objective:
-            continue
-        trial = refitted(fitter, models[best], fit)
-        trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
-        gain = _evidence_gain(trial, fit)
-        _record_evidence(fitter, "switch_form", [one.name], (fit, trial), gain, limits.tie, taken=gain > limits.tie)
-        if gain > limits.tie:
-            fit = trial
-    return fit
-
-
 def _record_evidence(
     fitter: Fitter,
     move: SearchMove,
@@ -262,24 +230,6 @@ def _record_evidence(
 def _with_form(model: Model, form: Active) -> Model:
     """The model with that effect in another form."""
     return model.with_active([form if a.name == form.name else a for a in model.active])
-
-
-def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit without those refinements that the data do not ask for; as it was where that does worse.
-
-    Only where nothing is left: what a wrong model does not ask for, the right one may.
-    """
-    if fit.chi2_per_dof > fit.criteria.selection.detected_chi2:
-        return fit
-    model = fit.model.with_active([one.resting(*to_spare(fit, one)) for one in fit.model.active])
-    if len(model.free) == len(fit.model.free):
-        return fit
-    trial = briefly_refitted(fitter, model, fit)
-    lost, tie = _evidence_gain(fit, trial), fit.criteria.selection.tie
-    fixed = [a.name for a, b in zip(fit.model.active, model.active, strict=True) if len(b.free) < len(a.free)]
-    _record_evidence(fitter, "fix_shape", fixed, (fit, trial), -lost, -tie, taken=lost <= tie)
-    # A refinement of a form that is gone is none.
-    return in_simpler_forms(fitter, trial) if lost <= tie else fit
 
 
 def downwards(fitter: Fitter, fit: Fit) -> Fit:

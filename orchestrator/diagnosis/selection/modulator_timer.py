@@ -11,13 +11,13 @@ from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import briefly_refitted
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
-from orchestrator.diagnosis.uncertainty.scatter import as_much, at_most_sound, doubting_zeros, likelihood_of
+from orchestrator.diagnosis.uncertainty.scatter import likelihood_of
 from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
 from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
 from orchestrator.diagnosis.uncertainty.timer_search import timers_in
 
-TELLINGS = 4
-"""How often timer, scatter and fit are told, each in the light of the others."""
+TIMER_ROUNDS: int = 4
+"""How often timer and fit are estimated, each given the other."""
 
 
 def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
@@ -39,55 +39,39 @@ def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     return replace(setup.with_timer(timer), timers=timers)
 
 
-def with_sharper_timer(
-    setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
-) -> tuple[DiagnosisSetup, DiagnosisSetup]:
-    """Both setups with the modulator's timer as the rests tell it beside a fit, and with what scatters still."""
+def with_sharper_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
+    """The setup with the modulator's timer as the dwells show it beside a fit; as it was, where there is none."""
     if not setup.timers:
-        return setup, doubting
-    setup.fitter.tell("the modulator's timer, by what holds the currents that rest")
+        return setup
+    setup.fitter.tell("the modulator's timer, by the voltages that hold the currents")
     likelihood = likelihood_of(setup.bare.coarse_fitter, fit, library)
-    timer, scatter = timer_near(setup.coarse_fitter.prepared, likelihood, doubting.fitter.noise.of_model, setup.timers)
-    timed = setup.with_timer(timer)
-    timed.coarse_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
-    return timed, timed.with_noise(at_most_sound(timed, scatter))
+    scatter = likelihood.likeliest((True, True), dithered=False)
+    timer, _ = timer_near(setup.coarse_fitter.prepared, likelihood, scatter, setup.timers)
+    setup.coarse_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
+    return setup.with_timer(timer)
 
 
 def with_timer_of_fit(
-    setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
-) -> tuple[DiagnosisSetup, DiagnosisSetup, Fit] | None:
-    """Both setups with the timer as every equation of a part's fit tells it, and what then scatters; and the fit so.
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, Fit] | None:
+    """The setup with the timer as every equation of a part's fit shows it, and the fit so.
 
-    None where there is no timer, where nothing is left, or where another is hardly likelier. The fit may be worse where
-    less scatters beside the timer: what was no effect in more noise is to be asked again.
+    None where there is no timer, where nothing is left, or where another is hardly likelier.
     """
     limits = fit.criteria.selection
     if not setup.timers or fit.chi2_per_dof <= limits.detected_chi2:
         return None
-    # A phase that was told beside wrong forms may be anywhere, and no descent leads over a command's jump; rests do.
-    beside = with_sharper_timer(setup, doubting, fit, library)[1]
-    starts = (doubting, fit), (beside, beside.coarse_fitter.renewed(fit.model))
-    start = min(starts, key=lambda start: start[1].objective)
-    timed, told, gained = _told(*start, library)
-    if fit.objective - start[1].objective + gained < 2.0 * limits.log_evidence * fit.chi2_per_dof:
-        return None
-    return timed.with_noise(setup.fitter.noise.of_model), timed, told
-
-
-def _told(doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit, float]:
-    """Timer, what scatters and a part's fit, each in the light of the others.
-
-    And how much of chi2 the timer took as it was told first; what scatters was the same until then.
-    """
-    gains = list[float]()
-    for _ in range(TELLINGS):
-        doubting.fitter.tell("the modulator's timer, by all that the effects leave")
-        before = doubting.fitter.noise.of_model
-        timer, gain = timer_beside(fit, doubting.timers, doubting.fitter.pm_flux_wb)
-        gains.append(gain)
-        timed = doubting.with_timer(timer)
-        doubting = doubting_zeros(timed, likelihood_of(timed.coarse_fitter, fit, library))
-        fit = briefly_refitted(doubting.coarse_fitter, fit.model, fit)
-        if as_much(doubting.fitter.noise.of_model, before) and gain < LEAST_JOINT_GAIN:
+    # No descent leads over a command's jump, which a phase estimated beside wrong forms may lie beyond; dwells do.
+    beside = with_sharper_timer(setup, fit, library)
+    starts = (setup, fit), (beside, beside.coarse_fitter.renewed(fit.model))
+    timed, sharper = min(starts, key=lambda start: start[1].objective)
+    gained = fit.objective - sharper.objective
+    for turn in range(TIMER_ROUNDS):
+        timed.fitter.tell("the modulator's timer, by all that the effects leave")
+        timer, gain = timer_beside(sharper, timed.timers, timed.fitter.pm_flux_wb)
+        gained += gain if turn == 0 else 0.0
+        timed = timed.with_timer(timer)
+        sharper = briefly_refitted(timed.coarse_fitter, sharper.model, sharper)
+        if gain < LEAST_JOINT_GAIN:
             break
-    return doubting, fit, gains[0]
+    return None if gained < 2.0 * limits.log_evidence * fit.chi2_per_dof else (timed, sharper)

@@ -13,7 +13,6 @@ from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.scoring import (
-    evidence_for,
     log_evidence,
     loss_without,
     worth_bending,
@@ -33,16 +32,7 @@ LEAST_CHI2_LOSS_OF_SIMPLE_FORM: float = 1000.0
 
 def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
     """The newest effect fitted to the end, in its flexible form where the evidence asks for it."""
-    return flexible(fitter, in_simple_form(fitter, fit), inflation)
-
-
-def in_simple_form(fitter: Fitter, fit: Fit) -> Fit:
-    """The newest effect fitted to the end as it is."""
-    return fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
-
-
-def flexible(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
-    """The newest effect's flexible form where the evidence asks for it."""
+    fit = fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
     bent = _flexible(fitter, fit, len(fit.model.active) - 1, inflation)
     return fit if bent is None else bent
 
@@ -52,44 +42,14 @@ def rigid_in(effects: Sequence[Active]) -> list[tuple[Active, str]]:
     return [(a, n) for a in effects for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
 
 
-def repolished(fitter: Fitter, fit: Fit) -> Fit:
-    """The earlier effects' flexible forms, where what hid their worth is now in the model."""
-    for index in range(0 if fitter.effort.exhausted else len(fit.model.active) - 1):
-        trial = _flexible(fitter, fit, index, 1.0)
-        fit = fit if trial is None else trial
-    return fit
-
-
 def settled(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known.
-
-    Else without those refinements that can be spared.
-    """
+    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
     best = fitter.fit(fit.model, fit.frame, steps=8, renewals=3, tolerance=3e-4)
     for index in range(len(best.model.active)):
-        active = best.model.active[index]
-        for spared in (active.bent_by, to_spare(best, active)):
-            if spared and not fitter.effort.exhausted and (trial := _rigid(fitter, best, index, spared)) is not None:
-                best = trial
-                break
+        bent_by = best.model.active[index].bent_by
+        if bent_by and not fitter.effort.exhausted:
+            best = _rigid(fitter, best, index, bent_by) or best
     return best
-
-
-def to_spare(fit: Fit, active: Active) -> list[str]:
-    """Free refinements of an effect that the data do not ask for, the least asked for first.
-
-    Each by what it costs beside those that are spared already: what is needed does not go in the company of what is
-    not. All together they cost no more than a tie.
-    """
-    spared = [n for n in active.bent_by if active.coordinate(n) == 0.0]
-    so_far, lost = evidence_for(fit, active, spared) if spared else 0.0, 0.0
-    for name in sorted((n for n in active.bent_by if n not in spared), key=lambda n: evidence_for(fit, active, [n])):
-        together = evidence_for(fit, active, [*spared, name])
-        cost = max(together - so_far, 0.0)
-        if lost + cost <= fit.criteria.selection.tie:
-            spared.append(name)
-            so_far, lost = together, lost + cost
-    return spared
 
 
 def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | None:

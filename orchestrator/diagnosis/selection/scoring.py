@@ -98,20 +98,6 @@ def score(view: LinearView) -> list[Score]:
     return sorted(scores, key=lambda s: -s.gain)
 
 
-def gain_together(view: LinearView) -> float:
-    """Fall of chi2 by all effects that are not in the model, those that are following."""
-    fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
-    columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name in absent]
-    return linear_gain(view.normal, view.right, fitted, columns)[0]
-
-
-def form_gain(view: LinearView) -> float:
-    """Fall of chi2 by what bends an effect of the model, of those columns that a view has of it."""
-    fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
-    bends = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name not in absent]
-    return linear_gain(view.normal, view.right, fitted, bends)[0] if bends else 0.0
-
-
 def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:
     """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
     block, pull = normal[np.ix_(columns, columns)], right[columns]
@@ -171,14 +157,6 @@ def loss_without(fit: Fit, active: Active, names: Sequence[str]) -> float:
     """
     away, block = _away(fit, active, names)
     return float(away @ np.linalg.solve(block, away))
-
-
-def evidence_for(fit: Fit, active: Active, names: Sequence[str]) -> float:
-    """By how much likelier the data are with some parameters of an effect free than neutral, as a logarithm.
-
-    To first order, by Savage and Dickey's ratio (doi:10.1214/aoms/1177693507), for priors of unit variance.
-    """
-    return log_density_ratio(*_away(fit, active, names))
 
 
 def log_density_ratio(mean: Array, covariance: Array) -> float:

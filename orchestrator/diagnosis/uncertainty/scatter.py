@@ -228,33 +228,6 @@ def explained_by_scatter(setup: DiagnosisSetup, likelihood: Likelihood) -> Diagn
     return setup.with_noise(scatter.noise) if enough and _is_noise(scatter, setup) else None
 
 
-def beside_scatter(
-    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[Candidate]
-) -> DiagnosisSetup | None:
-    """The setup with a scatter as noise, where there is one beside all that a fit of the whole or of a part has."""
-    scatter = scatter_of(fitter, fit, library)
-    return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
-
-
-def doubting_zeros(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup:
-    """The setup with as much scatter as there may be, at most a sound sensor's and modulator's, while forms are sought.
-
-    A hold's mean is known to microvolts, and what its timer does to it would be taken for an inverter's knee.
-    """
-    return setup.with_noise(at_most_sound(setup, _likeliest_of(likelihood, may_be_dithered=False).noise))
-
-
-def at_most_sound(setup: DiagnosisSetup, noise: ModelNoise) -> ModelNoise:
-    """The scatter, or as much of it as a sound sensor and modulator have."""
-    most_a = MAX_OFFSET_SCATTER * setup.current_a
-    most_v = MAX_TIMER_STEP_S / timer_step_s(ModelNoise(voltage_scatter_v=1.0), setup)
-    sizes = {
-        "offset_scatter_a": min(noise.offset_scatter_a, most_a),
-        "voltage_scatter_v": min(noise.voltage_scatter_v, most_v),
-    }
-    return noise.model_copy(update=sizes)
-
-
 def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
     """Whether two scatters are the same as far as a fit heeds them."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)

@@ -82,12 +82,6 @@ class SensorNoise:
 
     def colour(self, piece: SegmentSignals) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
-        factors = self.of_model.variance_factors.get(kind_of(piece))
-        own = self._own_colour(piece)
-        return own if factors is None else own * np.array(factors)
-
-    def _own_colour(self, piece: SegmentSignals) -> Array:
-        """The same of the readings' own noise."""
         w, rho = piece.windows, self.correlation
         if len(w.carriers) == 1 and self.lines:
             return np.array([self._steady(piece)])
@@ -105,14 +99,6 @@ class SensorNoise:
         fs, step = s.sampling_frequency_hz, piece.windows.step
         more = (added_noise(x, fs, piece.averaged, step, ohm, henry, variance) for x in self.lines if x.switching)
         return (1.0 + rho) / (1.0 - rho) + sum(more)
-
-
-def kind_of(piece: SegmentSignals) -> str:
-    """The kind of stage whose model errors are alike, mode by mode: all that rests is one."""
-    if piece.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE):
-        return "rest"
-    modes = len(piece.windows.carriers)
-    return piece.stage.value if modes == 1 else f"{piece.stage.value} in {modes} modes"
 
 
 def sensor_noise(pieces: Sequence[SegmentSignals]) -> SensorNoise:

@@ -16,10 +16,8 @@ from orchestrator.diagnosis.selection.joint_search import (
     dispensable,
     downwards,
     exchanged,
-    in_better_form,
     in_forms_still_asked_for,
     in_own_forms,
-    in_simpler_forms,
     joint_search,
     log_bayes_factors,
     probabilities,
@@ -29,14 +27,14 @@ from orchestrator.diagnosis.selection.joint_search import (
     without_doubles,
     without_effect,
 )
-from orchestrator.diagnosis.selection.scoring import LinearView, Score, log_evidence, score
+from orchestrator.diagnosis.selection.scoring import LinearView, Score, score
 from orchestrator.diagnosis.uncertainty.block_scatter import BLOCKS, block_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentOffset
-from protocols import Effect, ParameterRole
+from protocols import Effect
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
 
 BIAS_V = np.array([0.3, -0.1])
@@ -163,24 +161,6 @@ def test_a_form_is_asked_for_once_more_where_something_is_left() -> None:
     assert in_forms_still_asked_for(maker, formed) is formed
 
 
-@pytest.mark.slow
-def test_a_form_that_is_not_needed_goes_and_one_that_is_stays() -> None:
-    made = prepared(plan(sparse=True))
-    (dead_time,) = scaled_library([DeadTime()], made.manifest)
-    refinements = dead_time.of_role(ParameterRole.REFINEMENT)
-    for softness, needed in ((0.5, False), (0.1, True)):
-        true = DeadTime.Parameters(voltage_v=2.0, threshold_a=0.4, softness=softness)
-        maker = fitter(with_voltage(made, _lost_to(true, made)))
-        plain = refitted(maker, free_model().with_active([dead_time.absent().freeing("threshold_a")]))
-        fit = maker.fit(plain.model.with_active([plain.model.active[0].freeing(*refinements)]))
-        simple = in_simpler_forms(maker, fit)
-        assert fit.chi2_per_dof < 1.08
-        assert ("softness" in simple.model.active[0].free) is needed
-        assert not {"leg_a_longer", "leg_b_over_c", "grading"} & set(simple.model.active[0].free)
-        assert log_evidence(simple, 1.0) > log_evidence(fit, 1.0) - fit.criteria.selection.tie
-        assert in_simpler_forms(maker, simple) is simple
-
-
 def test_a_dead_time_all_within_its_commutation_is_reached_from_its_second_form() -> None:
     made = prepared(plan(), noise_a=0.002)
     library = scaled_library([DeadTime(), PhaseResistanceImbalance()], made.manifest)
@@ -195,41 +175,6 @@ def test_a_dead_time_all_within_its_commutation_is_reached_from_its_second_form(
     told = next(a for a in in_own_forms(maker, fit).model.active if a.name == "dead_time")
     assert told.values["voltage_v"] == pytest.approx(2.0, rel=0.1)
     assert told.values["threshold_a"] == pytest.approx(2.5, rel=0.1)
-
-
-def test_a_form_that_was_bent_to_what_is_missing_is_begun_again_at_its_second() -> None:
-    """No descent from there finds the ripple's part in the edges."""
-    made = prepared(plan(), noise_a=0.002)
-    library = scaled_library([DeadTime()], made.manifest)
-    true = DeadTime.Parameters(voltage_v=2.0, threshold_a=0.6, switched=1.0, grading=0.5)
-    maker = fitter(with_voltage(made, _lost_to(true, made)))
-    bent = library[0].absent().moved("voltage_v", 0.25).freeing("threshold_a", "softness", "narrow", "wide", "wider")
-    stuck = refitted(maker, free_model().with_active([bent]))
-    assert stuck.chi2_per_dof > stuck.criteria.selection.detected_chi2
-    better = in_better_form(maker, stuck)
-    assert better.model.active[0].values["switched"] == pytest.approx(1.0, abs=0.05)
-    assert better.model.active[0].values["threshold_a"] == pytest.approx(0.6, rel=0.1)
-    assert better.chi2_per_dof < 0.5 * (1.0 + stuck.chi2_per_dof)
-
-
-def test_a_form_that_was_never_bent_is_begun_at_its_second_where_that_does_better_at_once() -> None:
-    made = prepared(plan(), noise_a=0.002)
-    library = scaled_library([DeadTime()], made.manifest)
-    for threshold_a, switched in ((2.0, 1.0), (0.1, 0.0)):
-        form = {"switched": 1.0, "grading": 0.5} if switched else {}
-        true = DeadTime.Parameters(voltage_v=2.0, threshold_a=threshold_a, **form)
-        maker = fitter(with_voltage(made, _lost_to(true, made)))
-        simple = refitted(maker, free_model().with_active([library[0].absent().moved("voltage_v", 0.25)]))
-        assert simple.model.active[0].bent_by == ()
-        better = in_better_form(maker, simple, at_once=True)
-        assert better.model.active[0].values["switched"] == pytest.approx(switched, abs=0.05)
-        assert (better.objective < simple.objective) == (switched > 0.0)
-
-
-def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: Fitter) -> None:
-    library = scaled_library([DeadTime(), VoltageBias()], maker.prepared.manifest)
-    both = together(maker, free_model(), library)
-    assert both.model.active[0].values["threshold_a"] == library[0].named("threshold_a").typical
 
 
 @pytest.mark.slow

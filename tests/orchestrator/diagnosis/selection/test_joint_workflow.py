@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import setup_of
@@ -20,12 +19,12 @@ from orchestrator.diagnosis.selection.joint_search import log_bayes_factors
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
-from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
+from plugins.effects.sensors import CurrentGainMismatch
 from plugins.effects.timing import VoltageDelay
-from protocols import Effect, ModelNoise
+from protocols import Effect
 from tests.orchestrator.diagnosis import pieces as made_of
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import felt_through, free_model, plan, prepared, timer
+from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
 
 
 def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,49 +69,6 @@ def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share()
     assert joint_workflow.ladder_of(setup, [Step(None, bare)], left, {}, []).minor == (lesser[0],)
 
 
-@pytest.mark.parametrize(("of_all_a", "of_each_a"), [(0.004, 0.0), (0.0, 0.004)])
-def test_an_offset_of_all_segments_is_not_left_to_a_scatter_and_one_of_each_is(
-    of_all_a: float, of_each_a: float
-) -> None:
-    made = prepared(plan())
-    random, pieces = np.random.default_rng(3), []
-    for piece in made.pieces:
-        shifted = piece.signals.i_ab + [of_all_a, 0.0] + of_each_a * random.normal(size=2)
-        pieces.append(replace(piece, signals=replace(piece.signals, i_ab=shifted)))
-    setup = made_of.setup_of(made_of.fitter(replace(made, pieces=tuple(pieces))))
-    (offset,) = scaled_library([CurrentOffset()], made.manifest)
-    doubting = setup.with_noise(ModelNoise(offset_scatter_a=0.004))
-    beside = doubting.coarse_fitter.fit(free_model().with_active([offset.absent()]))
-    after, noisy, fit = joint_workflow.without_needless_scatter(setup, doubting, beside)
-    assert after is setup
-    if of_each_a:
-        assert noisy is doubting
-        assert fit is beside
-    else:
-        assert noisy is setup
-        assert fit.model.active[0].values["offset_a_a"] == pytest.approx(of_all_a, rel=0.1)
-
-
-@pytest.mark.parametrize(("told", "taken"), [((0.35, 0.62), True), ((0.80, 0.10), False)])
-def test_a_timer_told_beside_a_scatter_has_to_do_better_without_it(
-    told: tuple[float, float], taken: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A scatter of volts makes good what wrong phases do to every rest; the setup goes on without that scatter."""
-    recording = felt_through(timer(21.7e-9, 0.35, 0.62), plan(sparse=True))
-    setup = made_of.setup_of(made_of.fitter(recording)).with_timer(timer(21.7e-9, 0.40, 0.58))
-    fit = setup.coarse_fitter.fit(free_model())
-    timed = setup.with_timer(timer(21.7e-9, *told))
-    doubting = timed.with_noise(ModelNoise(voltage_scatter_v=0.1))
-    beside = doubting.coarse_fitter.fit(free_model())
-    assert beside.chi2_per_dof < fit.chi2_per_dof
-    monkeypatch.setattr(joint_workflow, "with_timer_of_fit", lambda *_: (timed, doubting, beside))
-    after, held = joint_workflow.with_timer_without_scatter(setup, fit, [])
-    assert (after is timed) == taken
-    assert (after is setup) != taken
-    assert held.objective <= fit.objective
-    assert not held.frame.noise.of_model.scatters
-
-
 @pytest.mark.parametrize(("left", "named"), [(0.1, True), (0.4, False)])
 def test_what_drifts_by_more_than_is_left_disagrees_on_something_else(
     left: float, named: bool, monkeypatch: pytest.MonkeyPatch
@@ -155,19 +111,20 @@ def test_where_nothing_is_sure_nothing_is_found(sure: bool, monkeypatch: pytest.
 
 
 @pytest.mark.parametrize(("better", "taken"), [(-100.0, True), (100.0, False)])
-def test_a_timer_told_beside_less_scatter_is_judged_when_all_effects_have_been_asked_again(
+def test_a_timer_that_the_fit_shows_is_taken_where_all_effects_do_better_with_it(
     better: float, taken: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Those asked for in more noise leave much more than the noise that there is."""
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    timed = setup.with_noise(ModelNoise(voltage_scatter_v=1e-4))
+    timed = replace(setup)
     worse = replace(whole, objective=whole.objective + 2.0 * whole.chi2)
-    asked = replace(whole, objective=whole.objective + better)
-    tellings = iter([(timed, timed, worse), None])
-    monkeypatch.setattr(joint_workflow, "with_timer_of_fit", lambda *_: next(tellings))
-    monkeypatch.setattr(joint_workflow, "_asked_again", lambda *_: (asked, {}))
-    after = joint_workflow.timed_anew(setup, setup, whole, {"voltage_bias": ["another"]}, [])
-    assert after == ((timed, timed, asked, {}) if taken else (setup, setup, whole, {"voltage_bias": ["another"]}))
+    searched = replace(whole, objective=whole.objective + better)
+    estimates = iter([(timed, worse), None])
+    monkeypatch.setattr(joint_workflow, "with_timer_of_fit", lambda *_: next(estimates))
+    monkeypatch.setattr(joint_workflow, "_asked_again", lambda *_: (searched, {}))
+    after, fit, rivals = joint_workflow.timed_anew(setup, whole, {"voltage_bias": ["another"]}, [])
+    assert after is (timed if taken else setup)
+    assert fit is (searched if taken else whole)
+    assert rivals == ({} if taken else {"voltage_bias": ["another"]})
 
 
 @pytest.mark.parametrize(("chi2", "sharper", "asked"), [(1.05, 0.9, False), (3.0, 0.9, True), (3.0, 1.1, True)])

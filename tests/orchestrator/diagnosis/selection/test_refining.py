@@ -8,7 +8,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import OBJECTIVE_SLACK, Fitter
-from orchestrator.diagnosis.selection.refining import _other_forms, polished, settled, to_spare
+from orchestrator.diagnosis.selection.refining import _other_forms, polished, settled
 from plugins.effects.inverter import DeadTime, DeviceDrop
 from plugins.effects.iron import Hysteresis
 from protocols import ParameterRole, Signals
@@ -48,21 +48,6 @@ def test_the_flexible_form_is_freed_where_the_simple_one_will_not_do(flexible: f
     end = settled(maker, better)
     assert end.chi2_per_dof < 1.3
     assert end.objective <= better.objective + OBJECTIVE_SLACK
-
-
-def test_what_a_form_needs_stays_and_what_it_does_not_goes() -> None:
-    maker = _machine(0.0)
-    fit = maker.fit(with_free(free_model(), maker, DeadTime(), voltage_v=0.5))
-    (active,) = fit.model.active
-    names = active.candidate.of_role(ParameterRole.REFINEMENT)
-    freed = maker.fit(fit.model.with_active([active.freeing(*names)]), fit.frame)
-    assert set(to_spare(freed, freed.model.active[0])) == set(names)
-    # Of a knee that is sharper than the simple form's, the softness is needed and stays, whoever else goes.
-    sharp = _sharp()
-    fit = sharp.fit(with_free(free_model(), sharp, DeadTime(), voltage_v=0.5))
-    (active,) = fit.model.active
-    freed = sharp.fit(fit.model.with_active([active.freeing(*names)]), fit.frame)
-    assert "softness" not in to_spare(freed, freed.model.active[0])
 
 
 def test_a_form_is_begun_again_without_what_ran_to_the_end_of_its_range() -> None:

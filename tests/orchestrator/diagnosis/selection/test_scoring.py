@@ -11,7 +11,6 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection.scoring import (
     does_as_well,
-    evidence_for,
     linear_view,
     log_evidence,
     loss_without,
@@ -69,17 +68,6 @@ def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> N
     lost = loss_without(full, full.model.active[0], candidate.amplitudes)
     # Wald's test counts in units of the noise that is left.
     assert lost * max(full.chi2_per_dof, 1.0) == pytest.approx(bare.chi2 - full.chi2, rel=0.05)
-
-
-def test_what_says_nothing_of_a_parameter_neither_asks_for_it_nor_against_it_however_large_the_noise(
-    biased: Fitter,
-) -> None:
-    bare = biased.fit(free_model())
-    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
-    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.frame, renewals=0)
-    noisy = replace(full, chi2=9.0 * full.dof, columns=tuple(0.0 * d for d in full.columns))
-    back = replace(noisy, model=bare.model.with_active([candidate.absent()]))
-    assert evidence_for(back, back.model.active[0], candidate.amplitudes) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_of_two_that_do_the_same_one_is_worth_freeing() -> None:
