@@ -66,6 +66,8 @@ def _always(value: Any) -> Callable[[Mapping[str, Any]], Any]:
 
 RULES = (
     Rule("selection.forward_search", "_stands_in", _always(False)),
+    Rule("selection.forward_search", "_stands_before_a_form", _always(False)),
+    Rule("selection.refining", "repolished", _given("fit")),
     Rule("selection.refining", "settled", _given("fit")),
     Rule("selection.refining", "_other_forms", _always([])),
     Rule("selection.workflow", "_detailed", _given("fit")),

@@ -17,12 +17,13 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
 from orchestrator.diagnosis.selection.joint_search import INDISTINGUISHABLE_SHARE
-from orchestrator.diagnosis.selection.refining import polished
+from orchestrator.diagnosis.selection.refining import flexible, in_simple_form, polished, repolished, rigid_in
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     Score,
     asked,
     does_as_well,
+    form_gain,
     gain_with,
     linear_view,
     log_evidence,
@@ -33,6 +34,8 @@ from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import ParameterRole
 
+LEAST_SHARE_BEFORE_FORM: float = 0.5
+"""Part of the residual that an absent effect has to explain to be tried before a form: the larger part."""
 LEAST_EFFECT_SIZE: float = 0.02
 """Effects smaller than this part of their typical size are not named."""
 LEAST_SHARE_OF_EXCESS: float = 0.2
@@ -69,6 +72,8 @@ class Search:
     """Effects that do as well as an accepted one in its place."""
     view: LinearView | None = None
     """Of the last fit."""
+    unbent: bool = False
+    """Whether the newest effect waits to be bent until another one is in the model that explains more."""
     minor: tuple[str, ...] = ()
     """Effects of the last fit that are in the model, but no causes."""
     shares: Mapping[str, Share] = field(default_factory=dict)
@@ -106,7 +111,7 @@ def forward(
     # What did as well in the place of an accepted effect cannot be told to be there beside it.
     rejected = {n for tied in (rivals or {}).values() for n in tied}
     while len(search.fit.model.active) < most and not fitter.effort.exhausted:
-        if not _one_more(fitter, search, candidates, rejected):
+        if not _one_more(fitter, search, candidates, rejected) and not _bent_after_all(fitter, search):
             break
     search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
     return search
@@ -164,8 +169,7 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
         for g, n, t in ranked[1:]
         if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
     ]
-    search.steps.append(Step(name, polished(fitter, trial, inflation), gain))
-    fitter.tell(f"+ {plain(name)}: chi2 {number(search.fit.chi2_per_dof)}")
+    _taken(fitter, search, Step(name, trial, gain), candidates, inflation)
     if search.fit.objective > fit.objective:
         # What it promised where the model stood does not hold where it leads.
         note = "the complete refit leaves more than before"
@@ -179,6 +183,36 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
     rejected.clear()
     rejected.update(n for tied in search.rivals.values() for n in tied)
     return True
+
+
+def _taken(fitter: Fitter, search: Search, step: Step, candidates: Sequence[Candidate], inflation: float) -> None:
+    """Let an effect into the model, and extend forms unless an absent effect explains more of what it leaves."""
+    fit = in_simple_form(fitter, step.fit)
+    search.view = linear_view(fitter, fit, candidates, rigid_in(fit.model.active[-1:]))
+    search.unbent = _stands_before_a_form(search.view)
+    if not search.unbent:
+        fit = repolished(fitter, flexible(fitter, fit, inflation))
+    search.steps.append(replace(step, fit=fit))
+    fitter.tell(f"+ {plain(step.added or '')}: chi2 {number(search.fit.chi2_per_dof)}")
+
+
+def _bent_after_all(fitter: Fitter, search: Search) -> bool:
+    """Extend the forms that waited for another effect, which did not come; False where none waited."""
+    if not search.unbent:
+        return False
+    search.unbent = False
+    search.steps[-1] = replace(search.steps[-1], fit=repolished(fitter, flexible(fitter, search.fit, 1.0)))
+    return True
+
+
+def _stands_before_a_form(view: LinearView) -> bool:
+    """Whether an effect that is absent explains most of what is left, and more than the newest one's flexible form.
+
+    The form would be bent to what is missing beside it; it is asked again with that in the model.
+    """
+    scores, fit = score(view), view.fit
+    most = LEAST_SHARE_BEFORE_FORM * (fit.chi2 - fit.dof)
+    return bool(scores) and scores[0].gain > max(form_gain(view), most)
 
 
 def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:

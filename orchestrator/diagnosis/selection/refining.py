@@ -32,7 +32,16 @@ LEAST_CHI2_LOSS_OF_SIMPLE_FORM: float = 1000.0
 
 def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
     """The newest effect fitted to the end, in its flexible form where the evidence asks for it."""
-    fit = fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
+    return flexible(fitter, in_simple_form(fitter, fit), inflation)
+
+
+def in_simple_form(fitter: Fitter, fit: Fit) -> Fit:
+    """The newest effect fitted to the end as it is."""
+    return fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
+
+
+def flexible(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
+    """The newest effect's flexible form where the evidence asks for it."""
     bent = _flexible(fitter, fit, len(fit.model.active) - 1, inflation)
     return fit if bent is None else bent
 
@@ -40,6 +49,14 @@ def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
 def rigid_in(effects: Sequence[Active]) -> list[tuple[Active, str]]:
     """Refinements of some effects that rest."""
     return [(a, n) for a in effects for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
+
+
+def repolished(fitter: Fitter, fit: Fit) -> Fit:
+    """The earlier effects' flexible forms, where what hid their worth is now in the model."""
+    for index in range(0 if fitter.effort.exhausted else len(fit.model.active) - 1):
+        trial = _flexible(fitter, fit, index, 1.0)
+        fit = fit if trial is None else trial
+    return fit
 
 
 def settled(fitter: Fitter, fit: Fit) -> Fit:

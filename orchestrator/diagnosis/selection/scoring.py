@@ -98,6 +98,13 @@ def score(view: LinearView) -> list[Score]:
     return sorted(scores, key=lambda s: -s.gain)
 
 
+def form_gain(view: LinearView) -> float:
+    """Fall of chi2 by what bends an effect of the model, of those columns that a view has of it."""
+    fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
+    bends = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name not in absent]
+    return linear_gain(view.normal, view.right, fitted, bends)[0] if bends else 0.0
+
+
 def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:
     """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
     block, pull = normal[np.ix_(columns, columns)], right[columns]

@@ -26,7 +26,7 @@ from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
-from orchestrator.diagnosis.selection.refining import polished, settled
+from orchestrator.diagnosis.selection.refining import polished, repolished, settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
 from orchestrator.diagnosis.uncertainty.block_scatter import certainty
 from orchestrator.diagnosis.uncertainty.scatter import explained_by_scatter, likelihood_of
@@ -286,7 +286,7 @@ def converged(setup: DiagnosisSetup, search: Search) -> Search:
         return search
     last, fit = search.steps[-1], search.fit
     if not _explains(fit):
-        fit = polished(setup.fitter, fit, 1.0)
+        fit = polished(setup.fitter, repolished(setup.fitter, fit), 1.0)
     steps = [*search.steps[:-1], Step(last.added, settled(setup.fitter, fit), last.log_evidence)]
     return Search(steps, search.traces, search.rivals, search.view)
 

@@ -10,11 +10,15 @@ import pytest
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.diagnosis.selection import forward_search as forward_search_module
 from orchestrator.diagnosis.selection.forward_search import Step, forward
+from orchestrator.diagnosis.selection.refining import flexible
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.timing import VoltageDelay
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+from protocols import Signals
+from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +67,40 @@ def test_thresholds_are_those_that_are_handed_in(biased: Fitter) -> None:
         maker, [Step(None, maker.fit(free_model()))], scaled_library([VoltageBias()], maker.prepared.manifest)
     )
     assert len(search.steps) == 1
+
+
+def test_an_effect_that_explains_more_is_let_in_before_the_newest_one_is_bent(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = prepared(plan())
+    error = {p.segment.id: _knee_and_bias(p.signals) for p in made.pieces}
+    maker = fitter(with_voltage(made, error))
+    library = scaled_library([DeadTime(), VoltageBias()], made.manifest)
+    bent: list[tuple[str, ...]] = []
+
+    def noted(maker: Fitter, fit: Fit, inflation: float) -> Fit:
+        bent.append(fit.model.names)
+        return flexible(maker, fit, inflation)
+
+    monkeypatch.setattr(forward_search_module, "flexible", noted)
+    search = forward(maker, [Step(None, maker.fit(free_model()))], library)
+    assert set(search.fit.model.names) == {"dead_time", "voltage_bias"}
+    assert search.fit.chi2_per_dof == pytest.approx(1.0, abs=0.2)
+    # What came first was bent with the other one there, not alone.
+    assert all(len(names) == 2 for names in bent)
+    assert not search.unbent
+
+
+def test_what_waited_for_another_effect_is_bent_where_none_comes(biased: Fitter) -> None:
+    library = scaled_library([VoltageBias()], biased.prepared.manifest)
+    bare = biased.fit(free_model())
+    search = forward(biased, [Step(None, bare)], library)
+    search.unbent = True
+    assert forward_search_module._bent_after_all(biased, search)
+    assert not forward_search_module._bent_after_all(biased, search)
+
+
+def _knee_and_bias(signals: Signals) -> Array:
+    """What the command has on top for a dead time of 0.5 V with a sharp knee, and a bias nearly as large."""
+    dead_time = DeadTime()
+    left = dead_time.correct(signals, dead_time.Parameters(voltage_v=0.5, softness=0.3)).v_ab
+    assert left is not None
+    return np.asarray(signals.v_ab - left + np.array([0.3, -0.2]), dtype=np.float64)
