@@ -14,10 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.numerics.types import Array
 from protocols import Motor
 
 Values = Mapping[str, float]
+
+VALUE_STD = 0.14
+"""Standard deviation of the logarithm of a value on a nameplate: tolerances, temperature, a rating with a margin."""
+_NOT_EXACT = {
+    *("rated_voltage_rms_v", "rated_current_rms_a", "rated_power_w", "stator_resistance_ohm"),
+    *("d_inductance_h", "q_inductance_h", "pm_flux_wb"),
+}
+"""Speed, frequency and torque follow from other ratings: what is off there is a contradiction."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,9 @@ class Relation:
     usual : float
         The same of most motors.
     spread : float
-        Standard deviation of its natural logarithm, over motors.
+        Standard deviation of its natural logarithm, over motors whose values are exact; infinite: no measure.
+    steeper_below : float
+        So many times narrower motors are spread below the usual ratio than above it.
     """
 
     words: str
@@ -55,16 +64,20 @@ class Relation:
     high: float
     usual: float
     spread: float
+    steeper_below: float = 1.0
 
     def holds(self, values: Values) -> bool:
         """Also where a value is missing."""
         return not self._applies(values) or self.low <= self._ratio(values) <= self.high
 
-    def mismatch(self, values: Values) -> float:
-        """Square of the distance from the usual ratio, in spreads; nil where a value is missing."""
-        if not self._applies(values):
-            return 0.0
-        return (math.log(max(self._ratio(values), 1e-12) / self.usual) / self.spread) ** 2
+    def counts(self, values: Values) -> bool:
+        """Whether its distance from the usual is a measure, and its values are there."""
+        return math.isfinite(self.spread) and self._applies(values)
+
+    def off_usual(self, values: Values) -> float:
+        """Natural logarithm of its ratio over the usual one, stretched below that until both sides spread alike."""
+        off = math.log(max(self._ratio(values), 1e-12) / self.usual)
+        return off if off > 0.0 else self.steeper_below * off
 
     def describe(self, values: Values, derived: Collection[str] = ()) -> str:
         """The numbers of both sides; a field that was `derived` from others is said to be."""
@@ -94,12 +107,23 @@ def _phase_peak_v(values: Values) -> float:
     return math.sqrt(2.0 / 3.0) * values["rated_voltage_rms_v"]
 
 
-def _torques(values: Values) -> tuple[Array, Array, Array]:
-    """i_d, i_q and the torque over all angles of the rated current, a degree apart, shape (181,)."""
-    angle = np.linspace(0.0, math.pi, 181)
-    i_d, i_q = _peak_a(values) * np.cos(angle), _peak_a(values) * np.sin(angle)
+def _best_current(values: Values) -> tuple[float, float]:
+    """i_d and i_q of the rated current where it makes the most torque [A].
+
+    With D = L_d - L_q the derivative of (psi + D i_d) i_q along the circle vanishes where 2 D i_d^2 + psi i_d = D I^2.
+    """
+    peak_a, psi = _peak_a(values), values["pm_flux_wb"]
     l_d, l_q = _inductances(values)
-    return i_d, i_q, 1.5 * values["pole_pairs"] * (values["pm_flux_wb"] + (l_d - l_q) * i_d) * i_q
+    reluctance = (l_d - l_q) * peak_a
+    cosine = 2.0 * reluctance / (psi + math.sqrt(psi**2 + 8.0 * reluctance**2))
+    return peak_a * cosine, peak_a * math.sqrt(1.0 - cosine**2)
+
+
+def _largest_torque(values: Values) -> float:
+    """Over all angles of the rated current [Nm]."""
+    i_d, i_q = _best_current(values)
+    l_d, l_q = _inductances(values)
+    return 1.5 * values["pole_pairs"] * (values["pm_flux_wb"] + (l_d - l_q) * i_d) * i_q
 
 
 def _inductances(values: Values) -> tuple[float, float]:
@@ -109,9 +133,7 @@ def _inductances(values: Values) -> tuple[float, float]:
 
 def _needed_voltage(values: Values) -> float:
     """Phase voltage (peak) for the rated current at the rated frequency, where it makes the most torque."""
-    i_d, i_q, torque = _torques(values)
-    best = int(np.argmax(torque))
-    d, q = float(i_d[best]), float(i_q[best])
+    d, q = _best_current(values)
     (l_d, l_q), omega = _inductances(values), _omega(values)
     r_s = values["stator_resistance_ohm"]
     return math.hypot(r_s * d - omega * l_q * q, r_s * q + omega * (l_d * d + values["pm_flux_wb"]))
@@ -172,14 +194,14 @@ RELATIONS = (
     Relation(
         "the largest torque of {pole_pairs} pole pairs, {pm_flux_wb} Wb and {rated_current_rms_a} A rms",
         ("pole_pairs", "pm_flux_wb", "rated_current_rms_a", "rated_torque_nm"),
-        lambda v: float(_torques(v)[2].max()),
+        _largest_torque,
         "Nm",
         lambda v: v["rated_torque_nm"],
         "rated_torque_nm is {rated_torque_nm}",
         low=0.8,
         high=1.9,
         usual=1.1,
-        spread=0.2,
+        spread=0.12,
     ),
     Relation(
         "{rated_power_w} W over sqrt 3 x {rated_voltage_rms_v} V x {rated_current_rms_a} A",
@@ -190,7 +212,7 @@ RELATIONS = (
         "power factor times efficiency are 0.35 to 1",
         low=0.35,
         high=1.2,
-        usual=0.8,
+        usual=0.7,
         spread=0.2,
     ),
     _beside_voltage(
@@ -199,8 +221,8 @@ RELATIONS = (
         lambda v: _omega(v) * v["pm_flux_wb"],
         0.15,
         1.3,
-        usual=0.7,
-        spread=0.35,
+        usual=0.65,
+        spread=0.8,
     ),
     _beside_voltage(
         "the voltage of {pm_flux_wb} Wb, R_s and L with {rated_current_rms_a} A rms at {rated_frequency_hz} Hz",
@@ -208,8 +230,8 @@ RELATIONS = (
         _needed_voltage,
         0.3,
         2.0,
-        usual=1.0,
-        spread=0.25,
+        usual=0.9,
+        spread=0.17,
     ),
     _beside_voltage(
         "{stator_resistance_ohm} ohm x {rated_current_rms_a} A rms x 1.414",
@@ -229,8 +251,8 @@ RELATIONS = (
         "motors of {rated_power_w} W lose {usual_copper_loss_w} W or so",
         low=0.05,
         high=5.0,
-        usual=1.0,
-        spread=0.6,
+        usual=0.8,
+        spread=0.7,
     ),
     _reactance_drop("d", 0.25, 1.5),
     # How q's spreads goes with d's: the next relation has what it does beside it.
@@ -244,8 +266,9 @@ RELATIONS = (
         "across the magnet (q) it is 0.85 to 8 times that along it (d)",
         low=0.85,
         high=8.0,
-        usual=1.4,
-        spread=0.7,
+        usual=1.2,
+        spread=0.8,
+        steeper_below=5.0,
     ),
     Relation(
         "L / R = {d_inductance_h} H / {stator_resistance_ohm} ohm",
@@ -297,9 +320,26 @@ def broken_relations(values: Values) -> list[str]:
 
 
 def mismatch(values: Values) -> float:
-    """Sum of all relations' squared distances from what is usual, in their spreads."""
+    """Twice the negative logarithm of the likelihood of a nameplate, but for a constant.
+
+    The relations' logarithms x are normal about what is usual. Their covariance is that of motors, and what each value
+    may be off: C = diag(s^2) + t^2 J J', J = dx / d ln(value). A voltage that is rated generously moves all that
+    is held beside it, and is no five contradictions.
+
+        x' C^-1 x + ln det C
+    """
     full = completed(values)
-    return sum(relation.mismatch(full) for relation in RELATIONS)
+    held = [relation for relation in RELATIONS if relation.counts(full)]
+    if not held:
+        return 0.0
+    x = np.array([relation.off_usual(full) for relation in held])
+    step, slopes = 0.01, []
+    for name in _NOT_EXACT & values.keys():
+        moved = completed({**values, name: values[name] * math.exp(step)})
+        slopes.append((np.array([relation.off_usual(moved) for relation in held]) - x) / step)
+    jacobian = np.array(slopes).reshape(len(slopes), len(held))
+    covariance = np.diag([relation.spread**2 for relation in held]) + VALUE_STD**2 * jacobian.T @ jacobian
+    return float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
 
 
 def contradictions(motor: Motor) -> Iterator[str]:

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 from orchestrator.config._nameplate import Values, broken_relations, contradictions, mismatch, stated_values
 from protocols import Motor
 
-HABIT, COMMON, RARE = 0.1, 0.01, 0.001
-"""Probability of a slip, over nameplates: what data sheets themselves do otherwise, slips, and what hardly occurs."""
+HABIT, COMMON, RARE = 0.04, 0.01, 0.001
+"""Probability of a slip, over nameplates: another convention, as data sheets have it; a wrong unit or decimal point;
+and what hardly occurs. Where values are up to a quarter off, one in thirty is then asked about a slip that is none."""
 BESIDE_THE_BEST = 2.0 * math.log(100.0)
 """How much more mismatch, prior included, a slip may leave than the best one and still be named: odds of 1 to 100."""
 MOST_NAMED = 2
@@ -36,12 +37,15 @@ class Slip:
         The right numbers of these fields, of all values.
     probability : float
         Over nameplates.
+    needed : tuple of str
+        Other fields without which nothing speaks for or against it.
     """
 
     fields: tuple[str, ...]
     words: str
     mended: Callable[[Values], Mapping[str, float]]
     probability: float = COMMON
+    needed: tuple[str, ...] = ()
 
     def applied(self, values: Values) -> dict[str, float]:
         """All values, put right."""
@@ -52,8 +56,8 @@ def _times(fields: tuple[str, ...], factor: float, words: str, probability: floa
     return Slip(fields, words, lambda values: {name: factor * values[name] for name in fields}, probability)
 
 
-def _exchanged(first: str, second: str, words: str) -> Slip:
-    return Slip((first, second), words, lambda values: {first: values[second], second: values[first]})
+def _exchanged(first: str, second: str, words: str, needed: tuple[str, ...]) -> Slip:
+    return Slip((first, second), words, lambda values: {first: values[second], second: values[first]}, HABIT, needed)
 
 
 _R, _L_D, _L_Q, _PSI = "stator_resistance_ohm", "d_inductance_h", "q_inductance_h", "pm_flux_wb"
@@ -65,19 +69,19 @@ SLIPS = (
     *(_times(fields, 1e-3, "in mH") for fields in ((_L_D, _L_Q), (_L_D,), (_L_Q,))),
     *(_times(fields, 1e-6, "in uH") for fields in ((_L_D, _L_Q), (_L_D,), (_L_Q,))),
     *(_times(fields, 0.5, _BETWEEN_LINES, HABIT) for fields in ((_R, _L_D, _L_Q), (_R,))),
-    _times((_L_D, _L_Q), 0.5, _BETWEEN_LINES),
+    _times((_L_D, _L_Q), 0.5, _BETWEEN_LINES, HABIT),
     *(_times(fields, 0.1, "a decimal point off") for fields in ((_L_D, _L_Q), (_R,), (_PSI,))),
     *(_times(fields, 10.0, "a decimal point off") for fields in ((_L_D, _L_Q), (_R,), (_PSI,))),
-    _exchanged(_L_D, _L_Q, "d and q exchanged"),
+    _exchanged(_L_D, _L_Q, "d and q exchanged", needed=(_PSI,)),
     _times((_R,), 1e-3, "in milliohm"),
     _times((_PSI,), 1e-3, "in mWb"),
-    _times((_PSI,), math.sqrt(2.0), "the rms, not the peak value"),
-    _times((_PSI,), 1.0 / math.sqrt(3.0), _BETWEEN_LINES),
-    _times((_PSI,), 2.0, "half of the peak value"),
-    _times((_PSI,), 0.5, "from peak to peak"),
+    _times((_PSI,), math.sqrt(2.0), "the rms, not the peak value", HABIT),
+    _times((_PSI,), 1.0 / math.sqrt(3.0), _BETWEEN_LINES, HABIT),
+    _times((_PSI,), 2.0, "half of the peak value", HABIT),
+    _times((_PSI,), 0.5, "from peak to peak", HABIT),
     _times((_I,), math.sqrt(0.5), "the peak, not the rms value", HABIT),
     _times((_I,), 1e-3, "in mA"),
-    _times((_V,), math.sqrt(3.0), "from phase to star point, not from line to line"),
+    _times((_V,), math.sqrt(3.0), "from phase to star point, not from line to line", HABIT),
     _times((_V,), math.sqrt(0.5), "the peak between lines, or the bus, not the rms value", HABIT),
     _times((_V,), 1e3, "in kV"),
     _times((_P,), 1e3, "in kW"),
@@ -87,7 +91,7 @@ SLIPS = (
     _times((_N,), 30.0 / math.pi, "in rad/s"),
     Slip((_N,), "the electrical, not the mechanical speed", lambda v: {_N: v[_N] / v.get(_PAIRS, 1.0)}, RARE),
     Slip((_F,), "the mechanical, not the electrical frequency", lambda v: {_F: v[_F] * v.get(_PAIRS, 1.0)}),
-    _times((_PAIRS,), 0.5, "the number of poles"),
+    _times((_PAIRS,), 0.5, "the number of poles", HABIT),
 )
 
 
@@ -118,17 +122,22 @@ def nameplate_questions(motor: Motor) -> Iterator[str]:
 
 
 def likely_slips(values: Values) -> list[Slip]:
-    """The slips that leave no relation broken and are likelier than none, the likeliest first; at most two."""
-    without_any = mismatch(values) if not broken_relations(values) else math.inf
+    """The slips that are likelier than what is written, the likeliest first; at most two.
+
+    Only such that break no relation, or fewer than are broken without them.
+    """
+    written, broken = mismatch(values), len(broken_relations(values))
     scores: list[tuple[float, Slip]] = []
     for slip in SLIPS:
-        if not all(name in values for name in slip.fields):
+        if not all(name in values for name in (*slip.fields, *slip.needed)):
             continue
         mended = slip.applied(values)
         if mended == values or (_PAIRS in slip.fields and mended[_PAIRS] % 1.0):
             continue
+        if len(broken_relations(mended)) > max(broken - 1, 0):
+            continue
         score = mismatch(mended) + 2.0 * math.log(1.0 / slip.probability)
-        if score < without_any and not broken_relations(mended):
+        if score < written:
             scores.append((score, slip))
     scores.sort(key=lambda pair: pair[0])
     return [slip for score, slip in scores[:MOST_NAMED] if score <= scores[0][0] + BESIDE_THE_BEST]

@@ -49,9 +49,12 @@ def test_what_follows_from_other_values_is_held_against_the_rest() -> None:
 
 
 def test_a_q_axis_of_less_inductance_is_asked_for() -> None:
-    said = doubts(d_inductance_h=2.0)
-    assert "q_inductance_h / d_inductance_h = 0.06905 H / 0.0865 H = 0.7983" in said
+    said = doubts(d_inductance_h=3.0)
+    assert "q_inductance_h / d_inductance_h = 0.06905 H / 0.1297 H = 0.5322" in said
     assert "d and q exchanged" in said
+    slightly = doubts(d_inductance_h=2.0)
+    assert "q_inductance_h / d_inductance_h = 0.06905 H / 0.0865 H = 0.7983" in slightly
+    assert "exchanged" not in slightly  # values of a nameplate are a quarter off without any slip
 
 
 def test_check_says_it_and_degrees_are_no_radians() -> None:
