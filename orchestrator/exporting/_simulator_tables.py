@@ -100,7 +100,7 @@ def _resampled(axes: tuple[Array, Array], table: Array, to: list[Array]) -> Arra
 
 
 def _opening(products: Products, held: HeaderTables) -> list[str]:
-    said = [
+    lines = [
         f"Flux map of {products.motor.name} (method {products.flux_map.method}), written by fluxbench.",
         f"Recording: {products.recording or 'unknown'}.",
         "SI units; peak-valued dq vectors (amplitude-invariant), electrical angles, magnet on d.",
@@ -108,7 +108,7 @@ def _opening(products: Products, held: HeaderTables) -> list[str]:
         *products.notes,
         *held.notes,
     ]
-    return [" ".join(line.encode("ascii", "replace").decode().split()) for line in said]
+    return [" ".join(line.encode("ascii", "replace").decode().split()) for line in lines]
 
 
 def _tables(held: HeaderTables) -> list[Table]:

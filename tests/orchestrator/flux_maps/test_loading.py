@@ -171,12 +171,12 @@ def survives(suffix: str, content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"map{suffix}"
         path.write_bytes(content)
-        said = ""
+        message = ""
         try:
             load_map(path)
         except InputError as error:
-            said = str(error)
-    assert "\n" not in said
+            message = str(error)
+    assert "\n" not in message
 
 
 @given(suffix=st.sampled_from([".csv", ".npz", ".mat"]), content=st.binary(max_size=300))
