@@ -68,3 +68,38 @@ def unit_vectors(angle_rad: Array) -> Array:
             out[k, 0] = math.cos(angle_rad[k])
             out[k, 1] = math.sin(angle_rad[k])
     return out
+
+
+@njit(cache=True, nogil=True)
+def delayed_means(x: Array, width: int, late_by: int, part: float) -> Array:
+    """Sums of late rows between the middles of blocks of `width` rows, over `width`; the last is its block's mean.
+
+    Parameters
+    ----------
+    x : array, shape (n, m)
+    width : int
+    late_by, part : int, float
+        Whole and fractional rows by which each is late; the first row stands for those before it.
+
+    Returns
+    -------
+    array, shape (n // width, m)
+        Of block b and the next: the mean, over the readings of both, of what happened from one to the other.
+    """
+    blocks, columns, last = x.shape[0] // width, x.shape[1], x.shape[0] - 1
+    out = np.empty((blocks, columns))
+    for c in range(columns):
+        before = 0.0
+        for b in range(blocks):
+            # Within a block: the sum before each row, and the sum of all.
+            ahead, total = 0.0, 0.0
+            for k in range(b * width, (b + 1) * width):
+                ahead += total
+                later, earlier = min(max(k - late_by, 0), last), min(max(k - late_by - 1, 0), last)
+                total += (1.0 - part) * x[later, c] + part * x[earlier, c]
+            if b > 0:
+                out[b - 1, c] = (before + ahead / width) / width
+            before = total - ahead / width
+            if b == blocks - 1:
+                out[b, c] = total / width
+    return out

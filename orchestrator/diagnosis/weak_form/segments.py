@@ -31,6 +31,7 @@ from orchestrator.diagnosis.weak_form.sensor_scatter import (
 )
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
 from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.kernels import delayed_means
 from orchestrator.numerics.types import Array
 from protocols import (
     LossHistory,
@@ -384,13 +385,11 @@ def mean_between(command_ab: Array, width: int, delay_samples: float) -> Array:
     dpsi/dt = v - R i holds for means as for samples: the mean current of one block and the next differ by what
     the voltage does in between, and each v_k of 2 width - 1 intervals counts by the share of readings it moves.
     """
-    v_ab = delayed(command_ab, delay_samples)
-    if width == 1:
-        return v_ab
-    used = len(v_ab) // width * width
-    impulse = np.concatenate([np.zeros((1, 2)), np.cumsum(v_ab[:used], axis=0)])[:-1]
-    between = np.diff(block_means(impulse, width), axis=0) / width
-    return np.concatenate([between, v_ab[used - width : used].mean(axis=0)[None]])
+    if width == 1 and delay_samples == 0.0:
+        return command_ab
+    late_by = math.floor(delay_samples)
+    commands = np.ascontiguousarray(command_ab, dtype=np.float64)
+    return np.asarray(delayed_means(commands, width, late_by, delay_samples - late_by), dtype=np.float64)
 
 
 def block_means(x: Array, width: int) -> Array:
@@ -467,8 +466,7 @@ def delayed(v_ab: Array, samples: float) -> Array:
     if samples == 0.0:
         return v_ab
     late_by = math.floor(samples)
-    part = samples - late_by
-    return np.ascontiguousarray((1.0 - part) * _late(v_ab, late_by) + part * _late(v_ab, late_by + 1))
+    return np.asarray(delayed_means(np.ascontiguousarray(v_ab, dtype=np.float64), 1, late_by, samples - late_by))
 
 
 def late_beside(v_ab: Array, samples: float) -> Array | None:

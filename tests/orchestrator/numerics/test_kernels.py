@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.numerics.frames import from_phases, to_dq, to_phases
-from orchestrator.numerics.kernels import dq_of, for_kernels, phases_of, unit_vectors, vector_of
+from orchestrator.numerics.kernels import delayed_means, dq_of, for_kernels, phases_of, unit_vectors, vector_of
 from orchestrator.numerics.types import Array
 
 VECTORS = np.random.default_rng(1).normal(size=(20, 2)) * 30.0
@@ -42,3 +42,19 @@ def test_unit_vectors_are_cosine_and_sine_near_the_first_angle_and_far_from_it(
     # An angle of a thousand radians is itself known to one part in 2^53 of it.
     exact = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     np.testing.assert_allclose(unit_vectors(angle), exact, atol=4.0 * np.finfo(float).eps * max(1.0, abs(first)))
+
+
+@given(st.integers(1, 7), st.integers(1, 30), st.floats(0.0, 4.0))
+def test_means_of_late_rows_are_what_happens_between_the_means_of_an_integral(
+    width: int, blocks: int, late: float
+) -> None:
+    """The integral's mean over a block's readings and that over the next one's differ by this times the width."""
+    x = np.random.default_rng(blocks).normal(size=(width * blocks + width - 1, 2))
+    whole, part = int(late), late % 1.0
+    rows = np.arange(len(x))
+    moved = (1.0 - part) * x[np.maximum(rows - whole, 0)] + part * x[np.maximum(rows - whole - 1, 0)]
+    integral = np.cumsum(moved, axis=0) - moved
+    of_blocks = integral[: width * blocks].reshape(blocks, width, 2).mean(axis=1)
+    found = delayed_means(x, width, whole, part)
+    np.testing.assert_allclose(found[:-1], np.diff(of_blocks, axis=0) / width, atol=1e-12 * len(x))
+    np.testing.assert_allclose(found[-1], moved[: width * blocks][-width:].mean(axis=0), atol=1e-12 * len(x))
