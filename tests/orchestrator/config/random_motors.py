@@ -66,7 +66,7 @@ KINDS = {
         "reluctance": ((750, 3e4), (200, 400), (1e3, 3e3), (2, 3), (0, 0), (0.2, 0.4), (0.15, 0.3), (0.02, 0.08)),
     }.items()
 }
-"""Of data sheets: Faulhaber, Maxon, hobby motors and hubs, servo families, pumps, cars, and PM-SynRM catalogues."""
+"""Of data sheets of coreless servos, hobby motors and hubs, servo families, pumps, cars, and reluctance machines."""
 
 
 def random_motors(seed: int, count: int) -> Iterator[Motor]:
