@@ -14,7 +14,10 @@ import numpy as np
 
 from protocols import DriveFault, FaultCause, PluginError
 
-CURRENT_MODE, ROW_OCTETS, MARGIN_S, POLL_S = 2, 4, 2.0, 0.02
+CURRENT_MODE = 2
+ROW_OCTETS = 4
+MARGIN_S = 2.0
+POLL_S = 0.02
 ROWS = ("CL_CUR_D_VALUE", "CL_CUR_Q_VALUE", "CL_VOL_D_CMD", "CL_VOL_Q_CMD", "DRV_PROT_VBUS_VALUE")
 
 

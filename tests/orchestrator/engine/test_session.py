@@ -16,7 +16,7 @@ from orchestrator.engine import AbsentOperator, RunServices, Interrupts, _sessio
 from plugins.drives.simulated import SimulatedDrive
 from tests.support.tiny import STAGES, tiny_procedure
 
-_session.STREAMS_READY_S = 200.0  # it is waited for, however long a busy machine takes
+_session.STREAM_START_TIMEOUT_S = 200.0  # it is waited for, however long a busy machine takes
 armed = []
 late = set()
 

@@ -182,7 +182,7 @@ MUTATIONS: list[tuple[type[ExampleStream], str]] = [
 def test_fails_a_stream_that_breaks_the_contract(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stream: type[ExampleStream], check: str
 ) -> None:
-    for timeout in ("CALL_TIMEOUT_S", "THREADS_END_S"):
+    for timeout in ("CALL_TIMEOUT_S", "THREAD_END_TIMEOUT_S"):
         monkeypatch.setattr(f"orchestrator.testing._stream.{timeout}", 1.0)
     assert failures(kit_for(stream), tmp_path, only=check), f"{stream.__name__} passes {check}"
 
