@@ -7,7 +7,7 @@
     run = fluxbench.simulate(effects={"dead_time": {"voltage_v": 1.5}})
     print(fluxbench.diagnose(run).words.likely_cause)
 
-docs/python.md has more. Nothing is imported before it is asked for, and everything is defined elsewhere.
+docs/python.md has more. Everything is defined elsewhere, and imported on first use.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Who decides: procedures, the state machine, runs, recordings and what is read out of them."""
+"""Procedures, the state machine, runs, recordings and their analysis."""

@@ -1,8 +1,8 @@
-"""YAML as people write procedures in it, strictly: plain values only, and for every key the place it was written at.
+"""Strict YAML for procedures: plain values only, with the file and line of every key.
 
 Numbers and booleans are YAML 1.2's (``1e3`` is a number, ``yes`` is a word), a key may be written
-once, NaN and infinity are refused, and there are no tags, anchors or aliases. What the keys mean
-is not known here.
+once, NaN and infinity are refused, and there are no tags, anchors or aliases. The keys are not
+interpreted here.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _WORDS: dict[str, bool | None] = {
 
 @dataclass(frozen=True)
 class Document:
-    """A tree of plain values, and where each of them was written."""
+    """A tree of plain values, with the file and line of each."""
 
     name: str
     data: dict[str, Any]
@@ -42,15 +42,15 @@ class Document:
         return self.name
 
     def place_of(self, field: str) -> str:
-        """`place` of a dotted key."""
+        """`place` of a dotted key path."""
         path: KeyPath = ()
         for key in field.split("."):
-            # A number may be the place in a list, or a key that somebody wrote.
+            # A number may be an index of a list, or a key.
             path = (*path, int(key) if key.isdecimal() and (*path, key) not in self.places else key)
         return self.place(path)
 
     def replace(self, path: KeyPath, value: object, places: dict[KeyPath, str]) -> None:
-        """Put `value` at `path` instead of all that was there; the keys on the way to it exist."""
+        """Replace the value at `path`, whose parents exist."""
         parent: Any = self.data
         for key in path[:-1]:
             parent = parent[key]
@@ -72,7 +72,7 @@ def parse_document(text: str, name: str) -> Document:
 
 
 def apply_override(document: Document, override: str) -> None:
-    """Lay ``a.b.2.c=value`` over a document, the value written as in YAML; raises `ProcedureError` naming it."""
+    """Apply an override ``a.b.2.c=value`` with a YAML value to a document; raises `ProcedureError` naming it."""
     where = f"--set {override}"
     dotted, equals, text = override.partition("=")
     if not equals or not all(part.strip() for part in dotted.split(".")):
@@ -106,7 +106,7 @@ def _resolve(document: Document, parts: Sequence[str], where: str) -> KeyPath:
 
 
 class _Reading:
-    """One pass over one text: PyYAML parses, the values are made here, and the places noted."""
+    """One pass over one text: PyYAML parses, and this class converts values and notes their places."""
 
     def __init__(self, name: str, *, with_lines: bool = True) -> None:
         self._name, self._with_lines = name, with_lines

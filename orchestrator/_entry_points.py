@@ -1,4 +1,4 @@
-"""Entry points of what is installed: every distribution's are read once, and again when something is installed."""
+"""Entry points of installed distributions, read once, and again after an installation."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from typing import Any
 
 def entries_of(group: str) -> EntryPoints:
     """The entry points of a group, as `importlib.metadata` finds them; nothing is imported."""
-    found: EntryPoints = _all_of(tuple((place, _changed(place)) for place in sys.path)).select(group=group)
-    return found
+    entries: EntryPoints = _all_of(tuple((place, _changed_ns(place)) for place in sys.path)).select(group=group)
+    return entries
 
 
 @lru_cache(maxsize=1)
 def _all_of(_places: tuple[tuple[str, int], ...]) -> Any:
-    """All of them; where the path is another, or a folder of it has changed, they are read anew.
+    """All entry points, read again where the path or one of its folders has changed.
 
-    Their collection is of another type before Python 3.12, and is selected from in the same way.
+    Their collection has another type before Python 3.12, with the same `select`.
     """
     return entry_points()
 
 
-def _changed(place: str) -> int:
+def _changed_ns(place: str) -> int:
     try:
         return Path(place or ".").stat().st_mtime_ns
     except OSError:

@@ -1,4 +1,4 @@
-"""Whether the methods of a plugin's class are those of its contract, and can be called as the contract calls them."""
+"""Checks that a plugin's class has the methods of its contract, with compatible signatures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from protocols import EFFECT_HOOKS, Effect
 
 
 def method_problem(plugin: type[Any], method: str, contract: type[Any]) -> str | None:
-    """Why a plugin's method cannot be called as its contract declares it, in a few words; None where it can.
+    """The reason why a plugin's method cannot be called as its contract declares it; None where it can.
 
     Parameters
     ----------
@@ -21,15 +21,15 @@ def method_problem(plugin: type[Any], method: str, contract: type[Any]) -> str |
     contract : type
         The protocol or base class that declares it.
     """
-    found = getattr(plugin, method, None)
+    candidate = getattr(plugin, method, None)
     arguments = list(inspect.signature(getattr(contract, method)).parameters)
-    if not callable(found):
+    if not callable(candidate):
         return f"is missing: write def {method}({', '.join(arguments)})"
     passed = arguments[1:]
     try:
-        # Looked up on the class, a plain function is not bound yet.
+        # A plain function of the class is not bound yet.
         bound = isinstance(inspect.getattr_static(plugin, method), staticmethod | classmethod)
-        inspect.signature(found).bind(*(passed if bound else arguments))
+        inspect.signature(candidate).bind(*(passed if bound else arguments))
     except TypeError:
         return f"cannot be called as {method}({', '.join(passed)})"
     except ValueError:
@@ -38,7 +38,7 @@ def method_problem(plugin: type[Any], method: str, contract: type[Any]) -> str |
 
 
 def hook_problem(plugin: type[Any]) -> str | None:
-    """The first public method of an effect's class that would never be called, or not as it is written.
+    """The first public method of an effect's class that would never be called, or with other arguments.
 
     Attributes that cannot be called, nested classes and names that begin with an underscore are the effect's own.
 
@@ -53,8 +53,8 @@ def hook_problem(plugin: type[Any]) -> str | None:
         member = getattr(plugin, name, None)
         if not name.startswith("_") and name not in known and callable(member) and not inspect.isclass(member):
             near = nearest(name, known)
-            meant = f"did you mean {near!r}?" if near else "a method of its own begins with an underscore"
-            return f"method {name!r} is never called: an effect has {', '.join(known)}; {meant}"
+            hint = f"did you mean {near!r}?" if near else "a method of its own begins with an underscore"
+            return f"method {name!r} is never called: an effect has {', '.join(known)}; {hint}"
     for hook, contract in EFFECT_HOOKS.items():
         member = getattr(plugin, hook, None)
         problem = None if member is None else method_problem(plugin, hook, contract)

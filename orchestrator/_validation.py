@@ -1,4 +1,4 @@
-"""Say in one line what pydantic found wrong: where, what, and which valid key is nearest; validates nothing itself."""
+"""Pydantic's errors as one line: place, problem, and the nearest valid key; validates nothing itself."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _EXPECTED = {
     "bool_type": "true or false",
     "bool_parsing": "true or false",
 }
-LONGEST_NAME = 200
-"""Letters of an unknown name that are compared; the time goes with their square."""
+MAX_NAME_LENGTH = 200
+"""Characters of an unknown name that are compared; the time grows with their square."""
 _NUMBER_ERRORS = {"float_parsing", "float_type", "int_parsing", "int_type", "int_from_float"}
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The first thing wrong in a document, as a person wants to hear it."""
+    """The first error in a document."""
 
     path: KeyPath
     text: str
@@ -49,17 +49,17 @@ def first_problem(error: ValidationError, model: type[BaseModel] | None, raw: ob
     Parameters
     ----------
     model : type of BaseModel, optional
-        What was validated against; its fields are the candidates for the nearest valid key.
+        The model of the validation; its fields are the candidates for the nearest valid key.
     raw : object
-        The document that was validated: nested dicts and lists. It tells the keys in an error's
+        The validated document of nested dicts and lists. It separates the keys in an error's
         location from the tags of unions.
     """
     errors = error.errors(include_url=False)
-    # A misspelt key is unknown and missing at once: the first says more.
+    # A misspelt key is unknown and missing at once: the first error is more helpful.
     found = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
     path = _path_of(found, raw)
     if _is_list_for_number(found):
-        # A number or some of them, and some were given: what is wrong is with these.
+        # The field takes a number or a list, and a list was given: its items have the error.
         others = (e for e in errors if not _is_list_for_number(e) and _path_of(e, raw)[: len(path)] == path)
         found = next(others, found)
         path = _path_of(found, raw)
@@ -69,13 +69,13 @@ def first_problem(error: ValidationError, model: type[BaseModel] | None, raw: ob
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str | None:
-    """The candidate most like `name`, where one is near enough to be meant."""
-    close = difflib.get_close_matches(name[:LONGEST_NAME], list(candidates), n=1, cutoff=0.6)
+    """The candidate most similar to `name`; None where none is similar."""
+    close = difflib.get_close_matches(name[:MAX_NAME_LENGTH], list(candidates), n=1, cutoff=0.6)
     return close[0] if close else None
 
 
 def suggestion(name: str, candidates: Iterable[str]) -> str:
-    """What to write instead of an unknown `name`: the nearest candidate, or all of them where none is near."""
+    """A hint for an unknown `name`: the nearest candidate, or all of them where none is near."""
     names = sorted(candidates)
     near = nearest(name, names)
     if near is not None:
@@ -100,7 +100,7 @@ def _path_in(raw: Any, location: Sequence[str | int], *, missing: bool) -> KeyPa
         if in_dict or in_list:
             raw = raw[key]
         elif not (missing and is_last):
-            continue  # the tag of a union: not a key that anybody wrote
+            continue  # the tag of a union, not a key of the document
         path.append(key)
     return tuple(path)
 

@@ -1,4 +1,4 @@
-"""How much this machine has memory for; asked before it is read, for what a file says of its size may be anything."""
+"""Checks of free memory before a file is read, because the size in a file may be anything."""
 
 from __future__ import annotations
 
@@ -7,32 +7,32 @@ from pathlib import Path
 
 from protocols import RecordingError
 
-COPIES = 3
-"""What decoding, aligning and working on a segment take, in sizes of its columns."""
+COPIES_PER_SEGMENT = 3
+"""Memory for decoding, aligning and analysing a segment, in sizes of its columns."""
 
 
 def require_memory(path: Path, size: int, what: str, *, held: int = 0) -> None:
-    """Raise `RecordingError` where something is more than the machine, or this process, can hold.
+    """Raise `RecordingError` where data need more memory than the machine, or this process, has.
 
     Parameters
     ----------
     size : int
-        Of the arrays that are to be worked on [bytes].
+        Size of the arrays [bytes].
     what : str
-        In the plural, such as "5000 rows".
+        Description in the plural, such as "5000 rows".
     held : int
-        So much of it is in memory already [bytes].
+        Part that is in memory already [bytes].
     """
-    needed, spare = COPIES * size, spare_memory()
+    needed, spare = COPIES_PER_SEGMENT * size, spare_memory()
     if spare is not None and needed - held > spare:
-        told = f"{what} take some {1e-9 * needed:.1f} GB of memory to work on, and {1e-9 * spare:.1f} GB are free"
-        raise RecordingError(str(path), "", told)
+        problem = f"{what} need some {1e-9 * needed:.1f} GB of memory, and {1e-9 * spare:.1f} GB are free"
+        raise RecordingError(str(path), "", problem)
 
 
 def spare_memory() -> int | None:
-    """Bytes that the machine has free and this process may take; None where the system does not tell."""
-    found = [spare for spare in (_free_in_machine(), _left_of_address_space()) if spare is not None]
-    return min(found) if found else None
+    """Free bytes that this process may use; None where the system does not report them."""
+    limits = [spare for spare in (_free_in_machine(), _left_of_address_space()) if spare is not None]
+    return min(limits) if limits else None
 
 
 def _free_in_machine() -> int | None:

@@ -1,4 +1,4 @@
-"""A threshold as a field of a model: its default, its unit, and where the value comes from.
+"""A threshold as a field of a model: its default, its unit, and the source of the value.
 
 Sources: ``theory`` follows from the statement beside it; ``simulated`` was chosen by trial on simulated plants (the
 simulated drive and the blind suite's plant) and has no measured motor behind it; ``budget`` bounds computing time,

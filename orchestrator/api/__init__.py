@@ -1,6 +1,6 @@
-"""What a person does with a motor's measurements, one call each: the command line and the Python package stand on it.
+"""The calls behind the command line and the Python package, one for each command.
 
-Whatever is named may be a path, a run or recording that is open, or the thing itself.
+An argument may be a path, an open run or recording, or the object itself.
 """
 
 from orchestrator.api.analysing import (

@@ -1,4 +1,4 @@
-"""Measurements in, results out: estimates, comparison, diagnosis and the model's effects, by whatever names them."""
+"""Analysis of measurements: estimates, comparison, diagnosis and changes of the model's effects."""
 
 from __future__ import annotations
 
@@ -27,28 +27,28 @@ from protocols import (
 if TYPE_CHECKING:
     import xarray as xr
 
-    from orchestrator.comparison import SideBySide
+    from orchestrator.comparison import ComparedRuns
     from orchestrator.diagnosis import InterimResult, ModelChoice, SavedDiagnosis
     from protocols.fleet_priors import FleetPriors
 
 Place = str | PathLike[str]
 """A run or recording: its directory, or `Measurements`."""
 Model = Place | FluxMap | MotorModel
-"""``saturated``, ``linear``, a flux map or a whole model, or the file that either is in."""
+"""``saturated``, ``linear``, a flux map or a motor model, or the file of either."""
 Effects = Place | Sequence[Effect]
-"""Candidates of one's own beside the installed ones: a Python file, or the effects themselves."""
+"""Candidates beside the installed effects: a Python file, or the effects themselves."""
 
 
 @one_thread()
 def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Place | None = None) -> EstimationReport:
-    """R_s, flux and inductance maps, and how far they agree with themselves; written to ``results/``.
+    """R_s, flux and inductance maps, and checks of their consistency; written to ``results/``.
 
     Parameters
     ----------
     estimators : sequence of str, optional
-        Names of those to ask; all that are installed by default.
+        Names of the estimators; all installed ones by default.
     out : path, optional
-        Where ``results/`` goes; into the recording by default.
+        Folder for ``results/``; the recording by default.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Plac
 def compare(
     place: Place, *, model: Model | None = None, effects: Effects = (), out: Place | None = None
 ) -> CompareReport:
-    """Where a model fails, and whether effects of one's own help; see `orchestrator.diagnosis.compare_recording`."""
+    """The errors of a model, and whether given effects help; see `orchestrator.diagnosis.compare_recording`."""
     from orchestrator.diagnosis import compare_recording
 
     installed = {effect.name for effect in chosen_effects()} if effects else set()
@@ -83,11 +83,11 @@ def compare(
 
 
 @one_thread()
-def compare_runs(*places: Place) -> SideBySide:
-    """Runs side by side, and what changed beyond noise; see `orchestrator.comparison.compare_runs`."""
-    from orchestrator.comparison import compare_runs as of_paths
+def compare_runs(*places: Place) -> ComparedRuns:
+    """A comparison of runs, and changes beyond noise; see `orchestrator.comparison.compare_runs`."""
+    from orchestrator.comparison import compare_runs as compare_paths
 
-    return of_paths([Path(place) for place in places])
+    return compare_paths([Path(place) for place in places])
 
 
 @one_thread()
@@ -107,32 +107,32 @@ def diagnose(
     on_interim: Callable[[InterimResult], None] = lambda _: None,
     report_early: bool = False,
 ) -> SavedDiagnosis:
-    """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
+    """The effects that the model lacks; see `orchestrator.diagnosis.diagnose_recording`. Stored with its model.
 
     Parameters
     ----------
     segments : sequence of str, optional
-        Ids of the segments to use; all by default. What is found is kept as if they were the whole recording, so it
-        is best kept in a folder of its own: `out`.
+        Ids of the segments to use; all by default. The result is stored as if they were the whole recording; use a
+        separate folder `out` for it.
     material_flux_percent, material_voltage_percent : float, optional
-        An effect counts from this change of the map on, of the rated flux, or from this voltage on, of the excitation.
+        Change of the map, of the rated flux, or voltage, of the excitation's, from which an effect is material.
     tell : callable
-        Called with what is under way, in a few words.
+        Called with the current step, in a few words.
     priors : FleetPriors or path, optional
-        What other motors of its kind let expect, or the file that `fluxbench fleet priors` wrote it to.
+        Priors from other motors of the same kind, or the file of `fluxbench fleet priors`.
     workers : int
-        Threads that work on it; as many as there are cores, up to four, by default. The result is the same.
+        Number of workers; by default the number of cores, up to four. The result does not depend on it.
     on_interim : callable
-        Called with what the search has found so far, whenever that has changed; its `sentence` says it.
+        Called with the search's result so far, whenever that has changed; its `sentence` describes it.
     report_early : bool
-        Whether `KeyboardInterrupt` (Ctrl-C) ends the search with a report of what was found so far, whose first remark
-        has the code ``ended_early``. Where nothing was found yet, and the second time, it is raised as without this.
+        Whether `KeyboardInterrupt` (Ctrl-C) ends the search with a report of the result so far, whose first remark
+        has the code ``ended_early``. Before the first result, and the second time, it is raised.
     """
     from orchestrator.diagnosis import Criteria, diagnose_and_keep, workers_here
     from orchestrator.experiment_design.proposal import next_experiment
 
-    asked = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
-    materiality = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
+    percents = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
+    materiality = {name: 0.01 * percent for name, percent in percents.items() if percent is not None}
     criteria = Criteria.model_validate({"materiality": materiality})
 
     recording = open_any(Path(place))
@@ -153,7 +153,7 @@ def diagnose(
 
 
 def explain(place: Place) -> Explanation:
-    """Why the latest diagnosis says what it says: reasons of the verdict, the search, what each effect rests on.
+    """The reasons of the latest diagnosis: of its verdict, the steps of the search, the evidence for each effect.
 
     Raises
     ------
@@ -168,10 +168,10 @@ def explain(place: Place) -> Explanation:
     refuse_file(path)
     if not path.is_dir():
         raise InputError(str(path), "", "no such directory")
-    found = load_diagnosis(path)
-    if found is None:
+    diagnosis = load_diagnosis(path)
+    if diagnosis is None:
         raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
-    return explanation_of(found.report)
+    return explanation_of(diagnosis.report)
 
 
 @one_thread()
@@ -183,12 +183,12 @@ def add(
     out: Place | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
-    """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Kept in `model.json`.
+    """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Stored in `model.json`.
 
     Parameters
     ----------
     tell : callable
-        Called with what is under way, in a few words.
+        Called with the current step, in a few words.
     """
     from orchestrator.diagnosis import add_effects
 
@@ -206,12 +206,12 @@ def remove(
     out: Place | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
-    """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Kept in `model.json`.
+    """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Stored in `model.json`.
 
     Parameters
     ----------
     tell : callable
-        Called with what is under way, in a few words.
+        Called with the current step, in a few words.
     """
     from orchestrator.diagnosis import remove_effect
 
@@ -219,12 +219,12 @@ def remove(
 
 
 def map_of(model: MotorModel | Place) -> xr.Dataset:
-    """The map of a model, effects out, over ``i_d`` and ``i_q``; NaN where nothing was measured.
+    """The map of a model, without effects, over ``i_d`` and ``i_q``; NaN where nothing was measured.
 
     Parameters
     ----------
     model : MotorModel or path
-        A whole model, the `model.json` that it is in, or the run or recording that has one.
+        A model, its `model.json`, or the run or recording that has one.
     """
     from orchestrator.diagnosis import flux_map_of
     from orchestrator.estimation import flux_dataset
@@ -234,7 +234,7 @@ def map_of(model: MotorModel | Place) -> xr.Dataset:
 
 
 def chosen_model(choice: Model | None) -> ModelChoice | None:
-    """The baseline or model that is meant, read from its file where it is in one; raises `InputError`."""
+    """The chosen baseline or model, read from its file where it is a path; raises `InputError`."""
     if choice is None or isinstance(choice, FluxMap | MotorModel):
         return choice
     path = Path(choice)
@@ -252,20 +252,20 @@ def chosen_effects(more: Effects = ()) -> list[Effect]:
     effects: list[Effect] = make_plugins(PluginKind.EFFECTS)
     if isinstance(more, str | PathLike):
         where = str(more)
-        own = [_made(kind, where) for kind in load_effects_file(Path(more))]
-        # A plugin of one's own may be installed and named by its file, too: it is one effect, as the file has it now.
+        own = [_instance(kind, where) for kind in load_effects_file(Path(more))]
+        # An installed plugin may be given by its file, too: it is one effect, in the file's current form.
         effects = [effect for effect in effects if _file_of(effect) != Path(more).resolve()]
     else:
         where, own = "effects", list(more)
     for effect in map(guarded, own):
         if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:
-            raise PluginError(where, effect.name, "there is an effect of that name already: choose another")
+            raise PluginError(where, effect.name, "an effect of that name exists already: choose another")
         effects.append(effect)
     return effects
 
 
 def _is_own(effect: Effect, more: Effects, installed: Collection[str]) -> bool:
-    """Whether an effect was named beside the installed ones, or as the file of one."""
+    """Whether an effect was given beside the installed ones, or by the file of one."""
     if effect.name not in installed:
         return True
     return isinstance(more, str | PathLike) and _file_of(effect) == Path(more).resolve()
@@ -284,11 +284,11 @@ def _chosen_priors(choice: FleetPriors | Place | None) -> FleetPriors | None:
     return read_json(Path(choice), FleetPriors)
 
 
-def _made(kind: type[Any], where: str) -> Effect:
+def _instance(kind: type[Any], where: str) -> Effect:
     try:
         effect: Effect = kind()
-    except (Exception, SystemExit) as error:  # somebody else's code may raise anything
-        raise PluginError(where, kind.__name__, f"cannot be made: {type(error).__name__}: {error}") from error
+    except (Exception, SystemExit) as error:  # foreign code may raise anything
+        raise PluginError(where, kind.__name__, f"cannot be created: {type(error).__name__}: {error}") from error
     return effect
 
 

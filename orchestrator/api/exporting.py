@@ -1,4 +1,4 @@
-"""Maps for other tools, of whatever has one: a run, a recording, a map file or a model."""
+"""Maps for other tools, from a run, a recording, a map file or a model."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def export(
     formats : str
         Names of the formats; all by default.
     motor : Motor or path, optional
-        The motor, or a YAML file with it, for a map file that does not say it.
+        The motor, or a YAML file with it, for a map file without one.
     out : path, optional
-        Folder to write to; by default ``export/`` beside what is exported.
+        Folder to write to; by default ``export/`` beside the source.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def export(
 
 
 def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None) -> Motor:
-    """The motor with R_s as it was measured, where it was."""
+    """The motor, with the measured R_s where there is one."""
     from orchestrator.config import load_motor
     from orchestrator.estimation import load_estimates
     from orchestrator.plain_files import read_text
@@ -58,21 +58,21 @@ def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None
     from orchestrator.runs import open_any
 
     measured: float | None = None
-    found: Motor | None = None
+    chosen: Motor | None = None
     if path.suffix == ".json":
         model = read_model(path)
-        found, measured = model.motor, model.r_s_ohm
+        chosen, measured = model.motor, model.r_s_ohm
     elif path.is_dir():
-        found = open_any(path).manifest.motor
+        chosen = open_any(path).manifest.motor
         resistance = load_estimates(path).resistance
         measured = None if resistance is None else resistance.value_ohm
     elif path.suffix in (".yaml", ".yml") and "motor:" in read_text(path):
-        found = load_motor(path)  # the mapping of a table says whose it is
+        chosen = load_motor(path)  # the mapping of a table names its motor
     if motor is not None:
-        found = motor if isinstance(motor, Motor) else load_motor(Path(motor))
-    if found is None:
-        raise InputError(str(path), "motor", "a map file does not say its motor: name it or its YAML file (--motor)")
-    return found if measured is None else found.model_copy(update={"stator_resistance_ohm": measured})
+        chosen = motor if isinstance(motor, Motor) else load_motor(Path(motor))
+    if chosen is None:
+        raise InputError(str(path), "motor", "a map file has no motor: give it or its YAML file (--motor)")
+    return chosen if measured is None else chosen.model_copy(update={"stator_resistance_ohm": measured})
 
 
 def _recording(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""A run or recording, opened: its waveforms as tables, and all that was made of them so far. Computes nothing."""
+"""An open run or recording: its waveforms as tables, and its stored results. Computes nothing."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 class Measurements:
-    """What was measured, and what was made of it; results are read when they are asked for.
+    """The waveforms and results of a recording; results are read on access.
 
-    It stands for its directory wherever a path is expected.
+    It may be used wherever a path is expected.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class Measurements:
 
     @property
     def manifest(self) -> Manifest:
-        """Who was measured, and by what."""
+        """The manifest: motor, drive and segments."""
         return self.recording.manifest
 
     @cached_property
@@ -64,11 +64,11 @@ class Measurements:
         RecordingError
             Where its file is damaged.
         """
-        found = next((s for s in self.segments if s.id == segment), None)
-        if found is None:
+        match = next((s for s in self.segments if s.id == segment), None)
+        if match is None:
             ids = f"{self.segments[0].id} to {self.segments[-1].id}" if self.segments else "none"
             raise InputError(str(self.path), segment, f"no such segment; there are {len(self.segments)}: {ids}")
-        return self.recording.load(found)
+        return self.recording.load(match)
 
     def waveforms(self, segment: str) -> pd.DataFrame:
         """The waveforms of a segment by its id, as a table.
@@ -77,7 +77,7 @@ class Measurements:
         -------
         DataFrame
             Indexed by ``time_s`` since the start of the experiment; peak-valued currents [A] and voltages [V] in the
-            stator frame (``i_alpha_a``, ``v_alpha_v``, ...) and at the believed rotor angle (``i_d_a``, ``v_d_v``,
+            stator frame (``i_alpha_a``, ``v_alpha_v``, ...) and at the manifest's rotor angle (``i_d_a``, ``v_d_v``,
             ...), the bus ``v_dc_v``, and ``temperature_c`` where it was measured.
 
         Raises
@@ -103,32 +103,32 @@ class Measurements:
 
     @property
     def estimates(self) -> EstimationReport:
-        """What the estimators said last; raises `RecordingError` where nothing was estimated."""
+        """The latest estimates; raises `RecordingError` where there are none."""
         from orchestrator.estimation import load_estimates
 
         return load_estimates(self.path)
 
     @property
     def flux_map(self) -> xr.Dataset:
-        """The recommended map over ``i_d``, ``i_q``; raises `RecordingError` where nothing was estimated."""
+        """The recommended map over ``i_d``, ``i_q``; raises `RecordingError` where there is none."""
         from orchestrator.estimation import RECOMMENDED_MAP, flux_dataset, load_flux_map
 
-        found = load_flux_map(self.path / RECOMMENDED_MAP)
-        return flux_dataset(found, motor=self.manifest.motor.name, recording=self.manifest.name)
+        flux_map = load_flux_map(self.path / RECOMMENDED_MAP)
+        return flux_dataset(flux_map, motor=self.manifest.motor.name, recording=self.manifest.name)
 
     @property
     def diagnosis(self) -> SavedDiagnosis:
-        """The latest diagnosis: report, words, and steps to be drawn; raises `InputError` where there is none."""
+        """The latest diagnosis: report, words, and steps for drawing; raises `InputError` where there is none."""
         from orchestrator.diagnosis import load_diagnosis
 
-        found = load_diagnosis(self.path)
-        if found is None:
+        diagnosis = load_diagnosis(self.path)
+        if diagnosis is None:
             raise InputError(str(self.path), "", "was not diagnosed yet: `diagnose` does it")
-        return found
+        return diagnosis
 
     @property
     def model(self) -> MotorModel:
-        """The model as it stands; raises `RecordingError` where there is none."""
+        """The current model; raises `RecordingError` where there is none."""
         return read_model(self.path)
 
 
@@ -138,6 +138,6 @@ def open(path: str | PathLike[str]) -> Measurements:
     Raises
     ------
     RecordingError
-        Where it is none, or what is wrong in it: file and field.
+        Where the path is none, with the file and field of the error.
     """
     return Measurements(open_any(Path(path)))

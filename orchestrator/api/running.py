@@ -1,4 +1,4 @@
-"""A procedure run from Python: what the command line asks of a person is given as arguments."""
+"""A procedure run from Python: arguments replace the command line's questions."""
 
 from __future__ import annotations
 
@@ -37,27 +37,26 @@ def run(
     Parameters
     ----------
     procedure : str, path or Procedure
-        Name of a shipped procedure, a YAML file, or a procedure that was loaded.
+        Name of a shipped procedure, a YAML file, or a loaded procedure.
     drive, motor, settings : optional
-        As `load_procedure` takes them, laid over a procedure that is not loaded yet; settings by their key paths:
+        As `load_procedure` takes them, for a procedure that is not loaded yet; settings by their key paths:
         ``{"limits.current_a": 3.0}``.
     out : path, optional
         The run directory; by default ``runs/<name>-<time>``.
     operator : Operator, optional
-        Who answers the procedure's questions; by default nobody is there, and its own answers count where the drive is
-        simulated.
+        Answers the procedure's questions; without one, the procedure's own answers count where the drive is simulated.
     unattended : str, optional
-        With nobody there: ``"I have made the bench safe"``, by which they count on a real drive as well.
+        ``"I have made the bench safe"``: without an operator, the procedure's answers count on a real drive as well.
     streams : sequence of str
-        Who listens: ``report`` writes report.html, ``console`` tells how it goes, ``rerun`` writes view.rrd.
+        Outputs: ``report`` writes report.html, ``console`` prints the progress, ``rerun`` writes view.rrd.
 
     Raises
     ------
     FluxbenchError
-        Something that was handed in is wrong (nothing was energised, no directory is left), or the run ended in a
-        fault (its directory is kept, and named in the error's notes).
+        An argument is wrong (nothing was energised, no directory is left), or the run ended in a fault (its directory
+        is kept, and named in the error's notes).
     """
-    # Who only reads a recording has no need of the engine.
+    # A caller that only reads recordings does not need the engine.
     from orchestrator.config import load_procedure
     from orchestrator.engine import AbsentOperator, Crew, Interrupts, handling_signals, start_run
 
@@ -65,7 +64,7 @@ def run(
         overrides, motor_file = as_overrides(settings or {}), None if motor is None else Path(motor)
         procedure = load_procedure(str(procedure), overrides=overrides, drive=drive, motor=motor_file)
     elif drive or motor or settings:
-        raise InputError("run", "procedure", "is loaded already: give drive, motor and settings to `load_procedure`")
+        raise InputError("run", "procedure", "is loaded already: pass drive, motor and settings to `load_procedure`")
     path = run_directory(procedure.name, None if out is None else Path(out))
     with ExitStack() as stack:
         on_main = threading.current_thread() is threading.main_thread()  # no other thread may handle signals
@@ -79,7 +78,7 @@ def run(
 
 
 def run_directory(name: str, out: Path | None) -> Path:
-    """Where a run goes: `out`, or a folder of its own below ``runs/``; raises `InputError` where it cannot."""
+    """The folder of a run: `out`, or a new one below ``runs/``; raises `InputError` for an unusable one."""
     path = out if out is not None else Path("runs") / f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if not path.name:
         raise InputError("--out", "", "expected a folder of its own")
@@ -88,5 +87,5 @@ def run_directory(name: str, out: Path | None) -> Path:
 
 
 def as_overrides(settings: Mapping[str, Any]) -> list[str]:
-    """Settings by key paths in the words of ``--set``."""
+    """Settings by key paths in the form of ``--set``."""
     return [f"{key}={json.dumps(value, default=str)}" for key, value in settings.items()]

@@ -1,4 +1,4 @@
-"""Virtual commissionings by the thousand: which effects would a bench see? Simulated, analysed, judged, on a fleet."""
+"""Thousands of virtual commissionings on a fleet: simulated, analysed and scored, to find what a bench can detect."""
 
 from orchestrator.campaign._job import CampaignJob
 from orchestrator.campaign._plan import CampaignPlan, Condition, Run, check_runs, load_campaign, runs_of

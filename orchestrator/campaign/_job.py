@@ -1,7 +1,6 @@
-"""A campaign under way: motors are simulated, their recordings analysed, and the truth laid beside the answers.
+"""A campaign's execution: simulate motors, analyse their recordings, and store the truth with the results.
 
-The analysis is asked of a recording alone, in a task of its own; what was hidden stays with the client until the
-answer is in.
+The analysis of a recording is a task of its own; the truth stays with the client until its result has arrived.
 """
 
 from __future__ import annotations
@@ -17,9 +16,9 @@ from orchestrator.campaign._plan import Run
 from orchestrator.fleet import (
     Done,
     FleetTable,
+    JobProgress,
     Order,
     Plan,
-    Progress,
     Source,
     Task,
     bare_fields,
@@ -37,12 +36,12 @@ if TYPE_CHECKING:
 
 
 def simulate(procedure: dict[str, Any], place: str) -> None:
-    """Run a procedure on its simulated drive into a new directory, and leave nothing there that knows the truth."""
+    """Run a procedure on its simulated drive into a new directory, and remove the truth from it."""
     from orchestrator.api import run
     from orchestrator.runs import private_directory
 
     out = Path(place)
-    for old in (out, private_directory(out)):  # of a worker that died over it
+    for old in (out, private_directory(out)):  # left by a worker that died
         shutil.rmtree(old, ignore_errors=True)
     run(Procedure.model_validate(procedure), out=out, streams=())
     shutil.rmtree(private_directory(out))
@@ -56,20 +55,20 @@ class CampaignJob:
     runs : sequence of Run
     table : FleetTable
     plan : Plan
-        What is done with each recording.
+        The steps for each recording.
     folder : Path
-        That gets the recordings, the same on all workers.
+        Folder for the recordings, the same on all workers.
     keep : bool
-        Whether they stay there.
+        Whether the recordings stay there.
     tell : callable
-        Called with how far it is and how long it takes yet.
+        Called with the progress and the remaining time.
 
     Attributes
     ----------
     runs : dict of Run
-        By the keys of their rows.
+        Runs by the keys of their rows.
     todo : list of str
-        Keys that have no row yet.
+        Keys without a row.
     """
 
     def __init__(
@@ -86,11 +85,11 @@ class CampaignJob:
         version = versions().fluxbench
         self.runs = {run.key(plan, version): run for run in runs}
         self.todo = [key for key in self.runs if key not in table.keys]
-        self._left, self._made = deque(self.todo), deque[str]()
-        self._progress = Progress(len(self.todo), tell)
+        self._open, self._simulated = deque(self.todo), deque[str]()
+        self._progress = JobProgress(len(self.todo), tell)
 
     def rows(self, client: Client | None = None, engine: EngineSettings | None = None) -> Iterator[FleetRow]:
-        """Do it; each row is handed out when the table has it. Raises `StorageError`."""
+        """Run the campaign; yields each row after it is in the table. Raises `StorageError`."""
         with closing(work_through(self._next_task, client, engine)) as answers:
             for done in answers:
                 row = self._take(done)
@@ -98,26 +97,26 @@ class CampaignJob:
                     yield row
 
     def _next_task(self) -> Task | None:
-        if self._made:
-            key = self._made.popleft()
+        if self._simulated:
+            key = self._simulated.popleft()
             return Task(f"work-{key}", work_on, (self._order(key),))
-        if not self._left:
+        if not self._open:
             return None
-        key = self._left.popleft()
+        key = self._open.popleft()
         procedure = self.runs[key].procedure.model_dump(mode="json")
         return Task(f"simulate-{key}", simulate, (procedure, str(self._place(key))))
 
     def _take(self, done: Done) -> FleetRow | None:
         key = done.task.name.rpartition("-")[2]
         if done.task.work is simulate and done.failed is None:
-            self._made.append(key)
+            self._simulated.append(key)
             return None
         run = self.runs[key]
         fields = done.result or {**bare_fields(self._order(key)), "failed": done.failed}
-        told = run.condition
-        truth = {"condition": told.label, "hidden": told.truths(), "batch": told.variant or None}
-        when = {"started_at": None}  # of a simulation it tells nothing of the motor
-        name = f"{fields.get('name') or ''} {told.seed}"
+        condition = run.condition
+        truth = {"condition": condition.label, "hidden": condition.truths(), "batch": condition.variant or None}
+        when = {"started_at": None}  # a simulation's time is irrelevant
+        name = f"{fields.get('name') or ''} {condition.seed}"
         row = FleetRow.model_validate({**fields, **truth, **when, "name": name, "attempts": done.attempts})
         self._table.add(row.model_dump())
         self._progress.done(row.failed is not None)

@@ -1,4 +1,4 @@
-"""A campaign as a file: procedures by motors by what is hidden in them by seeds. Measures nothing."""
+"""A campaign's file: procedures by motors by hidden effects by seeds. Measures nothing."""
 
 from __future__ import annotations
 
@@ -25,44 +25,44 @@ from protocols.fleet import FleetStep, HiddenEffect
 
 Sizes = float | Annotated[tuple[float, ...], Field(min_length=1)]
 Hidden = dict[str, dict[str, Sizes]]
-"""Effects of the simulated plant with their parameters; where a parameter is a list, each of its values in turn."""
+"""Effects of the simulated plant with their parameters; a list gives several values, used in turn."""
 
 
 class CampaignPlan(Strict):
-    """What is simulated, and what is done with each recording."""
+    """The simulations, and the steps for each recording."""
 
     format: Literal["fluxbench-campaign"]
     version: Literal[1]
     name: str
     procedures: Annotated[tuple[str, ...], Field(min_length=1)]
-    """Names of shipped ones, or YAML files beside this one."""
+    """Names of shipped procedures, or YAML files beside this one."""
     motors: tuple[Path | None, ...] = (None,)
-    """YAML files that are laid over each procedure; null is its own motor."""
+    """YAML files of motors for each procedure; null is its own motor."""
     hidden: Annotated[tuple[Hidden, ...], Field(min_length=1)]
-    """One entry a kind of plant; ``{}`` has nothing hidden."""
+    """One entry per kind of plant; ``{}`` has no hidden effect."""
     seeds: Annotated[int, Field(ge=1, le=100_000)] = 1
-    """So many runs of each, which differ in the sensors' noise."""
+    """Number of runs of each, which differ in the sensors' noise."""
     first_seed: Annotated[int, Field(ge=0, le=2**31)] = 1
     settings: dict[str, Any] = Field(default_factory=dict)
-    """Laid over each procedure, by key paths."""
+    """Settings that replace the procedures', by key paths."""
     variants: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)] = ({},)
-    """More of these, an entry a kind of bench or motor; where a value is a list, each of its values in turn."""
+    """More settings, one entry per kind of bench or motor; a list gives several values, used in turn."""
     drive: dict[str, Any] = Field(default_factory=lambda: {"watchdog_s": 10.0})
-    """Options of the simulated drive; there is nobody to be hurt, and a busy machine may be late."""
+    """Options of the simulated drive; its watchdog may be long, because a busy machine may be late."""
     plant: dict[str, Any] = Field(default_factory=dict)
-    """Other options of its plant."""
+    """Further options of its plant."""
     do: Annotated[tuple[FleetStep, ...], Field(min_length=1)] = ("diagnose",)
     found_with: Annotated[float, Field(gt=0, lt=1)] = 0.8
-    """A size counts as found from this share of its runs on."""
+    """Share of its runs from which a size counts as found."""
 
     def runs(self) -> int:
-        """How many there are."""
+        """Number of runs."""
         kinds = sum(math.prod(len(_values(s)) for sizes in e.values() for s in sizes.values()) for e in self.hidden)
         benches = sum(math.prod(len(v) for v in e.values() if isinstance(v, list)) for e in self.variants)
         return len(self.procedures) * len(self.motors) * benches * kinds * self.seeds
 
     def analysis(self) -> Plan:
-        """What is done with each recording."""
+        """The steps for each recording."""
         return Plan(steps=self.do)
 
 
@@ -72,19 +72,19 @@ class Condition(Strict):
     procedure: str
     motor: str
     variant: str = ""
-    """Its settings, in one line."""
+    """The variant's settings, in one line."""
     hidden: dict[str, dict[str, float]]
     seed: int
 
     @property
     def label(self) -> str:
-        """In one line, without the seed: what its repetitions share."""
+        """The condition in one line without the seed, common to its repetitions."""
         effects = [f"{plain(name)} {_listed(sizes)}" for name, sizes in self.hidden.items()]
         variant = [self.variant] if self.variant else []
         return ", ".join([self.procedure, self.motor, *variant, *(effects or ["nothing hidden"])])
 
     def truths(self) -> tuple[HiddenEffect, ...]:
-        """As the table has it."""
+        """The hidden effects in the table's form."""
         return tuple(
             HiddenEffect(name=name, parameter=parameter, size=size)
             for name, sizes in self.hidden.items()
@@ -93,29 +93,29 @@ class Condition(Strict):
 
 
 class Run(Strict):
-    """A condition with the procedure that makes it."""
+    """A condition with its procedure."""
 
     condition: Condition
     procedure: Procedure
 
     def key(self, plan: Plan, version: str) -> str:
-        """By what is run and what is asked of it; no two different ones have the same."""
-        told = [self.procedure.model_dump(mode="json"), self.condition.model_dump(), plan.steps, version]
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
+        """Hash of the run and its analysis; different runs have different keys."""
+        content = [self.procedure.model_dump(mode="json"), self.condition.model_dump(), plan.steps, version]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def load_campaign(path: Path, most_runs: int = 1_000_000) -> CampaignPlan:
+def load_campaign(path: Path, max_runs: int = 1_000_000) -> CampaignPlan:
     """Read a campaign.
 
     Parameters
     ----------
-    most_runs : int
-        Of all combinations; a list too many multiplies them.
+    max_runs : int
+        Limit of all combinations, because each list multiplies them.
 
     Raises
     ------
     InputError
-        File and line, key, what is wrong, the nearest valid name.
+        With file and line, key, the error and the nearest valid name.
     """
     try:
         text = read_text(path)
@@ -129,27 +129,27 @@ def load_campaign(path: Path, most_runs: int = 1_000_000) -> CampaignPlan:
     except ValidationError as error:
         problem = first_problem(error, CampaignPlan, document.data)
         raise InputError(document.place(problem.path), problem.field, problem.text) from None
-    if plan.runs() > most_runs:
-        raise InputError(str(path), "", f"{plan.runs()} runs are more than {most_runs}: shorten its lists")
-    strange = [step for step in plan.do if step in ("import", "export")]
-    if strange:
-        raise InputError(document.place(("do",)), "do", f"expected estimate, compare or diagnose, got {strange[0]}")
-    beside = path.parent
+    if plan.runs() > max_runs:
+        raise InputError(str(path), "", f"{plan.runs()} runs are more than {max_runs}: shorten its lists")
+    unusable = [step for step in plan.do if step in ("import", "export")]
+    if unusable:
+        raise InputError(document.place(("do",)), "do", f"expected estimate, compare or diagnose, got {unusable[0]}")
+    folder = path.parent
     return plan.model_copy(
         update={
-            "procedures": tuple(str(beside / p) if (beside / p).is_file() else p for p in plan.procedures),
-            "motors": tuple(None if motor is None else beside / motor for motor in plan.motors),
+            "procedures": tuple(str(folder / p) if (folder / p).is_file() else p for p in plan.procedures),
+            "motors": tuple(None if motor is None else folder / motor for motor in plan.motors),
         }
     )
 
 
 def runs_of(plan: CampaignPlan) -> Iterator[Run]:
-    """Every run, the seeds in turn, so that one that is broken off is balanced.
+    """Every run, seed by seed, so that an interrupted campaign is balanced.
 
     Raises
     ------
     InputError
-        Where a procedure, a motor or what is laid over them cannot be used.
+        Where a procedure, a motor or a setting cannot be used.
     """
     loaded = [
         (load_procedure(name, overrides=as_overrides(plan.settings | variant), motor=motor), name, motor, variant)
@@ -170,20 +170,20 @@ def runs_of(plan: CampaignPlan) -> Iterator[Run]:
 
 
 def check_runs(runs: Iterable[Run]) -> None:
-    """Hold one run of each kind against its limits and its drive, before thousands of them are begun.
+    """Check one run of each kind against its limits and its drive, before thousands of them begin.
 
-    Runs are of a kind where only sizes and seeds differ.
+    Runs of one kind differ in sizes and seeds alone.
 
     Raises
     ------
     InputError
-        Where what is hidden, or another option of the plant, is none that the drive has, or a plan exceeds its limits.
+        Where the drive lacks a hidden effect or another option of the plant, or a plan exceeds its limits.
     """
     kinds: dict[tuple[object, ...], Run] = {}
     for run in runs:
-        told = run.condition
-        hidden = tuple((name, *sizes) for name, sizes in told.hidden.items())
-        kinds.setdefault((told.procedure, told.motor, told.variant, hidden), run)
+        c = run.condition
+        hidden = tuple((name, *sizes) for name, sizes in c.hidden.items())
+        kinds.setdefault((c.procedure, c.motor, c.variant, hidden), run)
     for run in kinds.values():
         with connected_drive(run.procedure, private=None) as (_, capabilities):
             check_plan(make_plan(run.procedure, capabilities), capabilities)

@@ -1,4 +1,4 @@
-"""What a campaign says of a bench: which effects it would see, from which size on, and how right their sizes are."""
+"""Detection power of a bench from a campaign: the effects that it detects, from which size, and their accuracy."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from protocols.fleet_report import CountOf
 
 
 class PowerRow(Strict):
-    """One hidden effect at one size, over the runs that differ in their noise."""
+    """One hidden effect at one size, over runs that differ in noise alone."""
 
     condition: str
     effect: str
@@ -22,25 +22,25 @@ class PowerRow(Strict):
     size: float
     runs: int
     found: int
-    """In how many the diagnosis has it, or an effect that it cannot tell from it, in its model."""
+    """Runs whose model has the effect, or one indistinguishable from it."""
     named: int
-    """In how many it names it as a cause."""
+    """Runs in which the diagnosis names it as a cause."""
     low: float
     high: float
-    """95 % interval of the probability to find it, Wilson's."""
+    """95 % interval of the detection probability, Wilson's."""
     ratio: float | None
-    """Found size over the true one, median; null where it was never found by its own name."""
+    """Estimated size over the true one, median; null where it was never found by its own name."""
     inside: int | None
-    """In how many of those that found it the 95 % interval holds the truth."""
+    """Runs that found it and whose 95 % interval contains the truth."""
 
 
 class Smallest(Strict):
-    """The smallest size of an effect that is found."""
+    """The smallest detected size of an effect."""
 
     effect: str
     parameter: str
     size: float | None
-    """Null where none of the sizes is."""
+    """Null where no size is detected."""
     probability: float | None
     low: float | None
 
@@ -53,12 +53,12 @@ class PowerReport(Strict):
     runs: int
     failed: int
     failures: tuple[CountOf, ...]
-    """Why, the most frequent first."""
+    """Errors, the most frequent first."""
     rows: tuple[PowerRow, ...]
     smallest: tuple[Smallest, ...]
-    """Of each effect; from this size on all larger ones are found too."""
+    """The size of each effect from which all larger ones are detected too."""
     false_names: int
-    """Runs in which something is named that was not hidden, nor cannot be told from what was."""
+    """Runs that name an effect that was neither hidden nor indistinguishable from a hidden one."""
     judged: int
     """Runs with a diagnosis."""
 
@@ -69,7 +69,7 @@ def power_of(rows: Sequence[FleetRow], *, name: str, table: str, found_with: flo
     Parameters
     ----------
     found_with : float
-        A size counts as found from this share of its runs on.
+        Share of its runs from which a size counts as detected.
     """
     failures = Counter(row.failed for row in rows if row.failed is not None)
     judged = [row for row in rows if row.hidden is not None and row.effects is not None]
@@ -77,8 +77,8 @@ def power_of(rows: Sequence[FleetRow], *, name: str, table: str, found_with: flo
     for row in judged:
         for truth in _swept(row.hidden or ()):
             groups.setdefault((row.condition or "", truth.name), []).append(row)
-    made = (_row(effect, condition, group) for (condition, effect), group in groups.items())
-    power = tuple(sorted(made, key=lambda row: (row.effect, abs(row.size), row.condition)))
+    power_rows = (_row(effect, condition, group) for (condition, effect), group in groups.items())
+    power = tuple(sorted(power_rows, key=lambda row: (row.effect, abs(row.size), row.condition)))
     return PowerReport(
         name=name,
         table=table,
@@ -87,13 +87,13 @@ def power_of(rows: Sequence[FleetRow], *, name: str, table: str, found_with: flo
         failures=tuple(CountOf(what=what, count=count) for what, count in failures.most_common()),
         rows=power,
         smallest=tuple(_smallest(power, found_with)),
-        false_names=sum(map(_says_more, judged)),
+        false_names=sum(map(_has_false_name, judged)),
         judged=len(judged),
     )
 
 
 def _swept(hidden: Iterable[HiddenEffect]) -> list[HiddenEffect]:
-    """Of each effect its first parameter: the one that it is sized by."""
+    """The first parameter of each effect, which defines its size."""
     first: dict[str, HiddenEffect] = {}
     for truth in hidden:
         first.setdefault(truth.name, truth)
@@ -102,9 +102,9 @@ def _swept(hidden: Iterable[HiddenEffect]) -> list[HiddenEffect]:
 
 def _row(effect: str, condition: str, rows: Sequence[FleetRow]) -> PowerRow:
     truth = next(t for t in _swept(rows[0].hidden or ()) if t.name == effect)
-    seen = [_as(effect, row.effects or ()) for row in rows]
-    found, named = sum(map(bool, seen)), sum(any(e.material is not False for e in hits) for hits in seen)
-    own = [e for hits in seen for e in hits if e.name == effect and e.parameter == truth.parameter]
+    matches = [_matching(effect, row.effects or ()) for row in rows]
+    found, named = sum(map(bool, matches)), sum(any(e.material is not False for e in hits) for hits in matches)
+    own = [e for hits in matches for e in hits if e.name == effect and e.parameter == truth.parameter]
     sized = [e.size / truth.size for e in own if e.size is not None and truth.size]
     bounded = [e.low <= truth.size <= e.high for e in own if e.low is not None and e.high is not None]
     low, high = wilson(found, len(rows))
@@ -123,11 +123,11 @@ def _row(effect: str, condition: str, rows: Sequence[FleetRow]) -> PowerRow:
     )
 
 
-def _as(effect: str, found: Iterable[FleetEffect]) -> list[FleetEffect]:
-    return [e for e in found if e.name == effect or effect in e.twins]
+def _matching(effect: str, effects: Iterable[FleetEffect]) -> list[FleetEffect]:
+    return [e for e in effects if e.name == effect or effect in e.twins]
 
 
-def _says_more(row: FleetRow) -> bool:
+def _has_false_name(row: FleetRow) -> bool:
     hidden = {truth.name for truth in row.hidden or ()}
     return any(e.material is not False and not hidden & {e.name, *e.twins} for e in row.effects or ())
 

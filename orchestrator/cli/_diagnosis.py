@@ -11,13 +11,20 @@ from orchestrator import api
 from orchestrator.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
-from orchestrator.formatting.benefits import BENEFITS, benefit_line
 from orchestrator.formatting.explaining import accuracy_sentences
 from orchestrator.formatting.names import plain, slots
+from orchestrator.formatting.progress import Progress
 from orchestrator.formatting.quantities import number, quantity
-from orchestrator.formatting.results import ladder_rows, parameter_rows, resistance, share_notes, share_rows
+from orchestrator.formatting.results import (
+    BENEFITS,
+    benefit_line,
+    ladder_rows,
+    parameter_rows,
+    resistance,
+    share_notes,
+    share_rows,
+)
 from orchestrator.formatting.sentences import columns, text_table
-from orchestrator.formatting.waiting import Waiting
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
 
 if TYPE_CHECKING:
@@ -49,11 +56,11 @@ def diagnose(
 
     Ctrl-C ends the search: the result so far is reported, and the exit code is 130.
     """
-    waiting, interruption = _waiting(as_json), Interruption()
+    progress, interruption = _progress(as_json), Interruption()
 
     def show(interim: InterimResult) -> None:
         interruption.has_result = True
-        waiting.keep(interim.sentence)
+        progress.result(interim.sentence)
 
     with prompt_interrupt(interruption):
         kept = api.diagnose(
@@ -64,7 +71,7 @@ def diagnose(
             material_flux_percent=material[0],
             material_voltage_percent=material[1],
             out=out,
-            tell=waiting,
+            tell=progress,
             priors=priors,
             on_interim=show,
             report_early=True,
@@ -85,7 +92,7 @@ def add(
 ) -> int:
     """Refit with these effects."""
     with prompt_interrupt():
-        tell = _waiting(as_json).keep
+        tell = _progress(as_json).result
         report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
     _print_refit(report, path, as_json)
@@ -95,15 +102,15 @@ def add(
 def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Refit without this effect."""
     with prompt_interrupt():
-        report = api.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
+        report = api.remove(path, name, effects=effects or (), out=out, tell=_progress(as_json).result)
         refresh_report(path, out)
     _print_refit(report, path, as_json)
     return 0
 
 
-def _waiting(as_json: bool) -> Waiting:
+def _progress(as_json: bool) -> Progress:
     """The progress display: on standard error at a terminal, and where standard output is one JSON object."""
-    return Waiting(kept=sys.stderr if as_json else sys.stdout)
+    return Progress(results=sys.stderr if as_json else sys.stdout)
 
 
 def _print_comparison(report: CompareReport) -> None:

@@ -1,21 +1,21 @@
-"""Runs against each other: before and after, motor A and B, cold and hot. Fits nothing: it reads what each run said."""
+"""Comparison of runs: before and after, motor A and B, cold and hot. Fits nothing: it reads each run's results."""
 
-from orchestrator.comparison._comparing import (
+from orchestrator.comparison._comparison import (
+    ComparedRuns,
     MapChange,
     Quantity,
     RunsComparison,
-    SideBySide,
     compare_runs,
 )
 from orchestrator.comparison._rows import change_rows, run_rows
-from orchestrator.comparison._said import RunSaid
+from orchestrator.comparison._run_summary import RunSummary
 
 __all__ = [
+    "ComparedRuns",
     "MapChange",
     "Quantity",
-    "RunSaid",
+    "RunSummary",
     "RunsComparison",
-    "SideBySide",
     "change_rows",
     "compare_runs",
     "run_rows",

@@ -42,7 +42,7 @@ class AlignmentCheck:
         """Raise `DriveFault` (wrong_data) where the voltage of another row makes the current."""
         if not self._i:
             return
-        found = alignment_of(np.concatenate(self._i), np.concatenate(self._v), most_samples=ROWS)
+        found = alignment_of(np.concatenate(self._i), np.concatenate(self._v), max_samples=ROWS)
         self.begin()
         if found is None or found.explained < SURE:
             return

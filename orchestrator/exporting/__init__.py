@@ -1,4 +1,4 @@
-"""What engineers take away from a flux map, and bring back: files of other tools, torque curves, saliency, inverse.
+"""Exports of a flux map: files for other tools, torque curves, saliency, the inverse map.
 
 Knows flux maps and nothing of recordings, drives or estimators. scipy and xarray are imported where they are used.
 """

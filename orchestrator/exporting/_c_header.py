@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from orchestrator.exporting._c_tables import Axis, HeaderTables, Table, header_tables
-from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._products import FileContent, Products
 
 _SCALES = {"a": "CURRENT", "wb": "FLUX", "h": "INDUCTANCE", "nm": "TORQUE", "rad": "ANGLE"}
 
@@ -76,7 +76,7 @@ static inline int16_t {p}_over(const int16_t *table, int32_t rows, int32_t colum
 
 @dataclass(frozen=True)
 class _Style:
-    """What tells the float header from the fixed-point one."""
+    """The differences between the float header and the fixed-point one."""
 
     kind: Literal["float", "q15"]
     prefix: str
@@ -90,26 +90,26 @@ class _Style:
         return str(int(np.clip(round(value / self.scales[unit] * 32768.0), -32768, 32767)))
 
 
-def c_float_file(products: Products) -> Written:
+def c_float_file(products: Products) -> FileContent:
     """`flux_map.h`: SI units in float."""
     return _written(products, header_tables(products), "float")
 
 
-def c_q15_file(products: Products) -> Written:
+def c_q15_file(products: Products) -> FileContent:
     """`flux_map_q15.h`: 16-bit fixed point, value = table * scale / 32768."""
     return _written(products, header_tables(products), "q15")
 
 
-def _written(products: Products, held: HeaderTables, kind: Literal["float", "q15"]) -> Written:
+def _written(products: Products, held: HeaderTables, kind: Literal["float", "q15"]) -> FileContent:
     if kind == "float":
         style = _Style("float", products.symbol, "float", {})
     else:
         style = _Style("q15", f"{products.symbol}_q15", "int16_t", _full_scales(held))
     filled = int((~held.measured).sum())
-    note = f"{filled} of {held.measured.size} nodes lie outside the measured region and are continued; masks tell which"
+    note = f"{filled} of {held.measured.size} nodes lie outside the measured region and are continued; masks mark them"
     text = _render(products, held, style)
     share = 100.0 * float(held.measured.mean())
-    return Written(text.encode("ascii"), share, filled_nodes=filled, notes=(*held.notes, note))
+    return FileContent(text.encode("ascii"), share, filled_nodes=filled, notes=(*held.notes, note))
 
 
 def _full_scales(held: HeaderTables) -> dict[str, float]:
@@ -189,7 +189,7 @@ def _scale_lines(style: _Style) -> str:
         f"#define {style.prefix.upper()}_{_SCALES[unit]}_SCALE_{unit.upper()} ({_float(scale)})"
         for unit, scale in style.scales.items()
     ]
-    return "/* What 32768 stands for. */\n" + "\n".join(lines) + "\n"
+    return "/* Full scale: the value of 32768. */\n" + "\n".join(lines) + "\n"
 
 
 def _axis_lines(axis: Axis, style: _Style) -> str:
@@ -205,7 +205,7 @@ def _axis_lines(axis: Axis, style: _Style) -> str:
     else:
         per_lsb = round(style.scales[axis.unit] / 32768.0 / axis.step * 2.0**31)
         lines.append(f"#define {stem}_FIRST_Q15 ({style.number(float(axis.nodes[0]), axis.unit)})")
-        lines.append(f"#define {stem}_PER_LSB_Q31 ({per_lsb}) /* steps a least significant bit, times 2^31 */")
+        lines.append(f"#define {stem}_PER_LSB_Q31 ({per_lsb}) /* steps per least significant bit, times 2^31 */")
     return "\n".join(lines) + "\n"
 
 

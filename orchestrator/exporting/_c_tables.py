@@ -1,4 +1,4 @@
-"""The tables of a C header: evenly spaced axes, no holes, and a mask of what is measured. Renders no text."""
+"""The tables of a C header: evenly spaced axes, no holes, and a mask of measured nodes. Renders no text."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Table:
 
 @dataclass(frozen=True)
 class MaskTable:
-    """Which nodes stand on measurement."""
+    """A mask of measured nodes."""
 
     name: str
     meaning: str
@@ -51,7 +51,7 @@ class MaskTable:
 
 @dataclass(frozen=True)
 class HeaderTables:
-    """All that a header holds."""
+    """The content of a header."""
 
     tables: tuple[Table, ...]
     masks: tuple[MaskTable, ...]
@@ -76,7 +76,7 @@ def header_tables(products: Products) -> HeaderTables:
     psi_d, psi_q = surface.psi(grid).T.reshape(2, len(d.nodes), len(q.nodes))
     mask = surface.inside(grid).reshape(psi_d.shape)
     rms, worst = lookup_error(d.nodes, q.nodes, (psi_d, psi_q), surface.currents, surface.fluxes)
-    notes = [f"linear lookup of psi misses the measured fluxes by {rms:.2g} Wb rms, {worst:.2g} Wb at most"]
+    notes = [f"linear lookup of psi deviates from the measured fluxes by {rms:.2g} Wb rms, {worst:.2g} Wb at most"]
     tables = [
         Table("psi_d", "wb", "large-signal d-axis flux linkage", psi_d, (d, q)),
         Table("psi_q", "wb", "large-signal q-axis flux linkage", psi_q, (d, q)),
@@ -87,7 +87,7 @@ def header_tables(products: Products) -> HeaderTables:
     f, g = Axis("flux_d", "wb", inverse.psi_d), Axis("flux_q", "wb", inverse.psi_q)
     i_d, i_q = inverse.filled()
     rms, worst = lookup_error(f.nodes, g.nodes, (i_d, i_q), surface.fluxes, surface.currents)
-    notes.append(f"linear lookup of i misses the measured currents by {rms:.2g} A rms, {worst:.2g} A at most")
+    notes.append(f"linear lookup of i deviates from the measured currents by {rms:.2g} A rms, {worst:.2g} A at most")
     tables += [
         Table("i_d", "a", "d-axis current against flux linkage", i_d, (f, g)),
         Table("i_q", "a", "q-axis current against flux linkage", i_q, (f, g)),
@@ -100,12 +100,12 @@ def header_tables(products: Products) -> HeaderTables:
     return HeaderTables(tuple(tables), masks, tuple(notes))
 
 
-def _even(axis: Array, most: int = 33) -> Array:
-    """The axis itself where it is short and evenly spaced, else as many even steps as a header holds.
+def _even(axis: Array, max_nodes: int = 33) -> Array:
+    """The axis itself where it is short and evenly spaced, else evenly spaced nodes up to a header's limit.
 
     33 nodes are 2 kB a table in Q15, 4 kB in float. The inverse has its own 51: 5 and 10 kB.
     """
-    count = min(len(axis), most)
+    count = min(len(axis), max_nodes)
     even = np.linspace(axis[0], axis[-1], count)
     return axis if len(axis) == count and np.allclose(axis, even, rtol=0.0, atol=1e-6 * np.ptp(axis)) else even
 
@@ -118,13 +118,13 @@ def _inductances(flux_map: FluxMap, d: Axis, q: Axis) -> list[Table]:
         return []
     axes = (np.asarray(flux_map.i_d, dtype=np.float64), np.asarray(flux_map.i_q, dtype=np.float64))
     places = np.stack(np.meshgrid(d.nodes, q.nodes, indexing="ij"), axis=-1)
-    found = {}
+    inductances = {}
     for name in ("l_dd", "l_dq", "l_qq"):
         filled = fill_smoothly(*axes, np.asarray(getattr(flux_map, name), dtype=np.float64), name)
-        found[name] = np.asarray(RegularGridInterpolator(axes, filled)(np.clip(places, *_corners(axes))))
-    angle = saliency(flux_map.model_copy(update=found)).angle_rad
+        inductances[name] = np.asarray(RegularGridInterpolator(axes, filled)(np.clip(places, *_corners(axes))))
+    angle = saliency(flux_map.model_copy(update=inductances)).angle_rad
     slopes = {"l_dd": "dpsi_d/di_d", "l_dq": "dpsi_d/di_q", "l_qq": "dpsi_q/di_q"}
-    tables = [Table(n, "h", f"incremental inductance {slopes[n]}", values, (d, q)) for n, values in found.items()]
+    tables = [Table(n, "h", f"incremental inductance {slopes[n]}", values, (d, q)) for n, values in inductances.items()]
     meaning = "angle from the d axis to the axis of least incremental inductance, electrical"
     return [*tables, Table("saliency_angle", "rad", meaning, angle, (d, q))]
 

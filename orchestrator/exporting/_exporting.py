@@ -1,4 +1,4 @@
-"""Write a flux map in the forms that other tools read, each file whole or not at all, and say what became of it."""
+"""Writing of a flux map in other tools' formats, each file completely or not at all, with a report."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from orchestrator.exporting._fmu import fmu_file
 from orchestrator.exporting._matlab_files import simulink_file, syre_file
 from orchestrator.exporting._motulator_script import motulator_file
 from orchestrator.exporting._numeric_files import csv_file, netcdf_file, npz_file
-from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._products import FileContent, Products
 from orchestrator.exporting._simulator_tables import ltspice_file, modelica_file, plecs_file
 from orchestrator.recording import replace_file
 from protocols import FluxMap, InputError, Motor, StorageError, Strict
 
 FORMATS: dict[str, str] = {
     "netcdf": "NetCDF: the map with torque, saliency, inverse map, MTPA and MTPV",
-    "csv": "one row a measured grid point, units in the column names",
+    "csv": "one row per measured grid point, units in the column names",
     "syre": "MATLAB, SyR-e layout: Id, Iq, Fd, Fq, T with i_d along the columns",
     "simulink": "MATLAB, parameters of the Flux-Based PMSM block: id, iq over 51 x 51 fluxes",
     "npz": "NumPy, as motulator reads it: complex i_s_dq, psi_s_dq",
@@ -30,9 +30,9 @@ FORMATS: dict[str, str] = {
     "fmu": "FMI 2.0 co-simulation: voltages and speed in, currents and torque out",
     "motulator": "script that runs the machine in motulator's drive; takes the npz",
 }
-"""Name of each format, and what it is."""
+"""Name and description of each format."""
 
-_WRITERS: dict[str, tuple[str, Callable[[Products], Written]]] = {
+_WRITERS: dict[str, tuple[str, Callable[[Products], FileContent]]] = {
     "netcdf": ("flux_map.nc", netcdf_file),
     "csv": ("flux_map.csv", csv_file),
     "syre": ("flux_map_syre.mat", syre_file),
@@ -49,37 +49,37 @@ _WRITERS: dict[str, tuple[str, Callable[[Products], Written]]] = {
 
 
 class ExportedFile(Strict):
-    """One file that was written."""
+    """One written file."""
 
     format: str
     path: Path
     measured_percent: float
-    """Share of its nodes that stand on measurement; the others are NaN, left out or continued."""
+    """Share of measured nodes; the others are NaN, omitted or continued."""
     filled_nodes: int
-    """Nodes that were continued by least curvature, because the format cannot say NaN."""
+    """Nodes that were continued by least curvature, because the format has no NaN."""
     notes: tuple[str, ...]
 
 
 class ExportReport(Strict):
-    """What an export wrote; the JSON contract of `fluxbench export --json`."""
+    """The files of an export; the JSON contract of `fluxbench export --json`."""
 
     files: tuple[ExportedFile, ...]
-    """In the order asked for."""
+    """The files in the requested order."""
     measured_percent: float
     """Share of the map's grid that was measured."""
     inverse_coverage_percent: float
-    """Share of the measured points whose current the inverse map gives back."""
+    """Share of the measured points whose current the inverse map reproduces."""
     inverse_misfit_wb: float
     """Largest |psi(i(psi)) - psi| at the inverse map's measured nodes."""
     non_convex_points: int
-    """Where the energy is not convex: there the inverse gives back one of several currents of the same flux."""
+    """Points where the energy is not convex: there the inverse gives one of several currents of the same flux."""
     notes: tuple[str, ...]
 
 
 def export_map(
     flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str] | None = None, *, recording: str = ""
 ) -> ExportReport:
-    """Write a flux map into a folder, in every format asked for.
+    """Write a flux map into a folder, in every requested format.
 
     Everything is computed before the first file is written; each file is replaced atomically.
 
@@ -87,18 +87,18 @@ def export_map(
     ----------
     flux_map : FluxMap
     motor : Motor
-        Pole pairs for the torque; resistance (as measured, if it was) and magnet flux are used where they are known.
+        Pole pairs for the torque; resistance (measured, if available) and magnet flux where they are known.
     out : Path
-        A folder; made where it does not exist.
+        A folder, created if missing.
     formats : sequence of str, optional
-        Of `FORMATS`; all that the map has enough for, unless told.
+        Names of `FORMATS`; by default all that the map suffices for.
     recording : str
-        Name of what the map is of; it stands in every file.
+        Name of the map's recording, for every file.
 
     Raises
     ------
     InputError
-        Where a format is unknown, the map cannot be interpolated, or lacks what a format that was asked for needs.
+        Where a format is unknown, or the map cannot be interpolated or does not suffice for a requested format.
     StorageError
         Where a file cannot be written.
     """
@@ -108,13 +108,13 @@ def export_map(
             hint = f"; did you mean {close[0]}?" if close else ""
             raise InputError("export", name, f"no such format{hint} There are {', '.join(FORMATS)}")
     products = Products(flux_map, motor, recording)
-    made, left_out = _made(products, formats)
+    contents, omitted = _contents(products, formats)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StorageError(f"{out}: cannot be made: {error.strerror or error}") from error
+        raise StorageError(f"{out}: cannot be created: {error.strerror or error}") from error
     files = []
-    for name, written in made.items():
+    for name, written in contents.items():
         path = out / _WRITERS[name][0]
         replace_file(path, written.content)
         files.append(
@@ -132,19 +132,19 @@ def export_map(
         inverse_coverage_percent=products.inverse.coverage_percent,
         inverse_misfit_wb=products.inverse.misfit_wb,
         non_convex_points=len(products.audit.non_convex),
-        notes=(*products.notes, *left_out),
+        notes=(*products.notes, *omitted),
     )
 
 
-def _made(products: Products, formats: Sequence[str] | None) -> tuple[dict[str, Written], list[str]]:
-    """What goes into the files, by format; and why some were left out, where they were not asked for by name."""
-    _ = products.inverse  # what no format can do without says what is wrong with the map
-    made, left_out = {}, []
+def _contents(products: Products, formats: Sequence[str] | None) -> tuple[dict[str, FileContent], list[str]]:
+    """Contents of the files by format, and notes on omitted ones that were not requested by name."""
+    _ = products.inverse  # every format needs it, so that its error comes first
+    contents, omitted = {}, []
     for name in dict.fromkeys(FORMATS if formats is None else formats):
         try:
-            made[name] = _WRITERS[name][1](products)
+            contents[name] = _WRITERS[name][1](products)
         except InputError as error:
             if formats is not None:
                 raise
-            left_out.append(f"no {name} file: {error.problem}")
-    return made, left_out
+            omitted.append(f"no {name} file: {error.problem}")
+    return contents, omitted

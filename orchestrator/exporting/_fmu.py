@@ -1,6 +1,6 @@
 """The machine as a functional mock-up unit: FMI 2.0 co-simulation (https://fmi-standard.org), the C header inside.
 
-Compiled where there is a C compiler, for Linux; the sources are in it always. Decides no content.
+It is compiled where there is a C compiler, for Linux, and always contains its sources. Decides no content.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 from xml.sax.saxutils import quoteattr
 
 from orchestrator.exporting._c_header import c_float_file
-from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._products import FileContent, Products
 from protocols import InputError
 
 _COMPILERS = ("cc", "gcc", "clang")
@@ -32,16 +32,16 @@ _VARIABLES = (
     ("psi_d", "output", "Wb", "flux linkage along d"),
     ("psi_q", "output", "Wb", "flux linkage along q"),
 )
-"""In the order of their value references: name, causality, unit, meaning."""
+"""Variables in the order of their value references: name, causality, unit, meaning."""
 
 
-def fmu_file(products: Products) -> Written:
+def fmu_file(products: Products) -> FileContent:
     """`machine.fmu`: v_d, v_q and electrical speed in, currents, torque and fluxes out; starts at zero current.
 
     Raises
     ------
     InputError
-        Where R_s is not known, or zero current was not measured.
+        Where R_s is unknown, or zero current was not measured.
     """
     resistance, rest = products.motor.stator_resistance_ohm, products.rest_wb
     if resistance is None or rest is None:
@@ -54,16 +54,16 @@ def fmu_file(products: Products) -> Written:
     for name, value in values.items():
         source = source.replace(f"@{name}@", value)
     content = {f"sources/{products.symbol}.c": source.encode(), "sources/flux_map.h": header.content}
-    binary = _compiled(source.encode(), header.content)
+    binary = _compile(source.encode(), header.content)
     folder = "linux64" if platform.machine() == "x86_64" else f"{platform.machine()}-linux"
     if binary is not None:
         content[f"binaries/{folder}/{products.symbol}.so"] = binary
     content["modelDescription.xml"] = _description(products, guid, resistance).encode()
-    note = f"compiled for {folder}" if binary is not None else "no C compiler was found: sources only"
-    return Written(_zipped(content), header.measured_percent, header.filled_nodes, (*header.notes, note))
+    note = f"compiled for {folder}" if binary is not None else "no C compiler is available: sources only"
+    return FileContent(_zipped(content), header.measured_percent, header.filled_nodes, (*header.notes, note))
 
 
-def _compiled(source: bytes, header: bytes) -> bytes | None:
+def _compile(source: bytes, header: bytes) -> bytes | None:
     compiler = next(filter(None, map(shutil.which, _COMPILERS)), None)
     if compiler is None or platform.system() != "Linux":
         return None
@@ -102,9 +102,9 @@ def _description(products: Products, guid: str, resistance: float) -> str:
     outputs = [k for k, variable in enumerate(_VARIABLES, start=1) if variable[1] == "output"]
     unknowns = "".join(f'<Unknown index="{k}"/>' for k in outputs)
     units = "".join(f'<Unit name="{unit}"/>' for unit in dict.fromkeys(variable[2] for variable in _VARIABLES))
-    told = f"{products.motor.name}; recording {products.recording or 'not told'}; {'; '.join(products.notes)}"
+    summary = f"{products.motor.name}; recording {products.recording or 'unknown'}; {'; '.join(products.notes)}"
     return f"""<?xml version="1.0" encoding="UTF-8"?>
-<fmiModelDescription fmiVersion="2.0" modelName="{products.symbol}" guid="{guid}" description={quoteattr(told)}
+<fmiModelDescription fmiVersion="2.0" modelName="{products.symbol}" guid="{guid}" description={quoteattr(summary)}
     generationTool="fluxbench" variableNamingConvention="flat" numberOfEventIndicators="0">
   <CoSimulation modelIdentifier="{products.symbol}" canHandleVariableCommunicationStepSize="true">
     <SourceFiles><File name="{products.symbol}.c"/></SourceFiles>

@@ -13,7 +13,7 @@ from protocols import FluxMap
 
 @dataclass(frozen=True)
 class InverseMap:
-    """Current against flux linkage on a rectangular grid that holds every measured flux; NaN where not measured."""
+    """Current against flux linkage on a rectangular grid over all measured fluxes; NaN where not measured."""
 
     psi_d: Array
     """[Wb], increasing, shape (d,)."""
@@ -22,13 +22,13 @@ class InverseMap:
     """[A], shape (d, q)."""
     i_q: Array
     coverage_percent: float
-    """Share of the flux map's measured points that the inversion gives back."""
+    """Share of the flux map's measured points that the inversion reproduces."""
     misfit_wb: float
     """Largest |psi(i(psi)) - psi| at the measured nodes."""
 
     @property
     def measured(self) -> Mask:
-        """Nodes that stand on measurement, shape (d, q)."""
+        """Mask of measured nodes, shape (d, q)."""
         mask: Mask = np.isfinite(self.i_d)
         return mask
 
@@ -49,7 +49,7 @@ def invert(flux_map: FluxMap, nodes: int = 51) -> InverseMap:
     ----------
     flux_map : FluxMap
     nodes : int
-        Of each axis.
+        Number of nodes of each axis.
 
     Raises
     ------
@@ -78,11 +78,11 @@ def currents_at(surface: MapSurface, psi_dq: Array) -> Array:
     starts = np.asarray(cKDTree(known_psi).query(psi_dq, k=min(3, len(known_psi)))[1])
     currents = np.full(psi_dq.shape, np.nan)
     for attempt in range(starts.shape[1]):
-        left = np.flatnonzero(np.isnan(currents[:, 0]))
-        if left.size:
-            currents[left] = _newton(surface, psi_dq[left], known_i[starts[left, attempt]])
-    found = np.flatnonzero(np.isfinite(currents[:, 0]))
-    currents[found[~surface.inside(currents[found])]] = np.nan
+        open_ = np.flatnonzero(np.isnan(currents[:, 0]))
+        if open_.size:
+            currents[open_] = _newton(surface, psi_dq[open_], known_i[starts[open_, attempt]])
+    converged = np.flatnonzero(np.isfinite(currents[:, 0]))
+    currents[converged[~surface.inside(currents[converged])]] = np.nan
     return currents
 
 
@@ -90,24 +90,24 @@ def _newton(surface: MapSurface, psi_dq: Array, start: Array) -> Array:
     """Damped Newton, all points at once; NaN where it does not converge."""
     reach = np.array([np.ptp(surface.i_d), np.ptp(surface.i_q)])
     tolerance = 1e-11 * float(np.ptp(surface.fluxes, axis=0).max())
-    found, step_size = start.copy(), np.ones(len(start))
-    residual = surface.psi(found) - psi_dq
+    i_dq, step_size = start.copy(), np.ones(len(start))
+    residual = surface.psi(i_dq) - psi_dq
     for _ in range(60):
         active = np.flatnonzero((np.linalg.norm(residual, axis=1) > tolerance) & (step_size > 1e-4))
         if not active.size:
             break
-        step = _solve(surface.jacobian(found[active]), residual[active])
+        step = _solve(surface.jacobian(i_dq[active]), residual[active])
         step *= np.minimum(1.0, 0.2 / np.maximum(np.abs(step / reach).max(axis=1), 1e-300))[:, None]
-        trial = found[active] - step_size[active, None] * step
+        trial = i_dq[active] - step_size[active, None] * step
         after = surface.psi(trial) - psi_dq[active]
         better = np.linalg.norm(after, axis=1) < np.linalg.norm(residual[active], axis=1)
         kept = active[better]
-        found[kept], residual[kept] = trial[better], after[better]
+        i_dq[kept], residual[kept] = trial[better], after[better]
         step_size[kept] = np.minimum(1.0, 2.0 * step_size[kept])
         step_size[active[~better]] *= 0.5
-    # Rounding may hold the last digits of the residual above the tolerance; it is far below any measurement.
-    found[np.linalg.norm(residual, axis=1) > 1e3 * tolerance] = np.nan
-    return found
+    # Rounding may keep the residual slightly above the tolerance, which is far below any measurement.
+    i_dq[np.linalg.norm(residual, axis=1) > 1e3 * tolerance] = np.nan
+    return i_dq
 
 
 def _solve(matrix: Array, right: Array) -> Array:

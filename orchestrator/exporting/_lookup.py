@@ -1,4 +1,4 @@
-"""How well a linear lookup in an exported table gives back what was measured."""
+"""The error of a linear lookup in an exported table."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def lookup_error(
     rows, columns : array, shapes (n,), (m,)
         Axes of the two tables, which have shape (n, m).
     at, truth : array, shape (k, 2)
-        Places on the axes, and what should be found there.
+        Points on the axes, and their true values.
     """
     from scipy.interpolate import RegularGridInterpolator
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from orchestrator.exporting._lookup import lookup_error
-from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._products import FileContent, Products
 from orchestrator.exporting._torque import Trajectory
 
 
-def syre_file(products: Products) -> Written:
+def syre_file(products: Products) -> FileContent:
     """`Id, Iq, Fd, Fq, T` as meshgrids with i_d along the columns, PM axes (magnet on d), peak values.
 
     The layout that SyR-e's `MMM_load_fdfq.m` reads (https://github.com/SyR-e/syre_public); NaN where not measured.
@@ -22,10 +22,10 @@ def syre_file(products: Products) -> Written:
     content: dict[str, Any] = {"Id": i_d, "Iq": i_q, "Fd": flux_map.psi_d.T, "Fq": flux_map.psi_q.T}
     content |= {"T": products.torque_nm.T, "fluxbench": _extras(products)}
     note = () if products.surface.known.all() else ("NaN where not measured",)
-    return Written(_savemat(content), products.measured_percent, notes=note)
+    return FileContent(_savemat(content), products.measured_percent, notes=note)
 
 
-def simulink_file(products: Products) -> Written:
+def simulink_file(products: Products) -> FileContent:
     """`flux_d, flux_q, id, iq` of the Flux-Based PMSM block, 51 x 51, rows along `flux_d`.
 
     Also `id_index, iq_index, lambda_d, lambda_q` of the Flux-Based PM Controller block, rows along `id_index`
@@ -45,15 +45,15 @@ def simulink_file(products: Products) -> Written:
     rms, worst = lookup_error(inverse.psi_d, inverse.psi_q, (i_d, i_q), surface.fluxes, surface.currents)
     filled = int((~inverse.measured).sum())
     notes = (
-        f"linear lookup in id, iq misses the measured currents by {rms:.2g} A rms, {worst:.2g} A at most",
+        f"linear lookup in id, iq deviates from the measured currents by {rms:.2g} A rms, {worst:.2g} A at most",
         f"{filled} of {inverse.measured.size} nodes lie outside the measured region and are continued; "
-        "id_measured tells which",
+        "id_measured marks them",
     )
-    return Written(_savemat(content), 100.0 * float(inverse.measured.mean()), filled_nodes=filled, notes=notes)
+    return FileContent(_savemat(content), 100.0 * float(inverse.measured.mean()), filled_nodes=filled, notes=notes)
 
 
 def _extras(products: Products) -> dict[str, Any]:
-    """What the layouts have no names for, in one struct; grids with i_d along the columns."""
+    """A struct of the values without a name in the layouts; grids with i_d along the columns."""
     flux_map, salient = products.flux_map, products.saliency
     grids = {name: getattr(flux_map, name).T for name in type(flux_map).model_fields if name.startswith("l_")}
     grids |= {name: getattr(flux_map, name).T for name in ("psi_d_std", "psi_q_std")}

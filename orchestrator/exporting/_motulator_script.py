@@ -1,15 +1,15 @@
-"""A script that runs the exported machine in motulator's drive: what stands beside `flux_map.npz`. Runs nothing."""
+"""A script that runs the exported machine of `flux_map.npz` in motulator's drive. Runs nothing."""
 
 from __future__ import annotations
 
-from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._products import FileContent, Products
 from protocols import InputError
 
 _SCRIPT = '''\
 """{title}: a speed step and a load step in motulator (pip install motulator), under current-vector control.
 
 {notes}
-Written by fluxbench; reads flux_map.npz (`fluxbench export --format npz`) beside it. Recording: {recording}.
+FileContent by fluxbench; reads flux_map.npz (`fluxbench export --format npz`) beside it. Recording: {recording}.
 """
 
 from pathlib import Path
@@ -33,10 +33,10 @@ with np.load(Path(__file__).parent / "flux_map.npz") as held:
 
 
 def current_of(psi_s_dq):
-    """Stator current over flux linkage, both complex; beyond the table it goes on linearly."""
+    """Stator current over flux linkage, both complex; extrapolated linearly beyond the table."""
     psi = np.asarray(psi_s_dq, dtype=complex)
-    found = current(np.stack((psi.real, psi.imag), axis=-1)).reshape(psi.shape)
-    return found if psi.ndim else complex(found)
+    i = current(np.stack((psi.real, psi.imag), axis=-1)).reshape(psi.shape)
+    return i if psi.ndim else complex(i)
 
 
 machine = model.SaturatedSynchronousMachinePars(n_p=POLE_PAIRS, R_s=R_S_OHM, i_s_dq_fcn=current_of)
@@ -55,19 +55,19 @@ control = sm.VectorControlSystem(
 control.set_speed_ref(lambda t: (t > 0.1) * SPEED_RAD_S)
 drive.mechanics.set_external_load_torque(lambda t: (t > 0.8) * LOAD_NM)
 results = model.Simulation(drive, control, show_progress=False).simulate(t_stop=1.5)
-found = results.mdl.machine
-print(f"speed {{results.mdl.mechanics.w_M[-1]:.4g}} rad/s, torque {{found.tau_M[-1]:.4g}} Nm, ", end="")
-print(f"current {{found.i_s_dq[-1]:.4g}} A, flux {{found.psi_s_dq[-1]:.4g}} Vs")
+machine_results = results.mdl.machine
+print(f"speed {{results.mdl.mechanics.w_M[-1]:.4g}} rad/s, torque {{machine_results.tau_M[-1]:.4g}} Nm, ", end="")
+print(f"current {{machine_results.i_s_dq[-1]:.4g}} A, flux {{machine_results.psi_s_dq[-1]:.4g}} Vs")
 '''
 
 
-def motulator_file(products: Products) -> Written:
-    """`flux_map_motulator.py`, with what it takes from the nameplate and what it assumes said beside each number.
+def motulator_file(products: Products) -> FileContent:
+    """`flux_map_motulator.py`, with the source of each number, the nameplate or an assumption, in a comment.
 
     Raises
     ------
     InputError
-        Where R_s is not known, or the map does not hold zero current and a motoring half.
+        Where R_s is unknown, or the map lacks zero current or a motoring half.
     """
     import numpy as np
 
@@ -90,7 +90,7 @@ def motulator_file(products: Products) -> Written:
     text = _SCRIPT.format(
         title=_safe(motor.name),
         notes=_safe("; ".join(products.notes) or "No fault was found in the map."),
-        recording=_safe(products.recording or "not told"),
+        recording=_safe(products.recording or "unknown"),
         pole_pairs=motor.pole_pairs,
         resistance=motor.stator_resistance_ohm,
         current=current,
@@ -104,7 +104,7 @@ def motulator_file(products: Products) -> Written:
         l_q=float(slopes[1, 1]),
         psi_m=max(rest, 0.0),
     )
-    return Written(text.encode("utf-8"), products.measured_percent, notes=("needs flux_map.npz beside it",))
+    return FileContent(text.encode("utf-8"), products.measured_percent, notes=("needs flux_map.npz beside it",))
 
 
 def _safe(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Flux maps as NetCDF, CSV and NPZ: forms that can say NaN, so nothing in them is continued."""
+"""Flux maps as NetCDF, CSV and NPZ: formats with NaN, so that nothing in them is continued."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from orchestrator.estimation import save_flux_map
-from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._products import FileContent, Products
 from orchestrator.exporting._torque import Trajectory
 from orchestrator.flux_maps import CSV_UNITS
 from orchestrator.numerics.types import Array
 
 
-def netcdf_file(products: Products) -> Written:
-    """The map's NetCDF with torque, saliency, inverse map, MTPA and MTPV beside it."""
+def netcdf_file(products: Products) -> FileContent:
+    """The map's NetCDF file with torque, saliency, inverse map, MTPA and MTPV."""
     import xarray as xr
 
     with tempfile.TemporaryDirectory() as folder:
@@ -39,11 +39,11 @@ def netcdf_file(products: Products) -> Written:
         if curve is not None:
             for field, (values, field_unit) in _columns(curve, unit).items():
                 dataset[f"{name}_{field}"] = ((f"{name}_row",), values, {"units": field_unit})
-    return Written(bytes(dataset.to_netcdf(engine="h5netcdf")), products.measured_percent)
+    return FileContent(bytes(dataset.to_netcdf(engine="h5netcdf")), products.measured_percent)
 
 
-def csv_file(products: Products) -> Written:
-    """One row a measured grid point, one header row, units at the end of the column names."""
+def csv_file(products: Products) -> FileContent:
+    """One row per measured grid point, one header row, units at the end of the column names."""
     flux_map, known = products.flux_map, products.surface.known
     rows, columns = np.nonzero(known)
     table = {"i_d_a": flux_map.i_d[rows], "i_q_a": flux_map.i_q[columns]}
@@ -57,11 +57,11 @@ def csv_file(products: Products) -> Written:
     writer.writerow([*table, "recording"])
     cells = [["" if np.isnan(v) else repr(float(v)) for v in column] for column in table.values()]
     writer.writerows((*row, products.recording) for row in zip(*cells, strict=True))
-    note = ("points that were not measured are left out",) if not known.all() else ()
-    return Written(text.getvalue().encode("utf-8"), products.measured_percent, notes=note)
+    note = ("unmeasured points are omitted",) if not known.all() else ()
+    return FileContent(text.getvalue().encode("utf-8"), products.measured_percent, notes=note)
 
 
-def npz_file(products: Products) -> Written:
+def npz_file(products: Products) -> FileContent:
     """Complex `i_s_dq` and `psi_s_dq` as motulator's `MagneticModel` takes them, `tau_M`, and all other fields.
 
     And `inverse_i_s_dq` over `inverse_flux_d`, `inverse_flux_q`, continued where `inverse_measured` is false.
@@ -87,7 +87,7 @@ def npz_file(products: Products) -> Written:
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **content)
     note = () if whole else ("flat arrays of the measured points, because the map has holes",)
-    return Written(buffer.getvalue(), products.measured_percent, notes=note)
+    return FileContent(buffer.getvalue(), products.measured_percent, notes=note)
 
 
 def _grids(products: Products) -> dict[str, tuple[Array, str, str]]:

@@ -1,4 +1,4 @@
-"""What every export is made of, computed once: torque, saliency, trajectories, inverse map. Writes no file."""
+"""The quantities of all exports, computed once: torque, saliency, trajectories, inverse map. Writes no file."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ from protocols import FluxMap, Motor
 
 
 @dataclass(frozen=True)
-class Written:
-    """One file's content, and what is to be said about it."""
+class FileContent:
+    """One file's content, and notes on it."""
 
     content: bytes
     measured_percent: float
-    """Share of the table's nodes that stand on measurement; the others are NaN, left out or continued."""
+    """Share of the table's nodes that were measured; the others are NaN, omitted or continued."""
     filled_nodes: int = 0
-    """Nodes that hold a continued value instead."""
+    """Nodes with a continued value."""
     notes: tuple[str, ...] = ()
 
 
 class Products:
-    """A flux map and all that follows from it, each made when first asked for.
+    """A flux map and all derived quantities, each computed on first use.
 
     Parameters
     ----------
     flux_map : FluxMap
     motor : Motor
-        With the measured R_s, where it was.
+        The motor, with the measured R_s if available.
     recording : str
-        Name of what the map is of.
+        Name of the map's recording.
     """
 
     def __init__(self, flux_map: FluxMap, motor: Motor, recording: str = "") -> None:
@@ -45,7 +45,7 @@ class Products:
 
     @property
     def symbol(self) -> str:
-        """The motor's name as a C or Modelica name may be: lower-case letters, digits, underscores."""
+        """The motor's name as a valid C and Modelica name: lower-case letters, digits, underscores."""
         name = re.sub(r"[^a-z0-9]+", "_", self.motor.name.lower()).strip("_")[:32].strip("_")
         return name if name[:1].isalpha() else f"motor_{name}".rstrip("_")
 
@@ -91,21 +91,21 @@ class Products:
 
     @cached_property
     def notes(self) -> tuple[str, ...]:
-        """What holds for every format."""
-        said = []
+        """Notes for every format."""
+        notes = []
         holes = int((~self.surface.known).sum())
         if holes:
-            said.append(f"{holes} of {self.surface.known.size} grid points were not measured")
+            notes.append(f"{holes} of {self.surface.known.size} grid points were not measured")
         if self.lacks_magnet:
-            said.append(
+            notes.append(
                 "pm_flux_wb is not known and a locked rotor does not show it: psi, torque, MTPA and MTPV leave out "
                 "the magnet"
             )
         if self.mtpa is None:
-            said.append("no measured point with i_q > 0: no MTPA and no MTPV")
+            notes.append("no measured point with i_q > 0: no MTPA and no MTPV")
         elif self.mtpv is not None and not self.mtpv.interior.any():
-            said.append("MTPV lies outside the measured region: its rows are the best at the edge, interior = 0")
-        return (*said, *self.audit.notes)
+            notes.append("MTPV lies outside the measured region: its rows are the best at the edge, interior = 0")
+        return (*notes, *self.audit.notes)
 
     @property
     def lacks_magnet(self) -> bool:

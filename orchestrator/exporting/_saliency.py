@@ -11,5 +11,5 @@ __all__ = ["Saliency", "saliency"]
 
 
 def saliency(flux_map: FluxMap) -> Saliency:
-    """Of a map's grid, shape (d, q); NaN where not measured."""
+    """Saliency on a map's grid, shape (d, q); NaN where not measured."""
     return principal(*(np.asarray(table, dtype=np.float64) for table in (flux_map.l_dd, flux_map.l_dq, flux_map.l_qq)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from orchestrator.exporting._c_tables import Axis, HeaderTables, Table, header_tables
 from orchestrator.exporting._lookup import lookup_error
-from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._products import FileContent, Products
 from orchestrator.numerics.types import Array
 
 _PAIRS = (("psi_d", "psi_q"), ("i_d", "i_q"))
@@ -14,7 +14,7 @@ _PAIRS = (("psi_d", "psi_q"), ("i_d", "i_q"))
 _UNITS = {"a": "A", "wb": "Wb"}
 
 
-def modelica_file(products: Products) -> Written:
+def modelica_file(products: Products) -> FileContent:
     """`flux_map_modelica.txt`: one file for `CombiTable2Ds` (tableOnFile), a matrix each of psi_d, psi_q, i_d and i_q.
 
     Rows of u1 (d), columns of u2 (q), as the Modelica Standard Library 4 describes "Tables in files".
@@ -32,7 +32,7 @@ def modelica_file(products: Products) -> Written:
     return _written(products, held, lines)
 
 
-def plecs_file(products: Products) -> Written:
+def plecs_file(products: Products) -> FileContent:
     """`flux_map_plecs.m`: initialisation commands of PLECS (MATLAB, Octave): axes and tables of 2D-Table blocks."""
     held = header_tables(products)
     name, motor = products.symbol, products.motor
@@ -51,7 +51,7 @@ def plecs_file(products: Products) -> Written:
     return _written(products, held, lines)
 
 
-def ltspice_file(products: Products, most: int = 17) -> Written:
+def ltspice_file(products: Products, max_nodes: int = 17) -> FileContent:
     """`flux_map_ltspice.lib`: the machine as a subcircuit in the dq frame, its currents looked up over its fluxes.
 
     LTspice has tables of one variable only. Of two, a bilinear one is a sum over the nodes of q: a hat function there
@@ -59,7 +59,7 @@ def ltspice_file(products: Products, most: int = 17) -> Written:
     """
     held, motor = header_tables(products), products.motor
     inverse = products.inverse
-    axes = [np.linspace(axis[0], axis[-1], min(most, len(axis))) for axis in (inverse.psi_d, inverse.psi_q)]
+    axes = [np.linspace(axis[0], axis[-1], min(max_nodes, len(axis))) for axis in (inverse.psi_d, inverse.psi_q)]
     tables = [_resampled((inverse.psi_d, inverse.psi_q), table, axes) for table in inverse.filled()]
     surface = products.surface
     rms, worst = lookup_error(axes[0], axes[1], (tables[0], tables[1]), surface.fluxes, surface.currents)
@@ -77,7 +77,7 @@ def ltspice_file(products: Products, most: int = 17) -> Written:
         "Bte te 0 V=1.5*p*(V(psid)*V(iq)-V(psiq)*V(id))",
         f".ends {products.symbol}_dq",
     ]
-    note = f"its 17 x 17 lookup of i misses the measured currents by {rms:.2g} A rms, {worst:.2g} A at most"
+    note = f"its 17 x 17 lookup of i deviates from the measured currents by {rms:.2g} A rms, {worst:.2g} A at most"
     return _written(products, held, lines, note)
 
 
@@ -100,15 +100,15 @@ def _resampled(axes: tuple[Array, Array], table: Array, to: list[Array]) -> Arra
 
 
 def _opening(products: Products, held: HeaderTables) -> list[str]:
-    said = [
+    lines = [
         f"Flux map of {products.motor.name} (method {products.flux_map.method}), written by fluxbench.",
-        f"Recording: {products.recording or 'not told'}.",
+        f"Recording: {products.recording or 'unknown'}.",
         "SI units; peak-valued dq vectors (amplitude-invariant), electrical angles, magnet on d.",
-        "Beyond what was measured the tables are continued by least curvature.",
+        "Beyond the measured region the tables are continued by least curvature.",
         *products.notes,
         *held.notes,
     ]
-    return [" ".join(line.encode("ascii", "replace").decode().split()) for line in said]
+    return [" ".join(line.encode("ascii", "replace").decode().split()) for line in lines]
 
 
 def _tables(held: HeaderTables) -> list[Table]:
@@ -128,7 +128,7 @@ def _vector(values: Array) -> str:
     return "[" + " ".join(f"{value:.9g}" for value in values) + "]"
 
 
-def _written(products: Products, held: HeaderTables, lines: list[str], *notes: str) -> Written:
+def _written(products: Products, held: HeaderTables, lines: list[str], *notes: str) -> FileContent:
     filled = int((~held.measured).sum())
     content = ("\n".join(lines) + "\n").encode("ascii")
-    return Written(content, 100.0 * float(held.measured.mean()), filled_nodes=filled, notes=(*held.notes, *notes))
+    return FileContent(content, 100.0 * float(held.measured.mean()), filled_nodes=filled, notes=(*held.notes, *notes))

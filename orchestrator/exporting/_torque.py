@@ -1,4 +1,4 @@
-"""Torque of a flux map, and the currents that make the most of an ampere or a volt; knows no limits of a drive."""
+"""Torque of a flux map, MTPA and MTPV trajectories; knows no limits of a drive."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from protocols import FluxMap, InputError
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Working points of greatest torque, one for each magnitude; rows that were not measured at all are NaN."""
+    """Working points of maximum torque, one for each magnitude; rows without measured points are NaN."""
 
     magnitude: Array
     """|i| [A] of an MTPA, |psi| [Wb] of an MTPV, increasing, shape (n,)."""
@@ -27,7 +27,7 @@ class Trajectory:
     torque_nm: Array
     """Shape (n,)."""
     interior: NDArray[np.bool_]
-    """Whether the greatest torque lies inside the measured region, rather than at its edge: there more may be had."""
+    """Whether the maximum torque lies inside the measured region and not at its edge, where more may be possible."""
 
 
 def torque_nm(flux_map: FluxMap, pole_pairs: int) -> Array:
@@ -45,12 +45,12 @@ def mtpa(flux_map: FluxMap, pole_pairs: int, currents_a: Array | None = None) ->
     flux_map : FluxMap
     pole_pairs : int
     currents_a : array, shape (n,), optional
-        Magnitudes [A peak]; 41 from nothing to the largest measured, unless told.
+        Magnitudes [A peak]; by default 41 from zero to the largest measured one.
 
     Raises
     ------
     InputError
-        Where the map cannot be interpolated, or holds no point with i_q > 0.
+        Where the map cannot be interpolated, or has no point with i_q > 0.
     """
     surface = _motoring(flux_map)
     measured = np.linalg.norm(surface.currents[surface.currents[:, 1] >= 0], axis=1)
@@ -73,12 +73,12 @@ def mtpv(flux_map: FluxMap, pole_pairs: int, fluxes_wb: Array | None = None) -> 
     flux_map : FluxMap
     pole_pairs : int
     fluxes_wb : array, shape (n,), optional
-        Magnitudes [Wb peak]; from the smallest to the largest measured, unless told.
+        Magnitudes [Wb peak]; by default 41 from the smallest to the largest measured one.
 
     Raises
     ------
     InputError
-        Where the map cannot be interpolated, or holds no point with i_q > 0.
+        Where the map cannot be interpolated, or has no point with i_q > 0.
     """
     surface = _motoring(flux_map)
     measured = np.linalg.norm(surface.fluxes[surface.currents[:, 1] >= 0], axis=1)

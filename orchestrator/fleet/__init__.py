@@ -1,12 +1,12 @@
-"""Thousands of recordings, one table: found below folders and URLs, worked on by however many workers, kept as Parquet.
+"""Thousands of recordings as one table: found below folders and URLs, analysed by any number of workers, in Parquet.
 
-Each recording is analysed as one alone would be; nothing here knows an estimator or an effect.
+Each recording is analysed as if it were alone; nothing here knows an estimator or an effect.
 """
 
 from orchestrator.fleet._cluster import ClusterSettings, connected
 from orchestrator.fleet._engine import Done, EngineSettings, Task, work_through
 from orchestrator.fleet._fleet import FailedSource, FleetJob, JobReport, find_sources
-from orchestrator.fleet._progress import Progress
+from orchestrator.fleet._progress import JobProgress
 from orchestrator.fleet._sources import Source, sources_below
 from orchestrator.fleet._table import FleetTable, TableSettings, parts_of, read_table
 from orchestrator.fleet._work import Order, Plan, bare_fields, versions, work_on
@@ -18,10 +18,10 @@ __all__ = [
     "FailedSource",
     "FleetJob",
     "FleetTable",
+    "JobProgress",
     "JobReport",
     "Order",
     "Plan",
-    "Progress",
     "Source",
     "TableSettings",
     "Task",

@@ -1,4 +1,4 @@
-"""Where the work is done: worker processes on this machine, or the workers of a scheduler that is there."""
+"""The workers: processes on this machine, or the workers of an existing scheduler."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from distributed import Client
 
 LOOPBACK = "127.0.0.1"
-DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-"""What a worker here begins with: Ctrl-C at a terminal reaches it too, and it is the client that ends it."""
+IGNORE_SIGINT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+"""First code of a local worker: Ctrl-C at a terminal reaches it too, but only the client may end it."""
 
 
 class ClusterSettings(Strict):
-    """Which workers."""
+    """The choice of workers."""
 
     jobs: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1)
     """Worker processes on this machine, one thread each."""
     scheduler: str | None = None
-    """``tcp://HOST:PORT`` of one that is there; then its workers are taken, and none is started."""
+    """``tcp://HOST:PORT`` of an existing scheduler, whose workers are used; none is started then."""
     dashboard_port: int = Field(default=8787, ge=0, le=65535)
-    """Of the local cluster's page on 127.0.0.1; another where it is taken."""
+    """Port of the local cluster's page on 127.0.0.1; another one where it is in use."""
     wait_s: float = Field(default=60.0, gt=0)
-    """For a first worker."""
+    """Waiting time for a first worker [s]."""
 
 
 @contextmanager
@@ -45,39 +45,39 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
     InputError
         Where dask is not installed, or no scheduler answers, or it has no worker.
     RunInterrupted
-        By Ctrl-C or SIGTERM; what was done until then is kept by whoever keeps it.
+        By Ctrl-C or SIGTERM; rows written until then stay.
     """
     try:
         import dask
         from distributed import Client, LocalCluster
         from distributed.security import Security
 
-        # Whoever reaches a scheduler can have code run: other users of this machine have not the key.
+        # A scheduler runs any code that it receives: without the key, other users of this machine cannot send any.
         security = Security.temporary()
     except ImportError as error:
         problem = f"runs on dask: pip install 'fluxbench[fleet]' ({error})"
         raise InputError("fleet", "", problem) from None
     for name in [known for known in logging.root.manager.loggerDict if known.startswith("distributed")]:
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it is in the table
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # the table has the relevant errors
     if settings.scheduler is not None:
         with _interruptible(), _client_of(settings.scheduler, settings) as client:
             yield client
         return
     port = _free(settings.dashboard_port)
-    # A task whose worker died is this project's to ask again, once: dask itself would do so three times.
+    # The engine repeats a task whose worker died, once; dask itself would do so three times.
     with (
         _interruptible(),
         dask.config.set(
             {
                 "distributed.scheduler.allowed-failures": 0,
-                "distributed.worker.preload": [DEAF],
-                # A worker's memory is its task's own, nothing of dask's: a pause would free none and last for ever.
+                "distributed.worker.preload": [IGNORE_SIGINT],
+                # A worker's memory belongs to its task, not to dask: a pause would free none and last for ever.
                 "distributed.worker.memory.target": False,
                 "distributed.worker.memory.spill": False,
                 "distributed.worker.memory.pause": False,
-                "distributed.worker.profile.enabled": False,  # looks at each worker's stack a hundred times a second
+                "distributed.worker.profile.enabled": False,  # samples each worker's stack a hundred times a second
                 "distributed.nanny.environ.PYTHONWARNINGS": "ignore",
-                # No page from elsewhere is told what is under way.
+                # Pages of other origins get no data.
                 "distributed.scheduler.dashboard.bokeh-application.allow_websocket_origin": [
                     f"{name}:{port}" for name in (LOOPBACK, "localhost")
                 ],
@@ -99,7 +99,7 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """SIGTERM ends the block as Ctrl-C does, with one line; off the main thread, signals are not its own."""
+    """SIGTERM ends the block as Ctrl-C does, with one line; without effect outside the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -107,13 +107,13 @@ def _interruptible() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise RunInterrupted("interrupted; started again, the job goes on where it was") from None
+        raise RunInterrupted("interrupted; started again, the job continues where it stopped") from None
     finally:
         signal.signal(signal.SIGTERM, before)
 
 
 def _free(port: int) -> int:
-    """The port, or another where somebody has it."""
+    """The port, or another one where it is in use."""
     with socket.socket() as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

@@ -1,4 +1,4 @@
-"""A source's files, brought to this machine where they are elsewhere, and the hash of what is in them."""
+"""A source's files, fetched to this machine where they are remote, and the hash of their content."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from typing import Any
 from orchestrator.fleet._sources import CAPTURES, RUN_FILES, Source, filesystem_of, is_local, parts_of_file
 from protocols import RecordingError
 
-BLOCK = 1 << 20
+HASH_BLOCK_BYTES = 1 << 20
 """Bytes that are hashed at a time."""
 
 
 @contextmanager
-def at_hand(source: Source, *, stays: bool) -> Iterator[Path]:
+def local_copy(source: Source, *, keep: bool) -> Iterator[Path]:
     """The source as a path of this machine.
 
     Parameters
     ----------
-    stays : bool
-        Whether what was fetched is kept beside this worker, for whoever asks next.
+    keep : bool
+        Whether a fetched copy stays with this worker for the next task.
 
     Raises
     ------
@@ -35,21 +35,21 @@ def at_hand(source: Source, *, stays: bool) -> Iterator[Path]:
     if is_local(fs):
         yield Path(path)
         return
-    shelf = _shelf()
-    if shelf is None:
+    folder_of_worker = _worker_folder()
+    if folder_of_worker is None:
         with tempfile.TemporaryDirectory(prefix="fluxbench-fleet-") as folder:
-            yield _fetched(fs, path, source, Path(folder))
+            yield _fetch(fs, path, source, Path(folder))
         return
-    place = shelf / source.fingerprint
+    place = folder_of_worker / source.fingerprint
     try:
-        yield _fetched(fs, path, source, place)
+        yield _fetch(fs, path, source, place)
     finally:
-        if not stays:
+        if not keep:
             shutil.rmtree(place, ignore_errors=True)
 
 
-def _shelf() -> Path | None:
-    """A folder of the worker that this runs on, which it removes when it ends; None elsewhere."""
+def _worker_folder() -> Path | None:
+    """A folder of this worker, which it removes when it ends; None outside a worker."""
     from distributed import get_worker
 
     try:
@@ -58,8 +58,8 @@ def _shelf() -> Path | None:
         return None
 
 
-def _fetched(fs: Any, path: str, source: Source, place: Path) -> Path:
-    """Below `place`, under the source's own name; what is there already is whole, for it is renamed in the end."""
+def _fetch(fs: Any, path: str, source: Source, place: Path) -> Path:
+    """The copy below `place`, under the source's own name; an existing one is complete, since renaming comes last."""
     target = place / PurePosixPath(path).name
     if target.exists():
         return target
@@ -73,7 +73,7 @@ def _fetched(fs: Any, path: str, source: Source, place: Path) -> Path:
                 fs.get_file(f"{path}/{name}", str(partial / name))
             partial.rename(target)
         else:
-            # The file that is asked for stands for all, and comes last.
+            # The named file marks all parts as complete, and comes last.
             for part in [*(part for part in parts_of_file(path)[1:] if fs.exists(part)), path]:
                 name = PurePosixPath(part).name
                 fs.get_file(part, str(partial / name))
@@ -93,12 +93,12 @@ def _wanted(fs: Any, path: str) -> list[str]:
 
 
 def content_sha256(path: Path) -> str:
-    """Of all that a recording consists of, or of one file: names and bytes.
+    """Hash of the names and bytes of a recording's files, or of one measurement file.
 
     Raises
     ------
     RecordingError
-        Where something cannot be read.
+        Where a file cannot be read.
     """
     whole = hashlib.sha256()
     try:
@@ -110,7 +110,7 @@ def content_sha256(path: Path) -> str:
         for file in (part for part in parts if part.is_file()):
             whole.update(f"{file.name}\n{file.stat().st_size}\n".encode())
             with file.open("rb") as content:
-                while block := content.read(BLOCK):
+                while block := content.read(HASH_BLOCK_BYTES):
                     whole.update(block)
     except OSError as error:
         raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None

@@ -1,4 +1,4 @@
-"""A fleet's job: sources in, rows out, nothing done twice. Where and how the work is done is the engine's business."""
+"""A fleet's job: a row for each source, nothing twice. The engine decides where the work is done."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.fleet._engine import Done, EngineSettings, Task, work_through
-from orchestrator.fleet._progress import Progress
+from orchestrator.fleet._progress import JobProgress
 from orchestrator.fleet._sources import Source, sources_below
 from orchestrator.fleet._table import FleetTable
 from orchestrator.fleet._work import Identified, Order, Plan, bare_fields, identify, versions, work_on
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
 
 
 class FailedSource(Strict):
-    """A source without a result, or without all of it."""
+    """A source without a complete result."""
 
     source: str
     problem: str
 
 
 class JobReport(Strict):
-    """What a job did; the JSON contract of `fluxbench fleet run --json`."""
+    """The result of a job; the JSON contract of `fluxbench fleet run --json`."""
 
     table: str
     sources: int
-    """That were found."""
+    """Number of sources found."""
     known: int
-    """Of them, those that had a row already and were not opened."""
+    """Sources that had a row already and were not opened."""
     known_failed: int
-    """Of those, how many have no result, or not all of it."""
+    """Known sources without a complete result."""
     same: int
-    """Of them, those with the content of another, whose row stands for both."""
+    """Sources with the same content as another one, whose row serves both."""
     new: int
-    """Rows that were written, with those of what failed."""
+    """Rows written, those of failed sources included."""
     failed: tuple[FailedSource, ...]
     seconds: float
 
@@ -53,7 +53,7 @@ def find_sources(places: Iterable[str], *, files: bool, limit: int | None, tell:
     Raises
     ------
     InputError
-        Where one cannot be listed, or there is none at all.
+        Where a place cannot be listed, or there is no source at all.
     """
     found: dict[str, Source] = {}
     for place in places:
@@ -69,51 +69,51 @@ def find_sources(places: Iterable[str], *, files: bool, limit: int | None, tell:
 
 
 def _absolute(place: str) -> str:
-    """Workers may be started elsewhere."""
+    """The place as an absolute path, because workers may start in another folder."""
     return place if "://" in place or "::" in place else str(Path(place).resolve())
 
 
 class FleetJob:
-    """A job on many sources: what is still to be asked, and what becomes of the answers.
+    """A job on many sources: its open tasks, and the rows of their results.
 
     Parameters
     ----------
     sources : sequence of Source
     table : FleetTable
-        That gets a row for each source that has none yet.
+        It gets a row for each source that has none yet.
     plan : Plan
-        What is done with each.
+        The steps for each source.
     tell : callable
-        Called with how far it is and how long it takes yet.
+        Called with the progress and the remaining time.
 
     Attributes
     ----------
     todo : list of Source
-        Those without a row, as far as their listing tells.
+        Sources without a row, by their listing.
     """
 
     def __init__(
         self, sources: Sequence[Source], table: FleetTable, plan: Plan, tell: Callable[[str], None] = lambda _: None
     ) -> None:
         self._table, self._plan = table, plan
-        self._asked, self._version = _question(plan), versions().fluxbench
-        visits = [table.visit(s.url, s.fingerprint, self._asked, self._version) for s in sources]
+        self._steps, self._version = _step_names(plan), versions().fluxbench
+        visits = [table.visit(s.url, s.fingerprint, self._steps, self._version) for s in sources]
         self.todo = [source for source, visit in zip(sources, visits, strict=True) if visit is None]
         self._known_failed = visits.count("failed")
-        self._left, self._found = iter(self.todo), len(sources)
-        self._progress = Progress(len(self.todo), tell)
+        self._open, self._found = iter(self.todo), len(sources)
+        self._progress = JobProgress(len(self.todo), tell)
         self._orders: deque[tuple[Order, Any]] = deque()
         self._taken: set[str] = set()
         self._count, self._same, self._new = 0, 0, 0
         self._failed: list[FailedSource] = []
 
     def rows(self, client: Client | None = None, engine: EngineSettings | None = None) -> Iterator[FleetRow]:
-        """Do it; each row is handed out when the table has it.
+        """Run the job; yields each row after it is in the table.
 
         Parameters
         ----------
         client : distributed.Client, optional
-            Whose workers do it; without one it is done here.
+            Its workers run the tasks; without one this process does.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class FleetJob:
                     yield row
 
     def report(self, table: Path, seconds: float) -> JobReport:
-        """What was done until now."""
+        """The report until now."""
         return JobReport(
             table=str(table),
             sources=self._found,
@@ -140,39 +140,39 @@ class FleetJob:
         )
 
     def _next_task(self) -> Task | None:
-        """What was identified goes first: a worker may have it at hand."""
+        """The next task; identified sources go first, because a worker may have fetched them."""
         self._count += 1
         if self._orders:
-            order, beside = self._orders.popleft()
-            return Task(f"work-{self._count}", work_on, (order,), beside)
-        source = next(self._left, None)
+            order, near = self._orders.popleft()
+            return Task(f"work-{self._count}", work_on, (order,), near)
+        source = next(self._open, None)
         return None if source is None else Task(f"identify-{self._count}", identify, (source,))
 
     def _take(self, done: Done) -> FleetRow | None:
-        """A row, where the answer is one."""
+        """The row of a result, if it is one."""
         if done.task.work is identify:
             return self._identified(done)
         order: Order = done.task.arguments[0]
         fields = done.result if done.failed is None else {**bare_fields(order), "failed": done.failed}
-        return self._added({**fields, "attempts": done.attempts})
+        return self._add({**fields, "attempts": done.attempts})
 
     def _identified(self, done: Done) -> FleetRow | None:
         source: Source = done.task.arguments[0]
-        told = done.result or Identified(content_sha256=None, failed=done.failed)
-        key = self._key(told.content_sha256 or f"{source.url}\n{source.fingerprint}")
+        identified = done.result or Identified(content_sha256=None, failed=done.failed)
+        key = self._key(identified.content_sha256 or f"{source.url}\n{source.fingerprint}")
         if key in self._table.keys or key in self._taken:
             self._same += 1
-            self._progress.passed_over()
+            self._progress.skip()
             return None
         self._taken.add(key)
-        order = Order(source=source, key=key, content_sha256=told.content_sha256, plan=self._plan)
-        if told.failed is not None:
-            return self._added({**bare_fields(order), "failed": told.failed, "attempts": done.attempts})
-        self._orders.append((order, done.handle if told.fetched else None))
+        order = Order(source=source, key=key, content_sha256=identified.content_sha256, plan=self._plan)
+        if identified.failed is not None:
+            return self._add({**bare_fields(order), "failed": identified.failed, "attempts": done.attempts})
+        self._orders.append((order, done.handle if identified.fetched else None))
         return None
 
-    def _added(self, fields: dict[str, object]) -> FleetRow:
-        row = FleetRow.model_validate({**fields, "asked": self._asked})
+    def _add(self, fields: dict[str, object]) -> FleetRow:
+        row = FleetRow.model_validate({**fields, "asked": self._steps})
         self._table.add(row.model_dump())
         self._taken.discard(row.key)
         self._new += 1
@@ -182,11 +182,11 @@ class FleetJob:
         return row
 
     def _key(self, content: str) -> str:
-        return hashlib.sha256(json.dumps([content, self._asked, self._version]).encode()).hexdigest()[:32]
+        return hashlib.sha256(json.dumps([content, self._steps, self._version]).encode()).hexdigest()[:32]
 
 
-def _question(plan: Plan) -> tuple[str, ...]:
-    """What was asked for, as far as it makes another result."""
+def _step_names(plan: Plan) -> tuple[str, ...]:
+    """Names of the steps, with the mapping's hash: all that changes a result."""
     if plan.mapping is None:
         return plan.steps
     return (*plan.steps, f"mapping {hashlib.sha256(plan.mapping.read_bytes()).hexdigest()[:16]}")

@@ -1,4 +1,4 @@
-"""Recordings below folders and URLs: where they are, and by what they would be known again. Opens none of them."""
+"""Recordings below folders and URLs: their places and fingerprints. Opens none of them."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from orchestrator.recording import MANIFEST_NAME
 from protocols import InputError, Strict
 
 RUN_FILES = (MANIFEST_NAME, "run.json", "journal.jsonl")
-"""Of a recording or run, beside what is in its folder of captures."""
+"""Files of a recording or run, besides its folder of captures."""
 CAPTURES = "captures"
-BESIDE = {".cfg": ".dat"}
-"""What a measurement file is nothing without, by its ending: COMTRADE's values lie beside their description."""
+COMPANIONS = {".cfg": ".dat"}
+"""Second file of a measurement by the ending of the first: COMTRADE has its values beside their description."""
 
 
 class Source(Strict):
-    """One recording, or one measurement file that is to become one."""
+    """One recording, or one measurement file to import."""
 
     url: str
     """A path, or ``protocol://...``."""
     fingerprint: str
-    """Of names, sizes and times in the listing."""
+    """Hash of names, sizes and times in the listing."""
     batch: str | None = None
-    """The folder that it lies in, where that is not what was asked for itself."""
+    """Name of its folder, unless that is the searched folder itself."""
 
 
 def filesystem_of(url: str) -> tuple[Any, str]:
@@ -43,12 +43,12 @@ def filesystem_of(url: str) -> tuple[Any, str]:
 
 
 def sources_below(url: str, *, files: bool = False) -> Iterator[Source]:
-    """Every recording or run below a folder or URL, that itself included, in order of the names.
+    """Every recording or run in or below a folder or URL, in order of the names.
 
     Parameters
     ----------
     files : bool
-        Measurement files instead, which an import is to be asked of.
+        Measurement files to import instead.
 
     Raises
     ------
@@ -59,27 +59,26 @@ def sources_below(url: str, *, files: bool = False) -> Iterator[Source]:
     try:
         if not fs.isdir(root):
             raise InputError(url, "", "no such folder")
-        yield from _walked(fs, root, files)
+        yield from _walk(fs, root, files)
     except InputError:
         raise
     except Exception as error:  # each store has errors of its own
         raise InputError(url, "", f"cannot be listed: {type(error).__name__}: {error}") from None
 
 
-def _walked(fs: Any, root: str, files: bool) -> Iterator[Source]:
+def _walk(fs: Any, root: str, files: bool) -> Iterator[Source]:
     for folder, folders, here in fs.walk(root, detail=True, topdown=True):
-        told = sorted(folders)
-        found = RUN_FILES[0] in here or RUN_FILES[1] in here
+        is_recording = RUN_FILES[0] in here or RUN_FILES[1] in here
         if files:
             for name in sorted(name for name in here if _is_measured(name)):
                 listed = [here[part] for part in parts_of_file(name) if part in here]
                 yield _source(fs, root, f"{folder.rstrip('/')}/{name}", listed)
-        elif found:
+        elif is_recording:
             captures = fs.ls(f"{folder}/{CAPTURES}", detail=True) if CAPTURES in folders else []
             yield _source(fs, root, folder, [*(here[n] for n in RUN_FILES if n in here), *captures])
-        kept = {name: folders[name] for name in told if not name.startswith(".") and not (found and not files)}
-        # What is below a recording is its own, and what a walk does not keep it does not enter.
-        folders.clear()
+        enter = not is_recording or files
+        kept = {name: folders[name] for name in sorted(folders) if enter and not name.startswith(".")}
+        folders.clear()  # the walk enters the remaining folders only; those of a recording are its own
         folders.update(kept)
 
 
@@ -90,12 +89,12 @@ def _is_measured(name: str) -> bool:
 
 
 def parts_of_file(name: str) -> list[str]:
-    """A measurement file, and the one that may lie beside it."""
+    """A measurement file, and its possible companion."""
     ending = PurePosixPath(name).suffix
-    beside = BESIDE.get(ending.lower())
-    if beside is None:
+    companion = COMPANIONS.get(ending.lower())
+    if companion is None:
         return [name]
-    return [name, name.removesuffix(ending) + (beside.upper() if ending.isupper() else beside)]
+    return [name, name.removesuffix(ending) + (companion.upper() if ending.isupper() else companion)]
 
 
 def _source(fs: Any, root: str, path: str, listed: Sequence[dict[str, Any]]) -> Source:
@@ -109,12 +108,12 @@ def _url_of(fs: Any, path: str) -> str:
 
 
 def is_local(fs: Any) -> bool:
-    """Whether paths of this file system are this machine's own."""
+    """Whether a file system is local."""
     return "file" in ((fs.protocol,) if isinstance(fs.protocol, str) else fs.protocol)
 
 
 def _fingerprint(listed: Iterable[dict[str, Any]]) -> str:
-    """Object stores tell an ETag, file systems a time."""
+    """Hash of names, sizes and ETags (object stores) or times (file systems)."""
     lines = sorted(
         f"{PurePosixPath(str(info['name'])).name} {info.get('size')} {info.get('ETag') or info.get('mtime') or ''}"
         for info in listed

@@ -1,6 +1,6 @@
-"""The fleet's table: a folder of Parquet files that one process writes, each whole or not there.
+"""The fleet's table: a folder of Parquet files that one process writes, each complete or absent.
 
-A row is in it once, by its key. What a kill takes away is what came since the last file, and that is done again.
+Each key has one row. A kill loses the rows since the last file, which the next job computes again.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ PART = "part-*.parquet"
 
 
 class TableSettings(Strict):
-    """How often a file is written."""
+    """Limits of rows and time after which a file is written."""
 
     batch_rows: int = Field(default=500, ge=1)
     batch_s: float = Field(default=15.0, ge=0)
 
 
 class FleetTable:
-    """The rows that are there, and those that are to be written; make it by `opened`.
+    """The stored and the pending rows; create it by `opened`.
 
     Attributes
     ----------
     keys : set of str
-        Of all rows, written or not.
+        Keys of all rows, stored or pending.
     """
 
     def __init__(self, folder: Path, settings: TableSettings) -> None:
@@ -56,21 +56,21 @@ class FleetTable:
     def opened(
         cls, folder: Path, settings: TableSettings | None = None, *, forget_failed: bool = False
     ) -> Iterator[FleetTable]:
-        """The table in a folder, made where there is none, held for this process; flushed at the end.
+        """The table in a folder, created if missing, locked for this process; flushed at the end.
 
         Parameters
         ----------
         forget_failed : bool
-            Take out the rows of what failed, so that it is done again.
+            Remove the rows of failed sources, so that they are computed again.
 
         Raises
         ------
         InputError
-            Where the folder holds something else, or another process writes the table.
+            Where the folder contains other files, or another process writes the table.
         StorageError
             Where it cannot be written.
         """
-        with _held(folder):
+        with _lock(folder):
             if forget_failed:
                 _forget_failed(folder)
             table = cls(folder, settings or TableSettings())
@@ -80,16 +80,16 @@ class FleetTable:
                 table.flush()
 
     def visit(
-        self, source: str, fingerprint: str, asked: Sequence[str], version: str
+        self, source: str, fingerprint: str, steps: Sequence[str], version: str
     ) -> Literal["done", "failed"] | None:
-        """What became of a source that looks the same in its listing, for the same question and version; else None."""
-        failed = self._visits.get(_visit(source, fingerprint, asked, version))
+        """The outcome of a source with the same listing, steps and version; None without one."""
+        failed = self._visits.get(_visit(source, fingerprint, steps, version))
         return None if failed is None else "failed" if failed else "done"
 
     def add(self, row: dict[str, Any]) -> None:
-        """Take a row in; written with the next batch. One whose key is there already is an error of the caller."""
+        """Add a row, to be written with the next batch; raises `ValueError` for an existing key."""
         if row["key"] in self.keys:
-            raise ValueError(f"{row['key']}: there is such a row")
+            raise ValueError(f"{row['key']}: the table has this row already")
         self._remember(row)
         self._pending.append(row)
         aged = time.monotonic() - self._written_at >= self._settings.batch_s
@@ -97,7 +97,7 @@ class FleetTable:
             self.flush()
 
     def flush(self) -> None:
-        """Write what is pending as one more file; raises `StorageError`."""
+        """Write the pending rows as one more file; raises `StorageError`."""
         if self._pending:
             _write(self._folder / f"part-{self._next_part:06d}.parquet", self._pending)
             self._next_part += 1
@@ -126,7 +126,7 @@ def read_table(folder: Path) -> list[FleetRow]:
     """
     parts = parts_of(folder)
     if not parts:
-        raise InputError(str(folder), "", "no table there: expected part-000000.parquet and its like")
+        raise InputError(str(folder), "", "no table there: expected part-000000.parquet and so on")
     return [FleetRow.model_validate(row) for part in parts for row in _columns(part, None)]
 
 
@@ -164,23 +164,23 @@ def _forget_failed(folder: Path) -> None:
             _write(part, kept)
 
 
-def _visit(source: str, fingerprint: str, asked: Sequence[str], version: str) -> bytes:
-    return hashlib.sha256("\n".join((source, fingerprint, *asked, version)).encode()).digest()[:16]
+def _visit(source: str, fingerprint: str, steps: Sequence[str], version: str) -> bytes:
+    return hashlib.sha256("\n".join((source, fingerprint, *steps, version)).encode()).digest()[:16]
 
 
 @contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """Hold a table's folder for this process; its lock goes with the process, however that ends."""
+def _lock(folder: Path) -> Iterator[None]:
+    """Lock a table's folder for this process; the lock ends with the process, however that ends."""
     if folder.exists() and not folder.is_dir():
-        raise InputError(str(folder), "", "is not a directory, and nothing is overwritten: name another place")
-    there = [file.name for file in folder.iterdir() if not file.name.startswith(".")] if folder.is_dir() else []
-    if there and not parts_of(folder):
-        raise InputError(str(folder), there[0], "is no part of a table: name a folder that is new or a table's")
+        raise InputError(str(folder), "", "is not a directory and is not overwritten: name another place")
+    present = [file.name for file in folder.iterdir() if not file.name.startswith(".")] if folder.is_dir() else []
+    if present and not parts_of(folder):
+        raise InputError(str(folder), present[0], "is no part of a table: name a new folder or a table's")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         descriptor = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise StorageError(f"{folder}: cannot be made: {error.strerror or error}") from error
+        raise StorageError(f"{folder}: cannot be created: {error.strerror or error}") from error
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""What a worker does with one source: tell what it is, and do what was asked with it. Knows no other and no table."""
+"""The work on one source: identify it, and run the steps of the plan. Knows no other source and no table."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from typing import Any
 
 from pydantic import Field
 
-from orchestrator.fleet._content import at_hand, content_sha256
-from orchestrator.fleet._engine import said_of
+from orchestrator.fleet._content import content_sha256, local_copy
+from orchestrator.fleet._engine import error_line
 from orchestrator.fleet._sources import Source
 from protocols import FluxbenchError, RecordingError, Strict
 from protocols.fleet import FleetRow, FleetStep, FleetVersions
 
 SCRATCH, IMPORTED = "fluxbench-fleet-", "recording"
-"""A folder for the time that one source takes, and in it what an import makes of it."""
+"""Prefix of a source's temporary folder, and name of an imported recording in it."""
 
 
 class Plan(Strict):
-    """What is asked of each recording."""
+    """The steps for each recording."""
 
     steps: tuple[FleetStep, ...] = Field(default=("estimate",), min_length=1)
     mapping: Path | None = None
-    """With the step ``import``: the file that says what a measurement file's columns are."""
+    """With the step ``import``: the file that describes a measurement file's columns."""
     keep: Path | None = None
-    """Folder, the same on all workers, that gets each recording's results and exports, below its key."""
+    """Folder, the same on all workers, for each recording's results and exports, below its key."""
 
 
 class Identified(Strict):
-    """What a source is, by what is in it."""
+    """The identity of a source, by its content."""
 
     content_sha256: str | None
     failed: str | None = None
     fetched: bool = False
-    """Whether it lies beside the worker that was asked, until it is worked on."""
+    """Whether the worker has a copy until the source is worked on."""
 
 
 class Order(Strict):
@@ -51,25 +51,25 @@ class Order(Strict):
 
 
 def identify(source: Source) -> Identified:
-    """Fetch and hash a source; what is wrong with it is told, not raised."""
+    """Fetch and hash a source; an error is returned, not raised."""
     try:
-        with at_hand(source, stays=True) as path:
+        with local_copy(source, keep=True) as path:
             return Identified(content_sha256=content_sha256(path), fetched=str(path) != source.url)
     except FluxbenchError as error:
-        return Identified(content_sha256=None, failed=said_of(error))
+        return Identified(content_sha256=None, failed=error_line(error))
 
 
 def work_on(order: Order, _: Identified | None = None) -> dict[str, Any]:
-    """The row of a source, as a mapping of its fields; what is wrong with it is in the field `failed`."""
+    """The row of a source, as a mapping of its fields; an error is in the field `failed`."""
     began = time.perf_counter()
     fields: dict[str, Any] = {}
     places: list[str] = []
     try:
-        with at_hand(order.source, stays=False) as path, tempfile.TemporaryDirectory(prefix=SCRATCH) as scratch:
+        with local_copy(order.source, keep=False) as path, tempfile.TemporaryDirectory(prefix=SCRATCH) as scratch:
             places = [f"{scratch}/{IMPORTED}", str(path)]
-            _do(order, path, Path(scratch), fields)
-    except Exception as error:  # whatever a recording makes go wrong is its own row's
-        fields["failed"] = said_of(error)
+            _run_steps(order, path, Path(scratch), fields)
+    except Exception as error:  # an error belongs to the recording's own row
+        fields["failed"] = error_line(error)
         for place in places:
             fields["failed"] = fields["failed"].replace(place, order.source.url)
     row = FleetRow(
@@ -84,7 +84,7 @@ def work_on(order: Order, _: Identified | None = None) -> dict[str, Any]:
 
 
 def bare_fields(order: Order) -> dict[str, Any]:
-    """What is known of an order before it is begun."""
+    """The fields that are known before the work begins."""
     return {
         "key": order.key,
         "source": order.source.url,
@@ -97,12 +97,12 @@ def bare_fields(order: Order) -> dict[str, Any]:
 
 
 def versions() -> FleetVersions:
-    """Of what computes rows here."""
+    """Versions of the software that computes rows here."""
     return FleetVersions(fluxbench=version("fluxbench"), python=platform.python_version(), numpy=version("numpy"))
 
 
-def _do(order: Order, path: Path, scratch: Path, fields: dict[str, Any]) -> None:
-    """All steps, in their order; what was found before one fails stays in `fields`."""
+def _run_steps(order: Order, path: Path, scratch: Path, fields: dict[str, Any]) -> None:
+    """Run all steps in order; results before a failing step stay in `fields`."""
     from orchestrator.estimation import has_estimates
     from orchestrator.fleet import _rows as rows
     from orchestrator.runs import open_any
@@ -114,17 +114,17 @@ def _do(order: Order, path: Path, scratch: Path, fields: dict[str, Any]) -> None
     recording = open_any(path)
     fields |= rows.identity(recording)
     fields |= rows.temperature(recording)
-    if plan.mapping is not None:  # a mapping calls all files alike
+    if plan.mapping is not None:  # a mapping gives all files the same name
         fields["name"] = PurePosixPath(order.source.url).stem
     if "estimate" in plan.steps or "export" in plan.steps:
         _estimate(recording, out)
-        fields |= rows.estimated(rows.said_of(recording, out))
+        fields |= rows.estimate_fields(rows.summary_of(recording, out))
     if "compare" in plan.steps:
         fields |= _compare(recording)
     if "diagnose" in plan.steps:
         fields |= _diagnose(recording, out)
-        if has_estimates(out):  # the model's map and R_s, where it delivers some
-            fields |= rows.estimated(rows.said_of(recording, out))
+        if has_estimates(out):  # the model's map and R_s, if it has any
+            fields |= rows.estimate_fields(rows.summary_of(recording, out))
     if "export" in plan.steps:
         _export(recording, out)
 
@@ -146,18 +146,18 @@ def _estimate(recording: Any, out: Path) -> None:
 def _compare(recording: Any) -> dict[str, Any]:
     from orchestrator.api import chosen_effects
     from orchestrator.diagnosis import compare_recording
-    from orchestrator.fleet._rows import compared
+    from orchestrator.fleet._rows import comparison_fields
 
-    return compared(compare_recording(recording, chosen_effects(), model="saturated"))
+    return comparison_fields(compare_recording(recording, chosen_effects(), model="saturated"))
 
 
 def _diagnose(recording: Any, out: Path) -> dict[str, Any]:
     from orchestrator.api import chosen_effects
     from orchestrator.diagnosis import diagnose_and_keep
     from orchestrator.experiment_design.proposal import next_experiment
-    from orchestrator.fleet._rows import diagnosed
+    from orchestrator.fleet._rows import diagnosis_fields
 
-    return diagnosed(diagnose_and_keep(recording, chosen_effects(), propose=next_experiment, out=out)[0].report)
+    return diagnosis_fields(diagnose_and_keep(recording, chosen_effects(), propose=next_experiment, out=out)[0].report)
 
 
 def _export(recording: Any, out: Path) -> None:
@@ -166,5 +166,5 @@ def _export(recording: Any, out: Path) -> None:
     from orchestrator.flux_maps import load_map
 
     if load_estimates(out).method is None:
-        raise RecordingError(str(recording.path), "", "no map came of it, so there is nothing to export")
+        raise RecordingError(str(recording.path), "", "has no map to export")
     export_map(load_map(out), recording.manifest.motor, out / "export", recording=recording.manifest.name)

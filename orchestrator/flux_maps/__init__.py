@@ -1,4 +1,4 @@
-"""Anybody's flux maps: read from files, interpolated, judged and repaired.
+"""Flux maps of any source: read from files, interpolated, audited and repaired.
 
 Knows flux maps and nothing of recordings, drives or estimators. scipy and xarray are imported where they are used.
 """

@@ -1,4 +1,4 @@
-"""Named arrays out of .npz and .mat files; what they mean is not known here."""
+"""Named arrays from .npz and .mat files, without their meaning."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _DAMAGE = (
     ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RuntimeError, SyntaxError, TypeError,
     ValueError, struct.error, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-"""What the readers of numpy and scipy raise at one wrong byte or another."""
+"""Errors of numpy's and scipy's readers for damaged files."""
 
 
 def npz_arrays(path: Path) -> dict[str, Any]:
     """The arrays of an .npz file; nothing is unpickled. Raises `InputError`, or OSError."""
     try:
-        # numpy leaves a file that it opened itself, and cannot read, open.
+        # numpy does not close a file that it opened itself and cannot read.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             require_memory(path, sum(member.file_size for member in file.zip.infolist()), "its arrays")
             return {name: file[name] for name in file.files}
@@ -42,7 +42,7 @@ def mat_arrays(path: Path) -> dict[str, Any]:
         with path.open("rb") as opened:
             stream: Any = opened  # the published stubs of loadmat know paths only
             content: dict[str, Any] = loadmat(stream, simplify_cells=True)
-    except NotImplementedError:  # what scipy says of HDF5
+    except NotImplementedError:  # scipy's error for HDF5
         raise InputError(str(path), "", "a MATLAB 7.3 file; save it with -v7") from None
     except (*_DAMAGE, MatReadError) as error:
         raise InputError(str(path), "", f"not a MATLAB file: {first_line(error)}") from None
@@ -50,5 +50,5 @@ def mat_arrays(path: Path) -> dict[str, Any]:
 
 
 def first_line(error: Exception) -> str:
-    """What an error says, on one line."""
+    """The first line of an error's message."""
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,4 +1,4 @@
-"""Somebody's flux map judged: the figures, each fault that they come to, and what that spoils."""
+"""The audit of a flux map: figures, the faults that they show, and the uses that each fault spoils."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from orchestrator.flux_maps._faults import (
     AuditCriteria,
     Fault,
     Symmetries,
+    audit_remarks,
     convexity_faults,
     curl_faults,
     hole_faults,
     rough_faults,
     symmetry_faults,
     torque_faults,
-    unasked,
     uses_in_words,
 )
 from orchestrator.flux_maps._surface import MapSurface
@@ -34,14 +34,14 @@ from protocols import FluxMap, Motor, Number, Remark, Strict
 
 
 class MapAudit(Strict):
-    """What was found; the JSON contract of `fluxbench audit --json`."""
+    """The result of an audit; the JSON contract of `fluxbench audit --json`."""
 
     method: str
     points: int
     nodes: tuple[int, int]
-    """Of the grid, along i_d and i_q."""
+    """Numbers of grid nodes along i_d and i_q."""
     swing_wb: float
-    """Half the range of psi_d or psi_q, whichever is larger: what percentages refer to."""
+    """Half the range of psi_d or psi_q, whichever is larger; percentages refer to it."""
     reciprocity_h: Number
     """rms of dpsi_d/di_q - dpsi_q/di_d over the cells."""
     reciprocity_percent: Number
@@ -50,31 +50,31 @@ class MapAudit(Strict):
     """Largest odd part of psi_d in i_q; on the magnet's axis where that lies on -q."""
     parity_q_percent: Number
     parity_turned_percent: Number
-    """rms of what is left of both about the best axis."""
+    """rms of the residual of both about the best axis."""
     axis_rad: Number
-    """From d to the axis about which the map is most nearly even."""
+    """Angle from d to the axis about which the map is most nearly even."""
     magnet_rad: Number
-    """From d to the flux at zero current; null where that is not known, or no flux is."""
+    """Angle from d to the flux at zero current; null where that is unknown or zero."""
     magnet_wb: Number
     least_inductance_h: float
     """Smallest incremental inductance of all points and directions; negative where the energy is not convex."""
     non_convex: tuple[tuple[float, float], ...]
-    """(i_d, i_q) of the points where it is not [A]."""
+    """(i_d, i_q) of the points where the energy is not convex [A]."""
     holes: int
-    """Points that were not measured, with measured ones around them."""
+    """Unmeasured points that are surrounded by measured ones."""
     roughness_percent: Number
-    """Typical error of a point that its neighbours do not share."""
+    """Typical error of a point against its neighbours."""
     torque_factor: Number
-    """The file's torque over that of its fluxes; null where it has none, or the pole pairs are not known."""
+    """The file's torque over that of its fluxes; null where it has none, or the pole pairs are unknown."""
     torque_percent: Number
-    """rms of what this factor leaves, of the largest torque."""
+    """rms of the residual after this factor, of the largest torque."""
     faults: tuple[Fault, ...]
     remarks: tuple[Remark, ...]
-    """What could not be asked, and what is worth knowing."""
+    """Checks that were not possible, and further observations."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Each fault with what it spoils, as a sentence: what goes with every export."""
+        """Each fault with the uses that it spoils, as a sentence for every export."""
         return tuple(f"{fault.remark.text}: spoils {uses_in_words(fault.spoils)}" for fault in self.faults)
 
 
@@ -84,14 +84,14 @@ def audit_map(
     torque_nm: Array | None = None,
     criteria: AuditCriteria | None = None,
 ) -> MapAudit:
-    """Judge a flux map.
+    """Audit a flux map.
 
     Parameters
     ----------
     motor : Motor, optional
-        For its pole pairs.
+        The motor, for its pole pairs.
     torque_nm : array, shape (d, q), optional
-        Measured, or computed otherwise than from the fluxes.
+        Torque that was measured, or not computed from the fluxes.
 
     Raises
     ------
@@ -102,34 +102,34 @@ def audit_map(
     surface = MapSurface(flux_map)
     swing = swing_of(surface)
     floor = max(0.01 * criteria.material_percent * swing, criteria.deviations * _own_error(flux_map, surface.known))
-    gradient, found = reciprocity(surface), _symmetries(surface, swing)
+    gradient, symmetries = reciprocity(surface), _symmetries(surface, swing)
     least = least_inductances(surface)
     bad = least <= 0.0
     holes, rough = enclosed(surface.known), roughness(surface)
     typical = _typical(rough)
     torque = _torque(flux_map, motor, torque_nm)
     faults = (
-        *curl_faults(gradient.apart_wb if gradient else None, floor, swing),
-        *symmetry_faults(found, floor, swing),
+        *curl_faults(gradient.distance_wb if gradient else None, floor, swing),
+        *symmetry_faults(symmetries, floor, swing),
         *convexity_faults(surface.currents[bad], least),
         *hole_faults(holes, surface),
         *rough_faults(rough, typical, floor, surface, criteria),
         *torque_faults(torque, criteria),
     )
-    best, about = found.best, found.about
+    best, about = symmetries.best, symmetries.about
     return MapAudit(
         method=flux_map.method,
         points=int(surface.known.sum()),
         nodes=surface.known.shape,
         swing_wb=swing,
-        reciprocity_h=gradient.apart_h if gradient else None,
-        reciprocity_percent=100.0 * gradient.apart_wb / swing if gradient else None,
+        reciprocity_h=gradient.distance_h if gradient else None,
+        reciprocity_percent=100.0 * gradient.distance_wb / swing if gradient else None,
         parity_d_percent=100.0 * about.d_wb / swing if about else None,
         parity_q_percent=100.0 * about.q_wb / swing if about else None,
         parity_turned_percent=100.0 * best.rms_wb / swing if best else None,
         axis_rad=best.axis_rad if best else None,
-        magnet_rad=found.magnet_rad,
-        magnet_wb=found.magnet_wb,
+        magnet_rad=symmetries.magnet_rad,
+        magnet_wb=symmetries.magnet_wb,
         least_inductance_h=float(least.min()),
         non_convex=tuple((float(d), float(q)) for d, q in surface.currents[bad]),
         holes=int(holes.sum()),
@@ -137,18 +137,18 @@ def audit_map(
         torque_factor=torque[0] if torque else None,
         torque_percent=torque[1] if torque else None,
         faults=tuple(faults),
-        remarks=tuple(unasked(surface, found, swing, torque_nm is not None, motor is not None)),
+        remarks=tuple(audit_remarks(surface, symmetries, swing, torque_nm is not None, motor is not None)),
     )
 
 
 def _own_error(flux_map: FluxMap, known: Mask) -> float:
-    """Median standard deviation of the map's points; nothing where it does not say."""
-    told = np.concatenate([table[known] for table in (flux_map.psi_d_std, flux_map.psi_q_std)])
-    return float(np.median(told[np.isfinite(told)])) if np.isfinite(told).any() else 0.0
+    """Median standard deviation of the map's points; zero where it has none."""
+    stds = np.concatenate([table[known] for table in (flux_map.psi_d_std, flux_map.psi_q_std)])
+    return float(np.median(stds[np.isfinite(stds)])) if np.isfinite(stds).any() else 0.0
 
 
 def _symmetries(surface: MapSurface, swing: float, least_share: float = 0.05) -> Symmetries:
-    """`least_share` of the swing: a smaller flux at zero current is no magnet's."""
+    """The map's symmetries; a flux at zero current below `least_share` of the swing is no magnet's."""
     magnet_wb = magnet_rad = None
     quarter = 0.0
     if surface.inside(np.zeros((1, 2)))[0]:
@@ -168,14 +168,14 @@ def _typical(rough: tuple[Array, Array]) -> float | None:
 
 
 def _torque(flux_map: FluxMap, motor: Motor | None, torque_nm: Array | None) -> tuple[float, float] | None:
-    """Factor of the file's torque over that of its fluxes, and what it leaves in per cent of the largest, rms."""
+    """The file's torque over that of its fluxes, and the rms residual in per cent of the largest torque."""
     if motor is None or torque_nm is None:
         return None
     i_d, i_q = (np.asarray(axis, dtype=np.float64) for axis in (flux_map.i_d, flux_map.i_q))
-    made = 1.5 * motor.pole_pairs * (flux_map.psi_d * i_q[None, :] - flux_map.psi_q * i_d[:, None])
-    both = np.isfinite(made) & np.isfinite(torque_nm)
-    if not both.any() or not made[both].any():
+    computed = 1.5 * motor.pole_pairs * (flux_map.psi_d * i_q[None, :] - flux_map.psi_q * i_d[:, None])
+    both = np.isfinite(computed) & np.isfinite(torque_nm)
+    if not both.any() or not computed[both].any():
         return None
-    factor = float(made[both] @ torque_nm[both] / (made[both] @ made[both]))
-    left = torque_nm[both] - factor * made[both]
-    return factor, float(100.0 * np.sqrt(np.mean(left**2)) / np.abs(torque_nm[both]).max())
+    factor = float(computed[both] @ torque_nm[both] / (computed[both] @ computed[both]))
+    residual = torque_nm[both] - factor * computed[both]
+    return factor, float(100.0 * np.sqrt(np.mean(residual**2)) / np.abs(torque_nm[both]).max())

@@ -1,7 +1,7 @@
-"""What a flux map must obey whatever machine it is of: reciprocity, parity, convexity, smoothness. Judges nothing.
+"""Properties of every machine's flux map: reciprocity, parity, convexity, smoothness. Judges nothing.
 
-Motors store energy: psi = grad W(i) with W convex, and even about the magnet's axis. Each check is a figure of its own,
-in Wb where it can be, so that a fault can be held against the flux and against the map's own error.
+Motors store energy: psi = grad W(i) with W convex, and even about the magnet's axis. Each check gives a figure, in Wb
+where possible, so that a fault compares with the flux and with the map's own error.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from orchestrator.flux_maps._surface import WHERE, MapSurface
 from orchestrator.numerics.types import Array, Mask
 from protocols import InputError
 
-_LEAST_WB, _GREATEST_WB = 1e-12, 1e6
-"""Beyond what any motor's flux swings by: a file's zeros, or its unit."""
+_MIN_SWING_WB, _MAX_SWING_WB = 1e-12, 1e6
+"""Range of the flux outside of which a file has zeros or another unit."""
 _GAUSS = np.polynomial.legendre.leggauss(3)
 
 
 @dataclass(frozen=True)
 class Reciprocity:
-    """How far a map is from being a gradient."""
+    """Distance of a map from a gradient."""
 
-    apart_h: float
+    distance_h: float
     """rms of the cells' mean dpsi_d/di_q - dpsi_q/di_d."""
-    apart_wb: float
+    distance_wb: float
     """rms of the flux's difference from the nearest gradient, along the grid's edges."""
 
 
 @dataclass(frozen=True)
 class Symmetry:
-    """How far a map is from being even about an axis."""
+    """Distance of a map from evenness about an axis."""
 
     axis_rad: float
     """The axis' angle from d."""
@@ -46,8 +46,8 @@ class Symmetry:
 def swing_of(surface: MapSurface) -> float:
     """Half the range of psi_d or psi_q, whichever is larger [Wb]; raises `InputError` where that is no motor's."""
     swing = 0.5 * float(np.ptp(surface.fluxes, axis=0).max())
-    if not _LEAST_WB < swing < _GREATEST_WB:
-        raise InputError(WHERE, "psi_d, psi_q", f"fluxes that swing by {swing:.3g} Wb are no motor's")
+    if not _MIN_SWING_WB < swing < _MAX_SWING_WB:
+        raise InputError(WHERE, "psi_d, psi_q", f"a flux range of {swing:.3g} Wb is impossible for a motor")
     return swing
 
 
@@ -63,7 +63,7 @@ def curl(surface: MapSurface) -> Array:
 
 
 def reciprocity(surface: MapSurface) -> Reciprocity | None:
-    """How far psi is from a gradient; None where no cell is whole.
+    """Distance of psi from a gradient; None where no cell is complete.
 
     The nearest gradient is the potential on the nodes whose differences come nearest to the integrals of psi along
     the edges.
@@ -97,14 +97,14 @@ def unevenness(surface: MapSurface, axis_rad: float) -> Array:
     c, s = np.cos(2.0 * axis_rad), np.sin(2.0 * axis_rad)
     mirror = np.array([[c, s], [s, -c]])
     images = surface.currents @ mirror
-    apart = 0.5 * (surface.psi(images) @ mirror - surface.fluxes)
-    apart[~surface.inside(images)] = np.nan
+    difference = 0.5 * (surface.psi(images) @ mirror - surface.fluxes)
+    difference[~surface.inside(images)] = np.nan
     axes = np.array([[np.cos(axis_rad), -np.sin(axis_rad)], [np.sin(axis_rad), np.cos(axis_rad)]])
-    return np.asarray(apart @ axes, dtype=np.float64)
+    return np.asarray(difference @ axes, dtype=np.float64)
 
 
 def symmetry(surface: MapSurface, axis_rad: float = 0.0) -> Symmetry | None:
-    """About an axis through the origin; None where no point has its mirror image in the measured region."""
+    """Evenness about an axis through the origin; None where no point has its mirror image in the measured region."""
     apart = unevenness(surface, axis_rad)
     apart = apart[np.isfinite(apart[:, 0])]
     if not len(apart):
@@ -120,18 +120,20 @@ def symmetry_axis(surface: MapSurface, near_rad: float, reach_rad: float = np.pi
     if symmetry(surface, near_rad) is None:
         return None
 
-    nothing = 1e3 * swing_of(surface)  # worse than any axis, and finite: the search computes with it
+    worst = 1e3 * swing_of(surface)  # worse than any axis, and finite for the search
 
-    def apart(axis_rad: float) -> float:
-        found = symmetry(surface, axis_rad)
-        return nothing if found is None else found.rms_wb
+    def unevenness_at(axis_rad: float) -> float:
+        result = symmetry(surface, axis_rad)
+        return worst if result is None else result.rms_wb
 
-    # A coarse scan first: what lies inside the region changes with the axis, and makes steps.
+    # A coarse scan first, because the set of points inside the region changes in steps with the axis.
     scan = near_rad + np.linspace(-reach_rad, reach_rad, 31)
     step = scan[1] - scan[0]
-    best = min(scan, key=apart)
-    found: Any = minimize_scalar(apart, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-6})
-    return symmetry(surface, float(found.x))
+    best = min(scan, key=unevenness_at)
+    minimum: Any = minimize_scalar(
+        unevenness_at, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-6}
+    )
+    return symmetry(surface, float(minimum.x))
 
 
 def least_inductances(surface: MapSurface) -> Array:
@@ -144,7 +146,7 @@ def least_inductances(surface: MapSurface) -> Array:
 
 
 def enclosed(known: Mask) -> Mask:
-    """Points that were not measured, with measured ones all around; those at the grid's edge are just outside."""
+    """Unmeasured points that are surrounded by measured ones, unlike those at the grid's edge."""
     from scipy.ndimage import label
 
     labels, _ = label(~known)
@@ -154,11 +156,11 @@ def enclosed(known: Mask) -> Mask:
 
 
 def roughness(surface: MapSurface) -> tuple[Array, Array]:
-    """Each point against its six neighbours along d, and along q: the polynomial of fifth degree through them.
+    """Deviation of each point from the fifth-degree polynomial through its six neighbours along d, and along q.
 
-    Over what independent errors of 1 Wb would make, with its sign; shapes (d, q, 2), the last for psi_d and psi_q. NaN
-    where the neighbours were not measured. An error of the point's own shows alike along both axes; a knee that the
-    grid is too coarse for does not.
+    It is relative to independent errors of 1 Wb, with its sign; shapes (d, q, 2), the last for psi_d and psi_q. NaN
+    where the neighbours were not measured. An error of the point itself shows equally along both axes; a knee that the
+    grid does not resolve does not.
     """
     values = np.where(surface.known[..., None], np.stack(surface.filled, axis=-1), np.nan)
     along_d = _against_neighbours(values, surface.i_d)

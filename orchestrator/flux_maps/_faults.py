@@ -1,7 +1,7 @@
-"""The faults that a flux map may have, and which uses each of them spoils: from figures to sentences.
+"""The faults of a flux map, and the uses that each of them spoils: from figures to sentences.
 
-A fault counts from a part of the flux on, or from the map's own error where that is larger. What a map cannot be asked
-is said, not passed over.
+A fault counts from a part of the flux on, or from the map's own error where that is larger. Checks that are not
+possible are reported, not skipped.
 """
 
 from __future__ import annotations
@@ -31,20 +31,20 @@ USES: dict[Use, str] = {
 
 
 class AuditCriteria(Strict):
-    """From where on a fault counts."""
+    """Limits from which a fault counts."""
 
     material_percent: Annotated[float, Field(gt=0.0, le=100.0)] = 0.2
-    """Of the flux' swing: the diagnosis' own measure of what is material in a map."""
+    """Percent of the flux' swing, the diagnosis' limit of materiality in a map."""
     torque_percent: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
-    """Of the largest torque, rms: what a good torque sensor is good for."""
+    """Percent of the largest torque, rms: the accuracy of a good torque sensor."""
     outlier: Annotated[float, Field(ge=1.0)] = 10.0
-    """Times the typical roughness of a point: of independent normal errors one in 10**10 goes that far."""
+    """Multiple of the typical roughness of a point: one in 10**10 independent normal errors exceeds it."""
     deviations: Annotated[float, Field(ge=0.0)] = 2.0
-    """Standard deviations of the map's own that a fault has to exceed."""
+    """Standard deviations of the map that a fault has to exceed."""
 
 
 class Fault(Strict):
-    """Something that no motor's map has."""
+    """A property that no motor's map can have."""
 
     remark: Remark
     spoils: tuple[Use, ...]
@@ -71,14 +71,14 @@ def curl_faults(apart: float | None, floor: float, swing: float) -> Iterator[Fau
         yield _fault("not_reciprocal", text, ("simulation", "sensorless"), apart_percent=100.0 * apart / swing)
 
 
-def symmetry_faults(found: Symmetries, floor: float, swing: float) -> Iterator[Fault]:
-    if found.quarter:
+def symmetry_faults(symmetries: Symmetries, floor: float, swing: float) -> Iterator[Fault]:
+    if symmetries.quarter:
         text = "the magnet lies at {degrees:.0f} degrees: the axes of a reluctance machine (magnet_axis in a mapping)"
-        yield _fault("other_axes", text, tuple(USES), degrees=math.degrees(found.quarter))
-    about, best = found.about, found.best
+        yield _fault("other_axes", text, tuple(USES), degrees=math.degrees(symmetries.quarter))
+    about, best = symmetries.about, symmetries.best
     if about is None or best is None or about.rms_wb <= floor:
         return
-    off = math.degrees(best.axis_rad - found.quarter)
+    off = math.degrees(best.axis_rad - symmetries.quarter)
     # Squares add up: what a turn explains is most of it where half of the rms is left.
     if best.rms_wb < 0.5 * about.rms_wb:
         text = "the axis of symmetry is {degrees:+.2f} degrees off: an angle error, or offsets that look like one"
@@ -125,7 +125,7 @@ def rough_faults(
 
 
 def _own_errors(rough: tuple[Array, Array]) -> Array:
-    """What both axes say of a point alike, at least; zero where they do not agree."""
+    """Smaller deviation of a point along both axes; zero where the signs differ."""
     along_d, along_q = (np.nan_to_num(along) for along in rough)
     least: Array = np.where(along_d * along_q > 0.0, np.minimum(np.abs(along_d), np.abs(along_q)), 0.0)
     return least
@@ -137,7 +137,7 @@ def torque_faults(torque: tuple[float, float] | None, criteria: AuditCriteria) -
     factor, left = torque
     if abs(factor - 1.0) > 0.01 * criteria.torque_percent:
         text = "the file's torque is {factor:.4g} times that of its fluxes{likely}"
-        yield _fault("torque_scale", text, ("mtpa",), factor=factor, likely=_likely(factor))
+        yield _fault("torque_scale", text, ("mtpa",), factor=factor, likely=_likely_causes(factor))
     if left > criteria.torque_percent:
         text = (
             "beside a factor, the file's torque and that of its fluxes are {apart_percent:.2g} % of the largest apart"
@@ -145,32 +145,36 @@ def torque_faults(torque: tuple[float, float] | None, criteria: AuditCriteria) -
         yield _fault("torque_differs", text, ("mtpa",), apart_percent=left)
 
 
-def _likely(factor: float) -> str:
-    """What such a factor commonly is."""
+def _likely_causes(factor: float) -> str:
+    """Usual causes of such a factor."""
     known = {2 / 3: "power-invariant vectors, or the 3/2 left out", 0.5: "rms currents or fluxes, or pole pairs \
 halved", 2.0: "poles taken for pole pairs"}  # fmt: skip
-    said = ["the opposite sign"] if factor < 0.0 else []
-    said += [text for value, text in known.items() if abs(abs(factor) / value - 1.0) < 0.02]
-    return f" ({', '.join(said)})" if said else ""
+    causes = ["the opposite sign"] if factor < 0.0 else []
+    causes += [text for value, text in known.items() if abs(abs(factor) / value - 1.0) < 0.02]
+    return f" ({', '.join(causes)})" if causes else ""
 
 
-def unasked(surface: MapSurface, found: Symmetries, swing: float, torque: bool, known: bool) -> Iterator[Remark]:
-    """`known`: whether the pole pairs are."""
-    if found.about is None:
+def audit_remarks(
+    surface: MapSurface, symmetries: Symmetries, swing: float, torque: bool, known: bool
+) -> Iterator[Remark]:
+    """Remarks on impossible checks and on symmetries; `known` is whether the pole pairs are known."""
+    if symmetries.about is None:
         text = "no point has its mirror image in i_q: parity and the magnet's axis are unknown"
         yield Remark.of("parity_unasked", text)
-    elif found.about.rms_wb < 1e-9 * swing:
-        text = "even to the last digit, by construction or symmetrised: parity says nothing of the measurement"
+    elif symmetries.about.rms_wb < 1e-9 * swing:
+        text = "even to the last digit, by construction or symmetrised: parity is no evidence on the measurement"
         yield Remark.of("symmetrised", text)
-    if found.magnet_wb is None:
+    if symmetries.magnet_wb is None:
         yield Remark.of("rest_unknown", "zero current lies outside the map: the magnet's flux is an extrapolation")
-    elif found.magnet_rad is None:
-        yield Remark.of("no_magnet", "no flux at zero current: a reluctance machine, or the magnet is left out")
+    elif symmetries.magnet_rad is None:
+        yield Remark.of(
+            "no_magnet", "no flux at zero current: a reluctance machine, or a map without the magnet's part"
+        )
     if torque and not known:
-        text = "the file has a torque, but the pole pairs are not known: --motor tells them"
+        text = "the file has a torque, but the pole pairs are unknown: give --motor"
         yield Remark.of("pole_pairs_unknown", text)
     if not torque:
-        text = "no torque beside the fluxes to hold them against: a scale that both axes share would not show"
+        text = "the file has no torque: a wrong scale common to both axes cannot be detected"
         yield Remark.of("torque_unasked", text)
 
 

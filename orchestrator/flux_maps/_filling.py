@@ -1,4 +1,4 @@
-"""Continue a table smoothly into its holes, by least curvature; what it writes there is not measured."""
+"""Smooth continuation of a table into its holes, by least curvature."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def fill_smoothly(x: Array, y: Array, table: Array, where: str = "flux map") -> 
     table : array, shape (n, m)
         Known nodes are returned unchanged.
     where : str
-        What the error names.
+        Name for the error.
 
     Raises
     ------

@@ -34,13 +34,13 @@ _COMPUTED = {"l_dd", "l_dq", "l_qq"}
 
 @dataclass(frozen=True)
 class MapFile:
-    """A flux map, and what its file says beside it."""
+    """A flux map, and further content of its file."""
 
     flux_map: FluxMap
     torque_nm: Array | None = None
-    """Of the file's own, shape (d, q); NaN where it says none."""
+    """The file's torque, shape (d, q); NaN where it has none."""
     remarks: tuple[Remark, ...] = ()
-    """How the file was read, where that is more than a copy of its numbers."""
+    """Notes on the reading, where it is more than a copy of the numbers."""
 
 
 def gridded(where: str, method: str, columns: Mapping[str, Array], remarks: Sequence[Remark] = ()) -> MapFile:
@@ -49,13 +49,13 @@ def gridded(where: str, method: str, columns: Mapping[str, Array], remarks: Sequ
     Parameters
     ----------
     where : str
-        What an error names.
+        Name for errors.
     method : str
-        What the map says of its origin.
+        The map's method.
     columns : mapping
         Arrays of one size: `i_d`, `i_q` [A], `psi_d`, `psi_q` [Wb], and any other field of a flux map, or `torque_nm`.
     remarks : sequence of Remark
-        What is already known of how the file was read.
+        Notes on the reading so far.
 
     Raises
     ------
@@ -102,6 +102,6 @@ def _derivatives(flux_map: FluxMap) -> dict[str, Array]:
     slopes = surface.jacobian(surface.currents)
     values = {"l_dd": slopes[:, 0, 0], "l_dq": 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]), "l_qq": slopes[:, 1, 1]}
     tables = {name: np.full(surface.known.shape, np.nan) for name in values}
-    for name, found in values.items():
-        tables[name][surface.known] = found
+    for name, column in values.items():
+        tables[name][surface.known] = column
     return tables

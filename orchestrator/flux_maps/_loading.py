@@ -18,31 +18,31 @@ from orchestrator.flux_maps._gridding import CSV_UNITS, TORQUE, MapFile, gridded
 from orchestrator.flux_maps._mapped import read_mapped
 from orchestrator.flux_maps._surface import require_usable
 from orchestrator.numerics.types import Array
-from orchestrator.plain_files import LARGEST, read_text
+from orchestrator.plain_files import MAX_FILE_SIZES, read_text
 from orchestrator.recording import read_model
 from protocols import FluxMap, InputError
 
 _OPTIONAL = [name for name in CSV_UNITS if name not in ("psi_d", "psi_q")]
 _TABLES = (".txt", ".tsv", ".parquet", ".pq")
-"""Kinds of files that a mapping reads, and nothing else does."""
+"""Kinds of files that are read by a mapping only."""
 
 
-_HINT = "; `fluxbench audit` of it prints a mapping that says which is which"
+_HINT = "; `fluxbench audit` of it prints a mapping that assigns its columns"
 
 
 class UnknownLayoutError(InputError):
-    """A file that may hold a flux map, under names of its own: a mapping has to say which is which."""
+    """A file that may contain a flux map with unknown column names, which need a mapping."""
 
 
 def load_map(path: Path) -> FluxMap:
-    """The flux map alone of `read_map`, which see."""
+    """The flux map alone of `read_map`."""
     return read_map(path).flux_map
 
 
 def read_map(path: Path) -> MapFile:
-    """Read a flux map: a run or recording that was estimated, a .nc, .csv, .npz or .mat file, or a `model.json`.
+    """Read a flux map: a run or recording with estimates, a .nc, .csv, .npz or .mat file, or a `model.json`.
 
-    Any other table comes by a mapping: a .yaml file that names it, and says which column is what (docs/audit.md).
+    Any other table needs a mapping: a .yaml file with its name and the meaning of its columns (docs/audit.md).
 
     CSV and NPZ as `export_map` writes them (CSV columns may also end in `_Vs` for `_wb`, in any case); NPZ as
     motulator has it (complex `i_s_dq`, `psi_s_dq`); .mat in the SyR-e layout, bare or as `motorModel.FluxMap_dq`, SR
@@ -62,7 +62,7 @@ def read_map(path: Path) -> MapFile:
             raise InputError(str(path), str(RECOMMENDED_MAP), "no such file; `fluxbench estimate` makes it")
         return MapFile(_read_netcdf(path / RECOMMENDED_MAP))
     if path.suffix == ".json":
-        from orchestrator.diagnosis import flux_map_of  # not before it is needed: it compiles
+        from orchestrator.diagnosis import flux_map_of  # a late import, because it compiles
 
         return MapFile(flux_map_of(read_model(path)))
     readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat}
@@ -73,7 +73,7 @@ def read_map(path: Path) -> MapFile:
     if path.suffix == ".nc":
         return MapFile(_read_netcdf(path))
     if path.suffix in _TABLES:
-        raise UnknownLayoutError(str(path), "", f"a table whose columns nothing names{_HINT}")
+        raise UnknownLayoutError(str(path), "", f"a table with unknown columns{_HINT}")
     try:
         if path.suffix in (".yaml", ".yml"):
             return read_mapped(path)
@@ -93,15 +93,19 @@ def _read_netcdf(path: Path) -> FluxMap:
 
 
 def _read_csv(path: Path) -> tuple[str, dict[str, Array]]:
-    lines = (line for line in read_text(path, LARGEST.kept_bytes, "utf-8-sig").splitlines() if not line.startswith("#"))
+    lines = (
+        line
+        for line in read_text(path, MAX_FILE_SIZES.kept_bytes, "utf-8-sig").splitlines()
+        if not line.startswith("#")
+    )
     rows = list(csv.reader(lines))
     header = [name.strip().lower().replace("_vs", "_wb") for name in rows[0]] if rows else []
     wanted = {"i_d": "i_d_a", "i_q": "i_q_a"} | {name: f"{name}_{unit}" for name, unit in CSV_UNITS.items()}
     wanted[TORQUE] = TORQUE
     for name in ("i_d", "i_q", "psi_d", "psi_q"):
         if wanted[name] not in header:
-            said = f"no such column; the file has {', '.join(header) or 'none'}{_HINT}"
-            raise UnknownLayoutError(str(path), wanted[name], said)
+            problem = f"no such column; the file has {', '.join(header) or 'none'}{_HINT}"
+            raise UnknownLayoutError(str(path), wanted[name], problem)
     columns: dict[str, Array] = {}
     for name, column in wanted.items():
         if column in header:
@@ -114,16 +118,16 @@ def _number(path: Path, column: str, line: int, row: list[str], at: int) -> floa
     try:
         return float(row[at]) if row[at].strip() else float("nan")
     except (IndexError, ValueError):
-        found = repr(row[at]) if at < len(row) else "nothing"
-        raise InputError(str(path), column, f"row {line}: expected a number, got {found}") from None
+        cell = repr(row[at]) if at < len(row) else "nothing"
+        raise InputError(str(path), column, f"row {line}: expected a number, got {cell}") from None
 
 
 def _read_npz(path: Path) -> tuple[str, dict[str, Array]]:
     content = npz_arrays(path)
     for name in ("i_s_dq", "psi_s_dq"):
         if name not in content or not np.iscomplexobj(content[name]):
-            said = f"expected a complex array; the file has {', '.join(content) or 'none'}{_HINT}"
-            raise UnknownLayoutError(str(path), name, said)
+            problem = f"expected a complex array; the file has {', '.join(content) or 'none'}{_HINT}"
+            raise UnknownLayoutError(str(path), name, problem)
     i, psi = content["i_s_dq"], content["psi_s_dq"]
     columns = {"i_d": i.real, "i_q": i.imag, "psi_d": psi.real, "psi_q": psi.imag}
     columns |= {name: content[name] for name in _OPTIONAL if name in content}
@@ -140,8 +144,8 @@ def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
     layout = _struct(model, "FluxMap_dq") if model else content
     for name in ("Id", "Iq", "Fd", "Fq"):
         if not isinstance(layout.get(name), np.ndarray):
-            said = f"no such array; expected SyR-e's Id, Iq, Fd, Fq, or id_index, lambda_d, ...{_HINT}"
-            raise UnknownLayoutError(str(path), name, said)
+            problem = f"no such array; expected SyR-e's Id, Iq, Fd, Fq, or id_index, lambda_d, ...{_HINT}"
+            raise UnknownLayoutError(str(path), name, problem)
     axes = _struct(model, "data").get("axisType", _struct(content, "dataSet").get("axisType", "PM"))
     i_d, i_q, psi_d, psi_q = (np.asarray(layout[name], dtype=np.float64) for name in ("Id", "Iq", "Fd", "Fq"))
     if axes == "SR":  # SyR-e's reluctance axes: the magnet lies on -q
@@ -155,7 +159,7 @@ def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
 
 
 def _from_simulink(path: Path, content: Mapping[str, Any]) -> tuple[str, dict[str, Array]]:
-    """The tables of the Flux-Based PM Controller block, less what an export has continued beyond the measured."""
+    """The tables of the Flux-Based PM Controller block, without an export's continuation beyond measured points."""
     for name in ("id_index", "iq_index", "lambda_q"):
         if not isinstance(content.get(name), np.ndarray):
             raise InputError(str(path), name, "no such array; it goes with lambda_d")
@@ -165,8 +169,8 @@ def _from_simulink(path: Path, content: Mapping[str, Any]) -> tuple[str, dict[st
     columns = {"i_d": i_d, "i_q": i_q}
     for name, table in (("psi_d", content["lambda_d"]), ("psi_q", content["lambda_q"]), ("", known)):
         if np.shape(table) != i_d.shape:
-            told = f"of shape {np.shape(table)}, expected {i_d.shape}: rows along id_index"
-            raise InputError(str(path), f"lambda_{name[-1:] or 'measured'}", told)
+            problem = f"of shape {np.shape(table)}, expected {i_d.shape}: rows along id_index"
+            raise InputError(str(path), f"lambda_{name[-1:] or 'measured'}", problem)
         if name:
             columns[name] = np.where(known, np.asarray(table, dtype=np.float64), np.nan)
     extras = _struct(content, "fluxbench")
@@ -175,5 +179,5 @@ def _from_simulink(path: Path, content: Mapping[str, Any]) -> tuple[str, dict[st
 
 
 def _struct(content: Mapping[str, Any], name: str) -> dict[str, Any]:
-    found = content.get(name)
-    return found if isinstance(found, dict) else {}
+    value = content.get(name)
+    return value if isinstance(value, dict) else {}

@@ -1,6 +1,6 @@
-"""Any table of a flux map by a mapping: a YAML file that names it, and says which column is what. Judges nothing.
+"""Any table of a flux map by a mapping: a YAML file with its name and the meaning of its columns. Judges nothing.
 
-The words are those of a recording's mapping (docs/import.md). Columns are columns of CSV and Parquet files; in .npz and
+The keys are those of a recording's mapping (docs/import.md). Columns are columns of CSV and Parquet files; in .npz and
 .mat files they are arrays: all of one shape, or axes and tables over them (`_tables`).
 """
 
@@ -31,15 +31,15 @@ TorqueUnit = Literal["Nm", "mNm", "kNm"]
 AngleUnit = Literal["rad", "deg", "turn"]
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "k": 1e3}
 _ARRAYS = {".npz": npz_arrays, ".mat": mat_arrays}
-_LARGEST = 1e12
-"""In any unit: microamperes of a megaampere."""
+_MAX_VALUE = 1e12
+"""Largest value in any unit: microamperes of a megaampere."""
 _QUARTER_RAD = 0.5 * np.pi
 
 
 class _Vector(Strict):
     scaling: Scaling = "amplitude_invariant"
     factor: NotZero = 1.0
-    """What the columns are multiplied by to be in `unit`."""
+    """Factor that converts the columns to `unit`."""
 
 
 class CurrentAngle(Strict):
@@ -62,10 +62,10 @@ class MappedCurrent(_Vector):
     @model_validator(mode="after")
     def _both(self) -> Self:
         if set(self.columns) not in ({"d", "q"}, {"amplitude", "angle"}):
-            said = ", ".join(self.columns) or "none"
-            raise ValueError(f"expected columns for d and q, or for amplitude and angle, got {said}")
+            columns = ", ".join(self.columns) or "none"
+            raise ValueError(f"expected columns for d and q, or for amplitude and angle, got {columns}")
         if ("angle" in self.columns) != (self.angle is not None):
-            raise ValueError("columns amplitude and angle go with angle, such as {unit: deg, zero: q}")
+            raise ValueError("columns amplitude and angle need angle, such as {unit: deg, zero: q}")
         return self
 
 
@@ -83,7 +83,7 @@ class MappedFlux(_Vector):
 
 
 class MappedTorque(Strict):
-    """Torque that was measured, or computed otherwise than from the flux linkages."""
+    """Torque that was measured, or not computed from the flux linkages."""
 
     column: Column
     unit: TorqueUnit
@@ -91,16 +91,16 @@ class MappedTorque(Strict):
 
 
 class MappedRotorAngle(Strict):
-    """The rotor angle over which the tables go: the map is their mean."""
+    """The rotor angle of the tables, over which the map is their mean."""
 
     column: Column
     unit: AngleUnit
     mechanical: bool = False
-    """Whether it is the shaft's: the motor's pole pairs times it is the electrical one."""
+    """Whether it is the shaft's angle; the electrical one is the pole pairs times it."""
 
 
 class MapMapping(Strict):
-    """A mapping file, whole."""
+    """The content of a mapping file."""
 
     format: Literal["fluxbench-map"]
     version: Literal[1]
@@ -111,11 +111,11 @@ class MapMapping(Strict):
     torque: MappedTorque | None = None
     rotor_angle: MappedRotorAngle | None = None
     axes: tuple[Literal["d", "q", "amplitude", "angle", "theta"], ...] | None = None
-    """What the dimensions of the tables are, rows first, where their lengths do not tell; theta is the rotor angle."""
+    """The tables' dimensions, rows first, where their lengths are ambiguous; theta is the rotor angle."""
     magnet_axis: Literal["d", "-q"] = "d"
-    """Where the file's axes have the magnet; -q are the axes of reluctance machines."""
+    """The magnet's axis in the file; -q with the axes of reluctance machines."""
     motor: ProcedureMotor | None = None
-    """For whoever needs the pole pairs; a section of its own, as in a procedure."""
+    """The motor, for its pole pairs, as in a procedure."""
     csv: CsvLayout = CsvLayout()
 
     @model_validator(mode="after")
@@ -136,7 +136,7 @@ def read_mapped(path: Path) -> MapFile:
     Raises
     ------
     InputError
-        One line: file and line, key, what is wrong.
+        With one line: file and line, key, problem.
     """
     mapping = _mapping(path)
     table = path.parent / mapping.file
@@ -156,7 +156,7 @@ def read_table_by(table: Path, mapping: MapMapping) -> MapFile:
 
 
 def map_of(where: str, mapping: MapMapping, found: Mapping[str, Array]) -> MapFile:
-    """The map that columns make, by a mapping; raises `InputError`."""
+    """The map of columns by a mapping; raises `InputError`."""
     _require_bounds(where, found)
     current, flux = mapping.current.columns, mapping.flux.columns
     tables = [mapping.torque.column] if mapping.torque else []
@@ -205,13 +205,13 @@ def _mapping(path: Path) -> MapMapping:
 
 def _require_bounds(where: str, found: Mapping[str, Array]) -> None:
     for name, values in found.items():
-        if np.isinf(values).any() or not np.all(np.abs(values[np.isfinite(values)]) < _LARGEST):
-            raise InputError(where, name, "beyond what can be a motor's")
+        if np.isinf(values).any() or not np.all(np.abs(values[np.isfinite(values)]) < _MAX_VALUE):
+            raise InputError(where, name, "too large for a motor")
 
 
 def chosen_arrays(path: Path, content: Mapping[str, Any], names: Sequence[str]) -> dict[str, Array]:
-    """Arrays by name; ``motor.psi_d`` is a field of a struct. Raises `InputError` where one is not there."""
-    found: dict[str, Array] = {}
+    """Arrays by name; ``motor.psi_d`` is a field of a struct. Raises `InputError` for a missing one."""
+    arrays: dict[str, Array] = {}
     for name in names:
         here: Any = content
         for part in name.split("."):
@@ -219,8 +219,8 @@ def chosen_arrays(path: Path, content: Mapping[str, Any], names: Sequence[str]) 
         if not isinstance(here, np.ndarray) or here.dtype.kind not in "fiu":
             held = ", ".join(str(key) for key in content if not str(key).startswith("__"))
             raise InputError(str(path), name, f"no such array of numbers; the file has {held or 'none'}")
-        found[name] = here.astype(np.float64)
-    return found
+        arrays[name] = here.astype(np.float64)
+    return arrays
 
 
 def _with_rotor_angle(mapping: MapMapping, content: Mapping[str, Any]) -> MapMapping:

@@ -56,15 +56,15 @@ def figure_of(flux_map: FluxMap, audit: MapAudit, repaired: FluxMap | None = Non
 
 def _fluxes(axes: Axes, flux_map: FluxMap, repaired: FluxMap | None) -> None:
     """psi_d over i_d, a line for each i_q, and psi_q over i_q; some seven of each."""
-    for made, colours, line in ((flux_map, (D_AXIS, Q_AXIS), "-"), (repaired, (MODEL, MODEL), ":")):
-        if made is None:
+    for map_, colours, line in ((flux_map, (D_AXIS, Q_AXIS), "-"), (repaired, (MODEL, MODEL), ":")):
+        if map_ is None:
             continue
-        d, q = (np.asarray(axis, dtype=np.float64) for axis in (made.i_d, made.i_q))
+        d, q = (np.asarray(axis, dtype=np.float64) for axis in (map_.i_d, map_.i_q))
         few_q, few_d = (np.unique(np.linspace(0, len(axis) - 1, 7).astype(int)) for axis in (q, d))
-        names = ("$\\psi_d$ over $i_d$", "$\\psi_q$ over $i_q$") if made is flux_map else ("repaired", "")
+        names = ("$\\psi_d$ over $i_d$", "$\\psi_q$ over $i_q$") if map_ is flux_map else ("repaired", "")
         for x, tables, colour, name in (
-            (d, made.psi_d[:, few_q].T, colours[0], names[0]),
-            (q, made.psi_q[few_d], colours[1], names[1]),
+            (d, map_.psi_d[:, few_q].T, colours[0], names[0]),
+            (q, map_.psi_q[few_d], colours[1], names[1]),
         ):
             for k, table in enumerate(tables):
                 axes.plot(x, 1e3 * table, line, color=colour, lw=1.3, label=name if name and not k else None)
@@ -76,7 +76,7 @@ def _plane(figure: Figure, axes: Axes, surface: MapSurface, values: Any, *, sign
     table = np.full(surface.known.shape, np.nan)
     table[surface.known] = values
     if not np.isfinite(table).any():
-        axes.text(0.5, 0.5, "cannot be asked", ha="center", va="center", transform=axes.transAxes)
+        axes.text(0.5, 0.5, "not available", ha="center", va="center", transform=axes.transAxes)
         current_plane(axes)
         axes.set(xlim=surface.i_d[[0, -1]], ylim=surface.i_q[[0, -1]])
         return

@@ -1,4 +1,4 @@
-"""The flux map nearest to a faulty one that a motor can have: the gradient of a convex energy, even about the magnet.
+"""The physically possible flux map nearest to a faulty one: the gradient of a convex energy, even about the magnet.
 
 psi = grad W(i), W a tensor product of quintic splines on the current plane, even in i_q, as near to the points as least
 squares come. Where W is not convex, its curvature along the worst direction there is bounded below, and the fit made
@@ -25,22 +25,22 @@ from protocols import Basis, FluxMap, InputError, Strict
 
 
 class RepairCriteria(Strict):
-    """How far a repair may go."""
+    """Limits of a repair."""
 
     least_share: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.05
-    """Least incremental inductance, of the median one: what is below is lifted."""
+    """Least incremental inductance over the median one; smaller ones are raised to it."""
     most_cells: Annotated[int, Field(ge=4, le=80)] = 32
-    """Of the spline along d, and on each side along q: a finer table is smoothed to this."""
+    """Cells of the spline along d, and on each side along q: a finer table is smoothed."""
     rounds: Annotated[int, Field(ge=1)] = 60
 
 
 @dataclass(frozen=True)
 class Repair:
-    """The repaired map, and how far it is from the given one at the points that both have."""
+    """The repaired map, and its distance from the given one at their common points."""
 
     flux_map: FluxMap
     turned_rad: float
-    """By how much currents and fluxes were turned, so that the magnet lies on d."""
+    """Angle by which currents and fluxes were turned to put the magnet on d."""
     rms_wb: float
     largest_wb: float
 
@@ -69,16 +69,16 @@ def repair_map(flux_map: FluxMap, criteria: RepairCriteria | None = None) -> Rep
         values = np.where(known, basis.rows(places, along_d, along_q) @ coefficients, np.nan)
         return np.asarray(values.reshape(shape), dtype=np.float64)
 
-    found = {"psi_d": table(1, 0), "psi_q": table(0, 1)}
-    found |= {"l_dd": table(2, 0), "l_dq": table(1, 1), "l_qq": table(0, 2)}
-    found |= {f"{name}_std": np.full(shape, np.nan) for name in list(found)}
+    tables = {"psi_d": table(1, 0), "psi_q": table(0, 1)}
+    tables |= {"l_dd": table(2, 0), "l_dq": table(1, 1), "l_qq": table(0, 2)}
+    tables |= {f"{name}_std": np.full(shape, np.nan) for name in list(tables)}
     apart = np.linalg.norm(_gradient(basis, coefficients, i_dq) - psi_dq, axis=1)
-    made = FluxMap(method=f"{flux_map.method} repaired", basis=Basis.ENERGY, i_d=axes[0], i_q=axes[1], **found)
-    return Repair(made, -turned, float(np.sqrt(np.mean(apart**2))), float(apart.max()))
+    repaired = FluxMap(method=f"{flux_map.method} repaired", basis=Basis.ENERGY, i_d=axes[0], i_q=axes[1], **tables)
+    return Repair(repaired, -turned, float(np.sqrt(np.mean(apart**2))), float(apart.max()))
 
 
 def _turn(surface: MapSurface, least_share: float = 0.05) -> float:
-    """Angle of the axis of symmetry nearest to the magnet, or to d where nothing tells of a magnet."""
+    """Angle of the axis of symmetry nearest to the magnet, or to d where no magnet is known."""
     near, swing = 0.0, swing_of(surface)
     rest = np.zeros((1, 2))
     if surface.inside(rest)[0]:
@@ -119,14 +119,14 @@ def _fitted(basis: EvenSpline, i_dq: Array, psi_dq: Array, criteria: RepairCrite
     rows = np.vstack([basis.rows(i_dq, 1, 0), basis.rows(i_dq, 0, 1)])
     right = psi_dq.T.ravel()
     normal = rows.T @ rows
-    # Roughness decides what the points do not: a millionth of their weight.
+    # Roughness decides where the points do not, with a millionth of their weight.
     smooth = basis.roughness
     normal += 1e-6 * np.trace(normal) / np.trace(smooth) * smooth
     normal += 1e-12 * np.trace(normal) / len(normal) * np.eye(len(normal))
     factor = np.asarray(np.linalg.cholesky(normal), dtype=np.float64)
     free = _solve(factor, rows.T @ right)
-    watched = _watched(i_dq)
-    curvatures = [basis.rows(watched, *order) for order in ((2, 0), (1, 1), (0, 2))]
+    places = _convexity_points(i_dq)
+    curvatures = [basis.rows(places, *order) for order in ((2, 0), (1, 1), (0, 2))]
     bound = criteria.least_share * float(np.median(_least(curvatures, free)[0]))
     if not bound > 0.0:
         raise InputError(WHERE, "psi_d, psi_q", "no convex energy is near: fluxes fall where currents rise")
@@ -143,7 +143,7 @@ def _fitted(basis: EvenSpline, i_dq: Array, psi_dq: Array, criteria: RepairCrite
     raise InputError(WHERE, "psi_d, psi_q", f"no convex energy was found in {criteria.rounds} rounds")
 
 
-def _watched(i_dq: Array) -> Array:
+def _convexity_points(i_dq: Array) -> Array:
     """Places where the energy has to be convex: the points, and midways between neighbours."""
     from scipy.spatial import Delaunay
 

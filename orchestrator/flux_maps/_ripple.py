@@ -16,10 +16,10 @@ from orchestrator.numerics.types import Array
 from protocols import InputError, Remark
 
 _PERIOD_RAD = math.pi / 3.0
-_SAME_SHARE = 0.02
-"""Of the ripple's range, by which first and last angle may differ and still be one place of it."""
-_UNEVEN = 1e-3
-"""Of a step, by which angles may be unevenly spaced."""
+_MAX_CLOSURE_SHARE = 0.02
+"""Share of the ripple's range by which the flux at the first and last angle of a closed turn may differ."""
+_MAX_SPACING_ERROR = 1e-3
+"""Part of a step by which the spacing of angles may vary."""
 
 
 def mean_over_angle(where: str, columns: Mapping[str, Array], angle_rad: Array) -> tuple[dict[str, Array], Remark]:
@@ -28,7 +28,7 @@ def mean_over_angle(where: str, columns: Mapping[str, Array], angle_rad: Array) 
     Parameters
     ----------
     where : str
-        What an error names.
+        Name for errors.
     columns : mapping
         Arrays of shape (n,): `i_d`, `i_q` [A], `psi_d`, `psi_q` [Wb], and any further quantity.
     angle_rad : array, shape (n,)
@@ -37,7 +37,7 @@ def mean_over_angle(where: str, columns: Mapping[str, Array], angle_rad: Array) 
     Raises
     ------
     InputError
-        Where some current has not every angle once, or the angles are not evenly spaced.
+        Where a current lacks an angle, or the angles are not evenly spaced.
     """
     angles, which = distinct_values(angle_rad)
     (_, rows), (i_q, places) = (distinct_values(columns[axis]) for axis in ("i_d", "i_q"))
@@ -48,10 +48,10 @@ def mean_over_angle(where: str, columns: Mapping[str, Array], angle_rad: Array) 
         raise InputError(where, "rotor_angle", "fewer than two rotor angles")
     if not count.all():
         lacking = int(np.count_nonzero((count == 0).any(axis=1)))
-        said = f"{lacking} of {currents.size} currents have not each of the {angles.size} rotor angles"
-        raise InputError(where, "rotor_angle", said)
+        problem = f"{lacking} of {currents.size} currents lack some of the {angles.size} rotor angles"
+        raise InputError(where, "rotor_angle", problem)
     steps = np.diff(angles)
-    if np.ptp(steps) > _UNEVEN * steps.mean():
+    if np.ptp(steps) > _MAX_SPACING_ERROR * steps.mean():
         raise InputError(where, "rotor_angle", "angles are not evenly spaced")
     sums = {name: np.bincount(cell, weights=values, minlength=count.size) for name, values in columns.items()}
     table = {name: total.reshape(shape) / count for name, total in sums.items()}
@@ -73,19 +73,19 @@ def _is_closed(reach_rad: float, step_rad: float, fluxes: Sequence[Array]) -> bo
         return False
     apart = sum(float(np.mean((flux[:, -1] - flux[:, 0]) ** 2)) for flux in fluxes)
     ranges = sum(float(np.mean(np.ptp(flux, axis=1) ** 2)) for flux in fluxes)
-    return apart < _SAME_SHARE**2 * ranges
+    return apart < _MAX_CLOSURE_SHARE**2 * ranges
 
 
 def _is_whole(span_rad: float) -> bool:
     periods = span_rad / _PERIOD_RAD
-    return round(periods) >= 1 and abs(periods - round(periods)) < _UNEVEN
+    return round(periods) >= 1 and abs(periods - round(periods)) < _MAX_SPACING_ERROR
 
 
 def _described(span_rad: float, fluxes: Sequence[Array]) -> Remark:
     """The span and the harmonics, largest over all currents, as a remark."""
     count = fluxes[0].shape[1]
     amplitudes = [np.abs(np.fft.rfft(flux, axis=1)).max(axis=0)[1:] * 2.0 / count for flux in fluxes]
-    if count % 2 == 0:  # the last line stands for itself alone
+    if count % 2 == 0:  # the last line has no mirror image
         for each in amplitudes:
             each[-1] *= 0.5
     orders = np.arange(1, amplitudes[0].size + 1) * 2.0 * math.pi / span_rad

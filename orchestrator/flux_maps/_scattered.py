@@ -18,37 +18,39 @@ from protocols import InputError, Remark
 
 Index = NDArray[np.intp]
 
-_FEWEST_POINTS = 9
-"""A quadratic in two variables has six coefficients; with fewer points than this none is left to check it."""
-_NODES_PER_AXIS = (5, 60)
+_MIN_POINTS = 9
+"""A quadratic in two variables has six coefficients; fewer points than this do not check it."""
+_MIN_NODES_PER_AXIS, _MAX_NODES_PER_AXIS = 5, 60
+"""Limits of the grid's nodes on each axis."""
 _MAX_REPEAT_SHARE = 0.01
-"""Of the flux' swing, by which readings of one current may differ and still be averaged."""
-_LEAST_SINGULAR_VALUE = 0.02
-"""Of the largest, in a quadratic over the points: below it, they lie on one conic and tell no cross-saturation."""
+"""Share of the flux' swing by which readings of one current may differ and still be averaged."""
+_MIN_SINGULAR_VALUE_RATIO = 0.02
+"""Ratio to the largest, in a quadratic over the points: below it they lie on one conic without cross-saturation."""
 _MAX_GAP_SPACINGS = 3.0
-"""A node further than this from every point, in spacings of points, is not measured."""
-_LEAST_COVERED_SHARE = 0.9
-"""Of the nodes between the points, that have to be measured."""
+"""Distance of a node from every point, in spacings of points, beyond which it is not measured."""
+_MIN_COVERED_SHARE = 0.9
+"""Share of the nodes between the points that have to be measured."""
 _MAX_CLUSTER_WIDTH = 0.25
-"""Of the least distance between set-points, over which the currents about one of them may scatter."""
-_DENSE_POINTS = 1500
-"""Up to here one system of equations has all points; beyond, each node its nearest."""
+"""Share of the least distance between set-points over which the currents about one of them may scatter."""
+_MAX_DENSE_POINTS = 1500
+"""Points up to which one system of equations has them all; beyond, each node uses its nearest ones."""
 _NEIGHBOURS = 80
+"""Nearest points of each node."""
 
 
 def distinct_values(values: Array) -> tuple[Array, Index]:
-    """Distinct values within a millionth of their span, increasing, and which of them each value is."""
+    """Distinct values within a millionth of their span, increasing, and the index of each value among them."""
     order = np.argsort(values, kind="stable")
     return _split(values, order, np.diff(values[order]) > 1e-6 * np.ptp(values))
 
 
 def on_rectangular_grid(where: str, points: Mapping[str, Array]) -> tuple[dict[str, Array], Remark]:
-    """The points interpolated at the nodes of a rectangular grid, and how that was done.
+    """The points interpolated at the nodes of a rectangular grid, and a remark on the interpolation.
 
     Parameters
     ----------
     where : str
-        What an error names.
+        Name for errors.
     points : mapping
         Arrays of shape (n,): `i_d`, `i_q` [A], `psi_d`, `psi_q` [Wb], and any further quantity of the currents.
 
@@ -57,7 +59,7 @@ def on_rectangular_grid(where: str, points: Mapping[str, Array]) -> tuple[dict[s
     columns : dict
         The same quantities at the nodes that the points surround.
     remark : Remark
-        With the error at points that their neighbours predict.
+        With the cross-validation error.
 
     Raises
     ------
@@ -66,12 +68,12 @@ def on_rectangular_grid(where: str, points: Mapping[str, Array]) -> tuple[dict[s
     """
     known = np.isfinite(points["psi_d"]) & np.isfinite(points["psi_q"])
     finite = {name: values[known] for name, values in points.items() if np.isfinite(values[known]).all()}
-    if np.count_nonzero(known) < _FEWEST_POINTS:
-        said = f"{np.count_nonzero(known)} points that do not lie on a rectangular grid: too few to interpolate"
-        raise InputError(where, "i_d, i_q", said)
+    if np.count_nonzero(known) < _MIN_POINTS:
+        problem = f"{np.count_nonzero(known)} points that do not lie on a rectangular grid: too few to interpolate"
+        raise InputError(where, "i_d, i_q", problem)
     swing_wb = 0.5 * max(float(np.ptp(finite["psi_d"])), float(np.ptp(finite["psi_q"])))
     places = [distinct_values(finite[axis]) for axis in ("i_d", "i_q")]
-    merged = _averaged(where, finite, places[0][1], places[1][1], _MAX_REPEAT_SHARE * swing_wb)
+    merged = _average(where, finite, places[0][1], places[1][1], _MAX_REPEAT_SHARE * swing_wb)
     _require_area(where, merged["i_d"], merged["i_q"])
     setpoints = _setpoints(merged)
     if setpoints is None:
@@ -89,7 +91,7 @@ def on_rectangular_grid(where: str, points: Mapping[str, Array]) -> tuple[dict[s
         how=how,
         points=len(merged["i_d"]),
         nodes=len(nodes),
-        error_percent=100.0 * surface.left_out_wb() / swing_wb if swing_wb > 0 else 0.0,
+        error_percent=100.0 * surface.cross_validation_wb() / swing_wb if swing_wb > 0 else 0.0,
     )
 
 
@@ -101,7 +103,7 @@ class _Surface:
     names: list[str]
 
     def at(self, nodes: Array, of: Mask | None = None) -> Array:
-        """Quantities at currents, shape (n, names); from some of the points, where that is asked for."""
+        """Quantities at currents, shape (n, names); from all points, or those of a mask."""
         from scipy.interpolate import RBFInterpolator
 
         currents = np.column_stack((self.points["i_d"], self.points["i_q"]))
@@ -109,49 +111,51 @@ class _Surface:
         values = np.column_stack([self.points[name] for name in self.names])
         if of is not None:
             currents, values = currents[of], values[of]
-        # Of like size, since the system is solved for all of them at once.
+        # Scaled to similar size, because one system is solved for all of them.
         sizes = np.maximum(np.abs(values).max(axis=0), np.finfo(float).tiny)
-        neighbours = None if len(currents) <= _DENSE_POINTS else _NEIGHBOURS
+        neighbours = None if len(currents) <= _MAX_DENSE_POINTS else _NEIGHBOURS
         surface: Any = RBFInterpolator(currents / spans, values / sizes, neighbors=neighbours, kernel="cubic")
         found: Array = surface(nodes / spans) * sizes
         return found
 
-    def left_out_wb(self) -> float:
-        """rms of the flux that every fifth point is predicted wrongly by the others [Wb]."""
+    def cross_validation_wb(self) -> float:
+        """rms error of the flux at every fifth point, predicted by the others [Wb]."""
         out = np.arange(len(self.points["i_d"])) % 5 == 2
         currents = np.column_stack((self.points["i_d"], self.points["i_q"]))[out]
         predicted = self.at(currents, of=~out)
-        apart = [predicted[:, self.names.index(name)] - self.points[name][out] for name in ("psi_d", "psi_q")]
-        return float(np.sqrt(np.mean(np.square(apart))))
+        errors = [predicted[:, self.names.index(name)] - self.points[name][out] for name in ("psi_d", "psi_q")]
+        return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def _averaged(
+def _average(
     where: str, points: Mapping[str, Array], rows: Index, places: Index, largest_wb: float
 ) -> dict[str, Array]:
-    """One point for each pair of indices; `largest_wb` is how far apart their fluxes may be."""
+    """One point for each pair of indices; `largest_wb` is the largest difference of their fluxes."""
     _, first, index = np.unique(rows * (int(places.max()) + 1) + places, return_index=True, return_inverse=True)
     count = np.bincount(index)
-    found = {name: np.bincount(index, weights=values) / count for name, values in points.items()}
+    means = {name: np.bincount(index, weights=values) / count for name, values in points.items()}
     for name in ("psi_d", "psi_q"):
-        apart = np.abs(points[name] - found[name][index])
-        worst = int(np.argmax(apart))
-        if apart[worst] > largest_wb:
+        distance = np.abs(points[name] - means[name][index])
+        worst = int(np.argmax(distance))
+        if distance[worst] > largest_wb:
             at = first[index[worst]]
             current = f"({points['i_d'][at]:g}, {points['i_q'][at]:g}) A"
-            said = f"the current {current} occurs more than once, with fluxes {2e3 * apart[worst]:.3g} mWb apart"
-            raise InputError(where, "i_d, i_q", said)
-    return found
+            problem = f"the current {current} occurs more than once, with fluxes {2e3 * distance[worst]:.3g} mWb apart"
+            raise InputError(where, "i_d, i_q", problem)
+    return means
 
 
 def _require_area(where: str, i_d: Array, i_q: Array) -> None:
     """Raise `InputError` where the points lie on a line, a cross or another conic."""
-    if min(np.ptp(i_d), np.ptp(i_q)) > 0.0 and i_d.size >= _FEWEST_POINTS:
+    if min(np.ptp(i_d), np.ptp(i_q)) > 0.0 and i_d.size >= _MIN_POINTS:
         x, y = (2.0 * (axis - axis.min()) / np.ptp(axis) - 1.0 for axis in (i_d, i_q))
         sizes = np.linalg.svd(np.column_stack((np.ones_like(x), x, y, x * x, x * y, y * y)), compute_uv=False)
-        if sizes[-1] > _LEAST_SINGULAR_VALUE * sizes[0]:
+        if sizes[-1] > _MIN_SINGULAR_VALUE_RATIO * sizes[0]:
             return
-    said = f"{i_d.size} points that do not lie on a rectangular grid, nor cover an area (a line, a cross or a curve?)"
-    raise InputError(where, "i_d, i_q", said)
+    problem = (
+        f"{i_d.size} points that do not lie on a rectangular grid, nor cover an area (a line, a cross or a curve?)"
+    )
+    raise InputError(where, "i_d, i_q", problem)
 
 
 def _setpoints(points: Mapping[str, Array]) -> tuple[dict[str, Array], Array] | None:
@@ -162,20 +166,20 @@ def _setpoints(points: Mapping[str, Array]) -> tuple[dict[str, Array], Array] | 
     (i_d, rows), (i_q, places) = clusters[0], clusters[1]
     if i_d.size * i_q.size > 4 * rows.size:
         return None
-    one = _averaged("", points, rows, places, np.inf)
+    one = _average("", points, rows, places, np.inf)
     pairs = np.unique(np.column_stack((rows, places)), axis=0)
     return one, np.column_stack((i_d[pairs[:, 0]], i_q[pairs[:, 1]]))
 
 
 def _clusters(values: Array) -> tuple[Array, Index] | None:
-    """Means that values gather about, and which of them each value belongs to."""
+    """Cluster means of values, and the index of each value's cluster; None where there are no clusters."""
     order = np.argsort(values, kind="stable")
     gaps = np.diff(values[order])
     sizes = np.sort(gaps)[::-1]
-    # Among the larger gaps; a value of its own in every cluster gathers about nothing.
-    most = max(1, values.size // 2)
-    parted = int(np.argmax(sizes[:most] / np.maximum(sizes[1 : most + 1], 1e-9 * np.ptp(values))))
-    means, index = _split(values, order, gaps >= sizes[parted])
+    # Among the larger gaps only: clusters of one value each are none.
+    count = max(1, values.size // 2)
+    split = int(np.argmax(sizes[:count] / np.maximum(sizes[1 : count + 1], 1e-9 * np.ptp(values))))
+    means, index = _split(values, order, gaps >= sizes[split])
     means = np.bincount(index, weights=values) / np.bincount(index)
     widths = np.zeros(means.size)
     np.maximum.at(widths, index, np.abs(values - means[index]))
@@ -185,7 +189,7 @@ def _clusters(values: Array) -> tuple[Array, Index] | None:
 
 
 def _split(values: Array, order: Index, new: Mask) -> tuple[Array, Index]:
-    """The first value of each group, and which group each value is in; `new` begins one in the given order."""
+    """The first value of each group, and each value's group; `new` marks the first of a group in the given order."""
     index = np.empty(len(values), dtype=np.intp)
     index[order] = np.concatenate(([0], np.cumsum(new)))
     return values[order][np.concatenate(([True], new))], index
@@ -201,8 +205,7 @@ def _between_points(where: str, i_d: Array, i_q: Array) -> Array:
     corners = scaled[hull.simplices]
     sides = corners[:, 1:] - corners[:, :1]
     area = 0.5 * float(np.abs(np.linalg.det(sides)).sum())
-    few, many = _NODES_PER_AXIS
-    count = int(np.clip(round(np.sqrt(i_d.size / area)), few, many))
+    count = int(np.clip(round(np.sqrt(i_d.size / area)), _MIN_NODES_PER_AXIS, _MAX_NODES_PER_AXIS))
     axes = [_even(float(axis.min()), float(axis.max()), count) for axis in (i_d, i_q)]
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     inside = nodes[hull.find_simplex(nodes / spans, tol=1e-6) >= 0]
@@ -210,9 +213,9 @@ def _between_points(where: str, i_d: Array, i_q: Array) -> Array:
     spacing = float(np.median(tree.query(scaled, k=2)[0][:, 1]))
     near = tree.query(inside / spans)[0] <= _MAX_GAP_SPACINGS * spacing
     covered = np.count_nonzero(near) / max(near.size, 1)
-    if covered < _LEAST_COVERED_SHARE:
-        said = f"{i_d.size} points that leave {100.0 * (1.0 - covered):.0f} % of the area between them unmeasured"
-        raise InputError(where, "i_d, i_q", said)
+    if covered < _MIN_COVERED_SHARE:
+        problem = f"{i_d.size} points that leave {100.0 * (1.0 - covered):.0f} % of the area between them unmeasured"
+        raise InputError(where, "i_d, i_q", problem)
     found: Array = inside[near]
     return found
 

@@ -1,4 +1,4 @@
-"""A mapping for a file that holds a flux map under names of its own, with a reason on each line; it is tried first."""
+"""A mapping for a flux map's file with unknown column names, tried on the file, with a reason on each line."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from orchestrator.numerics.types import Array
 from protocols import InputError
 
 _ARRAYS = {".npz": npz_arrays, ".mat": mat_arrays}
-_MOST_A = 2000.0
-"""A larger number is taken for milliamperes."""
-_MOST_WB = 20.0
-"""A larger number is taken for milliwebers."""
+_MAX_CURRENT_A = 2000.0
+"""Larger numbers count as milliamperes."""
+_MAX_FLUX_WB = 20.0
+"""Larger numbers count as milliwebers."""
 _DIRECTIONS = (("q", 1.0), ("q", -1.0), ("d", 1.0), ("d", -1.0))
-"""Where a current's angle may begin, and which way it may count."""
+"""Possible zero axes of a current's angle, with the sign of its direction."""
 
 
 @dataclass(frozen=True)
 class MapSuggestion:
-    """A mapping as text, the map that it reads, and what to look at before it is believed."""
+    """A mapping as text, the map that it reads, and its doubtful lines."""
 
     text: str
     doubts: tuple[str, ...]
@@ -38,7 +38,7 @@ class MapSuggestion:
 
 @dataclass(frozen=True)
 class _Contents:
-    """Arrays or columns by name, and how a text file is laid out."""
+    """Arrays or columns by name, and the layout of a text file."""
 
     arrays: dict[str, Array]
     units: Mapping[str, str]
@@ -76,14 +76,14 @@ def suggest_mapping(path: Path) -> MapSuggestion:
     Raises
     ------
     InputError
-        Where names do not tell what the columns are, or what they tell makes no map.
+        Where the columns' meaning is unknown, or they make no map.
     """
     names, contents = _names_of(path)
     roles = roles_of_map(names)
     if not roles.is_map:
         lacking = "flux linkages" if None in (roles.psi_d, roles.psi_q) else "currents"
-        said = f"cannot tell which columns are the {lacking} by their names: write a mapping (docs/audit.md); it has"
-        raise InputError(str(path), "", said, names)
+        problem = f"the names do not show which columns are the {lacking}: write a mapping (docs/audit.md); it has"
+        raise InputError(str(path), "", problem, names)
     chosen = [name for name in vars(roles).values() if name is not None]
     contents = _read(path, contents, chosen)
     draft = _Draft({}, {}).having("format", "fluxbench-map", f"by the names and values in {path.name}")
@@ -93,9 +93,9 @@ def suggest_mapping(path: Path) -> MapSuggestion:
         draft = draft.having("csv", layout, contents.why_csv) if layout else draft
     draft = _with_flux(draft, roles, contents)
     draft = _with_torque_and_angle(draft, roles, contents)
-    best = max(_tried(path, _with_current(draft, roles, contents), contents), key=_likeness)
-    assert best.read is not None  # only what was read is a candidate
-    text = best.text + "# motor: {name: NAME, pole_pairs: N}  # where a torque is judged, or an angle is the shaft's\n"
+    best = max(_readable(path, _with_current(draft, roles, contents), contents), key=_likeness)
+    assert best.read is not None  # candidates have been read
+    text = best.text + "# motor: {name: NAME, pole_pairs: N}  # needed for a torque, or an angle of the shaft\n"
     return MapSuggestion(text, (*best.doubts, *(remark.text for remark in best.read.remarks)), best.read)
 
 
@@ -111,14 +111,14 @@ def _names_of(path: Path) -> tuple[list[str], _Contents]:
 
 
 def _flattened(prefix: str, content: Mapping[str, Any]) -> list[tuple[str, Array]]:
-    """Arrays of numbers by the names that a mapping has for them: ``motor.psi_d`` is a field of a struct."""
-    found: list[tuple[str, Array]] = []
+    """Arrays of numbers by their names in a mapping: ``motor.psi_d`` is a field of a struct."""
+    arrays: list[tuple[str, Array]] = []
     for key, value in content.items():
         if isinstance(value, Mapping):
-            found += _flattened(f"{prefix}{key}.", value)
+            arrays += _flattened(f"{prefix}{key}.", value)
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.size > 1:
-            found.append((f"{prefix}{key}", value))
-    return found
+            arrays.append((f"{prefix}{key}", value))
+    return arrays
 
 
 def _read(path: Path, contents: _Contents, names: list[str]) -> _Contents:
@@ -141,18 +141,18 @@ def _nested(arrays: Mapping[str, Array]) -> dict[str, Any]:
 def _with_flux(draft: _Draft, roles: MapRoles, contents: _Contents) -> _Draft:
     names = [str(roles.psi_d), str(roles.psi_q)]
     largest, given = _largest(contents, names), map_unit(names[0])
-    unit = given or ("Wb" if largest <= _MOST_WB else "mWb")
+    unit = given or ("Wb" if largest <= _MAX_FLUX_WB else "mWb")
     why = "the name has the unit" if given else f"up to {largest:.3g}, as {unit}"
     section: dict[str, Any] = {"columns": {"d": names[0], "q": names[1]}, "unit": unit} | _scaling(names)
     return draft.having("flux", section, f"by the names; {why}", "" if given else f"{why}: the file names no unit")
 
 
 def _with_current(draft: _Draft, roles: MapRoles, contents: _Contents) -> list[_Draft]:
-    """A draft for each way in which the currents may be meant."""
+    """A draft for each possible meaning of the currents."""
     polar = None in (roles.i_d, roles.i_q)
     names = [str(name) for name in ((roles.amplitude,) if polar else (roles.i_d, roles.i_q))]
     largest, given = _largest(contents, names), (contents.units.get(names[0], "").split() or [""])[0]
-    unit = given if given in ("A", "mA", "uA", "kA") else "A" if largest <= _MOST_A else "mA"
+    unit = given if given in ("A", "mA", "uA", "kA") else "A" if largest <= _MAX_CURRENT_A else "mA"
     why = "the name has the unit" if given else f"up to {largest:.3g}, as {unit}"
     doubt = "" if given else f"{why}: the file names no unit"
     rest = {"unit": unit} | _scaling([*names, contents.units.get(names[0], "")])
@@ -178,44 +178,48 @@ def _with_torque_and_angle(draft: _Draft, roles: MapRoles, contents: _Contents) 
         draft = draft.having("torque", section, "the name has the unit" if given else "by the name, as Nm")
     if roles.theta is not None and (flux.ndim == 3 or contents.arrays[roles.theta].shape == flux.shape):
         unit = contents.units.get(roles.theta, angle_unit(contents.arrays[roles.theta]))
-        doubt = "electrical is assumed; of a shaft's angle say mechanical: true, and motor"
+        doubt = "electrical is assumed; for a shaft's angle add mechanical: true, and motor"
         draft = draft.having(
             "rotor_angle", {"column": roles.theta, "unit": unit}, "by the name; the mean is read", doubt
         )
     return draft
 
 
-def _tried(path: Path, drafts: list[_Draft], contents: _Contents) -> list[_Draft]:
-    """The drafts that read the file, each with what it has read; raises the first one's complaint where none does."""
+def _readable(path: Path, drafts: list[_Draft], contents: _Contents) -> list[_Draft]:
+    """The drafts that read the file, each with its map; raises the first one's error where none does."""
     read: list[_Draft] = []
-    complaint: InputError | None = None
+    first_error: InputError | None = None
     for draft in drafts:
         try:
             read.append(_with_map(path, draft, contents))
         except InputError as error:
-            complaint = complaint or error
-    if complaint is not None and not read:
-        raise complaint
+            first_error = first_error or error
+    if first_error is not None and not read:
+        raise first_error
     return read
 
 
 def _with_map(path: Path, draft: _Draft, contents: _Contents) -> _Draft:
     try:
         read = map_of(str(path), MapMapping.model_validate(draft.data), contents.arrays)
-        told = next((str(remark.values["axes"]) for remark in read.remarks if remark.code == "axes_by_values"), None)
-        if told is not None:
-            draft = draft.having("axes", told.split(", "), "of one length: told by inductances, which are positive")
+        axes = next((str(remark.values["axes"]) for remark in read.remarks if remark.code == "axes_by_values"), None)
+        if axes is not None:
+            draft = draft.having(
+                "axes", axes.split(", "), "of one length: determined by inductances, which are positive"
+            )
         return replace(draft, read=read)
     except InputError as error:
         if error.field != "axes":
             raise
-        axes = [*draft.data["current"]["columns"], *(["theta"] if "rotor_angle" in draft.data else [])]
-        draft = draft.having("axes", axes, "a guess: it may be another order", f"{error.problem}; the first is written")
+        order = [*draft.data["current"]["columns"], *(["theta"] if "rotor_angle" in draft.data else [])]
+        draft = draft.having(
+            "axes", order, "a guess: it may be another order", f"{error.problem}; the first is written"
+        )
         return replace(draft, read=map_of(str(path), MapMapping.model_validate(draft.data), contents.arrays))
 
 
 def _likeness(draft: _Draft) -> float:
-    """How much like a motor's the map is that a draft reads."""
+    """Similarity of a draft's map to a motor's."""
     assert draft.read is not None
     m = draft.read.flux_map
     i_d, i_q = np.meshgrid(np.asarray(m.i_d, dtype=np.float64), np.asarray(m.i_q, dtype=np.float64), indexing="ij")

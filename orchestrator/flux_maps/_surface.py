@@ -82,7 +82,7 @@ class MapSurface:
         """Whether currents lie in the measured region: in a grid triangle whose corners are all measured."""
         (k, u), (m, v) = _cell(self.i_d, i_dq[:, 0]), _cell(self.i_q, i_dq[:, 1])
         within = (np.abs(u - 0.5) <= 0.5 + 1e-6) & (np.abs(v - 0.5) <= 0.5 + 1e-6)
-        # A corner that the point owes nothing to need not be measured: nodes and edges count as measured.
+        # A corner of zero weight need not be measured: nodes and edges count as measured.
         missing = {(a, b): ~self.known[k + a, m + b] for a in (0, 1) for b in (0, 1)}
 
         def whole(*corners: tuple[tuple[int, int], Array]) -> Mask:
@@ -94,8 +94,8 @@ class MapSurface:
         upper = whole(((0, 0), 1 - v), ((0, 1), v - u), ((1, 1), u))
         left = whole(((0, 0), 1 - u - v), ((1, 0), u), ((0, 1), v))
         right = whole(((1, 1), u + v - 1), ((1, 0), 1 - v), ((0, 1), 1 - u))
-        found: Mask = within & (np.where(u >= v, lower, upper) | np.where(u + v <= 1, left, right))
-        return found
+        inside: Mask = within & (np.where(u >= v, lower, upper) | np.where(u + v <= 1, left, right))
+        return inside
 
     def _held(self, i_dq: Array) -> Array:
         low, high = (self.i_d[0], self.i_q[0]), (self.i_d[-1], self.i_q[-1])
@@ -109,7 +109,7 @@ class MapSurface:
 
 
 def _spline(x: Array, y: Array, table: Array) -> Any:
-    """Interpolating spline, cubic where there are nodes enough."""
+    """Interpolating spline, cubic where there are enough nodes."""
     from scipy.interpolate import RectBivariateSpline
 
     if len(x) == 2:  # a straight line is given a middle, because FITPACK has no slope of a spline of first degree

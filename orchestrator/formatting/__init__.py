@@ -1,1 +1,1 @@
-"""How anything is shown, once for all: quantities, names, sentences, tables, colours and figures. Computes nothing."""
+"""Formatting shared by all outputs: quantities, names, sentences, tables, colours and figures."""

@@ -1,6 +1,6 @@
 """Colours of every picture the project draws: one colour means one thing, in the viewer as on the page.
 
-The eight are Okabe and Ito's (https://jfly.uni-koeln.de/color/), told apart by colour-blind readers too.
+The eight are Okabe and Ito's (https://jfly.uni-koeln.de/color/), distinguishable for colour-blind readers too.
 Nothing here draws.
 """
 
@@ -24,14 +24,14 @@ PURPLE = "#CC79A7"
 
 D_AXIS, Q_AXIS = SKY, ORANGE
 MODEL = VERMILION
-"""What a model says: fits, predictions."""
+"""Results of a model: fits, predictions."""
 MEASURED_ON_PAPER, MEASURED_ON_SCREEN = BLACK, "#F2F2F2"
 METHODS: dict[Basis | None, str] = {Basis.INJECTION: PURPLE, Basis.INTEGRATION: GREEN, Basis.ENERGY: VERMILION}
-"""By what a map rests on; an energy is the model itself."""
+"""Colour of a map by its basis; an energy is the model itself."""
 PHASES = (BLUE, YELLOW, "#BDBDBD")
 """a, b, c."""
 GUIDE, GRID, TEXT, SCREEN = "#8C8C8C", "#3A3F44", "#B4BAC0", "#14171A"
-"""Limits and targets, grids, the words on them, and what lies behind (the viewer is dark)."""
+"""Limits and targets, grids, text, and the viewer's dark background."""
 AT_REST, COMPUTING, ENERGISED = "#565B60", "#8A9096", ("#E6E6E6", "#C4C8CC")
 ENDED_WELL, ENDED_BADLY = GREEN, VERMILION
 """States: the brighter the more current flows; the two ends have their own."""
@@ -52,7 +52,7 @@ def packed(colour: str) -> int:
 
 
 def packed_all(colours: Iterable[str]) -> NDArray[np.uint32]:
-    """Several of them."""
+    """Several colours in the viewer's form."""
     return np.array([packed(colour) for colour in colours], dtype=np.uint32)
 
 
@@ -67,7 +67,7 @@ def diverging(fractions: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def opaque(colours: NDArray[np.uint8], behind: str) -> NDArray[np.uint8]:
-    """The same over a ground of one colour, for those who draw no transparency."""
+    """The colours over a background, for outputs without transparency."""
     out = colours.copy()
     out[colours[..., 3] == 0] = (*rgb(behind), 255)
     return out

@@ -1,6 +1,6 @@
-"""What pictures drawn by matplotlib have in common: sizes, labels, legends, and the way into a page. Knows no data.
+"""Common parts of figures by matplotlib: sizes, labels, legends, and conversion for a page. Knows no data.
 
-Type is sized for a phone: a picture 330 pixels wide still has letters of ten. What is dense is drawn as pixels inside
+Type is sized for a phone: a picture 330 pixels wide still has letters of ten. Dense parts are drawn as pixels inside
 the vector graphics, which keeps a page small. Matplotlib is imported when the first figure is made.
 """
 
@@ -26,11 +26,11 @@ class Style:
     Attributes
     ----------
     width_in, height_in : float
-        Of a figure that says nothing else [inch]: two side by side on a page of A4.
+        Default size of a figure [inch]: two side by side on a page of A4.
     small_pt, normal_pt : float
         Ticks and legends; axis labels.
     dpi : float
-        Of what is drawn as pixels.
+        Resolution of parts drawn as pixels.
     """
 
     width_in: float = 4.6
@@ -42,12 +42,12 @@ class Style:
 
 STYLE = Style()
 BEFORE_COLOUR = "#9AA0A6"
-"""The model that the ladder starts from, where it is drawn beside the last one."""
+"""The ladder's first model, where it is drawn beside the last one."""
 PHASES_ON_PAPER = ("#0072B2", "#A89600", "#6E6E6E")
 """a, b, c: the hues of the viewer's phases, dark enough for white paper."""
 CURRENT_LABELS = {"d": "$i_d$ [A]", "q": "$i_q$ [A]"}
 BASIS_LINES: dict[Basis | None, str] = {Basis.INTEGRATION: "--", Basis.INJECTION: "-"}
-"""By what a map rests on: dashed is integration, solid is injection, dotted is anything else."""
+"""Line of a map by its basis: dashed for integration, solid for injection, dotted for others."""
 
 
 def new_figure(width: float = STYLE.width_in, height: float = STYLE.height_in) -> tuple[Figure, Axes]:
@@ -84,10 +84,10 @@ def current_plane(axes: Axes) -> None:
     name_axes(axes, *CURRENT_LABELS.values())
 
 
-def label(text: str, most: int = 40) -> str:
-    """A name from outside as a picture's text: no mathematics, nothing that is obeyed, and short."""
+def label(text: str, max_length: int = 40) -> str:
+    """An external name as a picture's text: short, without mathematics and control characters."""
     plain = visible(text.replace("\n", " "))
-    return (plain if len(plain) <= most else plain[: most - 1] + "…").replace("$", r"\$")
+    return (plain if len(plain) <= max_length else plain[: max_length - 1] + "…").replace("$", r"\$")
 
 
 def signed_scale(values: Any, margin: float = 1.0) -> dict[str, Any]:
@@ -97,7 +97,7 @@ def signed_scale(values: Any, margin: float = 1.0) -> dict[str, Any]:
 
 
 def legend_above(axes: Axes, columns: int, handles: list[Any] | None = None, names: list[str] | None = None) -> None:
-    """The legend over the axes, where it hides nothing; of all that has a label, where nothing else is given."""
+    """The legend above the axes, where it hides nothing; by default of all labelled artists."""
     if handles is None or names is None:
         handles, names = axes.get_legend_handles_labels()
     axes.legend(
@@ -119,7 +119,7 @@ def uri(figure: Figure) -> str:
 
     FigureCanvasSVG(figure)
     layout = figure.get_layout_engine()
-    if layout is not None:  # once, and by itself: to lay out what it saves, matplotlib would draw all of it twice
+    if layout is not None:  # one separate layout: matplotlib would draw the whole figure twice otherwise
         layout.execute(figure)
         figure.set_layout_engine(None)
     buffer = io.BytesIO()

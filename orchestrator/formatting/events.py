@@ -1,4 +1,4 @@
-"""What a run's messages say, a subject and a sentence each: alike on the console, in the viewer and on the page."""
+"""Texts of a run's messages, a subject and a sentence each, for console, viewer and page."""
 
 from __future__ import annotations
 
@@ -32,13 +32,12 @@ from protocols import (
 
 
 @dataclass(frozen=True)
-class Said:
-    """What a message says.
+class EventText:
+    """The text of a message.
 
     Attributes
     ----------
     subject : str
-        What it is about.
     text : str
     mood : str
         "good", "info", "warning" or "bad".
@@ -50,80 +49,82 @@ class Said:
 
     @property
     def line(self) -> str:
-        """Both on one line; a remark that is no warning stands alone."""
+        """Subject and text on one line; the text alone for a plain remark."""
         return f"{self.subject}: {self.text}" if self.subject not in ("info", "") else self.text
 
 
-def said(message: Message) -> Said | None:
-    """What a message says; None for those of single points and samples."""
+def describe(message: Message) -> EventText | None:
+    """The text of a message; None for messages on single points and samples."""
     match message:
         case RunStarted():
-            done = f", {message.points_done} of them done before" if message.points_done else ""
+            done = f", {message.points_done} of them already done" if message.points_done else ""
             time = f", {duration(message.seconds)} on the drive's clock" if message.seconds else ""
             about = "".join(f", {label} {text}" for label, text in message.about.lines())
             where = f"{message.motor.name} on the drive {message.drive}{about}"
-            return Said(message.name, f"{where}, {plural(message.points, 'point')}{done}{time}")
+            return EventText(message.name, f"{where}, {plural(message.points, 'point')}{done}{time}")
         case StageStarted():
-            return Said(
+            return EventText(
                 f"stage {message.index + 1}",
                 (message.title or plain(message.stage))
                 + (f", {plural(message.points, 'point')}" if message.points else ""),
             )
         case StateChanged():
             mood = OUTCOME_MOODS.get(message.target, "info")
-            return Said(plain(message.target), message.reason, "bad" if mood == "warning" else mood)
+            return EventText(plain(message.target), message.reason, "bad" if mood == "warning" else mood)
         case OperatorAsked():
-            return Said("asked", message.prompt)
+            return EventText("asked", message.prompt)
         case OperatorAnswered():
             words = f': "{message.words}"' if message.words else ""
             through = f", through the {message.through}" if message.through else ""
-            return Said("answered", f"{message.answer} (by {message.by}{through}{words})")
+            return EventText("answered", f"{message.answer} (by {message.by}{through}{words})")
         case LockChecked():
             mood = "info" if message.locked is None else "good" if message.locked else "bad"
-            return Said("lock check", typographic(message.summary), mood)
+            return EventText("lock check", typographic(message.summary), mood)
         case ResistanceEstimated():
-            return Said("R_s", resistance(message.estimate), "good")
+            return EventText("R_s", resistance(message.estimate), "good")
         case MapEstimated():
             grid = message.estimate.map
-            return Said("flux map", f"by {grid.method}, {len(grid.i_d)} × {len(grid.i_q)} currents", "good")
+            return EventText("flux map", f"by {grid.method}, {len(grid.i_d)} × {len(grid.i_q)} currents", "good")
         case Compared():
-            return Said("comparison", _comparison(message.report))
+            return EventText("comparison", _comparison(message.report))
         case Diagnosed():
             verdict = VERDICTS[message.report.verdict]
             after = f", after experiment {message.round}" if message.round else ""
-            return Said("diagnosis", verdict.name.lower() + after, verdict.mood)
+            return EventText("diagnosis", verdict.name.lower() + after, verdict.mood)
         case ExperimentProposed():
-            return Said("next experiment", _experiment(message))
+            return EventText("next experiment", _experiment(message))
         case StagesAppended():
-            return Said("stages", f"{len(message.stages)} more to do")
+            return EventText("stages", f"{len(message.stages)} appended")
         case StageSufficed():
             saved = f"{plural(message.points_spared, 'point')} of the plan ({duration(message.seconds_spared)})"
-            return Said(f"stage {message.index + 1}", f"enough is measured; {saved} not needed", "good")
+            return EventText(f"stage {message.index + 1}", f"sufficiently measured; {saved} not needed", "good")
         case Note():
-            return Said(message.level, typographic(message.text), {"error": "bad"}.get(message.level, message.level))
+            return EventText(
+                message.level, typographic(message.text), {"error": "bad"}.get(message.level, message.level)
+            )
         case UnderWay(is_result=True):
-            return Said("", typographic(message.text))
+            return EventText("", typographic(message.text))
         case RunEnded():
-            return Said(message.outcome, message.reason, OUTCOME_MOODS[message.outcome])
+            return EventText(message.outcome, message.reason, OUTCOME_MOODS[message.outcome])
         case _:
             return None
 
 
 def step_error_v(step: DiagnosisStep) -> float:
-    """The error that a rung is judged by: that of stages which no fit has seen, where there are such."""
+    """The error of a ladder step: that of held-out stages, where there are any."""
     return step.rms_v if step.heldout_rms_v is None else step.heldout_rms_v
 
 
 def _experiment(message: ExperimentProposed) -> str:
     first, second = map(plain, message.separates)
-    goes_on = "and the run goes on with it" if message.accepted else "for another run"
+    where = "the run continues with it" if message.accepted else "for another run"
     kind = plain(str(message.stage.get("kind")))
-    return f"{kind}, {duration(60.0 * message.minutes)}, tells {first} from {second}; {goes_on}"
+    return f"{kind}, {duration(60.0 * message.minutes)}, separates {first} from {second}; {where}"
 
 
 def _comparison(report: CompareReport) -> str:
-    """The bare model held against the recording."""
-    told = f"the {report.model} model has chi2 {number(report.chi2, 3)}"
+    """A sentence on the model's error in the recording."""
+    text = f"the {report.model} model has chi2 {number(report.chi2, 3)}"
     if report.worst:
-        told += f", worst in {report.worst[0].segment} with {quantity(report.worst[0].rms_v, 'V')} rms"
-    return f"{told} where noise makes {quantity(report.noise_floor.rms_v, 'V')}"
+        text += f", worst in {report.worst[0].segment} with {quantity(report.worst[0].rms_v, 'V')} rms"
+    return f"{text} at a noise of {quantity(report.noise_floor.rms_v, 'V')}"

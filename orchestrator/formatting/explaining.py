@@ -1,4 +1,4 @@
-"""Why a diagnosis says what it says, as rows and sentences: alike in a terminal, on the page, in the viewer."""
+"""The reasons of a diagnosis as rows and sentences, for terminal, page and viewer."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from protocols import DiagnosisReport, EffectBasis, SearchEvent, SearchMeasure
 SEARCH_HEAD = ("step", "move", "effects", "gain", "threshold", "chi2", "decision")
 BASIS_HEAD = (
     "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "moves",
-    "cannot be told from",
+    "indistinguishable from",
 )  # fmt: skip
-_MOST_NAMES = 4
-"""Effects of one move that are written out."""
+_MAX_NAMES = 4
+"""Effects of one step of the search that are written out."""
 
 
 def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
-    """The moves of a search: number, move, effects, gain, threshold, chi2 before and after, decision."""
+    """The steps of a search: number, move, effects, gain, threshold, chi2 before and after, decision."""
     return [
         (
             str(event.step),
@@ -36,19 +36,19 @@ def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
 
 
 def search_lines(events: Sequence[SearchEvent]) -> list[str]:
-    """The same, a line each."""
+    """The steps of a search, one line each."""
     lines = []
     for event, (step, move, effects, gain, threshold, chi2, decision) in zip(events, search_rows(events), strict=True):
-        told = [f"{step}. {move}" + (f": {effects}" if event.effects else "")]
+        parts = [f"{step}. {move}" + (f": {effects}" if event.effects else "")]
         if event.score is not None:
-            told.append(f"gain {gain}" + ("" if event.threshold is None else f" (threshold {threshold})"))
-        told += [f"chi2 {chi2}"] if chi2 != UNKNOWN else []
-        lines.append("; ".join([*told, decision]))
+            parts.append(f"gain {gain}" + ("" if event.threshold is None else f" (threshold {threshold})"))
+        parts += [f"chi2 {chi2}"] if chi2 != UNKNOWN else []
+        lines.append("; ".join([*parts, decision]))
     return lines
 
 
 def basis_rows(effects: Sequence[EffectBasis]) -> list[tuple[str, ...]]:
-    """What each named effect rests on; see `BASIS_HEAD`."""
+    """The evidence for each named effect; see `BASIS_HEAD`."""
     return [
         (
             plain(effect.name),
@@ -65,30 +65,30 @@ def basis_rows(effects: Sequence[EffectBasis]) -> list[tuple[str, ...]]:
 
 
 def accuracy_sentences(report: DiagnosisReport) -> list[str]:
-    """How well the model reproduces the current, and how well its map is known; none where that is not known."""
-    told = []
+    """Sentences on the error of the predicted current and of the map; none where these are unknown."""
+    sentences = []
     if report.reproduces_current_percent is not None:
-        told.append(
+        sentences.append(
             "The current that the model predicts from the voltage differs from the measured one by "
             f"{percent(report.reproduces_current_percent)} of its range (rms)."
         )
     if report.map_error_percent is not None:
         start = "The model's" if report.verdict in ("clean", "explained") else "If the model is right, its"
-        told.append(
+        sentences.append(
             f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, rms over the "
             "measured currents)."
         )
-    return told
+    return sentences
 
 
 def _names(event: SearchEvent) -> str:
-    """Names of the effects of a move, not more than a line holds."""
+    """Names of the effects of a step, as many as fit on a line."""
     names = event.effects
     if event.move in ("swap", "merge") and len(names) == 2:
         return f"{plain(names[0])} for {plain(names[1])}"
-    if len(names) <= _MOST_NAMES:
+    if len(names) <= _MAX_NAMES:
         return listed([plain(name) for name in names]) or UNKNOWN
-    return f"{', '.join(map(plain, names[: _MOST_NAMES - 1]))} and {len(names) - _MOST_NAMES + 1} more"
+    return f"{', '.join(map(plain, names[: _MAX_NAMES - 1]))} and {len(names) - _MAX_NAMES + 1} more"
 
 
 def _scored(value: float | None, measure: SearchMeasure | None) -> str:
@@ -96,7 +96,7 @@ def _scored(value: float | None, measure: SearchMeasure | None) -> str:
         return UNKNOWN
     if measure in ("block_scatter", "share"):
         return percent(100.0 * value)
-    # Beyond a whole number, digits decide nothing.
+    # For large values, digits after the point decide nothing.
     text = number(round(value) if abs(value) >= 1000.0 and math.isfinite(value) else value, 3)
     return {"log_evidence": f"{text} nat", "chi2_per_dof": f"chi2 {text}"}.get(measure, f"{text} of chi2")
 

@@ -1,4 +1,4 @@
-"""What things are called wherever they are shown: states, slots of a diagnosis, verdicts, rungs, parameters, maps."""
+"""Names for people: states, sections of a diagnosis, verdicts, ladder steps, parameters, maps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PARAMETER_UNITS = ("_a", "_v", "_s", "_hz", "_ohm", "_rad", "_wb", "_per_watt",
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a diagnosis ends with."""
+    """A verdict's name and meaning."""
 
     name: str
     meaning: str
@@ -35,20 +35,20 @@ VERDICTS = {
     "clean": Verdict("Clean", "the model fits within the noise", "good"),
     "explained": Verdict("Explained", "with the effects below, the model fits", "good"),
     "mostly_explained": Verdict("Mostly explained", "the effects below account for most of the error", "warning"),
-    "unknown_remains": Verdict("Unknown remains", "no effect of the library accounts for what is left", "bad"),
-    "convention": Verdict("Convention", "manifest or logging say something else than the readings: see below", "bad"),
-    "cannot_tell": Verdict("Cannot tell", "too little was measured, or too much of it is noise", "bad"),
+    "unknown_remains": Verdict("Unknown remains", "no effect of the library explains the residual", "bad"),
+    "convention": Verdict("Convention", "manifest or logging contradict the readings: see below", "bad"),
+    "cannot_tell": Verdict("Cannot tell", "too few or too noisy measurements", "bad"),
 }
 OUTCOME_MOODS = {"finished": "good", "aborted": "warning", "faulted": "bad"}
 
 
 def plain(name: str) -> str:
-    """A name of the code's (a state, an effect, a slot) as words."""
+    """A name of the code (a state, an effect, a section) as words."""
     return name.replace("_", " ")
 
 
 def slots(words: DiagnosisWords) -> Iterator[tuple[str, str]]:
-    """The slots that are filled, title and text, in the order in which they are read."""
+    """The non-empty sections of a diagnosis, title and text, in reading order."""
     for slot in DiagnosisWords.model_fields:
         text = getattr(words, slot)
         if text:
@@ -56,7 +56,7 @@ def slots(words: DiagnosisWords) -> Iterator[tuple[str, str]]:
 
 
 def rung_name(added: str | None, index: int) -> str:
-    """A rung of the ladder by what was added to the one before."""
+    """A ladder step's name by the effect that it adds."""
     if added is None:
         return "the model alone" if index == 0 else "refitted"
     return f"+ {plain(added)}"

@@ -1,4 +1,4 @@
-"""All options of a plugin as a table in Markdown: one row each, in the words of its own docstrings."""
+"""All options of a plugin as a table in Markdown: one row each, with the text of its docstring."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pydantic_core import PydanticUndefined
 
 
 def options_table(model: type[BaseModel]) -> str:
-    """Option, default and meaning of each; options below others by their whole path, with dots."""
+    """Option, default and meaning of each; nested options by their dotted path."""
     rows = [f"| `{path}` | {_default(field)} | {_meaning(field)} |" for path, field in _options(model, "", ())]
-    return "\n".join(["| option | left out | |", "| --- | --- | --- |", *rows])
+    return "\n".join(["| option | default | |", "| --- | --- | --- |", *rows])
 
 
 def _options(
@@ -27,7 +27,7 @@ def _options(
             yield f"{prefix}{name}", field
         for inner in below:
             for path, one in _options(inner, f"{prefix}{name}.", (*above, model)):
-                if path not in seen:  # alternatives share some of theirs
+                if path not in seen:  # alternatives share some options
                     seen.add(path)
                     yield path, one
 

@@ -1,7 +1,7 @@
-"""Numbers as an engineer reads them: SI prefixes, as many digits as the uncertainty bears, no exponent's letter.
+"""Numbers as an engineer reads them: SI prefixes, as many digits as the uncertainty supports, no exponent's letter.
 
-An interval and what stands beside it have one prefix and one number of digits, so that they are compared at a glance:
-``20.00 mΩ (95 %: 19.98 to 20.02)``. What is not known is a dash.
+A value and its interval have the same prefix and number of digits, so that they compare at a glance:
+``20.00 mΩ (95 %: 19.98 to 20.02)``. An unknown value is a dash.
 """
 
 from __future__ import annotations
@@ -10,19 +10,33 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # the command line's help has no time for it
+if TYPE_CHECKING:  # the command line's help must start fast
     from protocols import AxisPercent
 
 UNKNOWN = "–"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
-_NEXT_TO = 1e-6
-_GREATEST = {"V": 3, "A": 3, "Ω": 6, "H": 0, "Wb": 0, "s": 0, "W": 6, "J": 6, "Hz": 6, "rad": 0, "Nm": 3, "C": 0}
-"""Units that take a prefix, each with the power of ten of the greatest that is in use."""
+_RELATIVE_ZERO = 1e-6
+"""Ratio below which a number counts as zero beside another."""
+_MAX_POWER_OF_TEN = {
+    "V": 3,
+    "A": 3,
+    "Ω": 6,
+    "H": 0,
+    "Wb": 0,
+    "s": 0,
+    "W": 6,
+    "J": 6,
+    "Hz": 6,
+    "rad": 0,
+    "Nm": 3,
+    "C": 0,
+}
+"""Units that take a prefix, each with the power of ten of its largest usual prefix."""
 
 
 def unit_words(unit: str) -> str:
-    """A unit as it is printed: ohm as Ω, 1/A^2 as per A², 1 as nothing."""
+    """A unit in print: ohm as Ω, 1/A^2 as per A², 1 as an empty text."""
     base, power, exponent = unit.replace("ohm", "Ω").partition("^")
     printed = base + (exponent.translate(_SUPERSCRIPT) if power else "")
     if printed == "1":
@@ -32,7 +46,7 @@ def unit_words(unit: str) -> str:
 
 @dataclass(frozen=True)
 class Scale:
-    """A prefix and a number of decimals, for values of one quantity that stand beside each other.
+    """A prefix and a number of decimals, shared by values of one quantity.
 
     Attributes
     ----------
@@ -41,7 +55,7 @@ class Scale:
     decimals : int
         Digits after the point.
     unit : str
-        As printed, its prefix or power of ten included; empty where there is none.
+        In print, its prefix or power of ten included; empty where there is none.
     """
 
     power: int
@@ -52,19 +66,19 @@ class Scale:
     def of(cls, value: float, low: float, high: float, unit: str) -> Scale:
         """The scale for a value and its interval: decimals down to the smaller distance of an end from the value.
 
-        What is next to nothing beside its interval, or next to an end of it, is there.
+        A value that is negligible beside its interval counts as zero, and one very near an end as that end.
         """
         largest = max(abs(low), abs(high))
-        power, printed = _prefixed(value if abs(value) > _NEXT_TO * largest else largest, unit)
+        power, printed = _prefixed(value if abs(value) > _RELATIVE_ZERO * largest else largest, unit)
         least = min(value - low, high - value)
-        least = least if least > _NEXT_TO * (high - low) else high - low
-        # Beyond a thousandth of a thousandth, digits tell nothing to anybody.
+        least = least if least > _RELATIVE_ZERO * (high - low) else high - low
+        # Digits below a millionth of the value carry no information.
         least = max(least, 1e-6 * max(abs(value), largest))
-        digits = borne(least / 10.0**power) if least > 0.0 else 0
+        digits = significant_decimals(least / 10.0**power) if least > 0.0 else 0
         return cls(power, digits, printed)
 
     def number(self, value: float | None) -> str:
-        """The number alone."""
+        """The number without its unit."""
         return UNKNOWN if value is None else fixed(value / 10.0**self.power, self.decimals)
 
     def quantity(self, value: float | None) -> str:
@@ -73,7 +87,7 @@ class Scale:
 
 
 def value_and_interval(value: float | None, low: float | None, high: float | None, unit: str) -> tuple[str, str]:
-    """A value with its unit and, on the same scale, its interval; that is empty where an end is missing."""
+    """A value with its unit and, on the same scale, its interval, which is empty where an end is missing."""
     if value is None or low is None or high is None:
         return quantity(value, unit, 4), ""
     scale = Scale.of(value, low, high, unit)
@@ -82,8 +96,8 @@ def value_and_interval(value: float | None, low: float | None, high: float | Non
 
 def measured(value: float | None, low: float | None, high: float | None, unit: str) -> str:
     """A value with its 95 % interval: ``20.00 mΩ (95 %: 19.98 to 20.02)``."""
-    told, interval = value_and_interval(value, low, high, unit)
-    return f"{told} (95 %: {interval})" if interval else told
+    text, interval = value_and_interval(value, low, high, unit)
+    return f"{text} (95 %: {interval})" if interval else text
 
 
 def value_and_error(value: float, error: float, unit: str) -> tuple[str, str]:
@@ -94,18 +108,18 @@ def value_and_error(value: float, error: float, unit: str) -> tuple[str, str]:
     return scale.quantity(value), scale.number(error)
 
 
-def with_error(value: float, error: float, power: int, most_decimals: int = 3) -> str:
-    """A value and its 95 % uncertainty in 10**power of the unit, which stands at the head of the column."""
-    scaled, beside = value / 10.0**power, error / 10.0**power
-    if not 0.0 < beside < math.inf:
+def with_error(value: float, error: float, power: int, max_decimals: int = 3) -> str:
+    """A value and its 95 % uncertainty in 10**power of the unit, which the column's head shows."""
+    scaled, scaled_error = value / 10.0**power, error / 10.0**power
+    if not 0.0 < scaled_error < math.inf:
         return number(scaled)
-    decimals = min(most_decimals, borne(beside))
-    told = fixed(beside, decimals)
-    return fixed(scaled, decimals) + (f" ± {told}" if float(told) else "")
+    decimals = min(max_decimals, significant_decimals(scaled_error))
+    error_text = fixed(scaled_error, decimals)
+    return fixed(scaled, decimals) + (f" ± {error_text}" if float(error_text) else "")
 
 
 def quantity(value: float | None, unit: str, digits: int = 3) -> str:
-    """So many significant digits with the prefix that fits: 3.07 mV, 1.48 kV, 25 µs."""
+    """A value with so many significant digits and a suitable prefix: 3.07 mV, 1.48 kV, 25 µs."""
     if value is None:
         return UNKNOWN
     power, printed = _prefixed(value, unit, digits)
@@ -113,7 +127,7 @@ def quantity(value: float | None, unit: str, digits: int = 3) -> str:
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """So many significant digits, more where they stand before the point; a power of ten where it takes one."""
+    """So many significant digits, and all digits before the point; a power of ten for extreme values."""
     if value is None:
         return UNKNOWN
     size = abs(value)
@@ -124,12 +138,12 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """So many digits after the point, and no minus before a zero."""
+    """A number with so many digits after the point, without a minus before zero."""
     return _minus(f"{round(value, decimals) + 0.0:.{decimals}f}")
 
 
-def borne(error: float) -> int:
-    """Digits after the point that a number with this uncertainty bears: one of the uncertainty's own, two after a 1."""
+def significant_decimals(error: float) -> int:
+    """Digits after the point for a number with this uncertainty: one digit of the uncertainty, two after a 1."""
     leading, _, power = f"{error:.1e}".partition("e")
     return max(0, -int(power) + leading.startswith("1"))
 
@@ -143,14 +157,14 @@ def decimals_of(value: float, digits: int) -> int:
 
 
 def percent(value: float | None, digits: int = 2) -> str:
-    """A figure in per cent; what is below a hundred-thousandth is nothing."""
+    """A figure in per cent; below a hundred-thousandth it counts as zero."""
     if value is None:
         return UNKNOWN
     return f"{number(value if abs(value) >= 1e-5 else 0.0, digits)} %"
 
 
 def axes_percent(value: AxisPercent | None) -> str:
-    """A check's figures, of the axes that it was made on: ``d 0.41 %, q 1.2 %``."""
+    """A check's figures by axis: ``d 0.41 %, q 1.2 %``."""
     if value is None:
         return UNKNOWN
     figures = (("d", value.d_percent), ("q", value.q_percent))
@@ -158,14 +172,14 @@ def axes_percent(value: AxisPercent | None) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as a person reads it: 0.25 s, 94 s, 3 min 07 s, 1 h 02 min."""
+    """A duration for people: 0.25 s, 94 s, 3 min 07 s, 1 h 02 min."""
     if seconds < 9.95:
         return f"{number(seconds, 2)} s"
     whole = round(seconds)
     if whole < 120:
         return f"{whole} s"
-    minutes, left = divmod(whole, 60)
-    return f"{minutes} min {left:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+    minutes, rest = divmod(whole, 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
 def vector(d: float, q: float) -> str:
@@ -185,8 +199,8 @@ def _prefixed(value: float, unit: str, digits: int = 4) -> tuple[int, str]:
     printed = unit_words(unit)
     size = abs(float(f"{value:.{digits - 1}e}"))
     power = 0 if size == 0.0 else 3 * (math.floor(math.log10(size)) // 3)
-    if printed in _GREATEST:
-        power = min(max(power, min(_PREFIXES)), _GREATEST[printed])
+    if printed in _MAX_POWER_OF_TEN:
+        power = min(max(power, min(_PREFIXES)), _MAX_POWER_OF_TEN[printed])
         return power, _PREFIXES[power] + printed
     if power == 0 or 1e-3 <= size < 1e7:
         return 0, printed

@@ -1,4 +1,4 @@
-"""What an estimation and a diagnosis found, as rows of text: alike in a terminal's tables, on the page, the viewer."""
+"""Results of an estimation and a diagnosis as rows of text, for terminal, page and viewer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from orchestrator.formatting.quantities import (
     value_and_error,
     value_and_interval,
 )
-from orchestrator.formatting.sentences import listed
+from orchestrator.formatting.sentences import listed, typographic
 from protocols import (
     Basis,
     CheckOutcome,
@@ -27,38 +27,43 @@ from protocols import (
     EstimationReport,
     EstimatorsReport,
     FoundEffect,
+    Remark,
     ResistanceEstimate,
     Rung,
     UsabilityCheck,
 )
 
+UNDONE_BY = {"helps": None, "does_not_help": "remove", "needed": "add", "not_needed": None}
+"""Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
+BENEFITS = frozenset(UNDONE_BY)
 
-def resistance(found: ResistanceEstimate) -> str:
+
+def resistance(estimate: ResistanceEstimate) -> str:
     """R_s with its 95 % interval."""
-    return measured(found.value_ohm, found.low, found.high, "ohm")
+    return measured(estimate.value_ohm, estimate.low, estimate.high, "ohm")
 
 
-def resistance_course(found: ResistanceEstimate) -> str:
-    """R_s at both ends of the recording, to the digits that R_s itself bears."""
-    scale = Scale.of(found.value_ohm, found.low, found.high, "ohm")
-    return f"{scale.quantity(found.first_ohm)} at the start, {scale.quantity(found.last_ohm)} at the end"
+def resistance_course(estimate: ResistanceEstimate) -> str:
+    """R_s at both ends of the recording, with the digits of R_s itself."""
+    scale = Scale.of(estimate.value_ohm, estimate.low, estimate.high, "ohm")
+    return f"{scale.quantity(estimate.first_ohm)} at the start, {scale.quantity(estimate.last_ohm)} at the end"
 
 
 def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:
-    """The recommended map's checks, and how the two methods compare; an energy's map holds two by construction."""
-    made = report.recommended
-    by = " (by construction)" if made is not None and made.basis is Basis.ENERGY else ""
-    for label, told, beside in (
+    """The recommended map's checks, and the methods' difference; an energy's map passes two by construction."""
+    recommended = report.recommended
+    by = " (by construction)" if recommended is not None and recommended.basis is Basis.ENERGY else ""
+    for label, text, suffix in (
         ("crossings", axes_percent(report.crossings), ""),
         ("parity", axes_percent(report.parity), by),
         ("reciprocity", percent(report.reciprocity_percent), by),
         ("classical against injection", percent(report.classical_against_injection_percent), ""),
     ):
-        yield label, told if told == UNKNOWN else told + beside
+        yield label, text if text == UNKNOWN else text + suffix
 
 
 def usability_rows(report: EstimatorsReport) -> list[tuple[str, str, str, str]]:
-    """Checks that decide whether a map is usable: name, what was found, largest that passes, outcome."""
+    """Checks that decide whether a map is usable: name, value, limit, outcome."""
     return [(plain(check.name), *_value_and_limit(check), _outcome_words(check)) for check in report.checks]
 
 
@@ -71,7 +76,7 @@ def _value_and_limit(check: UsabilityCheck) -> tuple[str, str]:
 
 def _outcome_words(check: UsabilityCheck) -> str:
     if check.outcome is CheckOutcome.NOT_POSSIBLE:
-        return "could not be made" + ("" if check.required else ", not required")
+        return "not possible" + ("" if check.required else ", not required")
     return plain(check.outcome)
 
 
@@ -81,7 +86,7 @@ def coefficient_rows(form: ClosedForm) -> list[tuple[str, ...]]:
 
 
 def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]:
-    """Rungs of the ladder: what was added, chi2, rms error fitted and held out, error of the simulated current."""
+    """Ladder steps: the added effect, chi2, rms error fitted and held out, error of the simulated current."""
     return [
         (
             rung_name(rung.added, k),
@@ -95,21 +100,21 @@ def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]
 
 
 def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
-    """An effect's parameters and what follows from them for the drive: name, value, 95 % interval.
+    """An effect's parameters and the derived values for the drive: name, value, 95 % interval.
 
-    What only bends its form is counted, not listed.
+    Parameters of its form are counted, not listed.
     """
-    sizes = {name: found for name, found in effect.parameters.items() if not found.bends_form}
+    sizes = {name: p for name, p in effect.parameters.items() if not p.bends_form}
     rows = [
-        (parameter_words(name), *value_and_interval(found.value, found.low, found.high, found.unit))
-        for name, found in {**sizes, **effect.derived}.items()
+        (parameter_words(name), *value_and_interval(p.value, p.low, p.high, p.unit))
+        for name, p in {**sizes, **effect.derived}.items()
     ]
-    bends = len(effect.parameters) - len(sizes)
-    return [*rows, ("its form", f"{plural(bends, 'more number')} in model.json", "")] if bends else rows
+    of_form = len(effect.parameters) - len(sizes)
+    return [*rows, ("its form", f"{plural(of_form, 'more parameter')} in model.json", "")] if of_form else rows
 
 
 def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
-    """Effects by what they do: name, size over the typical one, part of the error, probability, material or not."""
+    """Contributions of effects: name, size over the typical one, part of the error, probability, material or not."""
     return [
         (
             plain(effect.name),
@@ -123,23 +128,32 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
 
 
 def share_notes(report: DiagnosisReport) -> list[str]:
-    """What `share_rows` leave open: parts above 100 %, and causes that are not material."""
+    """Notes on `share_rows`: parts above 100 %, and causes that are not material."""
     notes = []
     if any((effect.share or 0.0) > 1.0 for effect in (*report.effects, *report.minor)):
         notes.append(
-            "above 100 % of the error: without this effect the model would err more than the first model did, whose "
-            "R_s and map had made up for a part of it"
+            "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
+            "whose R_s and map compensated a part of it"
         )
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     if small and report.materiality is not None:
         flux, volts = percent(report.materiality.flux_percent), percent(report.materiality.voltage_percent)
         notes.append(
-            f"{listed(small)}: a cause of the error that was measured, but not material: it changes the map by less "
+            f"{listed(small)}: a cause of the measured error, but not material: it changes the map by less "
             f"than {flux} of the rated flux, and the voltage by less than {volts} of the excitation's"
         )
     return notes
 
 
 def setting_rows(stage: Mapping[str, object]) -> list[tuple[str, str]]:
-    """A proposed stage's settings, those that are given."""
+    """A proposed stage's settings."""
     return [(plain(name), str(value)) for name, value in stage.items() if value is not None]
+
+
+def benefit_line(remark: Remark, run: str) -> str:
+    """A remark of `add` or `remove` on one effect, with the command that undoes the change where that is advised."""
+    command = UNDONE_BY[remark.code]
+    if command is None:
+        return typographic(f"{remark.text}.")
+    undoes = {"remove": "takes it out again", "add": "puts it back"}[command]
+    return typographic(f"{remark.text}; `fluxbench {command} {run} {remark.values['effect']}` {undoes}.")

@@ -8,9 +8,9 @@ from typing import TextIO
 
 from orchestrator.formatting.quantities import number
 
-LONGEST_LINE = 4000
-"""Letters of a line for people; what is longer did not come from here."""
-_OBEYED = re.compile(
+MAX_LINE_LENGTH = 4000
+"""Characters of a line for people; longer texts are external."""
+_CONTROL_CHARACTERS = re.compile(
     r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
 )
 _ASCII = str.maketrans(
@@ -27,8 +27,8 @@ _REPLACED = (
 
 
 def typographic(text: str) -> str:
-    """A sentence that was written for a terminal: ±, →, true minus signs before numbers, Ω, powers of ten spelt out."""
-    text = _POWER.sub(lambda found: number(float(found[0]), len(found[1].replace(".", ""))), text)
+    """A sentence with printed characters: ±, →, true minus signs before numbers, Ω, powers of ten spelt out."""
+    text = _POWER.sub(lambda match: number(float(match[0]), len(match[1].replace(".", ""))), text)
     for pattern, by in _REPLACED:
         text = pattern.sub(by, text)
     return text
@@ -40,41 +40,41 @@ def listed(names: Sequence[str]) -> str:
 
 
 def one_line(text: str) -> str:
-    """Text from outside on one line without control characters: it may go to a terminal."""
+    """External text on one line without control characters, safe for a terminal."""
     return "".join(c if c.isprintable() else " " for c in text)
 
 
 def visible(text: str) -> str:
-    r"""What a terminal or a page would obey, rather than show, written as ``\u001b``.
+    r"""The text with every control character written as ``\u001b``.
 
     Control characters (C0 but for the line feed, DEL, C1), marks that turn the direction of writing (UAX #9),
     separators of lines and paragraphs, and halves of surrogate pairs. JSON stays the same JSON.
     """
-    return _OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+    return _CONTROL_CHARACTERS.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
 
 
-def cut(text: str, most: int = LONGEST_LINE) -> str:
-    """Each line of a text from outside with at most so many letters, and how many there were."""
-    if len(text) <= most:
+def cut(text: str, length: int = MAX_LINE_LENGTH) -> str:
+    """Each line of an external text with at most so many characters, and its original length where it is longer."""
+    if len(text) <= length:
         return text
     lines = text.split("\n")
-    return "\n".join(line if len(line) <= most else f"{line[:most]}... ({len(line)} characters)" for line in lines)
+    return "\n".join(line if len(line) <= length else f"{line[:length]}... ({len(line)} characters)" for line in lines)
 
 
 def shown(text: str) -> str:
-    """Text from outside as it may be printed or drawn: obeyed by nobody, and no longer than a line may be."""
+    """External text, safe to print or draw: without control characters, and with lines of limited length."""
     return visible(cut(text))
 
 
-def shortened(text: str, most: int) -> str:
-    """At most so many letters, cut between words."""
-    if len(text) <= most:
+def shortened(text: str, length: int) -> str:
+    """At most so many characters, cut between words."""
+    if len(text) <= length:
         return text
-    return text[:most].rsplit(" ", 1)[0].rstrip(" ,;:=±") + " ... (the whole is in the report)"
+    return text[:length].rsplit(" ", 1)[0].rstrip(" ,;:=±") + " ... (in full in the report)"
 
 
 def can_print(output: TextIO) -> bool:
-    """Whether the encoding of an output holds what quantities and live displays are written with."""
+    """Whether an output's encoding has the characters of quantities and live displays."""
     try:
         "Ωµ−×✓━⠋".encode(output.encoding or "utf-8")
     except (UnicodeEncodeError, LookupError):
@@ -83,13 +83,13 @@ def can_print(output: TextIO) -> bool:
 
 
 def for_output(text: str, output: TextIO) -> str:
-    """The text as the output's encoding can take it, and as no terminal obeys it."""
+    """The text in the output's encoding, without control characters."""
     text = visible(text)
     return text if can_print(output) else text.translate(_ASCII).encode("ascii", "replace").decode("ascii")
 
 
 def columns(lines: Sequence[Sequence[str]], numbers: bool = False) -> list[str]:
-    """Rows in columns as wide as they need to be; with `numbers`, all but the first go to the right."""
+    """Rows in columns of minimal width; with `numbers`, all but the first align right."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return [
         "  ".join(

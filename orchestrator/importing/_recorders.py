@@ -23,7 +23,7 @@ from orchestrator.importing._source import (
     same_length,
     unreadable,
 )
-from orchestrator.plain_files import LARGEST, read_bytes
+from orchestrator.plain_files import MAX_FILE_SIZES, read_bytes
 from protocols import InputError
 
 
@@ -73,7 +73,9 @@ def open_comtrade(path: Path, wanted: Wanted) -> Source:
     record = Comtrade(ignore_warnings=True)
     try:
         if path.suffix.lower() == ".cfg":
-            read_bytes(path, LARGEST.written_bytes)  # a table of channels; the library would read anything to its end
+            read_bytes(
+                path, MAX_FILE_SIZES.written_bytes
+            )  # a table of channels; the library would read anything to its end
         record.load(str(path))
         names = [str(name).strip() for name in record.analog_channel_ids]
         units = {n: str(c.uu).strip() for n, c in zip(names, record.cfg.analog_channels, strict=True)}

@@ -1,1 +1,1 @@
-"""Mathematics without a motor in it: frames, splines, surfaces, and least squares with variances that the data tell."""
+"""Mathematics without motors: frames, splines, surfaces, and least squares with variances estimated from the data."""

@@ -1,8 +1,7 @@
-"""Do the rows of voltage and current belong together? A winding's own equation says by how many rows they do not.
+"""The lag between the columns of voltage and current, by the equation of a winding.
 
-Where the voltage has edges no value of the motor is needed: of a winding of any inductance and resistance the current's
-step from one row to the next is what the voltage of one row, or of two, has made of it. Of a sine the resistance has to
-be known.
+Where the voltage has edges no value of the motor is needed: whatever the inductance and resistance, the voltage of one
+or two rows causes the current's step from one row to the next. For a sine the resistance has to be known.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ Numbers = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Alignment:
-    """How the voltage stands against the current that it makes."""
+    """The lag of the voltage's column against the current's."""
 
     lag_rows: float
     """The n of "v[k] acts from t_k + n Ts"."""
     explained: float
-    """Share of the current's steps that the voltage at this place explains; the rest is noise, or not of its row."""
+    """Share of the current's steps that the voltage at this lag explains."""
     by_edges: bool = True
-    """False: by the phase of a sine, which iron loss turns as well."""
+    """False: by the phase of a sine, which iron loss shifts as well."""
 
 
 def alignment_of(
@@ -34,13 +33,13 @@ def alignment_of(
     *,
     earliest: int = -3,
     latest: int = 6,
-    most_samples: int = 8_000,
+    max_samples: int = 8_000,
     explained: float = 0.5,
     ohm: float | None = None,
 ) -> Alignment | None:
-    """Where the voltage explains the current best; None where nothing can be told.
+    """The lag at which the voltage explains the current best; None where it is not identifiable.
 
-    What a sine is late by, a resistance explains as well: of a voltage without edges it has to be given.
+    A resistance has the effect of a lag on a sine, so that it has to be given for a voltage without edges.
 
     ``i[k+1] - i[k] = g ((1-f) v[k-m] + f v[k-m-1]) - r i[k]``, with n = m + f. For each m, g, f and r follow by least
     squares; the m counts that leaves least and has f in [0, 1].
@@ -51,14 +50,14 @@ def alignment_of(
         Currents and voltages of a segment with injection.
     earliest, latest : int
         The m that are tried.
-    most_samples : int
-        That are looked at: some hundred periods of an injection.
+    max_samples : int
+        Samples that are used: some hundred periods of an injection.
     explained : float
         Share of the current's steps that has to be explained.
     ohm : float, optional
         The winding's resistance: r is then g R_s for a sine.
     """
-    i, v = (_centred(x[:most_samples]) for x in (i_ab, v_ab))
+    i, v = (_centred(x[:max_samples]) for x in (i_ab, v_ab))
     inner = slice(latest + 1, i.size + earliest - 1)
     if inner.stop - inner.start < 100:
         return None
@@ -85,8 +84,8 @@ def alignment_of(
 def _is_smooth(v: NDArray[np.complex128], pure: float = 0.3, even: float = 0.3) -> bool:
     """Whether the voltage has no edges: a sine, whatever a current controller adds to it.
 
-    Each row follows from the two before it, v[k+1] + v[k-1] = 2 cos(w) v[k] but for a part, as it does of a square of
-    many rows too; but of that most steps are nothing beside the largest, of a sine they are alike.
+    Each row of a sine follows from the two before it, v[k+1] + v[k-1] = 2 cos(w) v[k]. This holds for a square wave of
+    many rows too, most of whose steps however are far smaller than the largest, unlike those of a sine.
     """
     ahead, sides = v[1:-1], v[2:] + v[:-2]
     power = float(np.vdot(ahead, ahead).real)

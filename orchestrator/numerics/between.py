@@ -1,9 +1,9 @@
-"""What many have in common: mean and spread behind values that each have an error of their own. Knows no physics.
+"""Random-effects model: mean and spread of a population from values with known errors. Knows no physics.
 
     y_k = mu + b_k + e_k,      b_k ~ N(0, tau^2),      e_k ~ N(0, s_k^2),      s_k known
 
-mu is integrated out, and tau weighed by what is left of the likelihood under a flat prior on it (Gelman 2006,
-doi:10.1214/06-BA117A): the likeliest tau of few values is often nought, which would be too sure of the next one.
+mu is integrated out, and tau is weighted by its marginal likelihood under a flat prior (Gelman 2006,
+doi:10.1214/06-BA117A): the most likely tau of few values is often zero, which underestimates the next one's spread.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Population:
-    """Where the next value's b + mu is to be expected.
+    """Predictive distribution of the next value's mu + b.
 
     Attributes
     ----------
     mean : float
     std : float
-        Of the next one: the spread between them, and how uncertain mean and spread are.
+        Standard deviation of the next value: the spread, and the uncertainty of mean and spread.
     between : float
         Root of the mean of tau^2.
     """
@@ -39,9 +39,9 @@ def population(values: Array, errors: Array, nodes: int = 800, widest: float = 8
     Parameters
     ----------
     nodes : int
-        Of the integral over tau, ...
+        Nodes of the integral over tau.
     widest : float
-        ... which goes to so many times the values' own standard deviation.
+        Upper limit of the integral, in standard deviations of the values.
     """
     unit = float(np.std(values, ddof=1))
     if not unit > 0.0:

@@ -70,7 +70,7 @@ def from_phases(x_abc: NDArray[np.floating[Any]]) -> Array:
 
 
 def from_two_phases(a: ArrayLike, b: ArrayLike) -> Array:
-    """Phases a and b, c being what closes the star, as vectors of shape (n, 2); two numbers as one of shape (2,)."""
+    """Phases a and b of a star (c is minus their sum) as vectors of shape (n, 2); two numbers as one of shape (2,)."""
     alpha = np.asarray(a, dtype=np.float64)
     return np.stack([alpha, (alpha + 2.0 * np.asarray(b, dtype=np.float64)) / math.sqrt(3.0)], axis=-1)
 

@@ -1,4 +1,4 @@
-"""What numba's kernels share: waveforms in one piece and one precision, and the phases of a single sample."""
+"""Shared parts of numba kernels: contiguous waveforms of one precision, and transforms of a single sample."""
 
 from __future__ import annotations
 
@@ -44,13 +44,13 @@ def dq_of(alpha: float, beta: float, cos: float, sin: float) -> tuple[float, flo
     return cos * alpha + sin * beta, cos * beta - sin * alpha
 
 
-_NEAR_RAD = 0.25
-"""Within this of a known angle a few terms of the series are a cosine and a sine to rounding."""
+_MAX_SERIES_ANGLE_RAD = 0.25
+"""Angle up to which a few terms of the series give cosine and sine to rounding."""
 
 
 @njit(cache=True, nogil=True)
 def unit_vectors(angle_rad: Array) -> Array:
-    """Cosine and sine (n, 2) of angles (n,); at once where they hardly move, as of a rotor whose brake gives way."""
+    """Cosine and sine (n, 2) of angles (n,), by a short series where they hardly vary, as with a yielding brake."""
     n = angle_rad.shape[0]
     out = np.empty((n, 2))
     first, furthest = angle_rad[0], 0.0
@@ -63,7 +63,7 @@ def unit_vectors(angle_rad: Array) -> Array:
         sin = a * (1 + x * (-1 / 6 + x * (1 / 120 + x * (-1 / 5040 + x * (1 / 362880 - x / 39916800)))))
         out[k, 0] = c * cos - s * sin
         out[k, 1] = s * cos + c * sin
-    if not furthest < _NEAR_RAD:
+    if not furthest < _MAX_SERIES_ANGLE_RAD:
         for k in range(n):
             out[k, 0] = math.cos(angle_rad[k])
             out[k, 1] = math.sin(angle_rad[k])

@@ -6,8 +6,8 @@ import numpy as np
 
 from orchestrator.numerics.types import Array
 
-LEAST = 30
-"""Different numbers that tell a step: a square wave's two levels are multiples of a step, too."""
+MIN_GAPS = 30
+"""Gaps between different numbers that establish a step: a square wave's two levels are multiples of a step, too."""
 
 
 def step_of(numbers: Array) -> float | None:
@@ -16,10 +16,10 @@ def step_of(numbers: Array) -> float | None:
     rounding = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(different).max(initial=0.0))
     gaps = np.diff(different)
     gaps = gaps[gaps > 2.0 * rounding]
-    if len(gaps) < LEAST:
+    if len(gaps) < MIN_GAPS:
         return None
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    # From the smallest numbers on: how often the step is in a large one only a step that is well known tells.
+    # From the smallest numbers on: the multiple of a large number needs an accurate step.
     for near in np.geomspace(16.0 * step, max(float(np.abs(different).max()), 16.0 * step), 12):
         some = different[np.abs(different) <= near]
         whole = np.round(some / step)

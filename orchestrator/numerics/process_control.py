@@ -1,4 +1,4 @@
-"""A process judged: how far inside its limits it is, and from when on it has moved. Knows no physics."""
+"""Statistical process control: capability, and control charts. Knows no physics."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def capability(values: Array, lower: float | None, upper: float | None) -> Capab
 
 @dataclass(frozen=True)
 class EwmaSettings:
-    """How a chart weighs.
+    """Settings of a control chart.
 
     Attributes
     ----------
     weight : float
-        Of the newest value.
+        Weight of the newest value.
     width : float
-        Of the limits, in standard deviations. With 0.2 and 2.962 one false alarm in 500 values (Lucas and Saccucci
-        1990, doi:10.1080/00401706.1990.10484583).
+        Width of the limits, in standard deviations. With 0.2 and 2.962 one false alarm in 500 values (Lucas and
+        Saccucci 1990, doi:10.1080/00401706.1990.10484583).
     """
 
     weight: float = 0.2
@@ -55,7 +55,7 @@ class EwmaSettings:
 
 @dataclass(frozen=True)
 class EwmaChart:
-    """A moving average, newest values weighing most, and its limits; a value each, in order of time.
+    """An exponentially weighted moving average and its limits, in order of time.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class EwmaChart:
 
 
 def ewma(values: Array, target: float, deviation: float, settings: EwmaSettings | None = None) -> EwmaChart:
-    """z_k = w x_k + (1 - w) z_k-1 from the target on, with its limits, wider as it forgets the target.
+    """z_k = w x_k + (1 - w) z_k-1 from the target on, with limits that widen with k.
 
     Roberts 1959, doi:10.1080/00401706.1959.10489860.
     """
@@ -96,7 +96,7 @@ def deviation_between_neighbours(values: Array) -> float:
 
 
 def share_beyond(beyond: int, count: int) -> tuple[float, float]:
-    """95 % interval of the share of a population, of which so many of a sample are beyond.
+    """95 % interval of a population's share beyond a limit, from a sample's count.
 
     Clopper and Pearson 1934, doi:10.1093/biomet/26.4.404.
     """

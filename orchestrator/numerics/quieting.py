@@ -1,4 +1,4 @@
-"""A record without its readings' white noise: what stands out of the noise in its cosine spectrum.
+"""Removal of white noise from a record by thresholding its cosine spectrum.
 
 Hard thresholding after D. L. Donoho and I. M. Johnstone, Biometrika 81 (1994), doi:10.1093/biomet/81.3.425. Their
 threshold sqrt(2 ln n) lets no noise pass; three standard deviations let a little of it pass and keep more of a bend.
@@ -11,16 +11,16 @@ from scipy.fft import dct, idct
 
 from orchestrator.numerics.types import Array
 
-_TOLD = 3.0
+KEEP_SIGMAS = 3.0
 """Standard deviations beyond which a coefficient is kept: of noise alone, one in 370."""
-_CLEARLY = 4.0
-"""Standard deviations beyond which a reading is believed, not what the spectrum makes of it: at a jump."""
+TRUST_READING_SIGMAS = 4.0
+"""Standard deviations beyond which the reading replaces the filtered value, as at a jump."""
 
 
 def quieted(x: Array, sigma: Array) -> Array:
-    """A record of shape (n, m) whose readings scatter by `sigma` (m,), without that scatter."""
+    """A record (n, m) without the white noise of its readings, of standard deviation `sigma` (m,)."""
     spectrum = dct(x, type=2, norm="ortho", axis=0)
-    told = np.abs(spectrum) > _TOLD * sigma
-    told[0] = True
-    quiet = idct(np.where(told, spectrum, 0.0), type=2, norm="ortho", axis=0)
-    return np.asarray(np.where(np.abs(x - quiet) > _CLEARLY * sigma, x, quiet), dtype=np.float64)
+    kept = np.abs(spectrum) > KEEP_SIGMAS * sigma
+    kept[0] = True
+    quiet = idct(np.where(kept, spectrum, 0.0), type=2, norm="ortho", axis=0)
+    return np.asarray(np.where(np.abs(x - quiet) > TRUST_READING_SIGMAS * sigma, x, quiet), dtype=np.float64)

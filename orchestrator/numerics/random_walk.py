@@ -1,4 +1,4 @@
-"""Least squares beside a random walk: how far it wanders between the data, the data say. Knows no physics.
+"""Least squares with a random walk whose size is estimated from the data. Knows no physics.
 
     y = X b + Z d + e,      d ~ N(0, s^2 t),      e ~ N(0, s^2)
 
@@ -17,14 +17,14 @@ from orchestrator.numerics.types import Array, Mask
 
 @dataclass(frozen=True)
 class Walk:
-    """A random walk in a regression, its steps turned so that the data see them apart.
+    """A random walk in a regression, with its steps rotated so that the data separate them.
 
     Attributes
     ----------
     steps : array, shape (n, m)
-        What each does to each datum.
+        Influence of each step on each datum.
     seen : array, shape (m,)
-        Sum of the squares of each.
+        Sum of squares of each column.
     ratio : float
         t: variance of the steps to that of the data.
     """
@@ -35,7 +35,7 @@ class Walk:
 
     @property
     def freedom(self) -> float:
-        """How many data the walk takes up."""
+        """Effective degrees of freedom of the walk."""
         return float(np.sum(self.ratio * self.seen / (1.0 + self.ratio * self.seen)))
 
     def weighed(self, x: Array, y: Array) -> Array:
@@ -45,25 +45,25 @@ class Walk:
         return out
 
     def solve(self, design: Array, target: Array) -> tuple[float, Array]:
-        """Weighed sum of squares left, and the answer b."""
+        """Weighted residual sum of squares, and the estimate of b."""
         size = _sizes(design)
         scaled = design / size
         information = self.weighed(scaled, scaled)
-        answer = np.linalg.pinv(information, rcond=1e-13, hermitian=True) @ self.weighed(scaled, target)
-        off = target - scaled @ answer
-        return float(max(self.weighed(off[:, None], off[:, None])[0, 0], 0.0)), answer / size
+        estimate = np.linalg.pinv(information, rcond=1e-13, hermitian=True) @ self.weighed(scaled, target)
+        off = target - scaled @ estimate
+        return float(max(self.weighed(off[:, None], off[:, None])[0, 0], 0.0)), estimate / size
 
     def covariance(self, design: Array, known: Array | None = None) -> Array:
-        """Of the answer, in units of s^2.
+        """Covariance of the estimate, in units of s^2.
 
         Parameters
         ----------
         known : array, shape (columns,), optional
-            One over the variance of what is known of each beforehand, in these units.
+            Prior precision of each coefficient, in these units.
         """
         size = _sizes(design)
         if known is not None:
-            # What is told by what is known alone would else be all that the inverse sees.
+            # Without this, columns with prior information alone would dominate the inverse.
             size = np.sqrt(size**2 + known)
         information = self.weighed(design / size, design / size)
         if known is not None:
@@ -72,12 +72,12 @@ class Walk:
         return np.asarray(out / np.outer(size, size), dtype=np.float64)
 
     def likeliest(self, design: Array, target: Array) -> Walk:
-        """The same with the ratio of the largest restricted likelihood."""
+        """The walk with the ratio of the largest restricted likelihood."""
         if not self.seen.size:
             return self
         rows = np.concatenate([design / _sizes(design), self.steps], axis=1)
         likelihood = RestrictedLikelihood(rows, target, design.shape[1], noise_known=False)
-        # From a walk that no datum notices to one that follows each of them.
+        # From a negligible walk to one that follows each datum.
         unit = max(float(self.seen.max()), 1e-300)
         return replace(self, ratio=1.0 / likelihood.likeliest((-2.5, 9.5), unit, tolerance=1e-5))
 
@@ -88,21 +88,21 @@ def _sizes(design: Array) -> Array:
 
 
 def no_walk(count: int) -> Walk:
-    """None at all, beside so many data."""
+    """A walk of zero size for so many data."""
     return Walk(np.zeros((count, 0)), np.zeros(0))
 
 
 def random_walk(time: Array, gain: Array, counted: Mask, nodes: int = 24) -> Walk:
-    """A walk w(t) of which `gain` is seen; its mean over the counted instants is zero.
+    """A walk w(t) that acts through `gain`; its mean over the counted instants is zero.
 
     Parameters
     ----------
     time : array, shape (n,)
     gain : array, shape (n, k)
-        What w = 1 does to each of an instant's k data, which are then the rows n * k.
+        Influence of w = 1 on each of an instant's k data, which are then the rows n * k.
     counted : array of bool, shape (n,)
     nodes : int
-        Instants, with as many data between any two of them, between which the walk is straight.
+        Nodes of the walk, with equally many data between them, linear in between.
     """
     span = float(np.ptp(time))
     if span <= 0.0:

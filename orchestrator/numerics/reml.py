@@ -1,4 +1,4 @@
-"""Least squares with modes that are free and modes that are probably small; how small, the data say. Pure algebra.
+"""Least squares with free modes and random modes, whose variance is estimated from the data (REML). Pure algebra.
 
     y = X b + Z d + e,      d ~ N(0, s^2 t),      e ~ N(0, s^2)
 
@@ -25,13 +25,13 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Solution:
-    """Modes found.
+    """The solution for all modes.
 
     Attributes
     ----------
     modes : array, shape (k,)
     root : array, shape (k, k)
-        Whose product with its transpose is the covariance.
+        Root of the covariance: its product with its transpose is the covariance.
     cost : float
         Minus twice the logarithm of the restricted likelihood, but for constants of the data.
     """
@@ -42,18 +42,18 @@ class Solution:
 
 
 class RestrictedLikelihood:
-    """The likelihood of 1/t, and what is most probable at one.
+    """The restricted likelihood of 1/t, and the solution at a value.
 
     Parameters
     ----------
     rows : array, shape (n, k)
-        What each mode does to each datum; the first `free` modes are free.
+        Influence of each mode on each datum; the first `free` modes are free.
     target : array, shape (n,)
     free : int
     noise_known : bool
-        Whether s is one, as of data in units of their standard deviation; else it is profiled.
+        Whether s is one, for data in units of their standard deviation; else it is profiled.
     unseen : float
-        Information of a free mode that no datum sees, relative to one that is seen: as little as doubles resolve.
+        Information of a free mode without data, relative to one with data: as little as doubles resolve.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class RestrictedLikelihood:
 
     @property
     def largest_information(self) -> float:
-        """Of the mode that the data see best, the free ones apart."""
+        """Information of the random mode that the data determine best."""
         return max(float(self._information[-1]), 1e-300) if len(self._information) else 1.0
 
     @cached_property
@@ -90,10 +90,10 @@ class RestrictedLikelihood:
         return float(self._costs(np.array([precision]))[0])
 
     def _costs(self, precision: Array) -> Array:
-        """`cost` at several, shape (n,)."""
+        """`cost` at several values, shape (n,)."""
         variance = 1.0 / (precision[:, None] + self._information)
         explained = variance @ self._along**2
-        # log(1 + t g) as a sum of what neither overflows nor cancels
+        # log(1 + t g) as a sum that neither overflows nor cancels
         grown = np.log(precision[:, None] * variance).sum(axis=1)
         if self._freedom is None:
             return np.asarray(self._squares - explained + self._determinant - grown)
@@ -106,11 +106,11 @@ class RestrictedLikelihood:
         Parameters
         ----------
         decades : (float, float)
-            Of unit / (1/t) between which one is looked for, in steps of one; it may lie one beyond.
+            Range of unit / (1/t) that is scanned in steps of one; the result may lie one beyond.
         unit : float
-            Of 1/t.
+            Unit of 1/t.
         tolerance : float
-            With which it is found, in decades.
+            Tolerance of the result, in decades.
         """
         from scipy.optimize import minimize_scalar
 
@@ -144,10 +144,10 @@ def most_likely(rows: Array, target: Array, free: int) -> Solution:
     Parameters
     ----------
     rows : array, shape (n, k)
-        What each mode does to each datum, in units of its standard deviation; the first `free` modes are free.
+        Influence of each mode on each datum, in units of its standard deviation; the first `free` modes are free.
     target : array, shape (n,)
     free : int
     """
     likelihood = RestrictedLikelihood(rows, target, free)
-    # From modes that are not there at all to modes that are as good as free; the likelihood is flat beyond.
+    # From negligible modes to practically free ones; the likelihood is flat beyond.
     return likelihood.solution(likelihood.likeliest((-6.0, 16.0), likelihood.largest_information, tolerance=0.02))

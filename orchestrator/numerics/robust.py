@@ -1,4 +1,4 @@
-"""Middles, spreads, shifts and slopes that a few wild values do not move, with their intervals. Knows no physics."""
+"""Robust medians, spreads, shifts and slopes with their intervals. Knows no physics."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Thinning:
-    """From how many values on pairs of them are taken from a part.
+    """Limit of sample sizes for estimators that use all pairs.
 
     Attributes
     ----------
-    most_values : int
+    max_values : int
         Of a sample, before all its pairs are formed: a million and a half pairs. Shifts take quantiles, slopes medians
         of neighbours.
     """
 
-    most_values: int = 1200
+    max_values: int = 1200
 
 
 @dataclass(frozen=True)
@@ -39,17 +39,17 @@ def spread(values: Array) -> float:
 
 
 def shift(values: Array, others: Array, thinning: Thinning | None = None) -> Estimate:
-    """By how much values (n,) lie above others (m,): the median of all differences, with Moses' interval.
+    """Shift of values (n,) against others (m,): the median of all differences, with Moses' interval.
 
     Hodges and Lehmann 1963, doi:10.1214/aoms/1177704172; the chance is Mann and Whitney's.
     """
     from scipy.stats import mannwhitneyu
 
-    most = (thinning or Thinning()).most_values
+    limit = (thinning or Thinning()).max_values
     chance = float(mannwhitneyu(values, others, method="asymptotic").pvalue)
     n, m = len(values), len(others)
-    differences = np.sort(np.subtract.outer(_quantiles(values, most), _quantiles(others, most)).ravel())
-    # The rank among n m differences, as a share of however many were formed.
+    differences = np.sort(np.subtract.outer(_quantiles(values, limit), _quantiles(others, limit)).ravel())
+    # The rank among n m differences, as a share of the differences formed.
     edge = 0.5 * n * m - _two_sigma() * np.sqrt(n * m * (n + m + 1) / 12.0)
     return Estimate(float(np.median(differences)), *_ends(differences, edge / (n * m)), chance)
 
@@ -63,7 +63,7 @@ def paired_shift(differences: Array, thinning: Thinning | None = None) -> Estima
 
     n = len(differences)
     chance = float(wilcoxon(differences).pvalue) if np.any(differences) else 1.0
-    part = _quantiles(differences, (thinning or Thinning()).most_values)
+    part = _quantiles(differences, (thinning or Thinning()).max_values)
     first, second = np.triu_indices(len(part))
     means = np.sort(0.5 * (part[first] + part[second]))
     pairs = 0.5 * n * (n + 1)
@@ -72,7 +72,7 @@ def paired_shift(differences: Array, thinning: Thinning | None = None) -> Estima
 
 
 def slope(x: Array, y: Array, thinning: Thinning | None = None) -> Estimate:
-    """Rise of y a unit of x: the median of the slopes of all pairs, with its interval.
+    """Rise of y per unit of x: the median of the slopes of all pairs, with its interval.
 
     Theil 1950 and Sen 1968, doi:10.1080/01621459.1968.10480934; the chance is Kendall's. Of many values the medians of
     neighbours in x are taken.
@@ -82,21 +82,21 @@ def slope(x: Array, y: Array, thinning: Thinning | None = None) -> Estimate:
     chance = float(kendalltau(x, y).pvalue)
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
-    most = (thinning or Thinning()).most_values
-    if len(x) > most:
-        groups = np.array_split(np.arange(len(x)), most)
+    limit = (thinning or Thinning()).max_values
+    if len(x) > limit:
+        groups = np.array_split(np.arange(len(x)), limit)
         x, y = (np.array([np.median(z[g]) for g in groups]) for z in (x, y))
-    found = theilslopes(y, x, alpha=0.95)
-    return Estimate(float(found.slope), float(found.low_slope), float(found.high_slope), chance)
+    result = theilslopes(y, x, alpha=0.95)
+    return Estimate(float(result.slope), float(result.low_slope), float(result.high_slope), chance)
 
 
 def holm(chances: Array) -> Array:
-    """Chances of any so small among as many (Holm 1979, https://www.jstor.org/stable/4615733); NaN is not asked."""
+    """Probabilities adjusted for multiple tests (Holm 1979, https://www.jstor.org/stable/4615733); NaN are skipped."""
     out = np.full(len(chances), np.nan)
     known = np.flatnonzero(np.isfinite(chances))
     order = known[np.argsort(chances[known])]
-    weighed = chances[order] * np.arange(len(order), 0, -1)
-    out[order] = np.minimum(np.maximum.accumulate(weighed), 1.0)
+    adjusted = chances[order] * np.arange(len(order), 0, -1)
+    out[order] = np.minimum(np.maximum.accumulate(adjusted), 1.0)
     return out
 
 
@@ -106,11 +106,11 @@ def _ends(ordered: Array, share: float) -> tuple[float, float]:
     return float(ordered[rank]), float(ordered[-1 - rank])
 
 
-def _quantiles(values: Array, most: int) -> Array:
-    """The values, or so many that are distributed like them."""
-    if len(values) <= most:
+def _quantiles(values: Array, count: int) -> Array:
+    """The values, or so many of their quantiles."""
+    if len(values) <= count:
         return values
-    return np.quantile(values, (np.arange(most) + 0.5) / most)
+    return np.quantile(values, (np.arange(count) + 0.5) / count)
 
 
 def _two_sigma() -> float:

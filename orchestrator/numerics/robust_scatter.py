@@ -1,4 +1,4 @@
-"""Middle and scatter of many-dimensional data of which up to nearly half may be anything. Knows no physics.
+"""Robust centre and scatter of multivariate data with up to nearly half of outliers. Knows no physics.
 
 The minimum covariance determinant: of all halves of the rows the one whose covariance has the least determinant, found
 by concentration steps from random starts (FAST-MCD, Rousseeuw and Van Driessen 1999,
@@ -19,20 +19,20 @@ from orchestrator.numerics.types import Array, Mask
 
 @dataclass(frozen=True)
 class Concentration:
-    """How hard the half of least determinant is sought.
+    """Settings of the search for the half of least determinant.
 
     Attributes
     ----------
     starts, kept : int
-        Random starts of two steps each, and how many of the best are taken to their end: 500 and 10 in the paper.
+        Random starts of two steps each, and the number of best ones to finish: 500 and 10 in the paper.
     most_rows : int
-        Rows of a random part that the starts are tried on, where there are more; the best are ended on all.
+        Limit of rows for the starts, which use a random part of more; the best finish on all rows.
     most_steps : int
-        Steps of one that does not end by itself.
+        Limit of steps.
     inlier : float
         Probability within which a row counts in the reweighting.
     seed : int
-        Of the starts: the same data give the same answer.
+        Seed of the starts: the same data give the same result.
     """
 
     starts: int = 500
@@ -45,14 +45,14 @@ class Concentration:
 
 @dataclass(frozen=True)
 class Scatter:
-    """Middle and covariance of the rows that belong together.
+    """Centre and covariance of the inlying rows.
 
     Attributes
     ----------
     middle : array, shape (p,)
     covariance : array, shape (p, p)
     counted : array of bool, shape (n,)
-        The rows that it was made of.
+        The rows of the estimate.
     """
 
     middle: Array
@@ -60,7 +60,7 @@ class Scatter:
     counted: Mask
 
     def squares(self, rows: Array) -> Array:
-        """Squared distances of rows (m, p); of what is NaN in a row, the others' marginal distance is taken."""
+        """Squared distances of rows (m, p); for rows with NaN, the marginal distance of the others."""
         out = np.full(len(rows), np.nan)
         known = np.isfinite(rows)
         for pattern in np.unique(known, axis=0):
@@ -177,7 +177,7 @@ def _moments(rows: Array) -> tuple[Array, Array]:
 
 
 def _log_determinants(covariances: Array) -> Array:
-    """Minus infinity of rows in a plane; infinity where rows so far out are among them that it cannot be told.
+    """Log determinants; minus infinity for rows in a plane, infinity where extreme rows make it undecidable.
 
     Rows are in units in which half of them are near one.
     """
@@ -196,7 +196,7 @@ def _squares(rows: Array, middles: Array, covariances: Array) -> Array:
 
 
 def _units(rows: Array) -> Array:
-    """A size of each coordinate, so that none is lost beside another in rounding."""
+    """A scale of each coordinate against rounding."""
     spread = np.median(np.abs(rows - np.median(rows, axis=0)), axis=0)
     spread = np.where(spread > 0.0, spread, np.std(rows, axis=0))
     return np.where(spread > 0.0, spread, 1.0)
@@ -230,7 +230,7 @@ def _raw_limit(level: float, count: int, size: int, half: int) -> float:
 
 
 def _truncated(share: float, size: int) -> float:
-    """What a covariance of the nearest `share` of a normal sample lacks (Croux and Haesbroeck 1999)."""
+    """Correction of a covariance of the nearest `share` of a normal sample (Croux and Haesbroeck 1999)."""
     from scipy.stats import chi2
 
     return float(share / chi2.cdf(chi2.ppf(share, size), size + 2))

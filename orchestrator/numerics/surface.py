@@ -1,6 +1,6 @@
 """Surfaces over the current plane from scattered points, inside their hull only; knows no physics.
 
-`TaylorSurface` is for values whose derivatives were measured too, `SmoothSurface` for values alone.
+`TaylorSurface` is for values with measured derivatives, `SmoothSurface` for values alone.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class TaylorSurface:
     ----------
     points : array, shape (n, 2)
     at : array, shape (m, 2)
-        Where values are wanted.
+        Points of evaluation.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class TaylorSurface:
         self._beside = at - on_mesh  # zero but in a splinter
 
     def __call__(self, value: Array, gradient: Array | None = None, second: Array | None = None) -> Array:
-        """Values at the wanted places, shape (m,); NaN outside the hull.
+        """Values at the points of evaluation, shape (m,); NaN outside the hull.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class SmoothSurface:
     points : array, shape (n, 2)
     values : array, shape (n, k)
     smoothing : float
-        Of scipy's `RBFInterpolator`.
+        Smoothing of scipy's `RBFInterpolator`.
     """
 
     def __init__(self, points: Array, values: Array, smoothing: float = 0.0) -> None:
@@ -146,7 +146,7 @@ class SmoothSurface:
         self._surface: Any = RBFInterpolator(points / self._scale, values, kernel="cubic", smoothing=smoothing)
 
     def __call__(self, at: Array) -> Array:
-        """Values, shape (m, k); the caller keeps to the hull."""
+        """Values, shape (m, k), valid inside the hull."""
         out: Array = self._surface(at / self._scale)
         return out
 

@@ -78,7 +78,7 @@ class EvenSpline:
 
     @property
     def layout(self) -> tuple[Array, NDArray[np.int64]]:
-        """What kernels take: lower end and cell's side along both variables; the cells along both, and `fold`."""
+        """Arguments of kernels: lower end and cell's side along both variables; the cells along both, and `fold`."""
         numbers = np.array([self.low, self.steps[0], -self.reach, self.steps[1]])
         return numbers, np.array([*self.cells, *self.fold], dtype=np.int64)
 
@@ -148,7 +148,7 @@ class EvenSpline:
 
     @property
     def smooth(self) -> int:
-        """Dimension of what has no roughness: even polynomials of the fourth degree."""
+        """Dimension of the functions without roughness: even polynomials of the fourth degree."""
         return sum(DEGREE - k for k in range(0, DEGREE, 2))
 
     @cached_property

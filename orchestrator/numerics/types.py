@@ -1,4 +1,4 @@
-"""The arrays of the numerics: one name each, for everything that computes with them."""
+"""Array types of the numerics."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Real numbers; shapes and units stand where one is used."""
+"""Real numbers; shapes and units are documented at each use."""
 Indices = NDArray[np.intp]
-"""Places in an array."""
+"""Indices of an array."""
 Mask = NDArray[np.bool_]
-"""Which of an array's elements are meant."""
+"""A selection of an array's elements."""

@@ -1,4 +1,4 @@
-"""Recordings on disk, format version 1: read strictly, written durably. Nothing here interprets a waveform."""
+"""Recordings on disk, format version 1: read strictly, written durably."""
 
 from orchestrator.recording._files import remove_partial_files, replace_file, storage_error, sync_folder
 from orchestrator.recording._json import read_json

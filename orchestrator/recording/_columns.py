@@ -1,4 +1,4 @@
-"""The columns of a capture file, and which of them make up which array of a `Capture`."""
+"""The columns of a capture file, and their arrays in a `Capture`."""
 
 from __future__ import annotations
 

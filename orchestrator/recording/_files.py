@@ -1,4 +1,4 @@
-"""Files that are either whole or not there, also after a power cut. What is in them is not this module's business."""
+"""Files that are either complete or absent, also after a power cut, whatever their content."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def remove_partial_files(folder: Path) -> None:
-    """Remove what a killed process left half written in `folder`; only the folder's owner may call it.
+    """Remove half-written files of a killed process from `folder`; only the folder's owner may call it.
 
     Raises `StorageError` where it cannot be removed.
     """

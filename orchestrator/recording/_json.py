@@ -1,4 +1,4 @@
-"""The JSON files of a recording, read with every complaint in one line: which file, which field, what was expected."""
+"""The JSON files of a recording, read with errors of one line: file, field, expected value."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from orchestrator._validation import first_problem
-from orchestrator.plain_files import LARGEST, read_text
+from orchestrator.plain_files import MAX_FILE_SIZES, read_text
 from protocols import RecordingError
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -22,12 +22,12 @@ def read_json(path: Path, model: type[_Model], *, older: str = "") -> _Model:
     Parameters
     ----------
     older : str
-        What to do with a file of another version.
+        Advice for a file of another version.
 
     Raises
     ------
     RecordingError
-        Where the file cannot be read or is something else: file and field.
+        Where the file cannot be read or has another content: file and field.
     """
     raw = _parsed(path)
     if not isinstance(raw, dict):
@@ -36,8 +36,8 @@ def read_json(path: Path, model: type[_Model], *, older: str = "") -> _Model:
     if raw.get("format") != name:
         raise RecordingError(str(path), "format", f"expected {name!r}, got {raw.get('format')!r}"[:120])
     if raw.get("version") != version:
-        told = f"version {version} can be read, got {raw.get('version')!r}"[:120]
-        raise RecordingError(str(path), "version", f"{told}{older and '; '}{older}")
+        expected = f"version {version} can be read, got {raw.get('version')!r}"[:120]
+        raise RecordingError(str(path), "version", f"{expected}{older and '; '}{older}")
     try:
         return model.model_validate(raw)
     except ValidationError as error:
@@ -47,7 +47,7 @@ def read_json(path: Path, model: type[_Model], *, older: str = "") -> _Model:
 
 def _parsed(path: Path) -> Any:
     try:
-        text = read_text(path, LARGEST.kept_bytes)
+        text = read_text(path, MAX_FILE_SIZES.kept_bytes)
     except OSError as error:
         raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:

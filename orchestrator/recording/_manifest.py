@@ -1,4 +1,4 @@
-"""`recording.json`: read with every complaint in one line, written by rename. Captures are not opened here."""
+"""`recording.json`: read with errors of one line, written by rename. Captures are not opened here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _CAPTURES = "captures"
 
 
 def capture_path(directory: Path, segment_id: str) -> Path:
-    """Where a segment's waveforms are in a recording."""
+    """The file of a segment's waveforms in a recording."""
     return directory / _CAPTURES / f"{segment_id}.parquet"
 
 

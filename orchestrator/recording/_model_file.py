@@ -1,4 +1,4 @@
-"""`model.json` beside a recording: read with every complaint in one line, written whole or not at all."""
+"""`model.json` of a recording: read with errors of one line, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from orchestrator.recording._json import read_json
 from protocols import MotorModel, StorageError
 
 MODEL_NAME = "model.json"
-_OLDER = "`fluxbench diagnose` writes it anew"
+_OLDER = "`fluxbench diagnose` writes it again"
 
 
 def read_model(path: Path) -> MotorModel:
@@ -19,7 +19,7 @@ def read_model(path: Path) -> MotorModel:
     Raises
     ------
     RecordingError
-        Where there is none, or which field is wrong.
+        Where there is none, or a field is wrong.
     """
     return read_json(path / MODEL_NAME if path.is_dir() else path, MotorModel, older=_OLDER)
 
@@ -30,7 +30,7 @@ def has_model(directory: Path) -> bool:
 
 
 def write_model(directory: Path, model: MotorModel) -> None:
-    """Replace the `model.json` of a directory, which is made; raises `StorageError`."""
+    """Replace the `model.json` of a directory, which is created if missing; raises `StorageError`."""
     path = directory / MODEL_NAME
     try:
         directory.mkdir(parents=True, exist_ok=True)

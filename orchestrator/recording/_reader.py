@@ -1,4 +1,4 @@
-"""Recordings, read: all files checked when opened, one segment's waveforms at a time, whole or not at all."""
+"""Reading of recordings: all files are checked on opening; waveforms are read by segment, completely or not at all."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Recording:
         return self._manifest
 
     def segments(self, *stages: SegmentStage) -> Sequence[Segment]:
-        """The segments of these stages (of all, where none is named), in order of time."""
+        """The segments of these stages (of all without arguments), in order of time."""
         if not stages:
             return self._in_order_of_time
         return tuple(segment for segment in self._in_order_of_time if segment.stage in stages)
@@ -63,7 +63,7 @@ class Recording:
     def load(self, segment: Segment) -> Capture:
         """The segment's waveforms.
 
-        The file is read once: what the checksum covers is what is decoded.
+        The file is read once: the checksum covers the decoded bytes.
 
         Raises
         ------
@@ -73,15 +73,15 @@ class Recording:
         """
         path = capture_path(self.path, segment.id)
         columns = _decode(path, _unchanged(path, segment), segment)
-        # Columns are let go as they become vectors: of long segments that is half the memory.
+        # Columns are released as they become vectors: that halves the memory of long segments.
         phases = [columns.pop(name) for name in PHASE_CURRENT if name in columns]
         return Capture(
             start_s=segment.start_s,
             sampling_frequency_hz=self._manifest.drive.sampling_frequency_hz,
-            i_ab=_side_by_side([columns.pop(name) for name in CURRENT]),
-            v_ab=_side_by_side([columns.pop(name) for name in VOLTAGE]),
+            i_ab=_stacked_columns([columns.pop(name) for name in CURRENT]),
+            v_ab=_stacked_columns([columns.pop(name) for name in VOLTAGE]),
             v_dc=columns[BUS],
-            i_abc=_side_by_side(phases) if len(phases) == len(PHASE_CURRENT) else None,
+            i_abc=_stacked_columns(phases) if len(phases) == len(PHASE_CURRENT) else None,
             temperature_c=columns.get(TEMPERATURE),
             theta_rad=columns.get(THETA),
         )
@@ -90,7 +90,7 @@ class Recording:
 def _unchanged(path: Path, segment: Segment) -> bytes:
     content = _read(path)
     if segment.sha256 is not None and hashlib.sha256(content).hexdigest() != segment.sha256:
-        raise RecordingError(str(path), "sha256", f"does not fit the one in {MANIFEST_NAME}: the file was changed")
+        raise RecordingError(str(path), "sha256", f"differs from the one in {MANIFEST_NAME}: the file was changed")
     return content
 
 
@@ -154,12 +154,12 @@ def _decode(path: Path, content: bytes, segment: Segment) -> dict[str, RealArray
         # Two threads gain nothing at these sizes.
         table = parquet.read(columns=names, use_threads=False)
         if table.num_rows != segment.samples:
-            raise RecordingError(str(path), "rows", f"{table.num_rows} can be read, {segment.samples} are announced")
+            raise RecordingError(str(path), "rows", f"{table.num_rows} can be read, {segment.samples} are expected")
         return {name: _column(path, name, table.column(name)) for name in names}
 
 
 class _Parquet:
-    """A Parquet file, open for the length of a with-block; whatever pyarrow raises in it becomes a `RecordingError`."""
+    """A Parquet file, open for a with-block; errors of pyarrow in it become a `RecordingError`."""
 
     def __init__(self, path: Path, source: Any) -> None:
         self._path, self._source = path, source
@@ -171,18 +171,18 @@ class _Parquet:
         try:
             self._file = pq.ParquetFile(self._source)
         except Exception as error:
-            raise self._complaint(error) from None
+            raise self._error_for(error) from None
         return self._file
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self._file.close()
         if isinstance(error, Exception) and not isinstance(error, RecordingError):
-            raise self._complaint(error) from None
+            raise self._error_for(error) from None
 
-    def _complaint(self, error: Exception) -> RecordingError:
+    def _error_for(self, error: Exception) -> RecordingError:
         if isinstance(error, OSError) and error.errno:
             return RecordingError(str(self._path), "", f"cannot be read: {os.strerror(error.errno)}")
-        # pyarrow has no common base for what a damaged file makes it raise (ArrowException, OSError, ValueError, ...).
+        # pyarrow has no common base for errors of a damaged file (ArrowException, OSError, ValueError, ...).
         reason = str(error).partition("\n")[0] or type(error).__name__
         return RecordingError(str(self._path), "", f"not a readable Parquet file: {reason}")
 
@@ -216,7 +216,7 @@ def _column(path: Path, name: str, chunked: Any) -> RealArray:
 
 
 def _values(chunked: Any) -> RealArray:
-    """The samples in place; pyarrow's own way to an array imports pandas first."""
+    """The samples without a copy; pyarrow's own conversion imports pandas first."""
     kind = np.dtype(chunked.type.to_pandas_dtype())
     pieces = [
         np.frombuffer(c.buffers()[1], dtype=kind, count=len(c), offset=c.offset * kind.itemsize) for c in chunked.chunks
@@ -224,7 +224,7 @@ def _values(chunked: Any) -> RealArray:
     return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
-def _side_by_side(columns: Sequence[RealArray]) -> RealArray:
+def _stacked_columns(columns: Sequence[RealArray]) -> RealArray:
     out = np.empty((columns[0].size, len(columns)), dtype=np.result_type(*columns))
     for axis, column in enumerate(columns):
         out[:, axis] = column

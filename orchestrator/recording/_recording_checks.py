@@ -1,7 +1,7 @@
-"""A recording looked at while it is read: refused where it cannot be a motor's, whatever its sensors do.
+"""Checks of a recording while it is read: it is refused where no motor and no sensor error can explain it.
 
-A gain that is wrong by ten, or a nameplate that is, still passes: such a recording can be diagnosed. Units that
-are wrong by a thousand, columns of zeros and reversed polarity do not.
+A gain or a nameplate that is wrong by ten still passes, because such a recording can be diagnosed. Units that are
+wrong by a thousand, columns of zeros and reversed polarity do not pass.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ _MEASURING = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJE
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """Of one segment: means over its slow parts, and sums over the steps of its ripple."""
+class _SegmentStatistics:
+    """Statistics of one segment: means over its slow parts, and sums over the steps of its ripple."""
 
     current_a: float
     voltage_v: float
@@ -47,20 +47,19 @@ class _Seen:
 
 
 class SoundRecording:
-    """A `protocols.RecordingReader` that refuses what cannot be a motor's.
+    """A `protocols.RecordingReader` that refuses recordings that cannot be a motor's.
 
-    Nameplate and settings are looked at when it is made, each capture when it is loaded, and what only the whole
-    tells in `conclude`.
+    It checks nameplate and settings on creation, each capture on loading, and the whole in `conclude`.
 
     Raises
     ------
     RecordingError
-        Where the manifest has numbers that cannot be meant.
+        Where the manifest has impossible numbers.
     """
 
     def __init__(self, recording: RecordingReader) -> None:
         self._recording = recording
-        self._seen: dict[str, _Seen] = {}
+        self._seen: dict[str, _SegmentStatistics] = {}
         _check_manifest(recording.manifest)
 
     @property
@@ -71,24 +70,24 @@ class SoundRecording:
         return self._recording.segments(*stages)
 
     def load(self, segment: Segment) -> Capture:
-        """The segment's waveforms; raises `NotMeasuredError` too, where they are beyond any motor's."""
+        """The segment's waveforms; raises `NotMeasuredError` too, where no motor can have them."""
         capture = self._recording.load(segment)
         if segment.id not in self._seen:
             self._check_sizes(segment, capture)
-            self._seen[segment.id] = _seen(segment, capture, self.manifest.drive.voltage_delay_samples or 0.0)
+            self._seen[segment.id] = _statistics(segment, capture, self.manifest.drive.voltage_delay_samples or 0.0)
         return capture
 
-    def read_through(self, most_samples: int = 2_000_000) -> None:
-        """Load so many segments, evenly spread and of so many samples in all, that `conclude` can tell; conclude."""
+    def read_through(self, max_samples: int = 2_000_000) -> None:
+        """Load evenly spread segments with a bounded number of samples in all, and conclude."""
         segments = self.segments(*_MEASURING)
         total = sum(s.samples for s in segments)
-        stride = max(1, math.ceil(total / most_samples))
+        stride = max(1, math.ceil(total / max_samples))
         for segment in segments[::stride]:
             self.load(segment)
         self.conclude()
 
     def conclude(self) -> None:
-        """Judge what was loaded as a whole.
+        """Check the loaded segments as a whole.
 
         Raises
         ------
@@ -103,68 +102,74 @@ class SoundRecording:
         bus = self.manifest.drive.dc_bus_voltage_v
         if current == 0.0:
             self._refuse("i_alpha, i_beta", "zero throughout: no current was measured")
-        # Noise alone, up to a fiftieth of the rated current, needs no voltage, and is no motor's wrong voltage.
+        # Noise alone, up to a fiftieth of the rated current, needs no voltage.
         if voltage < REFUSED.bus_voltages[0] * bus and current > 0.02 * (self.manifest.motor.rated_current_a or 0.0):
-            told = f"nowhere more than {voltage:.3g} V, though up to {current:.3g} A flow and the bus has {bus:g} V"
-            self._refuse("v_alpha, v_beta", f"{told}: not the voltage at a motor")
+            problem = f"at most {voltage:.3g} V, though up to {current:.3g} A flow and the bus has {bus:g} V"
+            self._refuse("v_alpha, v_beta", f"{problem}: not the voltage at a motor")
         self._check_polarity_and_resistance(seen)
         self._check_inductance(seen)
 
     def _check_sizes(self, segment: Segment, capture: Capture) -> None:
         motor, bus = self.manifest.motor, self.manifest.drive.dc_bus_voltage_v
         rated = motor.rated_current_a
-        most_a = REFUSED.rated_currents[1] * (MOTOR_RANGES["rated_current_rms_a"][1] if rated is None else rated)
+        max_a = REFUSED.rated_currents[1] * (MOTOR_RANGES["rated_current_rms_a"][1] if rated is None else rated)
         peak = _largest(capture.i_ab)
-        if peak > most_a:
-            held = "any motor's" if rated is None else f"{peak / rated:.3g} times the rated current, {rated:.3g} A peak"
+        if peak > max_a:
+            excess = (
+                "beyond any motor's current"
+                if rated is None
+                else f"{peak / rated:.3g} times the rated current, {rated:.3g} A peak"
+            )
             self._refuse(
-                f"{segment.id}: i_alpha, i_beta", f"{_place(capture.i_ab, peak)}: {peak:.4g} A, {held}; a unit is wrong"
+                f"{segment.id}: i_alpha, i_beta",
+                f"{_place(capture.i_ab, peak)}: {peak:.4g} A, {excess}; a unit is wrong",
             )
         peak = _largest(capture.v_ab)
         if peak > REFUSED.bus_voltages[1] * bus:
-            held = f"{peak / bus:.3g} times the bus voltage, {bus:g} V"
+            excess = f"{peak / bus:.3g} times the bus voltage, {bus:g} V"
             self._refuse(
-                f"{segment.id}: v_alpha, v_beta", f"{_place(capture.v_ab, peak)}: {peak:.4g} V, {held}; a unit is wrong"
+                f"{segment.id}: v_alpha, v_beta",
+                f"{_place(capture.v_ab, peak)}: {peak:.4g} V, {excess}; a unit is wrong",
             )
         low, high = (limit * bus for limit in REFUSED.bus)
         # With the bridge off the bus may be off too.
         low = 0.0 if segment.stage is SegmentStage.GATES_OFF else low
-        measured = float(np.median(capture.v_dc[::16]))  # a sixteenth of the samples tells as much, far sooner
+        measured = float(np.median(capture.v_dc[::16]))  # a sixteenth of the samples suffices
         if not low <= measured <= high:
-            told = f"{measured:.4g} V (median) on a nominal bus of {bus:g} V; a unit is wrong"
-            self._refuse(f"{segment.id}: v_dc", told)
-        most = float(np.max(capture.v_dc, initial=0.0))
-        if most > high:
+            problem = f"{measured:.4g} V (median) on a nominal bus of {bus:g} V; a unit is wrong"
+            self._refuse(f"{segment.id}: v_dc", problem)
+        peak = float(np.max(capture.v_dc, initial=0.0))
+        if peak > high:
             row = int(np.argmax(capture.v_dc))
-            told = f"sample {row}: {most:.4g} V on a nominal bus of {bus:g} V: no bus does that"
-            self._refuse(f"{segment.id}: v_dc", told)
+            problem = f"sample {row}: {peak:.4g} V on a nominal bus of {bus:g} V, which is impossible"
+            self._refuse(f"{segment.id}: v_dc", problem)
 
-    def _check_polarity_and_resistance(self, seen: Sequence[_Seen]) -> None:
+    def _check_polarity_and_resistance(self, seen: Sequence[_SegmentStatistics]) -> None:
         i2 = sum(x.i_squared for x in seen)
         motor = self.manifest.motor
         least = 0.05 * max(motor.rated_current_a or 0.0, *(x.current_a for x in seen))
-        # Offsets of the sensors and of the inverter go together in any way.
-        telling = [x for x in seen if x.v_squared > (SLOW_VOLTAGE * x.voltage_v) ** 2 and x.i_squared > 0.0]
-        if not telling or math.sqrt(i2 / len(seen)) < least:
+        # Offsets of the sensors and of the inverter may have any angle to each other.
+        usable = [x for x in seen if x.v_squared > (SLOW_VOLTAGE * x.voltage_v) ** 2 and x.i_squared > 0.0]
+        if not usable or math.sqrt(i2 / len(seen)) < least:
             return
         least_ohm = DRIVING * (motor.stator_resistance_ohm or 0.0)
-        driven = [x for x in telling if x.v_squared > least_ohm**2 * x.i_squared]
-        # Each with its voltage to the size of its current: a segment in which the drive lost its way has one voice.
+        driven = [x for x in usable if x.v_squared > least_ohm**2 * x.i_squared]
+        # Each voltage is scaled to its current: a segment in which the drive lost control counts once.
         product = sum((x.v_on_i * math.sqrt(x.i_squared / x.v_squared) for x in driven), 0j)
-        driven_a2, told_a2 = (sum(x.i_squared for x in those) for those in (driven, telling))
+        driven_a2, usable_a2 = (sum(x.i_squared for x in those) for those in (driven, usable))
         angle = apart_rad(product, driven_a2, driven_a2)
         if angle is not None:
-            told = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
+            problem = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
             hint = "one of both is reversed" if is_reversed(angle) else "phases are exchanged, or frames differ"
-            self._refuse("v_alpha, v_beta against i_alpha, i_beta", f"{told}: {hint}")
-        large = [x for x in telling if x.i_squared >= told_a2 / len(telling)]
+            self._refuse("v_alpha, v_beta against i_alpha, i_beta", f"{problem}: {hint}")
+        large = [x for x in usable if x.i_squared >= usable_a2 / len(usable)]
         nameplate, ohm = motor.stator_resistance_ohm, float(np.median([x.v_on_i.real / x.i_squared for x in large]))
         if nameplate is None or within(ohm, REFUSED.resistance, nameplate):
             return
-        told = f"{ohm:.3g} ohm, where the nameplate has {nameplate:g} ohm: a unit is wrong"
-        self._refuse("v_alpha, v_beta over i_alpha, i_beta", told)
+        problem = f"{ohm:.3g} ohm, where the nameplate has {nameplate:g} ohm: a unit is wrong"
+        self._refuse("v_alpha, v_beta over i_alpha, i_beta", problem)
 
-    def _check_inductance(self, seen: Sequence[_Seen]) -> None:
+    def _check_inductance(self, seen: Sequence[_SegmentStatistics]) -> None:
         i2, v2, product = (sum(x.steps[k] for x in seen) for k in range(3))
         if i2 == 0.0 or v2 == 0.0 or abs(product) < 0.2 * math.sqrt(i2 * v2):
             return
@@ -176,8 +181,8 @@ class SoundRecording:
             return
         henry, nameplate = v2 / product, math.sqrt(motor.d_inductance_h * motor.q_inductance_h)
         if not within(henry, REFUSED.inductance, nameplate):
-            told = f"an inductance of {henry:.3g} H, where the nameplate has {nameplate:.3g} H"
-            self._refuse(where, f"{told}; a unit, or the sampling frequency, is wrong")
+            problem = f"an inductance of {henry:.3g} H, where the nameplate has {nameplate:.3g} H"
+            self._refuse(where, f"{problem}; a unit, or the sampling frequency, is wrong")
 
     def _refuse(self, field: str, problem: str) -> None:
         raise NotMeasuredError(self.manifest.name, field, problem)
@@ -190,8 +195,8 @@ def _check_manifest(manifest: Manifest) -> None:
         raise RecordingError(manifest.name, f"drive.{name}", problem)
     for segment in manifest.segments:
         if abs(segment.start_s) > 1e8:  # three years
-            told = f"{segment.start_s:g} s; expected seconds since the start of the experiment"
-            raise RecordingError(manifest.name, f"segments.{segment.id}.start_s", told)
+            problem = f"{segment.start_s:g} s; expected seconds since the start of the experiment"
+            raise RecordingError(manifest.name, f"segments.{segment.id}.start_s", problem)
         _check_settings(manifest.name, segment)
 
 
@@ -205,7 +210,7 @@ def _check_settings(name: str, segment: Segment) -> None:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise RecordingError(name, field, f"expected a number, got {value!r}"[:120])
         if abs(value) > 1e9 or (key in _RATES and value < 0):
-            raise RecordingError(name, field, f"{value!r} cannot be meant"[:120])
+            raise RecordingError(name, field, f"{value!r} is impossible"[:120])
 
 
 def _largest(x: Numbers) -> float:
@@ -217,20 +222,20 @@ def _place(x: Numbers, size: float) -> str:
     return f"sample {int(np.argmax(np.abs(x).max(axis=1) >= size))}"
 
 
-def _seen(segment: Segment, capture: Capture, late: float) -> _Seen:
+def _statistics(segment: Segment, capture: Capture, late: float) -> _SegmentStatistics:
     current, voltage = _largest(capture.i_ab), _largest(capture.v_ab)
     if segment.stage not in _MEASURING:
-        return _Seen(current, voltage)
+        return _SegmentStatistics(current, voltage)
     fs = capture.sampling_frequency_hz
     i, v = (np.asarray(slow_part(x, fs), dtype=np.float64) @ [1.0, 1j] for x in (capture.i_ab, capture.v_ab))
     steps = _steps(capture, round(late)) if segment.stage is SegmentStage.INJECTION else (0.0, 0.0, 0.0)
     powers = (np.vdot(x, y) / len(i) for x, y in ((i, i), (v, v), (i, v)))
     i_squared, v_squared, v_on_i = powers
-    return _Seen(current, voltage, float(i_squared.real), float(v_squared.real), complex(v_on_i), steps)
+    return _SegmentStatistics(current, voltage, float(i_squared.real), float(v_squared.real), complex(v_on_i), steps)
 
 
 def _steps(capture: Capture, late: int, samples: int = 4000) -> tuple[float, float, float]:
-    """Sums over the steps of the ripple in the first of so many samples: some hundred periods."""
+    """Sums over the steps of the ripple in the first samples, some hundred periods."""
     i = np.asarray(capture.i_ab[:samples], dtype=np.float64)
     v = np.asarray(capture.v_ab[: len(i)], dtype=np.float64)
     if len(i) < late + 3:

@@ -1,4 +1,4 @@
-"""One segment, written while it is measured: validated, encoded, hashed, and durable before it has its name."""
+"""Writing of one segment during its measurement: validated, encoded, hashed, and durable before it gets its name."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from orchestrator.recording._files import partial_path, storage_error, sync_fold
 from orchestrator.recording._manifest import capture_path
 from protocols import Capture, DriveFault, FaultCause, RealArray
 
-ROW_GROUP = 1 << 16
-"""Rows a row group; what a writer holds in memory."""
+ROWS_PER_GROUP = 1 << 16
+"""Rows of a row group, the part that a writer keeps in memory."""
 
 
 @dataclass(frozen=True)
 class WrittenSegment:
-    """What became of a segment: the manifest's `start_s`, `samples` and `sha256`."""
+    """A written segment: the manifest's `start_s`, `samples` and `sha256`."""
 
     start_s: float
     samples: int
@@ -63,8 +63,8 @@ class SegmentWriter:
 
     @staticmethod
     def warm_up() -> None:
-        """Load what encodes: on a busy machine that takes seconds, and no drive shall be energised meanwhile."""
-        import pyarrow.parquet  # noqa: F401 - to be imported is all that is wanted
+        """Import the encoder: that takes seconds on a busy machine, during which no drive may be energised."""
+        import pyarrow.parquet  # noqa: F401 - the import alone is wanted
 
     def __enter__(self) -> Self:
         try:
@@ -76,7 +76,7 @@ class SegmentWriter:
 
     @property
     def samples(self) -> int:
-        """How many samples came so far."""
+        """Number of samples so far."""
         return self._samples
 
     def append(self, capture: Capture) -> None:
@@ -88,13 +88,13 @@ class SegmentWriter:
         done = 0
         while done < len(capture):
             done += self._take(columns, done, len(capture) - done)
-            if self._fill == ROW_GROUP:
+            if self._fill == ROWS_PER_GROUP:
                 self._flush()
 
     def finish(self) -> WrittenSegment:
         """Make the file durable and give it its name."""
         if self._file is None or self._samples == 0:
-            raise self._wrong_data("no sample came")
+            raise self._wrong_data("no sample arrived")
         self._flush()
         try:
             self._parquet.close()
@@ -124,7 +124,9 @@ class SegmentWriter:
         if not (math.isfinite(capture.start_s) and 0 < capture.sampling_frequency_hz < math.inf):
             raise self._wrong_data(f"starts at {capture.start_s} s, sampled at {capture.sampling_frequency_hz} Hz")
         self._start_s, self._rate = capture.start_s, capture.sampling_frequency_hz
-        self._pending = {name: np.empty(ROW_GROUP, dtype=column.dtype) for name, column in columns_of(capture).items()}
+        self._pending = {
+            name: np.empty(ROWS_PER_GROUP, dtype=column.dtype) for name, column in columns_of(capture).items()
+        }
         schema = pa.schema([pa.field(name, pa.from_numpy_dtype(c.dtype), False) for name, c in self._pending.items()])
         try:
             self._parquet = pq.ParquetWriter(
@@ -151,7 +153,7 @@ class SegmentWriter:
             raise self._wrong_data(f"a block starts at {capture.start_s:.6f} s, expected at {expected:.6f} s")
 
     def _take(self, columns: Mapping[str, RealArray], start: int, rows: int) -> int:
-        rows = min(rows, ROW_GROUP - self._fill)
+        rows = min(rows, ROWS_PER_GROUP - self._fill)
         for name, column in columns.items():
             into = self._pending[name][self._fill : self._fill + rows]
             np.copyto(into, column[start : start + rows], casting="same_kind")
@@ -169,7 +171,7 @@ class SegmentWriter:
             return
         arrays = [pa.array(column[: self._fill]) for column in self._pending.values()]
         try:
-            self._parquet.write_batch(pa.record_batch(arrays, schema=self._parquet.schema), ROW_GROUP)
+            self._parquet.write_batch(pa.record_batch(arrays, schema=self._parquet.schema), ROWS_PER_GROUP)
         except OSError as error:
             raise storage_error(self._path, error) from error
         self._fill = 0
@@ -179,9 +181,9 @@ class SegmentWriter:
 
 
 class _HashingFile:
-    """A file that hashes what goes through it; as much of a file as pyarrow needs to write to.
+    """A file that hashes its content, with the methods that pyarrow needs for writing.
 
-    Once closed it takes what is written and forgets it: pyarrow insists on ending what it began.
+    A closed file ignores further data, because pyarrow always writes a footer.
     """
 
     def __init__(self, path: Path) -> None:

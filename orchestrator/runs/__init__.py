@@ -1,4 +1,4 @@
-"""Runs on disk: directory, lock, journal and provenance. What is done in a run is the engine's business."""
+"""Runs on disk: directory, lock, journal and provenance. The engine decides what happens in a run."""
 
 from orchestrator.runs._directory import RunDirectory, is_run, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord

@@ -1,9 +1,9 @@
-"""A run directory: a recording plus run.json and the journal, made once, locked while worked on.
+"""A run directory: a recording plus run.json and the journal, created once, locked during work.
 
     <run>/run.json, journal.jsonl, recording.json, captures/, results/
-    <run>.sealed/   beside it: what no analysis may see
+    <run>.sealed/   beside it: data that no analysis may see
 
-What is measured, and in which order, is the engine's business.
+The engine decides what is measured, and in which order.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ _RECORD, _JOURNAL, _LOCK, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", ".l
 
 
 def private_directory(path: Path) -> Path:
-    """Where a run keeps what no analysis may see: a sibling of the run directory."""
+    """The folder for data that no analysis may see: a sibling of the run directory."""
     return path.with_name(f"{path.name}.sealed")
 
 
 def is_run(path: Path) -> bool:
-    """Whether a directory is a run's, and not only a recording."""
+    """Whether a directory is a run, and not only a recording."""
     return (path / _RECORD).is_file()
 
 
@@ -68,11 +68,11 @@ class RunDirectory:
     Attributes
     ----------
     path : Path
-        The directory; a recording as well.
+        The directory, which is a recording as well.
     record : RunRecord
-        What `run.json` holds.
+        Content of `run.json`.
     journal : Journal
-        Readable always; appended to while the run is locked.
+        Always readable; appended to while the run is locked.
     private_directory : Path
         Sibling ``<name>.sealed``.
     """
@@ -87,16 +87,16 @@ class RunDirectory:
     def create(
         cls, path: Path, procedure: Procedure, capabilities: Capabilities, *, sealed: Iterable[str] = ()
     ) -> Self:
-        """Make a new run directory.
+        """Create a new run directory.
 
         Parameters
         ----------
         path : Path
             Must not exist, or be empty.
         procedure : Procedure
-            As it is run.
+            The procedure of the run.
         capabilities : Capabilities
-            What the connected drive said of itself.
+            Capabilities of the connected drive.
         sealed : iterable of str
             Names of the drive options that no analysis may see: `run.json` has their hashes, the
             private directory has them in clear, so that the run can be resumed.
@@ -104,9 +104,9 @@ class RunDirectory:
         Raises
         ------
         RecordingError
-            Where something is at `path` already.
+            Where `path` exists and is not empty.
         StorageError
-            Where it cannot be made.
+            Where it cannot be created.
         """
         _refuse_non_empty(path)
         hidden = sealed_options_of(procedure, sealed)
@@ -114,12 +114,12 @@ class RunDirectory:
         run = cls(path.resolve(), record)
         secrets = run.private_directory / _OPTIONS
         try:
-            _set_aside(run.private_directory)
+            _rename_leftover(run.private_directory)
             (run.path / _CAPTURES).mkdir(parents=True, exist_ok=True)
             run.private_directory.mkdir(exist_ok=True)
             run.private_directory.chmod(0o700)
         except OSError as error:
-            raise StorageError(f"{run.path}: cannot be made: {error.strerror or error}") from error
+            raise StorageError(f"{run.path}: cannot be created: {error.strerror or error}") from error
         replace_file(secrets, (json.dumps(hidden, indent=1) + "\n").encode())
         replace_file(run.path / _RECORD, (visible(record.model_dump_json(indent=1)) + "\n").encode())
         return run
@@ -132,24 +132,24 @@ class RunDirectory:
     @staticmethod
     @contextmanager
     def claim(path: Path) -> Iterator[None]:
-        """Make the directory for a new run and hold it for this process; nothing is ever overwritten.
+        """Create the directory for a new run and lock it for this process; nothing is ever overwritten.
 
         Raises
         ------
         RecordingError
-            Where it cannot be made, is not empty, or another process holds it.
+            Where it cannot be created, is not empty, or another process has locked it.
         StorageError
-            Where it cannot be held; it is gone again then, if it was not there before.
+            Where it cannot be locked; a newly created directory is then removed again.
         """
-        if (path / _LOCK).exists():  # a run's, perhaps one at work: its lock tells
+        if (path / _LOCK).exists():  # possibly a run at work: its lock decides
             with _flock(path):
                 RunDirectory.refuse_occupied(path)
-        RunDirectory.refuse_occupied(path)  # before anything is put into somebody else's folder
+        RunDirectory.refuse_occupied(path)  # before writing into a foreign folder
         is_new = not path.exists()
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RecordingError(str(path), "", f"cannot be made: {error.strerror or error}") from None
+            raise RecordingError(str(path), "", f"cannot be created: {error.strerror or error}") from None
         with ExitStack() as held:
             try:
                 held.enter_context(_flock(path))
@@ -163,7 +163,7 @@ class RunDirectory:
 
     @staticmethod
     def has_captures(path: Path) -> bool:
-        """Whether something was measured into the directory, whatever its journal says."""
+        """Whether the directory has captures, regardless of its journal."""
         return next((path / _CAPTURES).glob("*.parquet"), None) is not None
 
     @classmethod
@@ -179,39 +179,39 @@ class RunDirectory:
             problem = first_problem(error, RunRecord, raw)
             raise RecordingError(str(file), problem.field, problem.text) from None
         if hash_of(raw["procedure"]) != record.procedure_sha256:
-            raise RecordingError(str(file), "procedure_sha256", "the procedure was changed after the run was made")
+            raise RecordingError(str(file), "procedure_sha256", "the procedure was changed after the run was created")
         return cls(path.resolve(), record)
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold an existing run for this process and be `at_work`; `RecordingError` where another process holds it.
+        """Lock an existing run for this process, and be `at_work`; `RecordingError` where another process has it.
 
-        The lock goes with the process, however that ends.
+        The lock ends with the process, however that ends.
         """
         with _flock(self.path), self.at_work():
             yield
 
     @contextmanager
     def at_work(self) -> Iterator[None]:
-        """Open the journal for appending and remove what a killed process left half written; for who holds the run."""
+        """Open the journal for appending and remove half-written files of a killed process; requires the lock."""
         with self.journal:
             for folder in (self.path, self.path / _CAPTURES, self.private_directory):
                 remove_partial_files(folder)
             yield
 
     def refuse_lost_journal(self) -> None:
-        """Raise `RecordingError` where captures were measured that the journal knows nothing of."""
+        """Raise `RecordingError` where the journal lacks captures that were measured."""
         listed: set[str] = set()
         if (self.path / MANIFEST_NAME).is_file():
             listed = {segment.id for segment in read_manifest(self.path / MANIFEST_NAME).segments}
         lost = listed - self.completed().keys()
         captures = sum(1 for _ in (self.path / _CAPTURES).glob("*.parquet"))
         if lost or (captures and not self.journal.read()):
-            problem = f"missing or cut: it does not know of {max(len(lost), captures)} captures that are there"
+            problem = f"missing or cut: it lacks {max(len(lost), captures)} existing captures"
             raise RecordingError(str(self.journal.path), "", problem)
 
     def procedure(self) -> Procedure:
-        """The procedure as it was run, sealed options included; raises `RecordingError` where they are gone."""
+        """The procedure of the run, sealed options included; raises `RecordingError` where they are missing."""
         if not self.record.sealed:
             return self.record.procedure
         file = self.private_directory / _OPTIONS
@@ -221,21 +221,21 @@ class RunDirectory:
         return unsealed(self.record, options, str(file))
 
     def completed(self) -> dict[str, Segment]:
-        """The segments of the points that are done, by point id, in order of the journal."""
+        """The segments of the measured points, by point id, in order of the journal."""
         done = (entry.message for entry in self.journal.read())
         return {message.id: message.segment for message in done if isinstance(message, PointDone)}
 
     def appended(self) -> tuple[StagesAppended, ...]:
-        """What was appended to the procedure's stages, in order of the journal."""
-        told = (entry.message for entry in self.journal.read())
-        return tuple(message for message in told if isinstance(message, StagesAppended))
+        """The stages appended to the procedure's, in order of the journal."""
+        messages = (entry.message for entry in self.journal.read())
+        return tuple(message for message in messages if isinstance(message, StagesAppended))
 
     def sufficed(self) -> set[int]:
-        """Places of the stages that need not measure the rest of their plan."""
+        """Indices of the stages that need not measure the rest of their plan."""
         return {entry.message.index for entry in self.journal.read() if isinstance(entry.message, StageSufficed)}
 
     def ended(self) -> RunEnded | None:
-        """How the run ended; None while there is something left of it, and after a kill."""
+        """The end of the run; None for an unfinished run, and after a kill."""
         last: RunEnded | None = None
         for entry in self.journal.read():
             if isinstance(entry.message, RunEnded):
@@ -245,21 +245,21 @@ class RunDirectory:
         return last
 
     def end_s(self) -> float:
-        """Where the experiment's clock stands: the end of what was captured last [s]; 0 before anything was."""
+        """Time of the experiment's clock: the end of the last capture [s]; 0 before the first one."""
         segments = self.completed().values()
         rate = self.record.capabilities.sampling_frequency_hz
         return max((segment.start_s + segment.samples / rate for segment in segments), default=0.0)
 
     def manifest(self) -> Manifest:
-        """The manifest as the journal has it: what it calls done is in it, and nothing else.
+        """The manifest by the journal: the segments that it records as done, and nothing else.
 
-        Raises `RecordingError` where a capture that the journal calls done is gone.
+        Raises `RecordingError` where a capture that the journal records as done is missing.
         """
         segments = tuple(self.completed().values())
         for segment in segments:
             file = capture_path(self.path, segment.id)
             if not file.is_file():
-                raise RecordingError(str(file), "", f"missing, though {_JOURNAL} calls it done")
+                raise RecordingError(str(file), "", f"missing, though {_JOURNAL} records it as done")
         return Manifest(
             format="fluxbench-recording",
             version=1,
@@ -271,7 +271,7 @@ class RunDirectory:
         )
 
     def write_manifest(self) -> Manifest:
-        """Write `recording.json`; raises `StorageError` where it cannot be, and what `manifest` raises."""
+        """Write `recording.json`; raises `StorageError`, and the errors of `manifest`."""
         manifest = self.manifest()
         write_manifest(self.path, manifest)
         return manifest
@@ -291,7 +291,7 @@ def _flock(path: Path) -> Iterator[None]:
             raise RecordingError(
                 str(path), "", f"another fluxbench process ({holder}) is at work on this run"
             ) from None
-        with suppress(OSError):  # who holds it is a courtesy: the lock counts
+        with suppress(OSError):  # the holder's number is only information
             os.ftruncate(descriptor, 0)
             os.pwrite(descriptor, f"pid {os.getpid()}\n".encode(), 0)
         yield
@@ -299,8 +299,8 @@ def _flock(path: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _set_aside(private: Path) -> None:
-    """Rename what a run of this name that was deleted has left beside it; nothing is ever overwritten."""
+def _rename_leftover(private: Path) -> None:
+    """Rename the private folder of a deleted run of this name; nothing is ever overwritten."""
     if not (private / _OPTIONS).exists():
         return
     numbered = (private.with_name(f"{private.name}.{k}") for k in count(1))
@@ -308,7 +308,7 @@ def _set_aside(private: Path) -> None:
 
 
 def _refuse_non_empty(folder: Path) -> None:
-    """Raise `RecordingError` unless `folder` is not there, or empty but for its lock."""
+    """Raise `RecordingError` unless `folder` is missing, or empty except for its lock."""
     if folder.exists() and (not folder.is_dir() or any(file.name != _LOCK for file in folder.iterdir())):
         raise RecordingError(str(folder), "", "exists and is not empty; nothing is overwritten: choose another")
 

@@ -1,10 +1,10 @@
-"""The journal: one JSON line an event, appended and never changed; what the last instant tore off is dropped.
+"""The journal: one JSON line per event, appended and never changed; an incomplete last line is dropped.
 
-It is the source of truth for resuming a run. What the messages mean is not known here.
+It is the source of truth for resuming a run. It does not interpret the messages.
 
-After a sync that failed nobody knows what of it is on the disk, and a later one that succeeds proves nothing (Rebello
-et al., Can applications recover from fsync failures?, ACM Trans. Storage 17, 2021, doi:10.1145/3450338). So the journal
-then ends with what the last good sync covered, and takes nothing more until it is opened again.
+After a failed sync the content of the disk is unknown, and a later successful sync proves nothing (Rebello et al., Can
+applications recover from fsync failures?, ACM Trans. Storage 17, 2021, doi:10.1145/3450338). The journal then ends with
+the last good sync, and accepts no record until it is opened again.
 """
 
 from __future__ import annotations
@@ -54,12 +54,12 @@ class Journal:
         self._failure: StorageError | None = None
 
     def read(self) -> list[JournalRecord]:
-        """All whole records in order; a torn last line is passed over.
+        """All complete records in order; an incomplete last line is skipped.
 
         Raises
         ------
         RecordingError
-            Where a line that is not the last one is torn, unknown, or out of order.
+            Where a line before the last one is incomplete, unknown, or out of order.
         """
         return self._read()[0]
 
@@ -84,8 +84,8 @@ class Journal:
     def append(self, message: JournalledMessage, durable: bool = False) -> None:
         """Add a record; with `durable` it is on the disk when this returns.
 
-        Raises `StorageError` where it cannot be written, and from a failed sync on at every call. What was not written
-        is cut off again, what was not synced too; where even that fails, the line is the last one, whole or torn.
+        Raises `StorageError` where it cannot be written, and at every call after a failed sync. Unwritten and unsynced
+        parts are cut off again; where even that fails, the line is the last one, complete or not.
         """
         if self._descriptor is None:
             raise ValueError("the journal is not open for appending")
@@ -117,7 +117,7 @@ class Journal:
         self._synced = self._size
 
     def _cut(self, descriptor: int, why: OSError) -> StorageError:
-        """End the file where it is known good; where that cannot be done nothing may follow what is there."""
+        """End the file at its last good record; where that fails, no record may follow."""
         failure = storage_error(self.path, why)
         try:
             os.ftruncate(descriptor, self._size)
@@ -126,7 +126,7 @@ class Journal:
         return failure
 
     def _close(self) -> None:
-        """Let go of the file; what closing complains of has been written, or has failed, before."""
+        """Close the file; errors of closing concern records that were written or failed before."""
         if self._descriptor is not None:
             with suppress(OSError):
                 os.close(self._descriptor)

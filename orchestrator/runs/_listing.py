@@ -1,4 +1,4 @@
-"""The runs below a folder: what they are of, when they were made, and how they ended."""
+"""The runs below a folder, with their motors, times and outcomes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from orchestrator.runs._directory import RunDirectory, is_run
 from protocols import FluxbenchError
 
 
-def run_rows(folder: Path, passed_over: Callable[[str], None]) -> Iterator[dict[str, str]]:
-    """A row for each run; what cannot be read is told to `passed_over`."""
+def run_rows(folder: Path, report_error: Callable[[str], None]) -> Iterator[dict[str, str]]:
+    """A row for each run; `report_error` is called with the error of an unreadable one."""
     for place in sorted(path.parent for path in folder.rglob("run.json")):
         if not is_run(place):
             continue
@@ -18,7 +18,7 @@ def run_rows(folder: Path, passed_over: Callable[[str], None]) -> Iterator[dict[
             run = RunDirectory.open(place)
             ended = run.ended()
         except FluxbenchError as error:
-            passed_over(str(error))
+            report_error(str(error))
             continue
         procedure = run.record.procedure
         yield {

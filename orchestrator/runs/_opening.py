@@ -1,4 +1,4 @@
-"""Whatever holds a recording, opened; and directories that results may go to."""
+"""Opening of runs and recordings, and checks of directories for results."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from protocols import InputError, RecordingError
 
 
 def open_any(path: Path, *, keep: bool = False) -> Recording:
-    """Open a recording; a run's manifest is made from its journal, which knows best, and with `keep` written too."""
+    """Open a recording or run; a run's manifest comes from its journal, and with `keep` it is written too."""
     if path.exists() and not path.is_dir() and path.name != MANIFEST_NAME:
         raise RecordingError(str(path), "", "is a file; expected the directory of a recording or run")
     manifest = path / MANIFEST_NAME
@@ -24,7 +24,7 @@ def open_any(path: Path, *, keep: bool = False) -> Recording:
 
 
 def refuse_file(path: Path) -> None:
-    """Raise `InputError` where something that is no directory is in the way of one."""
+    """Raise `InputError` where a path or one of its parents is a file instead of a directory."""
     for place in (path, *path.parents):
         if os.path.lexists(place) and not place.is_dir():
-            raise InputError(str(place), "", "is not a directory, and nothing is overwritten: name another place")
+            raise InputError(str(place), "", "is not a directory and is not overwritten: name another place")

@@ -1,4 +1,4 @@
-"""Where a run comes from: versions, interpreter, and the state of the source. Asks; changes nothing."""
+"""The provenance of a run: versions, interpreter, and the state of the source. Changes nothing."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DISTRIBUTION = "fluxbench"
 
 
 class GitState(Strict):
-    """The checkout that the code runs from."""
+    """The checkout of the running code."""
 
     sha: str
     dirty: bool
@@ -24,23 +24,23 @@ class GitState(Strict):
 
 
 class Provenance(Strict):
-    """Enough to find the code again that made a run."""
+    """The versions that identify the code of a run."""
 
     fluxbench: str
     python: str
     platform: str
     host: str | None = None
-    """Only older runs tell it."""
+    """Present in older runs only."""
     packages: dict[str, str]
-    """Versions of what fluxbench depends on."""
+    """Versions of fluxbench's dependencies."""
     plugins: tuple[PluginInfo, ...] = ()
-    """Those that took part."""
+    """Plugins of the run."""
     git: GitState | None = None
-    """None: installed from a wheel, or git is not there."""
+    """None: installed from a wheel, or git is not installed."""
 
 
 def provenance(plugins: Iterable[PluginInfo] = ()) -> Provenance:
-    """The provenance of a run made now, by this process, with these plugins."""
+    """The provenance of a run by this process with these plugins."""
     return Provenance(
         fluxbench=_version(_DISTRIBUTION) or "?",
         python=platform.python_version(),
@@ -57,7 +57,7 @@ def _packages() -> dict[str, str]:
     except PackageNotFoundError:
         return {}
     names = (re.split(r"[^A-Za-z0-9_.-]", line, maxsplit=1)[0] for line in needed if "extra ==" not in line)
-    return {name: found for name in names if (found := _version(name)) is not None}
+    return {name: installed for name in names if (installed := _version(name)) is not None}
 
 
 def _version(distribution: str) -> str | None:

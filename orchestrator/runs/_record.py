@@ -1,4 +1,4 @@
-"""`run.json`: what was asked for, of which drive, by which code; without what the analysis must not see."""
+"""`run.json`: procedure, drive and code of a run, without the options that no analysis may see."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from protocols import Capabilities, DriveRecord, Procedure, RecordingError, Stri
 
 
 class RunRecord(Strict):
-    """A run as `run.json` describes it."""
+    """The content of `run.json`."""
 
     format: Literal["fluxbench-run"] = "fluxbench-run"
     version: Literal[1] = 1
@@ -22,25 +22,25 @@ class RunRecord(Strict):
     """ISO 8601 in UTC."""
     seed: int
     procedure: Procedure
-    """With each sealed drive option replaced by its SHA-256."""
+    """The procedure with each sealed drive option replaced by its SHA-256."""
     procedure_sha256: str
-    """Of `procedure` as it stands here; sealed options are in it by their own hashes."""
+    """Hash of `procedure` in this form, with the hashes of sealed options."""
     sealed: tuple[str, ...] = ()
-    """Names of the drive options that were sealed."""
+    """Names of the sealed drive options."""
     capabilities: Capabilities
-    """What the drive said of itself."""
+    """Capabilities that the drive reported."""
     provenance: Provenance
 
     @property
     def drive(self) -> DriveRecord:
-        """The drive as a manifest describes it."""
-        found = self.capabilities
+        """The drive in a manifest's form."""
+        drive = self.capabilities
         return DriveRecord(
-            name=found.name,
-            sampling_frequency_hz=found.sampling_frequency_hz,
-            pwm_frequency_hz=found.pwm_frequency_hz,
-            dc_bus_voltage_v=found.dc_bus_voltage_v,
-            voltage_delay_samples=found.voltage_delay_samples,
+            name=drive.name,
+            sampling_frequency_hz=drive.sampling_frequency_hz,
+            pwm_frequency_hz=drive.pwm_frequency_hz,
+            dc_bus_voltage_v=drive.dc_bus_voltage_v,
+            voltage_delay_samples=drive.voltage_delay_samples,
         )
 
 
@@ -62,16 +62,16 @@ def make_record(
 
 
 def sealed_options_of(procedure: Procedure, sealed: Iterable[str]) -> dict[str, Any]:
-    """The options of the procedure's drive that are among `sealed`, as they were written."""
+    """The options of the procedure's drive that are among `sealed`, in clear."""
     names = set(sealed)
     return {name: value for name, value in procedure.drive.options.items() if name in names}
 
 
 def unsealed(record: RunRecord, options: dict[str, Any], where: str) -> Procedure:
-    """The procedure as it was run; raises `RecordingError` where `options` are not what was sealed."""
+    """The procedure with its sealed options; raises `RecordingError` where `options` do not match their hashes."""
     for name in record.sealed:
         if record.procedure.drive.options.get(name) != {"sha256": hash_of(options.get(name))}:
-            raise RecordingError(where, name, "is not the option that the run was made with (its hash differs)")
+            raise RecordingError(where, name, "is not the run's own option (its hash differs)")
     return _with_options(record.procedure, {name: options[name] for name in record.sealed})
 
 

@@ -1,4 +1,4 @@
-"""`fluxbench new`: a package with a plugin that already passes its conformance kit, to be changed into one's own."""
+"""`fluxbench new`: a package with a new plugin that passes its conformance kit from the start."""
 
 from orchestrator.scaffolding._package import KINDS, write_package
 

@@ -1,4 +1,4 @@
-"""Writes the package: its name checked first, all files or none. What is in them stands in templates/."""
+"""Writing of a plugin package: the name is checked first, then all files or none are written, from templates/."""
 
 from __future__ import annotations
 
@@ -42,27 +42,29 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     Raises
     ------
     PluginError
-        A kind that there is not, or a name that cannot be or is taken.
+        The kind does not exist, or the name is invalid or in use.
     InputError
-        The folder is there already, or cannot be made.
+        The folder exists already, or cannot be created.
     StorageError
         It cannot be written to.
     """
     if kind not in KINDS:
         raise PluginError("new", kind, f"no such kind of plugin; there are {', '.join(KINDS)}")
-    if len(name) > 80:  # files and folders are called after it
+    if len(name) > 80:  # files and folders get this name
         raise PluginError(kind, f"{name[:12]}...", "a name has at most 80 letters")
     if not _NAME.match(name) or keyword.iskeyword(name):
-        raise PluginError(kind, name, "a name has lower-case letters, digits and underscores, and is no word of Python")
+        raise PluginError(
+            kind, name, "a name has lower-case letters, digits and underscores, and is no keyword of Python"
+        )
     if any(info.name == name for info in installed(KINDS[kind])):
         raise PluginError(kind, name, "is installed already; choose another name")
     texts = _texts(kind, name)
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
-        raise InputError(str(folder), "", "is there already; nothing was written") from None
+        raise InputError(str(folder), "", "exists already; nothing was written") from None
     except OSError as error:
-        raise InputError(str(folder), "", f"cannot be made: {error.strerror or error}") from None
+        raise InputError(str(folder), "", f"cannot be created: {error.strerror or error}") from None
     try:
         for relative, text in texts.items():
             path = folder / relative
@@ -75,7 +77,7 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
 
 
 def _texts(kind: str, name: str) -> dict[str, str]:
-    """Text of each file of the package, by its place in it."""
+    """Text of each file of the package, by its path."""
     words = {
         "name": name,
         "kind": kind,

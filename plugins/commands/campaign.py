@@ -37,8 +37,8 @@ def campaign(
     """
     from orchestrator.campaign import CampaignJob, check_runs, load_campaign, power_of, runs_of
     from orchestrator.fleet import ClusterSettings, FleetTable, connected, read_table
+    from orchestrator.formatting.progress import Progress
     from orchestrator.formatting.sentences import visible
-    from orchestrator.formatting.waiting import Waiting
     from orchestrator.recording import replace_file
 
     plan = load_campaign(file)
@@ -48,7 +48,7 @@ def campaign(
     with FleetTable.opened(out, forget_failed=retry_failed) as table:
         folder = (keep or out / RECORDINGS).resolve()
         folder.mkdir(parents=True, exist_ok=True)
-        job = CampaignJob(runs, table, plan.analysis(), folder, keep=keep is not None, tell=Waiting())
+        job = CampaignJob(runs, table, plan.analysis(), folder, keep=keep is not None, tell=Progress())
         if job.todo:
             with connected(settings) as client:
                 if not as_json:

@@ -16,8 +16,8 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_the_import_brings_in_nothing_heavy() -> None:
-    told = "import sys, fluxbench; print(sorted({name.partition('.')[0] for name in sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", told], cwd=ROOT, capture_output=True, text=True, check=True)
+    code = "import sys, fluxbench; print(sorted({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     loaded = ast.literal_eval(done.stdout)
     assert "fluxbench" in loaded
     assert not {"numpy", "pydantic", "protocols", "orchestrator", "plugins", "xarray"} & set(loaded)

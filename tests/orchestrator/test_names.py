@@ -26,5 +26,5 @@ def test_no_estimator_is_spelt_out() -> None:
     names = {info.name for info in installed(PluginKind.ESTIMATORS)}
     assert names - STAGES
     for file in sorted(ROOT.rglob("*.py")):
-        told = names if file.parent.name == "estimation" else names - STAGES
-        assert not told & set(strings(file)), file.relative_to(ROOT)
+        forbidden = names if file.parent.name == "estimation" else names - STAGES
+        assert not forbidden & set(strings(file)), file.relative_to(ROOT)

@@ -1,4 +1,4 @@
-"""Quantities with units in what people write: numbers in the field's own unit, and said."""
+"""Quantities with units become numbers in the field's own unit, and are reported."""
 
 from __future__ import annotations
 

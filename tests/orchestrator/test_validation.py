@@ -1,4 +1,4 @@
-"""What pydantic found wrong, said in one line: the place as it was written, and the nearest valid key."""
+"""Pydantic's errors in one line: the place in the file, and the nearest valid key."""
 
 from __future__ import annotations
 

@@ -43,11 +43,11 @@ def run(
     Started again, it goes on where it was: what has a row is not done twice.
     """
     from orchestrator.fleet import ClusterSettings, FleetJob, FleetTable, connected, find_sources
+    from orchestrator.formatting.progress import Progress
     from orchestrator.formatting.quantities import plural
     from orchestrator.formatting.sentences import visible
-    from orchestrator.formatting.waiting import Waiting
 
-    began, tell = time.monotonic(), Waiting()
+    began, tell = time.monotonic(), Progress()
     plan = _plan(do, mapping, keep)
     settings = ClusterSettings(scheduler=scheduler, **({} if jobs is None else {"jobs": jobs}))
     found = find_sources(sources, files=plan.mapping is not None, limit=limit, tell=tell)

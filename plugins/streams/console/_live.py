@@ -15,7 +15,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.formatting.events import said
+from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import OUTCOME_MOODS, plain, slots
 from orchestrator.formatting.quantities import vector
 from orchestrator.formatting.results import resistance
@@ -85,7 +85,7 @@ class LiveView:
         self._stop()
 
     def _tell(self, message: Message) -> None:
-        told = said(message)
+        told = describe(message)
         if isinstance(message, RunStarted):
             title = Text(one_line(cut(message.name)), style="bold")
             title.append(one_line(f"  {message.motor.name} on the drive {message.drive}"), style="default not bold")
@@ -227,7 +227,7 @@ def _rung(step: DiagnosisStep, cells: int = 24) -> RenderableType:
 
 
 def _diagnosis(message: Diagnosed) -> RenderableType:
-    told = said(message)
+    told = describe(message)
     assert told is not None
     sign, style = MARKS[told.mood]
     table = _two_columns()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from orchestrator.formatting.events import said
+from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import slots
 from orchestrator.formatting.quantities import plural, vector
 from orchestrator.formatting.sentences import columns, cut, for_output, one_line
@@ -85,7 +85,7 @@ class PlainView:
                 return []
             case StateChanged() if message.target not in WORTH_A_LINE:
                 return []
-        told = said(message)
+        told = describe(message)
         slot_lines = columns(list(slots(message.words))) if isinstance(message, Diagnosed) and message.words else []
         return [] if told is None else [told.line, *slot_lines]
 
@@ -117,7 +117,7 @@ class QuietView(PlainView):
     """Warnings, errors, and how it ended."""
 
     def show(self, message: Message, progress: Progress) -> None:
-        told = said(message)
+        told = describe(message)
         is_bad = isinstance(message, RunEnded) and message.outcome != "finished"
         if told is not None and (is_bad or (isinstance(message, Note) and message.level != "info")):
             self._line(told.line)

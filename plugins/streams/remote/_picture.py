@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.formatting.events import said
+from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import OUTCOME_MOODS, VERDICTS, plain, slots
 from orchestrator.formatting.profiles import flux_at_zero
 from orchestrator.formatting.quantities import vector
@@ -183,7 +183,7 @@ class Picture:
         return {"ending": self._ended.outcome, "mood": OUTCOME_MOODS[self._ended.outcome], "rows": rows}
 
     def _tell(self, message: Message) -> None:
-        told = said(message)
+        told = describe(message)
         if told is None or isinstance(message, OperatorAsked | StagesAppended | RunEnded):
             return
         if isinstance(message, StateChanged) and message.target not in WORTH_A_LINE:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.api import compare_runs
-from orchestrator.comparison import SideBySide, change_rows, run_rows
+from orchestrator.comparison import ComparedRuns, change_rows, run_rows
 from orchestrator.formatting.colours import BLUE, GREEN, ORANGE, PURPLE, VERMILION
 from orchestrator.formatting.drawing import STYLE, current_plane, label, legend_above, name_axes, new_figure, uri
 from orchestrator.formatting.sentences import typographic
@@ -46,7 +46,7 @@ def write_comparison(paths: Sequence[Path], out: Path | None = None) -> Path:
     return target
 
 
-def _pictures(found: SideBySide) -> Iterator[Picture]:
+def _pictures(found: ComparedRuns) -> Iterator[Picture]:
     if not any(run.surface for run in found.runs):
         yield Picture("Maps", "Not drawn: no run has a flux map.")
         return
@@ -59,7 +59,7 @@ def _pictures(found: SideBySide) -> Iterator[Picture]:
             yield Picture(title, "Length of the flux’ difference in mWb.", _difference(found, k))
 
 
-def _fluxes(found: SideBySide, axis: int) -> str:
+def _fluxes(found: ComparedRuns, axis: int) -> str:
     figure, axes = new_figure()
     for n, run in enumerate(found.runs):
         if run.surface is None:
@@ -78,11 +78,11 @@ def _fluxes(found: SideBySide, axis: int) -> str:
     return uri(figure)
 
 
-def _difference(found: SideBySide, run: int) -> str:
+def _difference(found: ComparedRuns, run: int) -> str:
     figure, axes = new_figure()
     first = found.runs[0].surface
     assert first is not None  # a difference was made with it
-    length = 1e3 * np.linalg.norm(found.apart(run), axis=2)
+    length = 1e3 * np.linalg.norm(found.flux_change(run), axis=2)
     mesh = axes.pcolormesh(first.i_d, first.i_q, length.T, shading="nearest", cmap="viridis", rasterized=True)
     figure.colorbar(mesh, ax=axes).ax.tick_params(labelsize=STYLE.small_pt)
     current_plane(axes)

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from orchestrator.formatting.events import said
+from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
 from orchestrator.formatting.quantities import (
     duration,
@@ -219,7 +219,7 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
 
 def events(material: Material) -> list[Event]:
     """What the journal says beside single points, the oldest first."""
-    told = ((entry.t, said(entry.message)) for entry in material.journal)
+    told = ((entry.t, describe(entry.message)) for entry in material.journal)
     return [Event(_clock(t), say.subject, say.text, say.mood) for t, say in told if say is not None]
 
 

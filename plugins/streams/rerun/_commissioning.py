@@ -24,7 +24,7 @@ from orchestrator.formatting.colours import (
     Q_AXIS,
     packed_all,
 )
-from orchestrator.formatting.events import said
+from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.profiles import flux_at_zero
 from orchestrator.formatting.quantities import vector
@@ -160,7 +160,7 @@ class Commissioning:
         return plane("plane/amperes", self._reach_a, None if self._limits is None else self._limits[0])
 
     def _said(self, message: Message) -> list[Entry]:
-        told = said(message)
+        told = describe(message)
         return [] if told is None else [entry("log", self.when, rr.TextLog(shown(told.line), level=_LEVELS[told.mood]))]
 
     def _page(self) -> Entry:

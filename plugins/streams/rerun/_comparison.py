@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from orchestrator.api import compare_runs
-from orchestrator.comparison import SideBySide, change_rows, run_rows
+from orchestrator.comparison import ComparedRuns, change_rows, run_rows
 from orchestrator.formatting.sentences import markdown_table, shown
 from plugins.streams.rerun._blueprints import side_by_side
 from plugins.streams.rerun._maps import over_plane
@@ -29,7 +29,7 @@ def write_comparison(paths: Sequence[Path], file: Path) -> None:
         tape.close()
 
 
-def _entries(found: SideBySide) -> Iterator[Entry]:
+def _entries(found: ComparedRuns) -> Iterator[Entry]:
     names = [run.name for run in found.comparison.runs]
     yield titled(" and ".join(names))
     for name, text in _pages(found).items():
@@ -39,13 +39,13 @@ def _entries(found: SideBySide) -> Iterator[Entry]:
         first = found.runs[0].surface
         if first is None or change.rms_percent is None:
             continue
-        length = 1e3 * np.linalg.norm(found.apart(k), axis=2)
+        length = 1e3 * np.linalg.norm(found.flux_change(k), axis=2)
         yield from over_plane(f"apart/{k}/amperes", _NOW, (first.i_d, first.i_q), length, "mWb")
         planes.append((shown(f"Flux of {names[k]} less that of {names[0]}, length"), f"/apart/{k}"))
     yield blueprint("comparison", side_by_side(planes))
 
 
-def _pages(found: SideBySide) -> dict[str, str]:
+def _pages(found: ComparedRuns) -> dict[str, str]:
     told = found.comparison
     changes, runs = change_rows(told), run_rows(told)
     remarks = "\n".join(f"- {remark.text}" for remark in told.remarks)

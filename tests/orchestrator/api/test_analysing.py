@@ -60,7 +60,7 @@ def test_a_model_s_map_is_the_map_of_what_has_it(out: Path) -> None:
 
 def test_two_effects_of_one_name_are_refused() -> None:
     assert "my_bias" in [effect.name for effect in chosen_effects([Bias()])]
-    with pytest.raises(PluginError, match="dead_time: there is an effect of that name already"):
+    with pytest.raises(PluginError, match="dead_time: an effect of that name exists already"):
         chosen_effects([DeadTime()])
 
 
@@ -74,15 +74,15 @@ def test_results_go_where_they_are_wanted(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
-    said: list[str] = []
-    found = diagnose(DATA, out=tmp_path, material_flux_percent=0.4, tell=said.append)
-    assert found.report.verdict == "clean"
-    assert found.report.materiality is not None
-    assert found.report.materiality.flux_percent == pytest.approx(0.4)
-    assert found.report.materiality.voltage_percent == pytest.approx(0.5)
-    assert said[-1] == "how sure is what was found?"
-    assert found.words.likely_cause
-    assert len(found.steps) == len(found.report.ladder)
+    messages: list[str] = []
+    diagnosis = diagnose(DATA, out=tmp_path, material_flux_percent=0.4, tell=messages.append)
+    assert diagnosis.report.verdict == "clean"
+    assert diagnosis.report.materiality is not None
+    assert diagnosis.report.materiality.flux_percent == pytest.approx(0.4)
+    assert diagnosis.report.materiality.voltage_percent == pytest.approx(0.5)
+    assert messages[-1] == "how sure is what was found?"
+    assert diagnosis.words.likely_cause
+    assert len(diagnosis.steps) == len(diagnosis.report.ladder)
     with pytest.raises(PluginError, match="dead_time: not in the model; it has no effects"):
         remove(DATA, "dead_time", out=tmp_path)
 

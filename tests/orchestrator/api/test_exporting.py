@@ -24,7 +24,7 @@ def test_a_map_file_takes_the_motor_that_is_named(tmp_path: Path) -> None:
     run_tiny(tmp_path)
     api.estimate(tmp_path / "run")
     (map_file,) = (tmp_path / "run" / "results").glob("flux_map.nc")
-    with pytest.raises(InputError, match="a map file does not say its motor"):
+    with pytest.raises(InputError, match="a map file has no motor"):
         api.export(map_file, "csv", out=tmp_path / "none")
     motor = Motor(name="mine", pole_pairs=2)
     assert api.export(map_file, "csv", motor=motor, out=tmp_path / "out").files

@@ -1,4 +1,4 @@
-"""An open run or recording: tables that agree with the arrays, and what is missing is said."""
+"""An open run or recording: tables that agree with the arrays, and missing results are errors."""
 
 from __future__ import annotations
 

@@ -58,19 +58,19 @@ def test_a_key_tells_runs_apart_and_is_the_same_tomorrow(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "message"),
     [
         ("hidden: [{ded_time: {voltage_v: 1.0}}]", "did you mean 'dead_time'"),
         ("hidden: [{}, {dead_time: {voltage: [0.1, 1.0]}}]", "did you mean 'voltage_v'"),
         ("hidden: [{}]\nplant: {sensor: {noise_a: 0.01}}", "did you mean 'sensors'"),
     ],
 )
-def test_what_the_drive_does_not_have_is_said_before_anything_is_run(tmp_path: Path, wrong: str, told: str) -> None:
+def test_an_option_that_the_drive_lacks_is_refused_before_any_run(tmp_path: Path, wrong: str, message: str) -> None:
     runs = list(runs_of(load_campaign(written(tmp_path, f"{HEAD}{wrong}\n"))))
     with pytest.raises(FluxbenchError) as raised:
         check_runs(runs)
     assert raised.value.exit_code == 2
-    assert told in str(raised.value)
+    assert message in str(raised.value)
     check_runs(runs_of(load_campaign(written(tmp_path, WHOLE))))
 
 
@@ -99,7 +99,7 @@ def test_files_are_looked_for_beside_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         (HEAD, "hidden"),
         (HEAD + "hidden: [{}]\nsedes: 3\n", "campaign.yaml:6: sedes"),
@@ -115,8 +115,8 @@ def test_files_are_looked_for_beside_it(tmp_path: Path) -> None:
         (HEAD + "hidden: [{}]\ndrive: {name: 1}\n", "drive.name"),
     ],
 )
-def test_what_is_wrong_is_one_line(tmp_path: Path, text: str, told: str) -> None:
+def test_what_is_wrong_is_one_line(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InputError) as raised:
         list(runs_of(load_campaign(written(tmp_path, text))))
-    assert told in str(raised.value)
+    assert message in str(raised.value)
     assert "\n" not in str(raised.value)

@@ -52,8 +52,8 @@ def test_the_smallest_size_is_the_one_from_which_on_all_are_found() -> None:
 
 def test_a_twin_counts_and_what_is_only_measured_is_not_named() -> None:
     twin = effect("device_drop", twins=("dead_time",))
-    (told,) = judged(row("a", 1.0, twin), row("b", 1.0, effect(material=False))).rows
-    assert (told.found, told.named) == (2, 1)
+    (power,) = judged(row("a", 1.0, twin), row("b", 1.0, effect(material=False))).rows
+    assert (power.found, power.named) == (2, 1)
 
 
 def test_nothing_found_is_said_so() -> None:

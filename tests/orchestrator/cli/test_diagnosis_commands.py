@@ -163,13 +163,13 @@ def test_an_effect_that_returns_no_correction_is_named(
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (('name = "mine"', 'name = "dead_time"'), "dead_time: there is an effect of that name already"),
-        (('name = "mine"', 'name = "saturation"'), "saturation: there is an effect of that name already"),
+        (('name = "mine"', 'name = "dead_time"'), "dead_time: an effect of that name exists already"),
+        (('name = "mine"', 'name = "saturation"'), "saturation: an effect of that name exists already"),
         (("typical=0.15", "typical=0.0"), "Mine.Parameters.offset_v: typical 0"),
         (('"V"', '"kV"'), "Mine.Parameters.offset_v: unit 'kV' cannot be scaled to a machine; expected a product"),
         (
             ("gauge = ", "def __init__(self):\n        raise OSError(5, 'no')\n\n    gauge = "),
-            "cannot be made: OSError",
+            "cannot be created: OSError",
         ),
     ],
 )

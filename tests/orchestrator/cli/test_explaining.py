@@ -44,7 +44,7 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     rows = [" ".join(line.split()) for line in out.splitlines()]
     assert "step move effects gain threshold chi2 decision" in rows
     assert "2 add dead time 812 nat 16 nat – taken" in rows
-    assert out.index("812 nat") < out.index("cannot be told from") < out.rindex("device drop")
+    assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
 
 
 def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys: pytest.CaptureFixture[str]) -> None:

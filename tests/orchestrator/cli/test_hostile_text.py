@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from orchestrator.formatting.sentences import LONGEST_LINE, visible
+from orchestrator.formatting.sentences import MAX_LINE_LENGTH, visible
 from orchestrator.runs import Journal
 from plugins.commands.mystery._command import _print_verdict
 from plugins.commands.mystery._guessing import Verdict
@@ -28,7 +28,7 @@ WORDS = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
 
 def assert_plain(text: str) -> None:
     assert [char for char in text if visible(char) != char] == []
-    assert max(map(len, text.split("\n"))) < 2 * LONGEST_LINE
+    assert max(map(len, text.split("\n"))) < 2 * MAX_LINE_LENGTH
 
 
 def tell_all(folder: Path, text: str) -> None:

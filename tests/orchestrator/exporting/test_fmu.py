@@ -71,7 +71,7 @@ def test_without_a_compiler_the_sources_are_in_it_and_that_is_said(
 ) -> None:
     monkeypatch.setenv("PATH", "")
     (file,) = export_map(saturated_map(nodes=9), MOTOR, tmp_path, ["fmu"]).files
-    assert "no C compiler was found: sources only" in file.notes
+    assert "no C compiler is available: sources only" in file.notes
     with zipfile.ZipFile(file.path) as archive:
         assert set(archive.namelist()) == {"modelDescription.xml", "sources/pm400.c", "sources/flux_map.h"}
 

@@ -32,10 +32,10 @@ def python_for_motulator() -> str:
     others = [which(f"python3.{minor}") for minor in (14, 13, 12)]
     others += [str(p) for p in sorted((Path.home() / ".pyenv" / "versions").glob("3.1[2-9]*/bin/python"))]
     for candidate in [sys.executable, *filter(None, others)]:
-        asked = subprocess.run(
+        available = subprocess.run(
             [candidate, "-c", "import sys; sys.exit(sys.version_info < (3, 12))"], capture_output=True
         )
-        if asked.returncode == 0:
+        if available.returncode == 0:
             return candidate
     pytest.fail("motulator's flux maps need Python 3.12 or newer, and none was found: this is not tested here")
 
@@ -76,12 +76,12 @@ def test_the_exported_script_runs_the_machine_to_its_speed_and_load(motulator: P
     export_map(saturated_map(), motor, tmp_path, ["npz", "motulator"])
     script = tmp_path / "flux_map_motulator.py"
     done = subprocess.run([motulator, script], check=True, capture_output=True, text=True, timeout=600)
-    told = {
+    constants = {
         name: float(re.findall(rf"^{name} = (\S+)", script.read_text(), re.M)[0]) for name in ("SPEED_RAD_S", "LOAD_NM")
     }
     speed, torque = (float(word) for word in re.findall(r"(?:speed|torque) (\S+)", done.stdout))
-    assert speed == pytest.approx(float(told["SPEED_RAD_S"]), rel=1e-3)
-    assert torque == pytest.approx(float(told["LOAD_NM"]), rel=1e-2)
+    assert speed == pytest.approx(float(constants["SPEED_RAD_S"]), rel=1e-3)
+    assert torque == pytest.approx(float(constants["LOAD_NM"]), rel=1e-2)
 
 
 @pytest.mark.slow

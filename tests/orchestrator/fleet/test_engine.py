@@ -81,12 +81,12 @@ def answer_to(port: int, encrypted: bool) -> bytes:
 
 def test_all_are_answered_once_whatever_they_raise_and_few_are_in_flight(client: Client) -> None:
     tasks = [Task(f"t{n}", stumble if n % 7 == 0 else double, (n,)) for n in range(40)]
-    asked = one_by_one(tasks)
+    upcoming = one_by_one(tasks)
     given = answered = most = 0
 
     def next_task() -> Task | None:
         nonlocal given, most
-        task = asked()
+        task = upcoming()
         given += task is not None
         most = max(most, given - answered)
         return task
@@ -127,9 +127,9 @@ def test_a_dead_worker_costs_its_task_one_retry_and_its_neighbours_nothing(clien
 @pytest.mark.slow
 def test_an_answer_that_was_lost_with_its_worker_is_made_again(client: Client, tmp_path: Path) -> None:
     """The job looks at it only when it is gone."""
-    asked = one_by_one([Task("other", double, (4,)), Task("lost", leave, (str(tmp_path / "left"), 0.5))])
+    next_task = one_by_one([Task("other", double, (4,)), Task("lost", leave, (str(tmp_path / "left"), 0.5))])
     results = {}
-    for answer in work_through(asked, client):
+    for answer in work_through(next_task, client):
         results[answer.task.name] = answer.result
         time.sleep(1.2)
     assert results == {"lost": 7, "other": 8}

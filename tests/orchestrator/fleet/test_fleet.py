@@ -140,4 +140,4 @@ def test_what_fails_after_an_import_names_the_file_that_was_imported(tmp_path: P
     mapping = bench.folder / "mapping.yaml"
     plan = Plan(steps=("import", "export"), mapping=mapping, keep=tmp_path / "kept")
     (row,), _ = done(bench.folder, tmp_path / "table", plan)
-    assert row.failed == f"{bench.folder}/log.csv: no map came of it, so there is nothing to export"
+    assert row.failed == f"{bench.folder}/log.csv: has no map to export"

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from orchestrator.fleet import Progress
+from orchestrator.fleet import JobProgress
 
 
 def test_time_left_follows_from_what_is_done_and_not_from_what_was_there() -> None:
     now, lines = [0.0], list[str]()
-    progress = Progress(10, lines.append, clock=lambda: now[0])
+    progress = JobProgress(10, lines.append, clock=lambda: now[0])
     for _ in range(4):
-        progress.passed_over()
+        progress.skip()
     now[0] = 6.0
     progress.done()
     progress.done(failed=True)

@@ -96,7 +96,7 @@ def test_who_interrupts_a_job_gets_one_line_and_keeps_what_was_done(tmp_path: Pa
     else:
         client.send_signal(number)
     _, complaints = client.communicate()
-    assert complaints == "fluxbench: interrupted; started again, the job goes on where it was\n"
+    assert complaints == "fluxbench: interrupted; started again, the job continues where it stopped\n"
     assert client.returncode == 130
     assert written < len(read_table(tmp_path / "table")) < LONG
 

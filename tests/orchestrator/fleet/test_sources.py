@@ -9,7 +9,7 @@ import fsspec
 import pytest
 
 from orchestrator.fleet import Source, find_sources, sources_below
-from orchestrator.fleet._content import at_hand, content_sha256
+from orchestrator.fleet._content import content_sha256, local_copy
 from orchestrator.importing import ENDINGS
 from protocols import InputError
 from tests.orchestrator.fleet.small import small_recordings
@@ -72,7 +72,7 @@ def test_values_that_lie_beside_their_description_belong_to_it(tmp_path: Path) -
     memory = fsspec.filesystem("memory")
     memory.put(str(tmp_path), "/captures", recursive=True)
     fetched = [source for source in found_below("memory://captures", files=True) if source.url.endswith("a.cfg")]
-    with at_hand(fetched[0], stays=False) as path:
+    with local_copy(fetched[0], keep=False) as path:
         assert sorted(file.name for file in path.parent.iterdir() if file.is_file()) == ["a.cfg", "a.dat"]
 
 

@@ -46,7 +46,7 @@ def test_a_table_that_is_opened_again_knows_its_rows(tmp_path: Path) -> None:
         for other in (("runs/c", "f", ("estimate",), "1"), ("runs/a", "g", ("estimate",), "1"),
                       ("runs/a", "f", ("compare",), "1"), ("runs/a", "f", ("estimate",), "2")):  # fmt: skip
             assert table.visit(*other) is None
-        with pytest.raises(ValueError, match="there is such a row"):
+        with pytest.raises(ValueError, match="the table has this row already"):
             table.add(row("a"))
 
 

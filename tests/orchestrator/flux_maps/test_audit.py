@@ -114,8 +114,8 @@ def test_a_torque_of_another_scale_is_named_by_what_makes_such_scales(factor: fl
 
 
 def test_what_cannot_be_asked_is_said() -> None:
-    told = {remark.code for remark in audit_map(shipped("ipm-femm-60c")).remarks}
-    assert told == {"parity_unasked", "rest_unknown", "torque_unasked"}
+    codes = {remark.code for remark in audit_map(shipped("ipm-femm-60c")).remarks}
+    assert codes == {"parity_unasked", "rest_unknown", "torque_unasked"}
 
 
 def test_public_maps_of_real_machines_are_what_they_are() -> None:
@@ -129,5 +129,5 @@ def test_public_maps_of_real_machines_are_what_they_are() -> None:
 def test_fluxes_of_no_motor_are_one_line(scale: float) -> None:
     silly = changed(psi_d=scale * sound().psi_d, psi_q=scale * sound().psi_q)
     for judged in (audit_map, repair_map):
-        with pytest.raises(InputError, match="are no motor's"):
+        with pytest.raises(InputError, match="is impossible for a motor"):
             judged(silly)

@@ -171,12 +171,12 @@ def survives(suffix: str, content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"map{suffix}"
         path.write_bytes(content)
-        said = ""
+        message = ""
         try:
             load_map(path)
         except InputError as error:
-            said = str(error)
-    assert "\n" not in said
+            message = str(error)
+    assert "\n" not in message
 
 
 @given(suffix=st.sampled_from([".csv", ".npz", ".mat"]), content=st.binary(max_size=300))
@@ -215,5 +215,5 @@ def test_tables_larger_than_the_memory_are_refused_before_they_are_read(
         save_flux_map(path, linear_map())
     load_map(path)
     monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 10_000)
-    with pytest.raises(InputError, match=f"map{ending}: its (arrays|variables|tables) take some 0.0 GB of memory"):
+    with pytest.raises(InputError, match=f"map{ending}: its (arrays|variables|tables) need some 0.0 GB of memory"):
         load_map(path)

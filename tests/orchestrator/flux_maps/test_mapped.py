@@ -78,7 +78,7 @@ def test_a_mapping_of_waveforms_names_the_command_that_reads_it(tmp_path: Path) 
         ("t.csv", {"d": "Id"}, "Id: no such column; valid: FD, FQ, ID, IQ"),
         ("t.csv", {"ampere": "amps"}, "map.yaml:4: current.unit"),
         ("t.csv", {"more": "torqe: 1\n"}, "torqe"),
-        ("square.npz", {}, "axes: neither lengths nor values tell the tables' dimensions: say axes: [d, q] or [q, d]"),
+        ("square.npz", {}, "axes: neither lengths nor values identify the tables' dimensions: set axes:"),
     ],
 )
 def test_a_wrong_mapping_is_one_line(tmp_path: Path, file: str, changes: dict[str, str], message: str) -> None:

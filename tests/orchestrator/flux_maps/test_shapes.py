@@ -92,7 +92,7 @@ def test_square_tables_are_told_by_their_values(machine: Machine, along_columns:
 def test_axes_say_what_values_cannot() -> None:
     axis = np.array([-1.0, 0.0, 1.0])
     tables = {"FD": np.ones((3, 3)), "FQ": np.add.outer(axis, 1.5 * axis)}
-    with pytest.raises(InputError, match=r"say axes: \[d, q\] or \[q, d\]"):
+    with pytest.raises(InputError, match=r"set axes: \[d, q\] or \[q, d\]"):
         read(AXES, ID=axis, IQ=axis, **tables)
     found = read(AXES + "axes: [q, d]\n", ID=axis, IQ=axis, **tables).flux_map
     np.testing.assert_allclose(found.psi_q, np.add.outer(1.5 * axis, axis))
@@ -155,16 +155,16 @@ def test_a_third_dimension_is_a_rotor_angle_only_by_its_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "said"),
+    ("spoil", "message"),
     [
-        (lambda i, th: (i[:-1], th[:-1]), "1 of 81 currents have not each of the 8 rotor angles"),
+        (lambda i, th: (i[:-1], th[:-1]), "1 of 81 currents lack some of the 8 rotor angles"),
         (lambda i, th: (i, np.where(th > 50.0, 59.0, th)), "angles are not evenly spaced"),
         (lambda i, th: (i, 0.0 * th), "fewer than two rotor angles"),
         (lambda i, th: (i, np.where(th > 50.0, np.nan, th)), "an angle is not finite"),
-        (lambda i, th: (1e30 * i, th), "beyond what can be a motor's"),
+        (lambda i, th: (1e30 * i, th), "too large for a motor"),
     ],
 )
-def test_rotor_angles_that_make_no_mean_are_refused(spoil: object, said: str) -> None:
+def test_rotor_angles_that_make_no_mean_are_refused(spoil: object, message: str) -> None:
     assert callable(spoil)
     machine = Machine(0.1, 1e-3, 2e-3, 10.0, 10.0, 9)
     i_d, i_q, theta = (
@@ -172,7 +172,7 @@ def test_rotor_angles_that_make_no_mean_are_refused(spoil: object, said: str) ->
     )
     i, theta = spoil(np.column_stack((i_d, i_q)), theta)
     flux = machine.psi(i)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read(
             AXES + "rotor_angle: {column: TH, unit: deg}\n",
             ID=i[:, 0], IQ=i[:, 1], TH=theta, FD=flux[:, 0], FQ=flux[:, 1],
@@ -255,7 +255,7 @@ def test_currents_that_miss_their_set_points_give_the_flux_there(machine: Machin
 
 
 @pytest.mark.parametrize(
-    ("currents", "said"),
+    ("currents", "message"),
     [
         ([(k, 0.7 * k * k) for k in range(1, 40)], "nor cover an area"),
         ([(k, 0.0) for k in range(-10, 11)] + [(0.0, k) for k in range(-10, 11)], "nor cover an area"),
@@ -267,9 +267,9 @@ def test_currents_that_miss_their_set_points_give_the_flux_there(machine: Machin
         ),
     ],
 )
-def test_points_that_tell_no_map_are_refused(currents: list[tuple[float, float]], said: str) -> None:
+def test_points_that_span_no_map_are_refused(currents: list[tuple[float, float]], message: str) -> None:
     i = np.array(currents, dtype=float)
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read(AXES, ID=i[:, 0], IQ=i[:, 1], FD=0.1 + 1e-3 * i[:, 0], FQ=2e-3 * i[:, 1])
 
 

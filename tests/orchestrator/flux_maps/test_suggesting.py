@@ -131,7 +131,7 @@ def test_a_constant_flux_leaves_the_dimensions_to_the_reader(tmp_path: Path) -> 
     np.savez(tmp_path / "m.npz", i_d=AXIS, i_q=AXIS, psi_d=np.ones((9, 9)), psi_q=np.ones((9, 9)))
     suggestion = suggest_mapping(tmp_path / "m.npz")
     assert "axes: [d, q]  # a guess" in suggestion.text
-    assert any("say axes: [d, q] or [q, d]" in doubt for doubt in suggestion.doubts)
+    assert any("set axes: [d, q] or [q, d]" in doubt for doubt in suggestion.doubts)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,7 @@ def test_a_constant_flux_leaves_the_dimensions_to_the_reader(tmp_path: Path) -> 
 )
 def test_names_that_tell_nothing_are_listed(tmp_path: Path, head: str, lacking: str) -> None:
     path = table(tmp_path / "m.csv", head, rows())
-    with pytest.raises(InputError, match=f"cannot tell which columns are the {lacking} by their names") as caught:
+    with pytest.raises(InputError, match=f"the names do not show which columns are the {lacking}") as caught:
         suggest_mapping(path)
     assert list(caught.value.choices) == head.split(",")
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from orchestrator.formatting.quantities import (
     Scale,
     axes_percent,
-    borne,
     duration,
     fixed,
     measured,
@@ -19,6 +18,7 @@ from orchestrator.formatting.quantities import (
     percent,
     plural,
     quantity,
+    significant_decimals,
     unit_words,
     value_and_interval,
     vector,
@@ -41,9 +41,9 @@ def read(text: str) -> float:
 def split(text: str, unit: str) -> tuple[str, float]:
     """Number and factor of a printed quantity."""
     printed = unit_words(unit)
-    found = re.fullmatch(rf"(\S+) ([{''.join(PREFIXES)}]?){printed}", text)
-    assert found is not None, text
-    return found[1], PREFIXES[found[2]]
+    match = re.fullmatch(rf"(\S+) ([{''.join(PREFIXES)}]?){printed}", text)
+    assert match is not None, text
+    return match[1], PREFIXES[match[2]]
 
 
 @given(SIZES, st.sampled_from(UNITS), st.integers(2, 5))
@@ -151,7 +151,7 @@ def test_large_numbers_keep_all_digits_before_the_point() -> None:
 
 
 def test_an_uncertainty_bears_one_digit_and_two_after_a_one() -> None:
-    assert [borne(error) for error in (0.015, 0.02, 0.9, 0.99, 1.2, 3.0, 250.0)] == [3, 2, 1, 1, 1, 0, 0]
+    assert [significant_decimals(error) for error in (0.015, 0.02, 0.9, 0.99, 1.2, 3.0, 250.0)] == [3, 2, 1, 1, 1, 0, 0]
     assert with_error(0.3, 7.8e-4, -3) == "300.0 ± 0.8"
     assert with_error(0.3, float("nan"), -3) == "300"
     assert with_error(-3.5e-16, 3e-19, -3) == "0.000"  # rounding, where a map is odd by construction
@@ -165,10 +165,10 @@ def test_a_zero_has_no_minus() -> None:
 
 @given(st.floats(0.0, 1e6))
 def test_a_duration_reads_back(seconds: float) -> None:
-    told = duration(seconds)
+    text = duration(seconds)
     units = {"h": 3600.0, "min": 60.0, "s": 1.0}
-    back = sum(read(n) * units[unit] for n, unit in re.findall(r"([\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+) (h|min|s)", told))
-    assert back == pytest.approx(seconds, rel=0.051, abs=1e-300 if "h" not in told else 60.0)
+    back = sum(read(n) * units[unit] for n, unit in re.findall(r"([\d.·⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+) (h|min|s)", text))
+    assert back == pytest.approx(seconds, rel=0.051, abs=1e-300 if "h" not in text else 60.0)
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,13 @@
-"""What a diagnosis found, as rows: sizes are listed, numbers that bend a form counted; what rows leave open is said."""
+"""A diagnosis as rows: sizes are listed, parameters of a form counted; notes and benefits are sentences."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from orchestrator.formatting.results import parameter_rows, share_notes
-from protocols import FoundEffect, Materiality, ParameterValue
+import pytest
+
+from orchestrator.formatting.results import benefit_line, parameter_rows, share_notes
+from protocols import FoundEffect, Materiality, ParameterValue, Remark
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -28,7 +30,7 @@ def test_sizes_and_what_they_mean_for_the_drive_are_listed_and_the_rest_is_count
     assert parameter_rows(effect()) == [
         ("voltage", "800 mV", "700 to 900"),
         ("dead time", "148 ns", "130 to 167"),
-        ("its form", "2 more numbers in model.json", ""),
+        ("its form", "2 more parameters in model.json", ""),
     ]
 
 
@@ -37,6 +39,20 @@ def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_expl
     report = a_diagnosis().model_copy(update={"materiality": limits, "minor": ()})
     first, second = share_notes(report.model_copy(update={"effects": (effect(share=2.28, material=False),)}))
     assert first.startswith("above 100 % of the error: without this effect")
-    assert second.startswith("dead time: a cause of the error that was measured, but not material: ")
+    assert second.startswith("dead time: a cause of the measured error, but not material: ")
     assert "less than 0.2 % of the rated flux" in second
     assert share_notes(report.model_copy(update={"effects": (effect(share=0.9, material=True),)})) == []
+
+
+@pytest.mark.parametrize(
+    ("code", "line"),
+    [
+        ("helps", "It did."),
+        ("not_needed", "It did."),
+        ("does_not_help", "It did; `fluxbench remove runs/a dead_time` takes it out again."),
+        ("needed", "It did; `fluxbench add runs/a dead_time` puts it back."),
+    ],
+)
+def test_a_change_that_did_not_help_says_how_to_undo_it(code: str, line: str) -> None:
+    remark = Remark(code=code, values={"effect": "dead_time"}, text="It did")
+    assert benefit_line(remark, "runs/a") == line

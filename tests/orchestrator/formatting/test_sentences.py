@@ -65,8 +65,8 @@ def test_a_line_is_one_line(text: str) -> None:
 
 
 def test_a_long_sentence_is_cut_between_words() -> None:
-    told = shortened("alpha = 1, beta = 2, gamma = 3", 20)
-    assert told == "alpha = 1, beta ... (the whole is in the report)"
+    short = shortened("alpha = 1, beta = 2, gamma = 3", 20)
+    assert short == "alpha = 1, beta ... (in full in the report)"
     assert shortened("short", 20) == "short"
 
 

@@ -156,7 +156,7 @@ def test_a_table_of_channels_larger_than_any_is_not_read_to_its_end(tmp_path: Pa
     path = tmp_path / "log.cfg"
     desk = Desk(tmp_path, comtrade(path), [path])
     os.truncate(path, 3_000_000_000)
-    with pytest.raises(InputError, match="3000 MB are more than such a file has"):
+    with pytest.raises(InputError, match="3000 MB are too large for such a file"):
         desk.run()
 
 

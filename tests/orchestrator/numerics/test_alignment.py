@@ -1,4 +1,4 @@
-"""Which row's voltage makes the current: told by edges, or by a sine's phase where the resistance is known."""
+"""The lag between voltage and current, by edges, or by a sine's phase where the resistance is known."""
 
 from __future__ import annotations
 

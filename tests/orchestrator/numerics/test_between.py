@@ -1,4 +1,4 @@
-"""What many have in common, told from values that each have an error of their own."""
+"""Mean and spread of a population from values with known errors."""
 
 from __future__ import annotations
 

@@ -30,10 +30,10 @@ def test_a_paired_shift_is_the_books() -> None:
 def test_of_many_values_a_part_tells_the_same() -> None:
     rng = np.random.default_rng(0)
     values, others = rng.normal(size=600) + 0.3, rng.normal(size=500)
-    whole, part = shift(values, others), shift(values, others, Thinning(most_values=100))
+    whole, part = shift(values, others), shift(values, others, Thinning(max_values=100))
     assert part.value == pytest.approx(whole.value, abs=0.02)
     assert (part.low, part.high) == pytest.approx((whole.low, whole.high), abs=0.02)
-    same, thinned = paired_shift(values), paired_shift(values, Thinning(most_values=100))
+    same, thinned = paired_shift(values), paired_shift(values, Thinning(max_values=100))
     assert (thinned.low, thinned.high) == pytest.approx((same.low, same.high), abs=0.02)
 
 
@@ -50,7 +50,7 @@ def test_a_slope_stands_while_a_quarter_of_the_values_is_wild() -> None:
 def test_a_slope_over_groups_is_the_slope() -> None:
     rng = np.random.default_rng(2)
     x = np.sort(rng.random(3000))
-    found = slope(x, 2.0 * x + 0.1 * rng.normal(size=3000), Thinning(most_values=200))
+    found = slope(x, 2.0 * x + 0.1 * rng.normal(size=3000), Thinning(max_values=200))
     assert found.low < 2.0 < found.high
     assert found.chance < 1e-10
 

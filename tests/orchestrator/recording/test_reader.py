@@ -1,4 +1,4 @@
-"""Reading: what is right comes back unchanged; what is wrong is said with its file and field."""
+"""Reading: correct files come back unchanged; errors name file and field."""
 
 from __future__ import annotations
 
@@ -332,8 +332,8 @@ def test_more_rows_than_the_machine_holds_are_refused_before_any_is_read(
     assert (spare_memory() or 0) > 1e6
     monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 5000)
     monkeypatch.setattr(pq.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
-    told = complaint(lambda: open_recording(directory))
-    assert "100 rows take some 0.0 GB of memory to work on, and 0.0 GB are free" in told
+    message = complaint(lambda: open_recording(directory))
+    assert "100 rows need some 0.0 GB of memory, and 0.0 GB are free" in message
 
 
 def test_a_limit_on_the_address_space_counts_as_memory(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -348,9 +348,9 @@ def test_a_limit_on_the_address_space_counts_as_memory(monkeypatch: pytest.Monke
 def test_a_number_is_neither_a_boolean_nor_text(make_recording: Make, field: str, kind: str, value: object) -> None:
     directory = make_recording()
     edit_manifest(directory, lambda raw: raw["segments"][0].update({field: value}))
-    told = complaint(lambda: open_recording(directory))
-    assert f"segments.0.{field}: expected a {kind}" in told
-    assert told.endswith(f"got {value!r}")
+    message = complaint(lambda: open_recording(directory))
+    assert f"segments.0.{field}: expected a {kind}" in message
+    assert message.endswith(f"got {value!r}")
 
 
 def test_an_id_that_no_file_system_takes_is_refused(make_recording: Make) -> None:

@@ -111,7 +111,7 @@ def test_a_gain_that_is_wrong_by_ten_passes(machine: Machine, gains: dict[str, A
 
 @few("machine", [Machine(), SMALL, LARGE])
 @pytest.mark.parametrize(
-    ("gains", "told"),
+    ("gains", "message"),
     [
         ({"i": 1e18}, "i_alpha, i_beta"),
         ({"i": 1e9}, "i_alpha, i_beta"),
@@ -129,10 +129,10 @@ def test_a_gain_that_is_wrong_by_ten_passes(machine: Machine, gains: dict[str, A
         ({"v": -1.0, "only": "injection"}, "reversed"),
     ],
 )
-def test_what_cannot_be_a_motor_s_is_refused(machine: Machine, gains: dict[str, Any], told: str) -> None:
+def test_what_cannot_be_a_motor_s_is_refused(machine: Machine, gains: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
         SoundRecording(recorded(machine).scaled(**gains)).read_through()
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert str(caught.value).startswith("bench: ")
     assert "\n" not in str(caught.value)
     assert caught.value.exit_code == 2
@@ -143,12 +143,12 @@ def test_what_is_refused_without_a_nameplate_is_what_needs_none() -> None:
         rated_current_rms_a=None, stator_resistance_ohm=None, d_inductance_h=None, q_inductance_h=None
     )
     SoundRecording(bare.scaled(i=100.0)).read_through()
-    for scaled, told in (
+    for scaled, message in (
         (bare.scaled(i=1e9), "any motor's"),
         (bare.scaled(v=1e9), "bus"),
         (bare.scaled(v=-1.0), "reversed"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=message):
             SoundRecording(scaled).read_through()
 
 
@@ -163,7 +163,7 @@ def test_a_sampling_frequency_that_is_wrong_by_a_thousand_shows_in_the_inductanc
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "message"),
     [
         ({"stator_resistance_ohm": 1e300}, "motor.stator_resistance_ohm"),
         ({"d_inductance_h": 1e-300}, "motor.d_inductance_h"),
@@ -171,13 +171,13 @@ def test_a_sampling_frequency_that_is_wrong_by_a_thousand_shows_in_the_inductanc
         ({"rated_current_rms_a": 1e-9}, "motor.rated_current_rms_a"),
     ],
 )
-def test_a_nameplate_that_no_motor_has_is_named(changes: dict[str, float], told: str) -> None:
-    with pytest.raises(InputError, match=told):
+def test_a_nameplate_that_no_motor_has_is_named(changes: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         SoundRecording(recorded().with_motor(**changes))
 
 
 @pytest.mark.parametrize(
-    ("settings", "told"),
+    ("settings", "message"),
     [
         ({"frequency_hz": "500 Hz"}, "settings.frequency_hz: expected a number"),
         ({"rotation_hz": [2.0]}, "settings.rotation_hz: expected a number"),
@@ -187,13 +187,13 @@ def test_a_nameplate_that_no_motor_has_is_named(changes: dict[str, float], told:
         ({"target_d_a": "1 A"}, "settings.target_d_a"),
     ],
 )
-def test_a_setting_that_cannot_be_meant_is_named(settings: dict[str, object], told: str) -> None:
+def test_a_setting_that_cannot_be_meant_is_named(settings: dict[str, object], message: str) -> None:
     sound = recorded()
     *others, last = sound.manifest.segments
     changed = (*others, last.model_copy(update={"settings": settings}))
     with pytest.raises(InputError) as caught:
         SoundRecording(replace(sound, manifest=sound.manifest.model_copy(update={"segments": changed})))
-    assert f"segments.{last.id}.{told}" in str(caught.value)
+    assert f"segments.{last.id}.{message}" in str(caught.value)
 
 
 def test_a_recording_without_a_measurement_is_left_to_whoever_reads_it() -> None:

@@ -72,7 +72,7 @@ def test_a_spike_that_no_bus_makes_is_refused(right: Rewritten) -> None:
         v_dc[50] *= 1e3
         return {"v_dc": v_dc}
 
-    with pytest.raises(NotMeasuredError, match=r"v_dc: sample 50: .* no bus does that"):
+    with pytest.raises(NotMeasuredError, match=r"v_dc: sample 50: .* which is impossible"):
         SoundRecording(right.captured(spiked)).read_through()
 
 

@@ -52,7 +52,7 @@ def run(tmp_path: Path, procedure: Procedure, capabilities: Capabilities) -> Run
 
 @pytest.fixture
 def measure() -> Callable[..., PointDone]:
-    """Write a segment's capture into a run and return the message that calls it done."""
+    """Write a segment's capture into a run and return the message that records it as done."""
 
     def write(run: RunDirectory, segment_id: str, start_s: float, n: int = 50) -> PointDone:
         capture = Capture(

@@ -117,7 +117,7 @@ def test_a_place_that_cannot_be_made_is_a_storage_error(
     tmp_path: Path, procedure: Procedure, capabilities: Capabilities
 ) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(StorageError, match="cannot be made"):
+    with pytest.raises(StorageError, match="cannot be created"):
         RunDirectory.create(tmp_path / "file" / "run", procedure, capabilities)
 
 
@@ -171,7 +171,7 @@ def test_a_capture_that_went_away_is_named(run: RunDirectory, measure: Measure) 
     with run.lock():
         run.journal.append(measure(run, "resistance-000", 0.0))
     capture_path(run.path, "resistance-000").unlink()
-    with pytest.raises(RecordingError, match="calls it done"):
+    with pytest.raises(RecordingError, match="records it as done"):
         run.write_manifest()
 
 

@@ -64,11 +64,11 @@ def test_without_git_there_is_no_state_and_no_error(tmp_path: Path, monkeypatch:
 def test_a_run_says_nothing_of_who_made_it_or_of_the_environment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = {"HOME": "/home/lovelace", "USER": "lovelace", "LOGNAME": "lovelace", "API_TOKEN": "hush-hush"}
-    for name, value in told.items():
+    secrets = {"HOME": "/home/lovelace", "USER": "lovelace", "LOGNAME": "lovelace", "API_TOKEN": "hush-hush"}
+    for name, value in secrets.items():
         monkeypatch.setenv(name, value)
     run = run_tiny(tmp_path, stages=STAGES[:1]).path
     for file in ("run.json", "recording.json"):
         text = (run / file).read_text(encoding="utf-8")
-        found = [secret for secret in {*told.values(), str(Path.cwd()), str(tmp_path), sys.prefix} if secret in text]
+        found = [secret for secret in {*secrets.values(), str(Path.cwd()), str(tmp_path), sys.prefix} if secret in text]
         assert found == [], file

@@ -92,7 +92,7 @@ def test_a_kind_that_there_is_not_is_refused(tmp_path: Path) -> None:
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "precious").write_text("x")
-    with pytest.raises(InputError, match="is there already"):
+    with pytest.raises(InputError, match="exists already"):
         write_package("drive", "mine", tmp_path / "new")
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["precious"]
 

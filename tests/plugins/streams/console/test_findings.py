@@ -74,8 +74,7 @@ def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], mo
 
 def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert told(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
-        "comparison: the saturated model has chi2 54890, worst in resistance-022 with 1.48 V rms "
-        "where noise makes 3.45 mV",
+        "comparison: the saturated model has chi2 54890, worst in resistance-022 with 1.48 V rms at a noise of 3.45 mV",
         "the model alone           chi2    5489    300 mV  held out   350 mV",
         "+ dead time               chi2    1.02    4.1 mV  held out   4.2 mV",
         "diagnosis: explained",
@@ -84,7 +83,7 @@ def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPat
         "likely cause        dead_time (voltage_v 0.4 V, 95 % −0.399 to 0.401)",
         "if added            held-out error 350 → 4.2 mV; R_s 4.6 → 4.31 Ω",
         "to decide           resistance stage of 0.27 min",
-        "next experiment: resistance, 16 s, tells dead time from device drop; and the run goes on with it",
+        "next experiment: resistance, 16 s, separates dead time from device drop; the run continues with it",
     ]
 
 
@@ -158,7 +157,7 @@ def test_a_report_that_says_little_is_told_all_the_same(monkeypatch: pytest.Monk
     silent = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, ""))
     empty: list[Message] = [Compared(report=bare), Diagnosed(round=2, report=a_diagnosis(), words=silent)]
     assert told(monkeypatch, tmp_path, empty, "plain").splitlines() == [
-        "comparison: the saturated model has chi2 – where noise makes –",
+        "comparison: the saturated model has chi2 – at a noise of –",
         "diagnosis: explained, after experiment 2",
     ]
     assert told(monkeypatch, tmp_path, empty, "live")
@@ -181,4 +180,4 @@ def test_a_long_remark_is_one_line_and_numbers_are_typeset() -> None:
     assert ("remarks", "moved −0.2 ± 0.1 deg") in rows
     assert ("reciprocity", "0.002 % (by construction)") in rows
     assert max(len(text) for _, text in rows) < 270
-    assert any(text.endswith("(the whole is in the report)") for _, text in rows)
+    assert any(text.endswith("(in full in the report)") for _, text in rows)

@@ -1,4 +1,4 @@
-"""What is said to who waits: at a terminal what is under way, on standard error; anywhere else what is to be kept."""
+"""Progress messages: on standard error at a terminal; in files and pipes results alone."""
 
 from __future__ import annotations
 
@@ -10,44 +10,44 @@ from typing import TextIO
 from orchestrator.formatting.sentences import cut, for_output
 
 
-class Waiting:
-    """Says what is under way, and since when.
+class Progress:
+    """Prints the current step of a computation, with the time since its start.
 
     Parameters
     ----------
     where : TextIO, optional
-        Standard error by default. A file or pipe gets no line of what is under way.
+        Standard error by default. A file or pipe gets no progress lines.
     clock : callable, optional
         Seconds, of any origin.
-    kept : TextIO, optional
-        Where the lines of `keep` go if `where` is no terminal; by default there too.
+    results : TextIO, optional
+        Output for `result` if `where` is no terminal; `where` by default.
     """
 
     def __init__(
         self,
         where: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
-        kept: TextIO | None = None,
+        results: TextIO | None = None,
     ) -> None:
         self._where = sys.stderr if where is None else where
-        self._kept = self._where if kept is None else kept
+        self._results = self._where if results is None else results
         self._clock, self._began = clock, clock()
         self._next = self._began
 
     def __call__(self, text: str) -> None:
         now = self._clock()
-        # What was found is said at once; what is being done may be said again soon enough.
+        # An added effect is printed at once; other steps at most once a second.
         if not self._where.isatty() or (now < self._next and not text.startswith("+ ")):
             return
         self._next = now + 1.0
         self._print(f"{now - self._began:5.0f} s  {text}", self._where)
 
-    def keep(self, text: str) -> None:
-        """Say what is to be read by everybody: at a terminal at once, in a file or pipe as a plain line."""
+    def result(self, text: str) -> None:
+        """Print a result: at a terminal at once with the time, in a file or pipe as a plain line."""
         if self._where.isatty():
             self._print(f"{self._clock() - self._began:5.0f} s  {text}", self._where)
         else:
-            self._print(text, self._kept)
+            self._print(text, self._results)
 
     @staticmethod
     def _print(line: str, where: TextIO) -> None:
