@@ -60,6 +60,8 @@ class Bench:
     drive_delay_samples: float = 0.0
     seed: int = 0
     bridge: Bridge = NO_BRIDGE
+    zero_wander_a: float = 0.0
+    """By how much each reading's zero differs from segment to segment (rms)."""
 
 
 @dataclass
@@ -209,6 +211,10 @@ def _plan(machine: Machine, campaign: Campaign) -> Iterator[_Ask]:
 
 
 def _measure(bench: Bench, ask: _Ask, clock: _Clock, rng: np.random.Generator) -> tuple[float, _Rows]:
+    if bench.zero_wander_a > 0.0:
+        zero_a, zero_b = bench.zero_wander_a * rng.standard_normal(2)
+        plant = bench.plant._replace(offset_a=bench.plant.offset_a + zero_a, offset_b=bench.plant.offset_b + zero_b)
+        bench = replace(bench, plant=plant)
     if ask.pwm_ratio != 1.0:
         bridge = bench.bridge._replace(half_s=bench.bridge.half_s / ask.pwm_ratio)
         plant = bench.plant._replace(dead_v=bench.plant.dead_v * ask.pwm_ratio)

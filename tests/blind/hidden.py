@@ -74,6 +74,7 @@ class Case:
 NUISANCES: tuple[str, ...] = (
     "correlated_noise", "pwm_ripple", "sampling_jitter", "no_gates_off", "one_amplitude", "one_pwm_frequency",
     "no_classical", "no_injection", "no_anchors", "servo_48v", "traction_28kw", "too_short", "no_excitation",
+    "wandering_zero",
 )  # fmt: skip
 SILENT = ("too_short", "no_excitation")
 """Nuisances that leave nothing to diagnose."""
@@ -181,6 +182,10 @@ def _case(
         drive_delay_samples=float(rng.choice([0.0, 0.0, 1.0])),
         seed=int(rng.integers(2**63)),
     )
+    if nuisance == "wandering_zero":
+        # A sound sensor's, in warm-up: up to 0.15 % of the rated current, each segment its own.
+        rated_a = np.sqrt(2.0) * machine.rated_current_rms_a
+        bench = dataclasses.replace(bench, zero_wander_a=float(rng.uniform(0.0005, 0.0015) * rated_a))
     return Case(
         kind,
         index,
