@@ -67,11 +67,10 @@ def all_together(
     library: Sequence[Candidate],
     interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, Search] | None:
-    """The ladder of what the joint fit found; None where it has no more to say than the search one by one.
+    """The ladder of what the joint fit found; None where that is nothing.
 
     The setup which comes back has the modulator's timer as all effects leave it, where there is one.
     """
-    given = setup
 
     def begin(text: str, step: str) -> None:
         setup.fitter.begin(text, LEFT_PER_EFFECT[step] * len(library))
@@ -87,7 +86,7 @@ def all_together(
     begin("which of them do the data ask for?", "search")
     fit, rivals = joint_search(setup.coarse_fitter, fit, library)
     setup, fit, rivals = timed_anew(setup, fit, rivals, library)
-    if setup is given and set(fit.model.names) <= set(quick.fit.model.names):
+    if not fit.model.active:
         return None
     interim.reached_together(setup, steps, (part_alone, fit), quick, rivals, is_part=True)
     begin("the same on the whole recording", "whole")
