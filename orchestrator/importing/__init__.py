@@ -1,6 +1,6 @@
-"""Measurements from elsewhere into recordings: CSV, MATLAB, Parquet and ASAM MF4 files, told apart by a mapping file.
+"""Convert CSV, MATLAB, Parquet and ASAM MF4 measurements into recordings; a mapping file describes their columns.
 
-What looks wrong is refused or noted with its place; nothing is repaired that the mapping does not ask for.
+Implausible data are refused or noted with their place; the import repairs only what the mapping requests.
 """
 
 from orchestrator.importing._findings import Finding

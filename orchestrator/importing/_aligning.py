@@ -1,11 +1,11 @@
-"""Two loggers' clocks fitted together by what a winding does: the current's slope bends where the voltage has an edge.
+"""Align two loggers' clocks: the slope of a winding's current changes where the voltage has an edge.
 
     i[k+2] - 2 i[k+1] + i[k] = g (v[k+1] - v[k])
 
-First windows of the current are found again in the whole of the voltage. Where they fit at several places, as points of
-injection do that follow each other in equal times, the means decide: a winding's current goes with its voltage. Each
-window for itself then tells how far the clocks drift apart, and the winding's own equation fractions of a sample.
-Whatever delay the drive has is taken for the clocks' difference: it cannot be told from it.
+Correlation locates windows of the current in the whole voltage log. Windows of a periodic injection sequence match at
+several places; block means then decide, as current and voltage means are proportional. The lags of single windows give
+the clock drift, and the winding's equation gives fractions of a sample.
+The clock offset includes the drive's delay, since the data do not separate the two.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ Track = tuple[Numbers, Numbers]
 
 @dataclass(frozen=True)
 class _Criteria:
-    """From when on two logs are held to be of the same time."""
+    """Thresholds for accepting that two logs cover the same time."""
 
     shortest_step_s: float = 5e-5
-    """Finer steps only make noise of the current's bends; edges are further apart on any bench."""
+    """Finer steps only amplify noise in the second difference; edges are further apart on any bench."""
     windows: int = 12
-    """Of the current, that are found again in the voltage."""
+    """Number of current windows to locate in the voltage."""
     samples: int = 8192
-    """Of a window: long enough to hold what does not repeat."""
-    sure: float = 20.0
-    """Logarithm of how much likelier the offset has to be than any other: by far more than noise makes it."""
-    explained: float = 0.3
-    """Share of the current's bends that the edges have to explain; where there are hardly any edges it is noise."""
-    alike: float = 0.5
-    """Part of the best place's likelihood from which on another one may be it."""
+    """Window length, long enough to contain a pattern that does not repeat."""
+    min_margin: float = 20.0
+    """Smallest log-likelihood margin of the offset over any other; noise produces far less."""
+    min_explained: float = 0.3
+    """Share of the second difference's energy that voltage edges have to explain; without edges it is noise."""
+    alternative: float = 0.5
+    """Fraction of the best offset's log-likelihood from which another offset is a candidate."""
     block: int = 256
-    """Samples of a mean: several periods of an injection."""
-    means: float = 1e-2
-    """Share of the means that a winding's resistance leaves open: dead time and moving currents."""
-    clearly: float = 4.0
-    """So much more has to be left of the means where voltage and current are not of the same time."""
-    crystals: float = 3e-4
-    """How far two clocks may run apart: thrice what bad crystals do."""
+    """Samples per block mean: several periods of an injection."""
+    min_mean_left: float = 1e-2
+    """Share of the means that resistance alone does not explain: dead time and changing currents."""
+    max_mean_ratio: float = 4.0
+    """Ratio to the smallest residual of the means from which an offset is rejected."""
+    max_drift: float = 3e-4
+    """Largest relative clock drift: three times that of poor crystals."""
 
 
 _CRITERIA = _Criteria()
@@ -60,7 +60,7 @@ _CRITERIA = _Criteria()
 
 @dataclass(frozen=True)
 class _Clock:
-    """Where the voltage's stamps t are on the current's clock: t + offset_s + drift (t - start_s)."""
+    """Maps the voltage's time stamps t to the current's clock: t + offset_s + drift (t - start_s)."""
 
     offset_s: float
     drift: float
@@ -85,17 +85,17 @@ def fitted_clock(
     columns: tuple[Mapping[str, Numbers], Mapping[str, Numbers]],
     stamps: tuple[Numbers, Numbers],
 ) -> tuple[Numbers, str]:
-    """The stamps of the file `other` on the clock of `path`, and what was found, in words.
+    """The time stamps of the file `other` on the clock of `path`, and a remark for the report.
 
     Parameters
     ----------
     columns, stamps : pairs
-        Of `path` and of `other`. One of both holds all columns of the current, the other all of the voltage.
+        Of `path` and of `other`. One holds all columns of the current, the other all of the voltage.
 
     Raises
     ------
     InputError
-        Where the files are divided otherwise, or the edges tell no offset, or more than one.
+        Where the columns are divided otherwise, or the edges determine no single offset.
     """
     current_is_there = set(mapping.current.columns.values()) <= columns[1].keys()
     which = (1, 0) if current_is_there else (0, 1)
@@ -108,17 +108,17 @@ def fitted_clock(
     clock, begins_s = _to_a_sample(other, (i_s, i), (v_s, v), step_s)
     ohm = mapping.motor.stator_resistance_ohm or 0.0
     for _ in range(3):
-        clock = clock.later(*_late((i_s, i), (clock.of(v_s), v), begins_s, ohm, step_s))
-    late_s, slope, _ = _late((i_s, i), (clock.of(v_s), v), begins_s, ohm, step_s)
+        clock = clock.later(*_delay((i_s, i), (clock.of(v_s), v), begins_s, ohm, step_s))
+    late_s, slope, _ = _delay((i_s, i), (clock.of(v_s), v), begins_s, ohm, step_s)
     if abs(late_s) + 0.5 * abs(slope) * float(np.ptp(i_s)) > 0.5 * step_s:
         raise InputError(
             str(other), "align", "no offset and drift between the clocks fits the voltage's edges throughout"
         )
-    said = (
+    remark = (
         f"{other}: laid beside {path.name} by its edges, {clock.offset_s:.6g} s between the clocks, "
         f"{1e6 * clock.drift:.1f} ppm drift; a delay of the drive would be in it"
     )
-    return (clock.back(stamps[1]) if current_is_there else clock.of(stamps[1])), said
+    return (clock.back(stamps[1]) if current_is_there else clock.of(stamps[1])), remark
 
 
 def _vectors(
@@ -134,21 +134,21 @@ def _vectors(
 
 
 def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> tuple[_Clock, Numbers]:
-    """From all windows together, then each for itself near where they say; and where they begin [s]."""
+    """The clock from a joint search over all windows, refined by window; and the windows' start times [s]."""
     (i_s, i), (v_s, v) = current, voltage
     i_even = _complex(resampled(i_s, i, 1.0 / step_s))
     grid = v_s[0] + step_s * np.arange(int((v_s[-1] - v_s[0]) / step_s) + 1)
     v_even = _complex(held_means(v_s, v, grid))
     bends, edges = np.diff(i_even, 2), np.diff(v_even)
     samples = min(_CRITERIA.samples, bends.size)
-    starts = _liveliest(bends, samples)
-    found = [_left(edges, bends[start : start + samples]) for start in starts]
-    reaches = [1 + int(_CRITERIA.crystals * abs(start - np.median(starts))) for start in starts]
+    starts = _busiest(bends, samples)
+    found = [_unexplained(edges, bends[start : start + samples]) for start in starts]
+    reaches = [1 + int(_CRITERIA.max_drift * abs(start - np.median(starts))) for start in starts]
     stamped = i_s[0] + step_s * np.arange(i_even.size)
     pauses = np.diff(i_s, prepend=-np.inf)[np.minimum(np.searchsorted(i_s, stamped), i_s.size - 1)] > 1.5 * step_s
     i_even[1:][pauses[1:]] = np.nan
-    lag, sureness = _likeliest(found, starts, reaches, samples, i_even, v_even)
-    if sureness < _CRITERIA.sure:
+    lag, margin = _likeliest(found, starts, reaches, samples, i_even, v_even)
+    if margin < _CRITERIA.min_margin:
         raise InputError(str(other), "align", "the voltage's edges fit the current at more than one offset, or at none")
     places, lags, explained = [], [], []
     for start, left, reach in zip(starts, found, reaches, strict=True):
@@ -158,17 +158,17 @@ def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> 
         if near.size:
             place = low + int(np.argmin(near))
             places.append(float(start))
-            lags.append(_sharp(left, place) - (samples - 1) - start)
+            lags.append(_vertex(left, place) - (samples - 1) - start)
             explained.append(1.0 - float(left[place]))
     used = np.array(explained) > 0.5 * max(explained)
-    told = np.array(places)[used]
-    slope, at_zero = _line(told, np.array(lags)[used])
+    starts_used = np.array(places)[used]
+    slope, at_zero = _line(starts_used, np.array(lags)[used])
     offset_s = i_s[0] - v_s[0] - (1.0 - slope) * at_zero * step_s
-    return _Clock(offset_s, -slope, v_s[0]), i_s[0] + step_s * told
+    return _Clock(offset_s, -slope, v_s[0]), i_s[0] + step_s * starts_used
 
 
 def _line(x: Numbers, y: Numbers) -> tuple[float, float]:
-    """Slope and y(0) of the line through most of the points (Theil and Sen's); level through few."""
+    """Slope and y(0) of a robust line (Theil-Sen estimator); zero slope with fewer than three points."""
     from scipy.stats import theilslopes
 
     if x.size < 3:
@@ -177,35 +177,35 @@ def _line(x: Numbers, y: Numbers) -> tuple[float, float]:
     return float(found[0]), float(found[1])
 
 
-def _late(current: Track, voltage: Track, begins_s: Numbers, ohm: float, step_s: float) -> tuple[float, float, float]:
-    """How much later than its stamps the voltage acts [s], how that grows, and from when on: windows that tell."""
+def _delay(current: Track, voltage: Track, begins_s: Numbers, ohm: float, step_s: float) -> tuple[float, float, float]:
+    """Residual delay of the voltage [s], its slope, and their reference time [s], from the given windows."""
     (i_s, i), (v_s, v) = current, voltage
-    told = []
+    delays = []
     for begin in begins_s:
         grid = np.arange(begin, min(begin + _CRITERIA.samples * step_s, i_s[-1]), step_s)
         first, end = np.searchsorted(v_s, [grid[0] - 3.0 * step_s, grid[-1] + 3.0 * step_s])
         if grid.size > 2 and end - first > 2:
             there = _complex(np.column_stack([np.interp(grid, i_s, x) for x in i.T]))
-            told.append((0.5 * (grid[0] + grid[-1]), _shift(there, grid, v_s[first:end], v[first:end], ohm, step_s)))
-    if not told:
+            delays.append((0.5 * (grid[0] + grid[-1]), _shift(there, grid, v_s[first:end], v[first:end], ohm, step_s)))
+    if not delays:
         return 0.0, 0.0, 0.0
-    times, late_s = np.array(told).T
+    times, late_s = np.array(delays).T
     middle = float(np.mean(times))
     slope, at_middle = _line(times - middle, late_s)
     return at_middle, slope, middle
 
 
 def _shift(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, ohm: float, step_s: float) -> float:
-    """By how much later the voltage acts [s], to a part of a sample: where it explains the current's steps best.
+    """Sub-sample delay of the voltage [s] that best explains the current's increments.
 
-    Its volt-seconds are taken anew for each shift: means over samples that an edge lies in tell no fraction. The
-    resistance is the nameplate's: a free one acts on a turning current as a delay does.
+    Each trial shift integrates the volt-seconds again, since a sample's mean hides the position of an edge in it. The
+    resistance is the nameplate's: on a rotating current, a free one is indistinguishable from a delay.
     """
     steps, now = np.diff(i), 0.5 * (i[:-1] + i[1:])
 
     def left(late_s: float) -> float:
         u = _complex(held_means(v_s + late_s, v, grid)) - ohm * now
-        # A salient machine's axes differ: with their conjugates, a symmetric matrix of each.
+        # Conjugates express the symmetric inductance matrix of a salient machine.
         columns = np.stack([a - a.mean() for a in (u, u.conj(), 1j * u.conj())])
         gram, along = (columns @ columns.conj().T).real, (columns @ (steps - steps.mean()).conj()).real
         return -float(np.linalg.lstsq(gram, along, rcond=1e-12)[0] @ along)
@@ -214,21 +214,21 @@ def _shift(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, ohm: float, step
     for width in (1.0, 0.25, 0.05):
         tried = middle + width * np.linspace(-1.0, 1.0, 9)
         unexplained = np.array([left(x * step_s) for x in tried])
-        place = _sharp(unexplained, int(np.argmin(unexplained)))
+        place = _vertex(unexplained, int(np.argmin(unexplained)))
         middle = float(tried[0] + place * (tried[1] - tried[0]))
     return middle * step_s
 
 
-def _liveliest(bends: Complex, samples: int) -> NDArray[np.intp]:
-    """Where the windows begin that hold the most of the current's bends, in order of time."""
+def _busiest(bends: Complex, samples: int) -> NDArray[np.intp]:
+    """Starts of the windows with the largest second-difference energy, in order of time."""
     starts = np.unique(np.append(np.arange(0, bends.size - samples, samples // 2), bends.size - samples))
     power = np.concatenate([[0.0], np.cumsum(np.abs(bends) ** 2)])
     best = np.argsort(power[starts] - power[starts + samples])[: _CRITERIA.windows]
     return np.sort(starts[best])
 
 
-def _left(edges: Complex, window: Complex) -> Numbers:
-    """The share of a window's bends that edges leave unexplained at each place, of what lies beneath edges at all."""
+def _unexplained(edges: Complex, window: Complex) -> Numbers:
+    """Share of the window's second difference that edges leave unexplained at each lag, over their overlap."""
     from scipy.signal import correlate
 
     product = np.maximum(correlate(edges, window, method="fft").real, 0.0)
@@ -241,7 +241,7 @@ def _left(edges: Complex, window: Complex) -> Numbers:
 
 
 def _within(x: Complex, begins: NDArray[np.intp], ends: NDArray[np.intp]) -> Numbers:
-    """Energy of x between two places each, as far as they are on it."""
+    """Energy of x in each range [begin, end), clipped to x."""
     energy = np.concatenate([[0.0], np.cumsum(np.abs(x) ** 2)])
     return np.asarray(energy[np.clip(ends, 0, x.size)] - energy[np.clip(begins, 0, x.size)])
 
@@ -254,37 +254,37 @@ def _likeliest(
     current: Complex,
     voltage: Complex,
 ) -> tuple[int, float]:
-    """The lag that all windows and the means find likeliest, and the logarithm of by how much.
+    """The most likely lag by all windows and the means, and its log-likelihood margin over the next.
 
-    Held against each other sample by sample: where a log was begun and ended says nothing.
+    Likelihoods count per overlapping sample, so the begin and end of a log have no influence.
     """
     from scipy.ndimage import minimum_filter1d
     from scipy.signal import find_peaks
 
     bends, edges = current.size - 2, voltage.size - 1
-    said, overlap = np.zeros((2, edges + bends + 2 * samples))
+    log_residual, overlap = np.zeros((2, edges + bends + 2 * samples))
     ends = np.arange(1, edges + samples)
     covered = np.minimum(ends, edges) - np.maximum(ends - samples, 0)
     for left, start, reach in zip(found, starts, reaches, strict=True):
         here = slice(bends - start, bends - start + left.size)
-        # What the clocks run apart until this window is allowed it.
-        said[here] += 0.5 * covered * np.log(minimum_filter1d(left, 2 * reach + 1, mode="nearest"))
+        # The filter allows the drift that clocks accumulate up to this window.
+        log_residual[here] += 0.5 * covered * np.log(minimum_filter1d(left, 2 * reach + 1, mode="nearest"))
         overlap[here] += covered
-    mean = np.where(overlap > 0.5 * overlap.max(), said / np.maximum(overlap, 1.0), 0.0)
+    mean = np.where(overlap > 0.5 * overlap.max(), log_residual / np.maximum(overlap, 1.0), 0.0)
     best, apart = float(mean.min()), 3 + max(reaches)
-    if max(1.0 - float(np.min(left)) for left in found) < _CRITERIA.explained:
+    if max(1.0 - float(np.min(left)) for left in found) < _CRITERIA.min_explained:
         return 0, 0.0
-    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=-_CRITERIA.alike * best, distance=apart)
+    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=-_CRITERIA.alternative * best, distance=apart)
     lags = [int(place) - 1 - bends - (samples - 1) for place in places]
-    open_ = np.array([_left_by_means(current, voltage, lag) for lag in lags])
-    depths = np.where(open_ <= _CRITERIA.clearly * open_.min(), mean[places - 1], 0.0)
+    open_ = np.array([_unexplained_by_means(current, voltage, lag) for lag in lags])
+    depths = np.where(open_ <= _CRITERIA.max_mean_ratio * open_.min(), mean[places - 1], 0.0)
     first = int(np.argmin(depths))
-    others = np.append(np.delete(depths, first), _CRITERIA.alike * best)
+    others = np.append(np.delete(depths, first), _CRITERIA.alternative * best)
     return lags[first], float(others.min() - depths[first]) * float(overlap[places[first] - 1])
 
 
-def _left_by_means(current: Complex, voltage: Complex, lag: int) -> float:
-    """The share of the means of some hundred samples that no resistance explains at a lag; NaN is a pause."""
+def _unexplained_by_means(current: Complex, voltage: Complex, lag: int) -> float:
+    """Share of the block means that no resistance explains at a lag; NaN marks a pause."""
     first, end = max(0, -lag), min(current.size, voltage.size - lag)
     rows = max(end - first, 0) // _CRITERIA.block * _CRITERIA.block
     i, v = (x[:rows].reshape(-1, _CRITERIA.block).mean(axis=1) for x in (current[first:], voltage[first + lag :]))
@@ -294,11 +294,11 @@ def _left_by_means(current: Complex, voltage: Complex, lag: int) -> float:
     i, v = i[there], v[there]
     power = float(np.vdot(i, i).real * np.vdot(v, v).real)
     along = max(float(np.vdot(i, v).real), 0.0)
-    return max(1.0 - along**2 / max(power, 1e-300), _CRITERIA.means)
+    return max(1.0 - along**2 / max(power, 1e-300), _CRITERIA.min_mean_left)
 
 
-def _sharp(left: Numbers, place: int) -> float:
-    """The foot of the parabola through a lowest place and its neighbours."""
+def _vertex(left: Numbers, place: int) -> float:
+    """Vertex of the parabola through a minimum and its two neighbours."""
     if not 0 < place < left.size - 1:
         return float(place)
     before, at, after = left[place - 1 : place + 2]

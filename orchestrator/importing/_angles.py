@@ -1,4 +1,4 @@
-"""Angles of the rotor and of dq frames: a segment's believed angle, and units that cannot be right."""
+"""Rotor and dq-frame angles: a segment's believed angle, and checks of the angle unit."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from orchestrator.importing._timing import at
 from orchestrator.importing._vectors import Columns, angle_rad
 from protocols import SegmentStage
 
-_FREE = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK, SegmentStage.GATES_OFF, SegmentStage.SPIN)
+_FREE_ROTOR_STAGES = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK, SegmentStage.GATES_OFF, SegmentStage.SPIN)
 """Stages in which the rotor may move."""
 
 
 def check_fixed_angles(mapping: ImportMapping, path: Path, findings: Findings) -> None:
-    """Doubt the unit of fixed angles in the mapping file at `path`."""
+    """Report fixed angles in the mapping file at `path` whose unit is implausible."""
     named = [
         ("rotor_angle", mapping.rotor_angle),
         ("current.angle", mapping.current.angle),
@@ -34,7 +34,7 @@ def check_fixed_angles(mapping: ImportMapping, path: Path, findings: Findings) -
 
 
 def check_angle_column(angle: Angle, piece: Piece, columns: Columns, findings: Findings) -> None:
-    """Doubt the unit of a column of angles."""
+    """Report a column of angles whose unit is implausible."""
     if angle.column is None:
         return
     values = (columns[angle.column] - angle.offset) * angle.factor
@@ -51,13 +51,13 @@ def check_angle_column(angle: Angle, piece: Piece, columns: Columns, findings: F
 def believed_angle_rad(
     angle: Angle, stage: SegmentStage, piece: Piece, columns: Columns, pole_pairs: int, findings: Findings
 ) -> tuple[float, float | Numbers]:
-    """The segment's rotor angle for the manifest (of a column, its mean on the circle), and as it was recorded."""
+    """The segment's rotor angle for the manifest (circular mean of a column), and the angle per sample."""
     theta = angle_rad(angle, columns, pole_pairs)
     if isinstance(theta, float):
         return theta, theta
     turned = np.unwrap(theta)
     moved = float(np.ptp(turned))
-    if moved > 0.1 and stage not in _FREE:
+    if moved > 0.1 and stage not in _FREE_ROTOR_STAGES:
         findings.doubt(
             Finding.MOVING_ROTOR,
             str(piece.path),

@@ -1,7 +1,7 @@
-"""Files whose columns are laid beside another's rows: a scope's channels, or a second logger with a clock of its own.
+"""Join columns of several files by time: a scope's channels, or a second logger with its own clock.
 
-What is held between samples (voltages) is laid there by its volt-seconds, everything else is interpolated linearly;
-where both files have the same time stamps nothing is computed.
+Voltages are held between samples and are resampled by volt-seconds; other signals are interpolated linearly. Files with
+equal time stamps are joined without resampling.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from protocols import InputError
 
 @dataclass(frozen=True)
 class Beside:
-    """A file that lies beside another one."""
+    """A file whose columns join another file's rows."""
 
     path: Path
     rule: FileRule
@@ -34,7 +34,7 @@ class Beside:
 
 
 def paired(mappings: MappingFile, files: Sequence[Path]) -> dict[Path, list[Beside]]:
-    """The files that have rows of their own, each with those beside it; raises `InputError` where they do not pair."""
+    """The primary files, each with the files to join to it; raises `InputError` where they do not pair."""
     aside = [path for path in files if _beside_rule(mappings, path) is not None]
     pairs: dict[Path, list[Beside]] = {path: [] for path in files if path not in aside}
     for rule, mapping in mappings.rules:
@@ -62,12 +62,12 @@ def _beside_rule(mappings: MappingFile, path: Path) -> FileRule | None:
 def open_joined(
     path: Path, rule: FileRule | None, mapping: ImportMapping, others: Sequence[Beside], findings: Findings
 ) -> Source:
-    """A file with the columns of those beside it; with any, it is in memory as a whole.
+    """A file with the columns of the files joined to it; joined files are held in memory as a whole.
 
     Raises
     ------
     InputError
-        Where a file cannot be read, has no rows in common, or edges do not tell how the clocks go together.
+        Where a file cannot be read, has no rows in common, or the edges do not determine the clocks' offset.
     """
     elsewhere = {name for other in others for name in other.rule.names}
     main = open_source(path, mapping, {} if rule is None else rule.names, without=elsewhere)
@@ -111,21 +111,21 @@ def _lay_beside(
     if other_s.size < 2 or np.any(np.diff(other_s) <= 0):
         raise InputError(str(other.path), "time", "does not increase")
     if other.rule.align == "edges":
-        other_s, said = fitted_clock(path, other.path, mapping, (numbers, columns), (time_s, other_s))
-        findings.note("aligned", said)
+        other_s, remark = fitted_clock(path, other.path, mapping, (numbers, columns), (time_s, other_s))
+        findings.note("aligned", remark)
     held = set(mapping.voltage.columns.values())
     for name, values in columns.items():
         numbers[name] = _laid(time_s, other_s, values, name in held)
 
 
 def _laid(time_s: Numbers, other_s: Numbers, values: Numbers, held: bool) -> Numbers:
-    """Values at the stamps `other_s` as they are at `time_s`; NaN where there are none near."""
+    """Values with time stamps `other_s`, resampled to `time_s`; NaN where no sample is near."""
     step_s = float(np.median(np.diff(other_s)))
     if time_s.size == other_s.size and np.max(np.abs(time_s - other_s), initial=0.0) < 0.01 * step_s:
         return values
     if held:
         after = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
-        # A missing stamp or value is found later, with its row.
+        # A later check reports missing stamps and values with their rows.
         edges = np.maximum.accumulate(np.nan_to_num(np.append(time_s, after[-1]), nan=-np.inf))
         out = held_means(other_s, values[:, None], edges)[:, 0]
         inside = (time_s >= other_s[0]) & (after <= other_s[-1] + 1.01 * step_s)

@@ -40,7 +40,7 @@ def _csv_blocks(path: Path, wanted: Wanted, layout: CsvLayout) -> Iterator[Block
     import pyarrow as pa
     from pyarrow import csv
 
-    # One thread: with more, pyarrow does not say the row of what it cannot read.
+    # With more than one thread, pyarrow omits the row number from its errors.
     read = csv.ReadOptions(
         use_threads=False,
         block_size=1 << 20,  # bytes; some of these are read ahead

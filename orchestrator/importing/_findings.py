@@ -1,4 +1,4 @@
-"""What an import found: refused with one line, or kept as a note; what counts as a finding is decided elsewhere."""
+"""Findings of an import: each is an error of one line or a note; other modules decide which."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from protocols import InputError
 
 
 class Finding(StrEnum):
-    """What looks wrong, and may yet be so: each can be accepted by its name."""
+    """Suspicious data that may be correct; the mapping can accept each kind by its name."""
 
     CURRENT_UNIT = "current_unit"
     VOLTAGE_UNIT = "voltage_unit"
@@ -28,28 +28,28 @@ class Finding(StrEnum):
 
 
 class Findings:
-    """Collects notes; of notes of one kind the first is kept, the others are counted."""
+    """Collects notes; keeps the first note of each kind and counts the others."""
 
     def __init__(self, accepted: Set[Finding] = frozenset()) -> None:
         self._accepted = accepted
         self._first: dict[str, str] = {}
         self._count: dict[str, int] = {}
         self.dropped_rows: Counter[str] = Counter()
-        """Rows of the files that went into no segment, by why."""
+        """Number of rows that belong to no segment, by reason."""
 
     def doubt(self, finding: Finding, where: str, field: str, text: str) -> None:
-        """Refuse with an `InputError`, or note where the mapping accepts it."""
+        """Raise an `InputError`, or add a note where the mapping accepts the finding."""
         if finding not in self._accepted:
             raise InputError(where, field, f"{text} (if it is really so: accept: [{finding}])")
         self.note(finding, f"{where}: {field}: {text} (accepted)")
 
     def note(self, kind: str, text: str) -> None:
-        """Say it in the report."""
+        """Add a note to the report."""
         self._first.setdefault(kind, text)
         self._count[kind] = self._count.get(kind, 0) + 1
 
     def notes(self) -> tuple[str, ...]:
-        """One line a kind, in the order of their first appearance."""
+        """One line per kind, in the order of first appearance."""
         return tuple(
             text if self._count[kind] == 1 else f"{text}; the same {self._count[kind] - 1} times more"
             for kind, text in self._first.items()

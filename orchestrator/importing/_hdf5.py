@@ -28,7 +28,7 @@ _COLUMN = re.compile(r"(.+)\(:,([1-9]\d{0,5})\)")
 
 
 def open_hdf5(path: Path, wanted: Wanted) -> Source:
-    """An HDF5 file that some logger or script wrote; rows are along the first axis."""
+    """Open an HDF5 file; rows are along the first axis."""
     return Source(guarded(path, "HDF5", lambda: _blocks(path, wanted)))
 
 
@@ -49,7 +49,7 @@ def _blocks(path: Path, wanted: Wanted) -> Iterator[Block]:
 
 
 def _dataset(path: Path, file: Any, name: str) -> tuple[Any, int | str | None]:
-    """A dataset, and which column or field of it."""
+    """A dataset, and the index of a column or the name of a field."""
     import h5py
 
     plain = name
@@ -81,14 +81,14 @@ def _rows(node: Any, which: int | str | None, part: slice) -> NDArray[Any]:
 
 
 def list_datasets(file: Any, columns_along: int = 1, most: int = 1000) -> list[str]:
-    """The names that columns of a file may have.
+    """Names of all columns that a mapping could use.
 
     Parameters
     ----------
     columns_along : int
-        Axis of a matrix; MATLAB 7.3 keeps matrices transposed, and has 0.
+        Axis of a matrix's columns; 0 for MATLAB 7.3, which stores matrices transposed.
     most : int
-        Columns of one matrix that are named: no logger has more, and the file's word may be anything.
+        Largest number of columns to list per matrix, as a damaged file may state any shape.
     """
     import h5py
 

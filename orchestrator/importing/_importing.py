@@ -37,11 +37,11 @@ class ImportReport(Strict):
     samples: int
     sampling_frequency_hz: float
     rows: int
-    """That the files had."""
+    """Total number of rows in the files."""
     dropped_rows: dict[str, int]
-    """Of them, those that went into no segment, by why."""
+    """Number of rows that belong to no segment, by reason."""
     notes: tuple[str, ...]
-    """What was found and is no reason to refuse, one line each."""
+    """Findings that do not prevent the import, one line each."""
 
 
 def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportReport:
@@ -62,8 +62,7 @@ def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportRepor
     Raises
     ------
     InputError
-        Where the mapping, a file or what is in it is not what it should be: one line that names file, column or key,
-        and row.
+        Where the mapping, a file or its content is invalid: one line that names file, column or key, and row.
     StorageError
         Where the recording cannot be written.
     """
@@ -93,7 +92,7 @@ def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportRepor
 
 
 class _Import:
-    """One import under way: files come in, segments are written, and in the end the manifest."""
+    """One import in progress: writes the segments of each file, and the manifest at the end."""
 
     def __init__(self, mappings: MappingFile, findings: Findings, directory: Path) -> None:
         self._mappings, self._findings, self._directory = mappings, findings, directory
@@ -105,7 +104,7 @@ class _Import:
         self._segments: list[Segment] = []
 
     def take(self, path: Path, beside: Sequence[Beside]) -> None:
-        """Write the segments of one file, and of those that lie beside it."""
+        """Write the segments of one file and the files joined to it."""
         rule, mapping = self._mappings.of(path)
         source = open_joined(path, rule, mapping, beside, self._findings)
         self._check_units(path, mapping, source)
@@ -117,7 +116,7 @@ class _Import:
             raise InputError(str(path), "", f"no segment in it; {self._left_over() or 'it holds no complete row'}")
 
     def finish(self, mapping_path: Path) -> Manifest:
-        """Say what concerns the recording as a whole, and write the manifest."""
+        """Run the checks of the whole recording and write the manifest."""
         self._splitter.check_all_used(str(mapping_path))
         self._checks.conclude(str(mapping_path))
         if self._splitter.leftover.rows:
@@ -139,24 +138,24 @@ class _Import:
 
     @property
     def rows(self) -> int:
-        """Of all files so far."""
+        """Report of all files so far."""
         return self._splitter.rows
 
     def _take_piece(self, piece: Piece) -> None:
         for stretch in self._clock.stretches(piece):
             rate, parts = self._clock.rate_hz, stretch.parts()
-            made = segment_of(piece, parts[0], rate, self._findings)
-            self._checks.judge(made.waveforms)
-            samples = len(made.capture) if len(parts) == 1 else len(stretch.rows)
+            segment = segment_of(piece, parts[0], rate, self._findings)
+            self._checks.judge(segment.waveforms)
+            samples = len(segment.capture) if len(parts) == 1 else len(stretch.rows)
             segment_id, start_s = self._placing.place(piece, stretch, samples, rate)
             with SegmentWriter(self._directory, segment_id) as writer:
-                writer.append(made.capture.model_copy(update={"start_s": start_s}))
-                rotor_angle_rad, written_rows = made.rotor_angle_rad, len(made.capture)
+                writer.append(segment.capture.model_copy(update={"start_s": start_s}))
+                rotor_angle_rad, written_rows = segment.rotor_angle_rad, len(segment.capture)
                 for part in parts[1:]:
-                    made = segment_of(piece, part, rate, self._findings)
-                    self._checks.judge(made.waveforms)
-                    writer.append(made.capture.model_copy(update={"start_s": start_s + written_rows / rate}))
-                    written_rows += len(made.capture)
+                    segment = segment_of(piece, part, rate, self._findings)
+                    self._checks.judge(segment.waveforms)
+                    writer.append(segment.capture.model_copy(update={"start_s": start_s + written_rows / rate}))
+                    written_rows += len(segment.capture)
                 written = writer.finish()
             rule = self._mapping.segments[piece.rule]
             self._segments.append(
@@ -173,10 +172,10 @@ class _Import:
 
     def _check_units(self, path: Path, mapping: ImportMapping, source: Source) -> None:
         for column, labelled in mapping.units().items():
-            said = source.units.get(column) or labelled
-            if said != labelled:
+            stated = source.units.get(column) or labelled
+            if stated != labelled:
                 self._findings.doubt(
-                    Finding.UNIT_IN_FILE, str(path), column, f"is in {said} by the file, in {labelled} by the mapping"
+                    Finding.UNIT_IN_FILE, str(path), column, f"is in {stated} by the file, in {labelled} by the mapping"
                 )
 
     def _left_over(self) -> str:
@@ -186,7 +185,7 @@ class _Import:
 
 @contextmanager
 def appearing_whole(out: Path) -> Iterator[Path]:
-    """A directory beside `out` that takes its name at the end, or vanishes where an exception ends it."""
+    """A temporary directory that is renamed to `out` at the end, or removed after an exception."""
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise InputError(str(out), "", "exists already and is not an empty directory")
@@ -206,7 +205,7 @@ def appearing_whole(out: Path) -> Iterator[Path]:
 
 
 def check_readable(mapping: Path, directory: Path) -> None:
-    """Refuse what every other command would refuse to read."""
+    """Raise `InputError` where the other commands could not read the recording."""
     try:
         SoundRecording(open_recording(directory)).read_through()
     except InputError as error:

@@ -1,4 +1,4 @@
-"""From a YAML file to mappings, each complaint with file, line and key; no measurement is opened here."""
+"""Read mapping files from YAML; errors name file, line and key. Opens no measurement."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 @dataclass(frozen=True)
 class MappingFile:
-    """A mapping file, read: one mapping for all files, or others for some of them."""
+    """The content of a mapping file: one mapping for all files, or several by file name."""
 
     common: ImportMapping
-    """What is said of the recording as a whole; of the columns only where `complete`."""
+    """The mapping of the whole recording; it describes columns only where `complete`."""
     complete: InputError | None
-    """Why a file that no rule fits cannot be read, where it cannot."""
+    """Reason why files that match no rule cannot be read; None where they can."""
     rules: tuple[tuple[FileRule, ImportMapping], ...]
     readings: tuple[str, ...] = ()
-    """How quantities with a unit were read, a sentence each."""
+    """Conversions of quantities with a unit, one sentence each."""
 
     def of(self, path: Path) -> tuple[FileRule | None, ImportMapping]:
-        """The rule that a file fits, and the mapping for it; raises `InputError` where there is none."""
+        """The first rule that a file matches, and its mapping; raises `InputError` where there is none."""
         for rule, mapping in self.rules:
             if fnmatchcase(path.name, rule.file):
                 return rule, mapping
@@ -43,7 +43,7 @@ class MappingFile:
         return None, self.common
 
     def check_all_used(self, mapping: Path, files: Sequence[Path]) -> None:
-        """Raise `InputError` where a rule fits none of the files."""
+        """Raise `InputError` where a rule matches none of the files."""
         for index, (rule, _) in enumerate(self.rules):
             if all(self._first(path) != index for path in files):
                 raise InputError(str(mapping), f"files.{index}", f"no file fits it ({rule.file!r})")
@@ -69,7 +69,7 @@ def read_mapping(path: Path) -> MappingFile:
         if isinstance(document.data.get(section), str):
             _lay_in(document, section, path.parent / document.data[section])
     try:
-        # The columns have units of their own, in their sections.
+        # Columns state their units in their own sections.
         readings = read_quantities(document, ("motor", "drive"))
     except ProcedureError as error:
         raise InputError(error.where, error.field, error.problem) from None
@@ -92,7 +92,7 @@ def _rule(document: Document, index: int, entry: Any) -> tuple[FileRule, ImportM
 
 
 def _laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Two sections as one: what the upper gives, key by key, but a signal's columns as a whole."""
+    """Two merged sections; the upper one overrides key by key, except that a signal's columns are replaced."""
     merged = dict(below)
     for key, value in above.items():
         both = isinstance(value, dict) and isinstance(below.get(key), dict) and key != "columns"
@@ -124,7 +124,7 @@ def _lay_in(document: Document, section: str, path: Path) -> None:
 def _validated(
     document: Document, model: type[_Model], data: Any, under: KeyPath = (), given: Mapping[str, Any] | None = None
 ) -> _Model:
-    """`data` as a model; complaints are placed below `under`, or only those about what is `given` there."""
+    """`data` as a validated model; raises `InputError` with the key's place below `under`, or in `given`."""
     try:
         # JSON mode is strict about types ("5" and true are no numbers) and still takes lists for tuples.
         return model.model_validate_json(json.dumps(data), strict=True)

@@ -1,4 +1,4 @@
-"""What a mapping file says: which column is what, in which unit and frame, and where the segments are; no I/O."""
+"""Model of a mapping file: role, unit and frame of each column, and the segments' ranges; no I/O."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from protocols import Positive, ProcedureMotor, SegmentStage, Strict
 
 
 class CsvLayout(Strict):
-    """How a text file is laid out."""
+    """Layout of a text file."""
 
     delimiter: Annotated[str, Field(min_length=1, max_length=1, pattern=r"^[\x09\x20-\x7e]$")] = ","
     decimal: Literal[".", ","] = "."
     skip_rows: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    """Lines before the one with the names."""
+    """Number of lines before the column names."""
     skip_rows_after_names: Annotated[int, Field(ge=0, le=1_000_000)] = 0
-    """Lines after it, such as one with units."""
+    """Number of lines after the column names, such as a line of units."""
     names: tuple[Column, ...] | None = None
-    """The columns' names where the file has no line with them."""
+    """Column names for a file that has no line of names."""
     encoding: Literal["utf-8", "latin-1", "utf-16"] = "utf-8"
 
     @model_validator(mode="after")
@@ -43,7 +43,7 @@ class CsvLayout(Strict):
 
 
 class ImportedDrive(Strict):
-    """The drive, as the manifest will describe it."""
+    """The drive's data for the manifest."""
 
     name: str
     dc_bus_voltage_v: Positive
@@ -52,27 +52,27 @@ class ImportedDrive(Strict):
 
 
 class SegmentRule(Strict):
-    """Rows that belong to a segment, and what the segment is. A row belongs to the first rule that it fits.
+    """Conditions on the rows of a segment, and the segment's data. A row belongs to the first rule that it matches.
 
-    What is left out fits every row. Each uninterrupted run of rows of one rule, label and file
-    becomes a segment of its own.
+    An omitted condition matches every row. Each uninterrupted run of rows of one rule, label and file
+    becomes one segment.
     """
 
     stage: SegmentStage
     file: str | None = None
     """Name of the file, ``*`` and ``?`` allowed."""
     label: str | int | None = None
-    """What `segment_column` holds, ``*`` and ``?`` allowed."""
+    """Pattern for the label in `segment_column`, ``*`` and ``?`` allowed."""
     from_s: float | None = None
     to_s: float | None = None
-    """Range on the time column (or since the file's first row, where there is none) [s], the end left out."""
+    """Start of the time range on the time column [s], or since the file's first row without one."""
     id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)] | None = None
     """None: the stage and a number. Of several segments the second becomes ``<id>.2``."""
     start_s: float | None = None
-    """Start on the experiment's clock [s], where the time stamps do not tell."""
+    """Start on the experiment's clock [s], where the time stamps do not determine it."""
     rotor_angle: Angle | None = None
     settings: dict[str, Any] = Field(default_factory=dict)
-    """As in the recording format: what was asked for."""
+    """Set points and settings, as in the recording format."""
 
     @model_validator(mode="after")
     def _range_is_one(self) -> Self:
@@ -82,24 +82,24 @@ class SegmentRule(Strict):
 
     @property
     def has_range(self) -> bool:
-        """Whether the rule looks at the time."""
+        """Whether the rule has a condition on the time."""
         return self.from_s is not None or self.to_s is not None
 
 
 class FileRule(Strict):
-    """What is different in some of the files: whatever is given here goes before the mapping's own, key by key.
+    """Deviations for some of the files: each given key overrides the mapping's own.
 
-    A file belongs to the first rule that it fits. Of a section, such as ``current``, only what differs is given.
+    A file belongs to the first rule that it matches. A section, such as ``current``, needs only the keys that differ.
     """
 
     file: Annotated[str, Field(min_length=1)]
     """Name of the file, ``*`` and ``?`` allowed."""
     columns: tuple[Column, ...] | dict[Column, Column] | None = None
-    """Names that the mapping uses, and what they are called in this file; with `beside`, those that it has."""
+    """Names in this file by the mapping's names; with `beside`, the columns that this file has."""
     beside: Annotated[str, Field(min_length=1)] | None = None
-    """Name of the files whose rows this one's columns are laid beside, the first to the first and so on."""
+    """Name pattern of the files that this file's columns are joined to, in order: the first to the first."""
     align: Literal["stamps", "edges"] = "stamps"
-    """How: by the time stamps of one clock, or by where the voltage's edges bend the current."""
+    """Alignment: by time stamps of a common clock, or by voltage edges that change the current's slope."""
     time: dict[str, Any] | None = None
     sampling_frequency_hz: Positive | None = None
     current: dict[str, Any] | None = None
@@ -123,24 +123,24 @@ class FileRule(Strict):
 
     @property
     def names(self) -> dict[str, str]:
-        """The names in the file, by those in the mapping."""
+        """The names in the file, by the names in the mapping."""
         columns = self.columns or {}
         return dict(columns) if isinstance(columns, dict) else {name: name for name in columns}
 
 
 OVERRIDING = tuple(FileRule.model_fields.keys() - {"file", "columns", "beside", "align"})
-"""What a rule for files may say anew."""
+"""Keys of the mapping that a rule for files may override."""
 
 
 class ImportMapping(Strict):
-    """A mapping file, whole; motor and drive may be written as paths of YAML files that hold them."""
+    """A complete mapping file; motor and drive may be paths of YAML files with these sections."""
 
     format: Literal["fluxbench-import"]
     version: Literal[1]
     name: Annotated[str, Field(min_length=1)]
     """The recording's name."""
     created: str | None = None
-    """When it was measured. None: the time of the import."""
+    """Date of the measurement. None: the time of the import."""
     motor: ProcedureMotor
     drive: ImportedDrive
     current: CurrentSignal
@@ -151,20 +151,20 @@ class ImportMapping(Strict):
     temperature: Temperature | None = None
     time: TimeColumn | None = None
     sampling_frequency_hz: Positive | None = None
-    """None: what the time stamps say."""
+    """None: from the time stamps."""
     jitter_tolerance_samples: Annotated[float, Field(gt=0, le=0.5)] = 0.1
-    """How far a time stamp may be from an even spacing."""
+    """Largest deviation of a time stamp from even spacing [samples]."""
     resample: bool = False
     """Interpolate onto an even spacing instead of refusing an uneven one."""
     split_at_gaps: bool = False
     """End a segment where samples are missing and begin another instead of refusing."""
     rotor_angle: Angle = Angle(value=0.0, unit="rad")
-    """The believed electrical angle, for every segment that does not say its own."""
+    """The believed electrical angle, for segments without their own."""
     segment_column: Column | None = None
     segments: Annotated[tuple[SegmentRule, ...], Field(min_length=1)]
     csv: CsvLayout = CsvLayout()
     accept: frozenset[Finding] = frozenset()
-    """Findings that are really so: said as a note instead of refused."""
+    """Findings that are correct: reported as notes instead of errors."""
 
     @model_validator(mode="after")
     def _agrees_with_itself(self) -> Self:
@@ -178,25 +178,25 @@ class ImportMapping(Strict):
         return self
 
     def number_columns(self) -> list[str]:
-        """The columns that are read as numbers, each once, in the order of the mapping."""
+        """The columns of numbers, each once, in the order of the mapping."""
         stamps = [] if self.time is None or self.time.unit == "iso" else [self.time.column]
         return list(dict.fromkeys((*stamps, *self.signal_columns())))
 
     def signal_columns(self) -> list[str]:
-        """Those of them that are more than time stamps."""
+        """The number columns without the time stamps."""
         return list(dict.fromkeys(self._all_signal_columns()))
 
     def units(self) -> dict[str, str]:
-        """The unit that the mapping gives each column, where the column is in that unit as it stands."""
+        """The mapping's unit of each column whose raw numbers are already in that unit."""
         found: dict[str, str] = {}
         for signal in (self.current, self.voltage, self.phase_currents):
-            if signal is not None and signal.as_it_stands and signal.unit not in DUTIES:
+            if signal is not None and signal.is_in_unit and signal.unit not in DUTIES:
                 found |= dict.fromkeys(signal.columns.values(), signal.unit)
-        if self.bus is not None and self.bus.as_it_stands:
+        if self.bus is not None and self.bus.is_in_unit:
             found[self.bus.column] = self.bus.unit
         if self.time is not None and self.time.unit not in ("tick", "iso"):
             found[self.time.column] = self.time.unit
-        return found | {a.column: a.unit for a in self._angles() if a.column is not None and a.as_it_stands}
+        return found | {a.column: a.unit for a in self._angles() if a.column is not None and a.is_in_unit}
 
     def _all_signal_columns(self) -> Iterator[str]:
         yield from self.current.columns.values()

@@ -37,7 +37,7 @@ _PART = re.compile(r"([A-Za-z]\w*)(?:\((:,)?([1-9]\d{0,8})\))?", re.ASCII)
 
 @dataclass(frozen=True)
 class _Step:
-    """One part of a dotted name: a variable or field, an element of it, or a column of it (counted from 1)."""
+    """One part of a dotted name: a variable or field, with the index of an element or column (from 1)."""
 
     name: str
     element: int | None = None
@@ -124,7 +124,7 @@ def _in_groups(path: Path, name: str, file: Any, steps: list[_Step]) -> tuple[An
         require_columns(path, [step.name], list(here))
         here = here[step.name]
         if above is not None and isinstance(here, h5py.Dataset) and here.dtype == h5py.ref_dtype:
-            # A struct array is a group of fields, each a list of references to the elements' values.
+            # HDF5 stores a struct array as a group of fields; each field lists references to the values.
             here = file[_element(path, name, here[()].reshape(-1), above)]
         above = step
     if not isinstance(here, h5py.Dataset):
@@ -154,7 +154,7 @@ def _vector(path: Path, name: str, values: NDArray[Any], step: _Step) -> NDArray
 
 
 def _length(path: Path, name: str, node: Any, step: _Step) -> int:
-    # MATLAB 7.3 keeps a matrix transposed.
+    # MATLAB 7.3 stores a matrix transposed.
     if step.column is not None and len(node.shape) == 2:
         _check_column(path, name, node.shape[0], step.column)
         return int(node.shape[1])
@@ -189,7 +189,7 @@ def _block(path: Path, wanted: Wanted, columns: dict[str, NDArray[Any]]) -> Bloc
 
 
 def _texts(values: NDArray[Any]) -> NDArray[Any]:
-    """A cell array of texts as an array of texts; anything else as it is."""
+    """A cell array of texts as an array of texts; other values unchanged."""
     if values.dtype.kind != "O":
         return values
     return np.array(["".join(map(str, np.ravel(value))) for value in values])

@@ -1,6 +1,6 @@
-"""MATLAB's objects as MATLAB sees them: timeseries (``ia.Data``, ``ia.Time``) and tables (``T.ia``), by mat-io.
+"""Read MATLAB objects by mat-io: timeseries (``ia.Data``, ``ia.Time``) and tables (``T.ia``).
 
-MathWorks does not document how a file holds objects; mat-io knows it.
+MathWorks does not document the file format of objects; mat-io implements it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from orchestrator.importing._source import require_columns
 from protocols import InputError
 
 _SUBSYSTEM = slice(116, 124)
-"""Where the header of a version 5 file says whether it holds objects."""
+"""Bytes of a version 5 header that point to the objects."""
 
 
 def holds_objects(path: Path, is_hdf5: bool) -> bool:
@@ -31,14 +31,14 @@ def holds_objects(path: Path, is_hdf5: bool) -> bool:
 
 
 def load_with_objects(path: Path, names: Sequence[str]) -> dict[str, Any]:
-    """The named variables; raises `InputError` where mat-io is not installed, or one is not there."""
+    """The named variables; raises `InputError` where mat-io or a variable is missing."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of pandas, about options that mat-io sets
             from matio import load_from_mat, whosmat
     except ImportError as error:
-        said = f"holds MATLAB objects, which are read by mat-io: pip install 'fluxbench[matlab]' ({error})"
-        raise InputError(str(path), "", said) from None
+        problem = f"holds MATLAB objects, which are read by mat-io: pip install 'fluxbench[matlab]' ({error})"
+        raise InputError(str(path), "", problem) from None
     require_columns(path, names, list(whosmat(str(path))))
     return dict(load_from_mat(str(path), variable_names=list(names)))
 
@@ -56,6 +56,6 @@ def member(path: Path, holder: Any, name: str) -> Any:
         info = properties["TimeInfo"].properties
         start, step, length = (float(np.ravel(info[key])[0]) for key in ("Start_", "Increment_", "Length"))
         return start + step * np.arange(int(length))
-    # What MATLAB shows as Data it keeps as Data_.
+    # MATLAB stores the property Data as Data_.
     require_columns(path, [name], [key.removesuffix("_") for key in properties])
     return properties.get(name, properties.get(f"{name}_"))

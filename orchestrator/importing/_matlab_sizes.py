@@ -1,6 +1,6 @@
-"""How large the variables of a .mat file of version 5 are once they are inflated; nothing of them is kept.
+"""Inflated size of the variables of a version 5 .mat file, without keeping their content.
 
-They are compressed one by one, and a kilobyte of a file may become a megabyte (MathWorks, MAT-File Format, "Data
+Each variable is compressed separately; a kilobyte may inflate to a megabyte (MathWorks, MAT-File Format, "Data
 Element Format").
 """
 
@@ -13,11 +13,11 @@ from typing import BinaryIO
 
 _HEADER, _TAG, _COMPRESSED = 128, struct.Struct("II"), 15
 _PIECE = 1 << 20
-"""Bytes that are read, or inflated, at a time."""
+"""Bytes to read or inflate at a time."""
 
 
 def inflated_size(path: Path) -> int:
-    """Bytes of all variables; of a damaged file those before the damage. Raises OSError."""
+    """Inflated bytes of all variables; of a damaged file, those before the damage. Raises OSError."""
     size = 0
     with path.open("rb") as file:
         order = ">" if file.read(_HEADER)[-2:] == b"MI" else "<"
@@ -38,5 +38,5 @@ def _inflated(file: BinaryIO, length: int) -> int:
                 size += len(inflating.decompress(piece, _PIECE))
                 piece = inflating.unconsumed_tail
     except zlib.error:
-        pass  # who reads the variable says so
+        pass  # the reader of the variable reports the damage
     return size

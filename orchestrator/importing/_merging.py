@@ -1,4 +1,4 @@
-"""Several recordings of one motor and drive as one: their captures are copied, their clocks put one after the other."""
+"""Merge recordings of one motor and drive: copies their captures and places their clocks one after the other."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from protocols import InputError, Segment
 def merge_recordings(paths: Sequence[Path], out: Path) -> ImportReport:
     """Write the segments of recordings, in the order in which these are named, as one recording at `out`.
 
-    Where an id is there already, a number is put behind it. What time passed between two recordings is not known: the
-    next begins where the one before ended.
+    A repeated id gets a number appended. The pause between two recordings is unknown: the next begins where the one
+    before ended.
 
     Raises
     ------
     InputError
-        Where there are fewer than two, or another motor, drive or sampling frequency is in one of them.
+        Where there are fewer than two recordings, or motor, drive or sampling frequency differ.
     StorageError
-        Where it cannot be written.
+        Where the merged recording cannot be written.
     """
     if len(paths) < 2:
         raise InputError("", "--merge", f"expected two recordings or more, got {len(paths)}")
@@ -52,17 +52,17 @@ def _check_alike(first: Recording, other: Recording) -> None:
         one, another = (getattr(recording.manifest, part).model_dump() for recording in (first, other))
         for name, value in one.items():
             if another.get(name) != value:
-                said = f"{another.get(name)!r}, but {first.path} has {value!r}"
-                raise InputError(str(other.path), f"{part}.{name}", said[:200])
+                problem = f"{another.get(name)!r}, but {first.path} has {value!r}"
+                raise InputError(str(other.path), f"{part}.{name}", problem[:200])
 
 
 def _copied(recordings: Sequence[Recording], directory: Path) -> list[Segment]:
-    made: list[Segment] = []
+    merged: list[Segment] = []
     taken: set[str] = set()
     end_s = 0.0
     for recording in recordings:
         segments = recording.segments()
-        late_s = end_s - segments[0].start_s if made and segments else 0.0
+        late_s = end_s - segments[0].start_s if merged and segments else 0.0
         for segment in segments:
             name, times = segment.id, 1
             while name in taken:
@@ -75,6 +75,6 @@ def _copied(recordings: Sequence[Recording], directory: Path) -> list[Segment]:
                 shutil.copyfile(source, target)
             except OSError as error:
                 raise storage_error(target, error) from None
-            made.append(segment.model_copy(update={"id": name, "start_s": segment.start_s + late_s}))
-            end_s = max(end_s, made[-1].start_s + segment.samples / recording.manifest.drive.sampling_frequency_hz)
-    return made
+            merged.append(segment.model_copy(update={"id": name, "start_s": segment.start_s + late_s}))
+            end_s = max(end_s, merged[-1].start_s + segment.samples / recording.manifest.drive.sampling_frequency_hz)
+    return merged

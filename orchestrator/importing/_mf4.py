@@ -40,7 +40,7 @@ def open_mf4(path: Path, wanted: Wanted) -> Source:
             return channels_of(file, path, wanted)
     except InputError:
         raise
-    except Exception as error:  # asammdf raises MdfException, and whatever a damaged file runs into
+    except Exception as error:  # asammdf raises MdfException, and other types for damaged files
         raise unreadable(path, "MDF", error) from None
 
 
@@ -63,7 +63,7 @@ def channels_of(file: Any, path: Path, wanted: Wanted) -> Source:
     for name in names:
         if len(file.channels_db[name]) > 1:
             raise InputError(str(path), name, f"{len(file.channels_db[name])} channels have this name")
-    # Invalid samples are dropped by default, and the channels would no longer be of one length.
+    # By default asammdf drops invalid samples; the channels would then differ in length.
     signals = {name: file.get(name, ignore_invalidation_bits=True) for name in names}
     raster = _common_raster(path, signals)
     numbers = {name: raster if name == TIMESTAMPS else _samples(path, name, signals[name]) for name in wanted.numbers}
@@ -78,7 +78,7 @@ def _common_raster(path: Path, signals: dict[str, Any]) -> Numbers:
     shortest = float(np.min(np.abs(np.diff(reference)), initial=np.inf))
     for name, stamps in others:
         apart = float(np.max(np.abs(stamps - reference), initial=0.0))
-        if apart > 0.01 * shortest:  # nearer than a hundredth of a sample they are of one instant
+        if apart > 0.01 * shortest:  # within a hundredth of a sample the stamps count as equal
             raise InputError(
                 str(path), name, f"its time stamps are up to {apart:.3g} s from those of {first}; export on one raster"
             )

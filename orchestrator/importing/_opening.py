@@ -1,4 +1,4 @@
-"""Which reader a file belongs to, told by its name's ending."""
+"""Choose a file's reader by the ending of its name."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _READERS: dict[str, Reader] = {
     **dict.fromkeys((".cfg", ".cff"), open_comtrade),
 }
 ENDINGS = (*_TEXT, *_READERS)
-"""Of the files that can be read, in small letters."""
+"""Endings of readable files, in lower case."""
 
 
 def open_source(
@@ -42,9 +42,9 @@ def open_source(
     Parameters
     ----------
     names : mapping, optional
-        What columns are called in the file, by their names in the mapping.
+        Column names in the file, by their names in the mapping.
     only, without : collection, optional
-        The columns, beside its time stamps, that are looked for in it; those that are not.
+        Columns to read in addition to the time stamps; columns to leave out.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def _renamed(block: Block, called: Mapping[str, str]) -> Block:
 
 
 def open_columns(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
-    """Open a measurement file for columns of its own; raises `InputError`."""
+    """Open a measurement file by its own column names; raises `InputError`."""
     ending = path.suffix.lower()
     if ending in _TEXT:
         return open_csv(path, wanted, layout)
@@ -83,7 +83,7 @@ def open_columns(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
 
 
 def check_file(path: Path) -> None:
-    """Raise `InputError` where `path` is no file that can be read."""
+    """Raise `InputError` where `path` is not a readable file."""
     try:
         if not path.is_file():
             raise InputError(str(path), "", "no such file")

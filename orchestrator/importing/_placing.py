@@ -1,4 +1,4 @@
-"""Where a segment goes: its id, and its start on the experiment's clock."""
+"""Assign a segment's id and its start on the experiment's clock."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from protocols import InputError
 
 
 class Placing:
-    """Gives out ids and starts, in the order in which segments come."""
+    """Assigns ids and starts in the order of the segments."""
 
     def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
         self._mapping, self._findings = mapping, findings
@@ -24,7 +24,7 @@ class Placing:
         self._offset_s, self._file_is_new = 0.0, True
 
     def next_file(self) -> None:
-        """Another file begins; its time stamps may start anew."""
+        """Begin another file; its time stamps may restart."""
         self._offset_s, self._file_is_new = 0.0, True
 
     def place(self, piece: Piece, stretch: Stretch, samples: int, rate_hz: float) -> tuple[str, float]:
@@ -55,7 +55,7 @@ class Placing:
             self._offset_s = rule.start_s - stamp_s
         start_s = stamp_s + self._offset_s
         if self._overlaps(start_s, seconds, slack_s) and self._file_is_new and rule.start_s is None:
-            # One clock a file: what lay between the files is not known.
+            # Each file has its own clock; the pause between files is unknown.
             self._offset_s = self._spans[-1][1] - stamp_s
             start_s = stamp_s + self._offset_s
             self._findings.note(
@@ -72,7 +72,7 @@ class Placing:
         return start_s
 
     def _overlaps(self, start_s: float, seconds: float, slack_s: float) -> bool:
-        # The spans are in order and apart from each other: the neighbours tell.
+        # Spans are sorted and disjoint, so only the two neighbours can overlap.
         place = bisect(self._spans, (start_s, start_s))
         near = self._spans[max(place - 1, 0) : place + 1]
         return any(start_s < end - slack_s and start_s + seconds > begin + slack_s for begin, end in near)

@@ -1,4 +1,4 @@
-"""Files of recorders that bring their own raster: LabVIEW's TDMS by npTDMS, COMTRADE by comtrade, where installed.
+"""Read recorder files with their own time raster: LabVIEW's TDMS by npTDMS, COMTRADE by comtrade.
 
 The raster is the column `timestamps`, in seconds; TDMS channels are named ``Group/Channel``.
 """
@@ -43,13 +43,13 @@ def open_tdms(path: Path, wanted: Wanted) -> Source:
             units = {n: str(channels[n].properties.get("unit_string", "")) for n in columns if n in channels}
     except InputError:
         raise
-    except Exception as error:  # npTDMS has no common base for what a damaged file runs into
+    except Exception as error:  # npTDMS has no common base class for errors of damaged files
         raise unreadable(path, "TDMS", error) from None
     return _source(path, wanted, columns, units)
 
 
 def _track(path: Path, channels: Mapping[str, Any]) -> Numbers:
-    """The common raster of channels, from the start and the increment that they say themselves."""
+    """The common raster of the channels, from their stated start and increment."""
     rasters: dict[tuple[float, float], str] = {}
     for name, channel in channels.items():
         properties = channel.properties
@@ -75,13 +75,13 @@ def open_comtrade(path: Path, wanted: Wanted) -> Source:
         if path.suffix.lower() == ".cfg":
             read_bytes(
                 path, MAX_FILE_SIZES.written_bytes
-            )  # a table of channels; the library would read anything to its end
+            )  # a table of channels; the library would read any text file to its end
         record.load(str(path))
         names = [str(name).strip() for name in record.analog_channel_ids]
         units = {n: str(c.uu).strip() for n, c in zip(names, record.cfg.analog_channels, strict=True)}
         every = {n: np.asarray(x, dtype=np.float64) for n, x in zip(names, record.analog, strict=True)}
         every[TIMESTAMPS] = np.asarray(record.time, dtype=np.float64)
-    except Exception as error:  # neither has comtrade
+    except Exception as error:  # comtrade has no common base class either
         raise unreadable(path, "COMTRADE", error) from None
     require_columns(path, wanted.all, list(every))
     return _source(path, wanted, {name: every[name] for name in wanted.all}, units)
@@ -97,5 +97,5 @@ def _source(path: Path, wanted: Wanted, columns: Mapping[str, Any], units: Mappi
 
 
 def _missing(path: Path, kind: str, library: str, extra: str, error: ImportError) -> InputError:
-    said = f"{kind} files are read by {library}: pip install 'fluxbench[{extra}]' ({error})"
-    return InputError(str(path), "", said)
+    problem = f"{kind} files are read by {library}: pip install 'fluxbench[{extra}]' ({error})"
+    return InputError(str(path), "", problem)

@@ -1,4 +1,4 @@
-"""Does the rotor turn where it is to be locked? Told by currents that turn, or by a back-EMF in a dq frame."""
+"""Detect a rotor that turns in a locked-rotor stage, by rotating currents or by a back-EMF in a dq frame."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from orchestrator.importing._source import Numbers
 
 @dataclass(frozen=True)
 class _Criteria:
-    """From when on currents turn."""
+    """Thresholds for a rotating current."""
 
     part: int = 1 << 16
-    """Samples that are looked at together: some seconds."""
+    """Samples per evaluation block: some seconds."""
     fewest_turns: float = 3.0
-    """Less may be a direction that was moved by hand, or a sweep's."""
+    """Fewer turns may be a hand-moved direction or a sweep."""
     steady: float = 0.3
-    """A turning current's length varies by less than this share: a sweep's goes through zero."""
+    """Largest relative variation of a rotating current's length; a sweep passes zero."""
     one_way: float = 0.9
-    """Share of all turning that goes the same way."""
+    """Smallest share of the rotation in one direction."""
 
 
 _CRITERIA = _Criteria()
 
 
 def turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
-    """Turns and frequency [Hz] of currents (n, 2) that turn as a running machine's do; None where they do not.
+    """Turns and frequency [Hz] of currents (n, 2) that rotate as in a running machine; None where they do not.
 
-    A steady sinusoid in the phases, also of a speed that drifts: the vector keeps its length and goes one way. What
-    pulsates along an axis, an injection's ripple or a sweep, does not. Looked for in parts, for a motor may be started.
+    A running machine's current vector keeps its length and rotates one way, also at a drifting speed. An injection's
+    ripple or a sweep pulsates along an axis. The search runs in blocks, since a motor may start within the segment.
     """
     parts = (i_ab[start : start + _CRITERIA.part] for start in range(0, len(i_ab), _CRITERIA.part))
     return next((found for part in parts if (found := _turning(part, rate_hz)) is not None), None)
@@ -43,7 +43,7 @@ def _turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
     window = max(1, int(rate_hz / (16.0 * abs(line)))) if line else 1
     if z.size < 4 * window:
         return None
-    # Means over a sixteenth of a turn: ripple and noise are gone, the turning is not.
+    # Means over a sixteenth of a turn remove ripple and noise, and keep the rotation.
     smooth = z[: z.size // window * window].reshape(-1, window).mean(axis=1)
     length = np.abs(smooth)
     steps = np.angle(smooth[1:] * np.conj(smooth[:-1]))
@@ -59,7 +59,7 @@ def _turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
 
 
 def beyond_resistance_v(i_ab: Numbers, v_ab: Numbers, ohm: float) -> float | None:
-    """The mean voltage [V] that a resistance does not take; None where that is no more than it takes."""
+    """Mean voltage [V] beyond the resistive drop; None where it is no larger than that drop."""
     i, v = i_ab.mean(axis=0), v_ab.mean(axis=0)
     left = float(np.hypot(*(v - ohm * i)))
     return left if left > 2.0 * ohm * float(np.hypot(*i)) else None

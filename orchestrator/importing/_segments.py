@@ -1,4 +1,4 @@
-"""A stretch of rows as a capture, and as the waveforms that are judged."""
+"""Convert a stretch of rows into a capture and the waveforms for the checks."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_
 from orchestrator.importing._waveform_checks import Waveforms
 from protocols import Capture, InputError, SegmentStage
 
-_LARGEST = float(np.finfo(np.float32).max)
+_MAX_FLOAT32 = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
-class MadeSegment:
-    """A segment before it is placed: its capture starts where its time stamps do."""
+class UnplacedSegment:
+    """A segment on its file's own clock: its capture starts at its first time stamp."""
 
     capture: Capture
     waveforms: Waveforms
     rotor_angle_rad: float
 
 
-def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Findings) -> MadeSegment:
+def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Findings) -> UnplacedSegment:
     """The capture of a stretch (float32), resampled where its time stamps are uneven.
 
     Raises
     ------
     InputError
-        Where an angle cannot be in its unit, or a value is beyond all bounds.
+        Where an angle's unit is implausible, or a value is out of range.
     """
     mapping = piece.mapping
     columns = {name: values[stretch.part] for name, values in piece.columns.items()}
@@ -47,10 +47,10 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
     wrong = wrong_state(mapping.voltage, columns)
     if wrong is not None:
         name = mapping.voltage.columns["state"]
-        said = (
+        problem = (
             f"expected a switching state from 0 to 7, got {columns[name][wrong]:g} in {at(piece, stretch.rows[wrong])}"
         )
-        raise InputError(str(piece.path), name, said)
+        raise InputError(str(piece.path), name, problem)
     dc_v = _bus(mapping, columns, len(stretch.rows))
     i_abc = _phase_currents(mapping, columns)
     signals: dict[str, Numbers | None] = {
@@ -63,13 +63,13 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
     if rule.stage is SegmentStage.SPIN and not isinstance(theta_rad, float):
         signals["theta_rad"] = np.unwrap(theta_rad)
     if stretch.uneven:
-        signals = _evened(signals, piece.time_s[stretch.part], rate_hz)
+        signals = _resampled(signals, piece.time_s[stretch.part], rate_hz)
     _check_bounds(signals, piece, stretch)
     if signals.get("theta_rad") is not None:
-        # Of many turns 32 bits would not keep the angle.
+        # 32 bits would not resolve an angle of many turns.
         signals["theta_rad"] = np.mod(_there(signals["theta_rad"]), 2.0 * np.pi)
-    made = {name: None if x is None else x.astype(np.float32) for name, x in signals.items()}
-    capture = Capture(start_s=float(piece.time_s[stretch.rows[0]]), sampling_frequency_hz=rate_hz, **made)
+    columns32 = {name: None if x is None else x.astype(np.float32) for name, x in signals.items()}
+    capture = Capture(start_s=float(piece.time_s[stretch.rows[0]]), sampling_frequency_hz=rate_hz, **columns32)
     waveforms = Waveforms(
         file=str(piece.path),
         mapping=mapping,
@@ -83,7 +83,7 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
         i_abc=signals["i_abc"],
         raw_currents={name: columns[name] for name in mapping.current.columns.values()},
     )
-    return MadeSegment(capture, waveforms, believed_rad)
+    return UnplacedSegment(capture, waveforms, believed_rad)
 
 
 def _phase_currents(mapping: ImportMapping, columns: Columns) -> Numbers | None:
@@ -101,7 +101,7 @@ def _bus(mapping: ImportMapping, columns: Columns, samples: int) -> Numbers:
     return np.full(samples, mapping.drive.dc_bus_voltage_v)
 
 
-def _evened(signals: dict[str, Numbers | None], time_s: Numbers, rate_hz: float) -> dict[str, Numbers | None]:
+def _resampled(signals: dict[str, Numbers | None], time_s: Numbers, rate_hz: float) -> dict[str, Numbers | None]:
     return {
         name: None if x is None else (resampled_held if name == "v_ab" else resampled)(time_s, x, rate_hz)
         for name, x in signals.items()
@@ -110,7 +110,7 @@ def _evened(signals: dict[str, Numbers | None], time_s: Numbers, rate_hz: float)
 
 def _check_bounds(signals: dict[str, Numbers | None], piece: Piece, stretch: Stretch) -> None:
     for name, values in signals.items():
-        if values is not None and not np.max(np.abs(values)) < _LARGEST:
+        if values is not None and not np.max(np.abs(values)) < _MAX_FLOAT32:
             raise InputError(
                 str(piece.path),
                 name,

@@ -1,4 +1,4 @@
-"""What a mapping says of one quantity: its columns, unit, frame, and how raw numbers become that unit; no I/O."""
+"""Model of one quantity in a mapping: its columns, unit, frame, offset and factor; no I/O."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _AXES: dict[Frame, tuple[Axis, ...]] = {
     "switching": ("state",),
 }
 _OF_THREE: tuple[Frame, ...] = ("abc", "line_to_line")
-"""Frames in which two columns tell the third."""
+"""Frames in which two columns determine the third."""
 DUTIES = ("duty", "duty_percent")
-"""Units of voltages that are shares of the bus voltage."""
+"""Units of voltages relative to the bus voltage."""
 
 
 def _not_zero(value: float) -> float:
@@ -42,12 +42,12 @@ class _Raw(Strict):
     """Numbers of a column, as ``(number - offset) * factor`` in the unit."""
 
     offset: float = 0.0
-    """What the column reads at zero, in its own numbers: a converter's middle."""
+    """The column's reading at zero, in raw numbers: a converter's midpoint."""
     factor: NotZero = 1.0
-    """What is left is multiplied by this to be in the unit: a probe's ratio, -1 for a reversed one."""
+    """Factor from raw numbers less the offset to the unit: a probe's ratio, -1 for a reversed probe."""
 
     @property
-    def as_it_stands(self) -> bool:
+    def is_in_unit(self) -> bool:
         """Whether the column is in its unit already."""
         return self.factor == 1.0 and self.offset == 0.0
 
@@ -59,7 +59,7 @@ class Angle(_Raw):
     column: Column | None = None
     unit: AngleUnit
     mechanical: bool = False
-    """Whether it is the shaft's: the motor's pole pairs times it is the electrical one."""
+    """Whether the angle is mechanical: the electrical angle is the pole pairs times it."""
 
     @model_validator(mode="after")
     def _one_of_both(self) -> Self:
@@ -69,21 +69,21 @@ class Angle(_Raw):
 
 
 class _Signal(Strict):
-    """A current or a voltage as its columns hold it."""
+    """Columns and scaling of a current or a voltage."""
 
     frame: Frame
     columns: dict[Axis, Column]
-    """By axis: two or all of a, b, c; alpha and beta; d and q; two or all of ab, bc, ca; or state."""
+    """Column names by axis: two or all of a, b, c; alpha and beta; d and q; two or all of ab, bc, ca; or state."""
     other_axis: Literal["zero"] | None = None
-    """Of alpha and beta, or d and q, only one was logged: nothing was on the other."""
+    """The value of an axis that was not logged, where only one of alpha and beta, or d and q, was."""
     scaling: Scaling | None = None
-    """The transform that made alpha-beta or dq values; of phases, rms where they were divided by sqrt 2."""
+    """Scaling of the transform to alpha-beta or dq; for phases, rms where values are peak / sqrt 2."""
     offset: float | dict[Axis, float] = 0.0
-    """What the columns read at zero, in their own numbers: one for all, or one an axis."""
+    """Readings at zero, in raw numbers: one for all columns, or one per axis."""
     factor: NotZero | dict[Axis, NotZero] = 1.0
-    """What is left is multiplied by this to be in `unit`: a probe's ratio, -1 for a reversed one; likewise."""
+    """Factor from raw numbers less the offset to `unit`, for all columns or per axis; -1 for a reversed probe."""
     angle: Angle | None = None
-    """Angle of the d axis in which dq values were taken. None: the segment's rotor angle."""
+    """Angle of the d axis of dq values. None: the segment's rotor angle."""
 
     @model_validator(mode="after")
     def _columns_make_a_vector(self) -> Self:
@@ -115,15 +115,15 @@ class _Signal(Strict):
         raise ValueError(f"frame {self.frame} needs columns for {what}, got {', '.join(self.columns) or 'none'}{hint}")
 
     def offset_of(self, axis: str) -> float:
-        """What the axis' column reads at zero."""
+        """The axis column's reading at zero."""
         return self.offset[axis] if isinstance(self.offset, dict) else self.offset  # type: ignore[index]  # an Axis
 
     def factor_of(self, axis: str) -> float:
-        """What the axis' column is multiplied by."""
+        """The axis column's factor."""
         return self.factor[axis] if isinstance(self.factor, dict) else self.factor  # type: ignore[index]  # an Axis
 
     @property
-    def as_it_stands(self) -> bool:
+    def is_in_unit(self) -> bool:
         """Whether the columns are in their unit already."""
         return self.factor == 1.0 and self.offset == 0.0
 
@@ -140,8 +140,8 @@ class VoltageSignal(_Signal):
 
     unit: VoltageUnit
     numbering: Numbering | None = None
-    """What a switching state's number says: sectors (1 = 100, 2 = 110, 3 = 010 ... 0 and 7 zero), or the legs as bits,
-    a or c the highest."""
+    """Code of the switching states: sectors (1 = 100, 2 = 110, 3 = 010 ... 0 and 7 zero), or the legs as bits with a
+    or c as the highest."""
 
     @model_validator(mode="after")
     def _states_are_numbered(self) -> Self:
@@ -155,7 +155,7 @@ class VoltageSignal(_Signal):
 
 
 class PhaseCurrents(_Raw):
-    """All three phase currents beside a current in another frame, to hold that against."""
+    """All three phase currents, to check a current in another frame against."""
 
     columns: dict[Literal["a", "b", "c"], Column]
     unit: CurrentUnit
@@ -175,7 +175,7 @@ class BusVoltage(_Raw):
 
 
 class Temperature(_Raw):
-    """The winding's or the housing's temperature."""
+    """Temperature of the winding or the housing."""
 
     column: Column
     unit: TemperatureUnit
@@ -187,9 +187,9 @@ class TimeColumn(Strict):
     column: Column
     unit: TimeUnit
     tick_hz: Positive | None = None
-    """Ticks a second, where `unit` is tick."""
+    """Ticks per second, where `unit` is tick."""
     wraps_at: Positive | None = None
-    """The number at which a counter begins again at zero, such as 65536."""
+    """Number at which a counter wraps to zero, such as 65536."""
 
     @model_validator(mode="after")
     def _ticks_have_a_rate(self) -> Self:

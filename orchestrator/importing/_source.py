@@ -1,7 +1,6 @@
-"""Measurement files of every kind as blocks of named columns, in the file's own units; nothing is interpreted.
+"""Read measurement files as blocks of named columns in the file's own units, without interpretation.
 
-The readers differ in how much they hold: CSV, Parquet and MATLAB 7.3 hand out a block at a time, MATLAB 5 and MF4 load
-the named columns whole.
+CSV, Parquet and MATLAB 7.3 are read block by block; MATLAB 5 and MF4 readers load the named columns as a whole.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ Numbers = NDArray[np.float64]
 
 BLOCK_ROWS = 1 << 16
 TIMESTAMPS = "timestamps"
-"""The column of a file's own raster [s], where its channels bring one."""
+"""Name of the column of a file's own time raster [s]."""
 
 
 @dataclass(frozen=True)
 class Labels:
-    """One label a row: `names[codes[k]]`."""
+    """One label per row: `names[codes[k]]`."""
 
     codes: NDArray[np.intp]
     names: tuple[str, ...]
@@ -36,7 +35,7 @@ class Labels:
 
 @dataclass(frozen=True)
 class Block:
-    """Consecutive rows; what is missing is NaN."""
+    """Consecutive rows; missing values are NaN."""
 
     numbers: Mapping[str, Numbers]
     labels: Labels | None = None
@@ -47,29 +46,29 @@ class Block:
 
 @dataclass(frozen=True)
 class Wanted:
-    """The columns that an import needs."""
+    """Names of the columns that an import needs."""
 
     numbers: tuple[str, ...]
     label: str | None = None
     dates: str | None = None
-    """A column of time stamps that are dates; it comes among the numbers, as seconds."""
+    """A column of dates as time stamps; blocks hold it among the numbers, in seconds."""
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All of them, each once."""
+        """All columns, each once."""
         return tuple(dict.fromkeys((*self.numbers, *(x for x in (self.label, self.dates) if x is not None))))
 
 
 @dataclass(frozen=True)
 class Source:
-    """An opened file: its blocks, and the units that it gives itself, where it does."""
+    """An opened file: its blocks, and the units that the file states."""
 
     blocks: Iterable[Block]
     units: Mapping[str, str] = field(default_factory=dict)
 
 
 def require_columns(path: Path, wanted: Iterable[str], present: Collection[str]) -> None:
-    """Raise `InputError` where a wanted column is not there."""
+    """Raise `InputError` where a wanted column is missing."""
     for name in wanted:
         if name not in present:
             if (apart := _unseparated(name, present)) is not None:
@@ -110,9 +109,9 @@ def same_length(path: Path, lengths: Mapping[str, int]) -> int:
 
 
 def guarded(path: Path, kind: str, blocks: Callable[[], Iterator[Block]]) -> Iterator[Block]:
-    """The blocks, with whatever the reading library raises turned into an `InputError`.
+    """The blocks; any error of the reading library becomes an `InputError`.
 
-    The libraries have no common base for what a damaged file makes them raise.
+    The libraries have no common base class for errors of damaged files.
     """
     try:
         yield from blocks()
@@ -123,7 +122,7 @@ def guarded(path: Path, kind: str, blocks: Callable[[], Iterator[Block]]) -> Ite
 
 
 def held(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
-    """Blocks that are all kept; raises `RecordingError` before they are more than the machine has memory for."""
+    """All blocks as a list; raises `RecordingError` before they exceed the memory of the machine."""
     rows = size = 0
     for block in blocks:
         rows, size = rows + len(block), size + sum(column.nbytes for column in block.numbers.values())
@@ -132,7 +131,7 @@ def held(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
 
 
 def unreadable(path: Path, kind: str, error: Exception) -> InputError:
-    """The one line for what a reading library raised."""
+    """An `InputError` of one line for an error of a reading library."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
     return InputError(str(path), "", f"not a readable {kind} file: {reason}")
 
@@ -164,9 +163,9 @@ def _label(value: object) -> str:
 
 
 def _unseparated(name: str, present: Collection[str]) -> str | None:
-    """By what names look separated where a wanted one is but a part of one; None where it is no part."""
+    """Name of the delimiter that would split a present name into the wanted one; None where there is none."""
     for there in present:
-        for apart, told in (("\t", "tabs"), (";", "semicolons"), (",", "commas"), ("|", "bars")):
-            if apart in there and name in (part.strip().strip('"') for part in there.split(apart)):
-                return told
+        for delimiter, words in (("\t", "tabs"), (";", "semicolons"), (",", "commas"), ("|", "bars")):
+            if delimiter in there and name in (part.strip().strip('"') for part in there.split(delimiter)):
+                return words
     return None

@@ -1,4 +1,4 @@
-"""Rows into segments, as the mapping's rules say; what is in the rows is not looked at."""
+"""Split rows into segments by the mapping's rules, without regard to the values."""
 
 from __future__ import annotations
 
@@ -27,37 +27,37 @@ class Piece:
 
     path: Path
     mapping: ImportMapping
-    """What is said of its file."""
+    """Mapping of the piece's file."""
     rule: int
-    """Index among the mapping's segments."""
+    """Index of the rule among the mapping's segments."""
     first_row: int
     """Counted from 0."""
     columns: Mapping[str, Numbers]
-    """Those that make signals, as the file has them; NaN where a sample is missing."""
+    """Columns of the signals in the file's numbers; NaN where a sample is missing."""
     time_s: Numbers
-    """Time stamps; where there are none, since the file's first row."""
+    """Time stamps [s]; without a time column, the time since the file's first row."""
 
 
 @dataclass
 class Leftover:
-    """Rows that fit no rule."""
+    """Rows that match no rule."""
 
     rows: int = 0
     first: str = ""
 
 
 class _Growing:
-    """A column that grows by rows, without ever being there twice."""
+    """A column that grows in parts, so that growth never copies the whole column."""
 
     LEAST, MOST = 1 << 14, 1 << 22
-    """Rows of a part: each as large as all before, up to a size that the system takes back as soon as it is let go."""
+    """Rows of a part: each as large as all before, up to a size that the system reclaims when it is freed."""
 
     def __init__(self) -> None:
         self._parts: list[Numbers] = []
         self._filled = self._rows = 0
 
     def add(self, values: Numbers) -> None:
-        # Copied: a view would keep the whole block that it is of.
+        # A view would keep its whole block in memory.
         while values.size:
             if not self._parts or self._filled == self._parts[-1].size:
                 self._parts.append(np.empty(min(max(self.LEAST, self._rows), self.MOST)))
@@ -67,7 +67,7 @@ class _Growing:
             values, self._filled, self._rows = values[now:], self._filled + now, self._rows + now
 
     def whole(self) -> Numbers:
-        """All rows; the parts are let go."""
+        """All rows; frees the parts."""
         out, start = np.empty(self._rows), 0
         while self._parts:
             part = self._parts.pop(0)[: self._rows - start]
@@ -78,7 +78,7 @@ class _Growing:
 
 @dataclass
 class _Open:
-    """A piece that may go on in the next block."""
+    """A piece that may continue in the next block."""
 
     key: tuple[int, str]
     first_row: int
@@ -105,9 +105,9 @@ class Splitter:
     Attributes
     ----------
     leftover : Leftover
-        What fitted no rule so far.
+        Rows that matched no rule so far.
     rows : int
-        Of all blocks so far.
+        Number of rows in all blocks so far.
     """
 
     def __init__(self, mapping: ImportMapping) -> None:
@@ -118,7 +118,7 @@ class Splitter:
         self.rows = 0
 
     def pieces(self, path: Path, mapping: ImportMapping, blocks: Iterator[Block]) -> Iterator[Piece]:
-        """The pieces of one file, as its mapping describes it."""
+        """The pieces of one file, by its mapping."""
         rules, signals = self._rules_for(path), mapping.signal_columns()
         self._stamps.next_file()
         opened: _Open | None = None
@@ -149,12 +149,12 @@ class Splitter:
         return self._stamps.since_epoch
 
     def check_all_used(self, where: str) -> None:
-        """Raise `InputError` where a rule fitted no row of any file."""
+        """Raise `InputError` where a rule matched no row of any file."""
         for index, rule in enumerate(self._mapping.segments):
             if index not in self._used:
-                asked = {name: getattr(rule, name) for name in ("file", "label", "from_s", "to_s")}
-                said = ", ".join(f"{name} {value!r}" for name, value in asked.items() if value is not None)
-                raise InputError(where, f"segments.{index}", f"no row fits it ({said or 'an earlier one takes all'})")
+                conditions = {name: getattr(rule, name) for name in ("file", "label", "from_s", "to_s")}
+                words = ", ".join(f"{name} {value!r}" for name, value in conditions.items() if value is not None)
+                raise InputError(where, f"segments.{index}", f"no row fits it ({words or 'an earlier one takes all'})")
 
     def _rules_for(self, path: Path) -> Sequence[tuple[int, SegmentRule]]:
         rules = enumerate(self._mapping.segments)
@@ -162,14 +162,14 @@ class Splitter:
 
     def _leave_out(self, path: Path, row: int, rows: int, label: str) -> None:
         self.leftover.rows += rows
-        said = f", label {label!r}" if label else ""
-        self.leftover.first = self.leftover.first or f"{path.name}, row {row + 1}{said}"
+        suffix = f", label {label!r}" if label else ""
+        self.leftover.first = self.leftover.first or f"{path.name}, row {row + 1}{suffix}"
 
 
 def _fitting(rules: Sequence[tuple[int, SegmentRule]], labels: Labels, time_s: Numbers) -> NDArray[np.intp]:
-    """The first rule that each row fits."""
+    """Index of the first rule that each row matches."""
     which = np.full(time_s.size, _NO_RULE, dtype=np.intp)
-    stamps = _carried_on(time_s) if any(rule.has_range for _, rule in rules) else time_s
+    stamps = _filled_forward(time_s) if any(rule.has_range for _, rule in rules) else time_s
     for index, rule in reversed(rules):
         by_name = np.array([rule.label is None or fnmatchcase(name, str(rule.label)) for name in labels.names])
         if not by_name.any():
@@ -183,8 +183,8 @@ def _fitting(rules: Sequence[tuple[int, SegmentRule]], labels: Labels, time_s: N
     return which
 
 
-def _carried_on(time_s: Numbers) -> Numbers:
-    """The time stamps, a missing one replaced by the last before it: a missing stamp is to be found, not skipped."""
+def _filled_forward(time_s: Numbers) -> Numbers:
+    """The time stamps, each missing one replaced by the last before it, so that a later check reports it."""
     known = np.where(np.isfinite(time_s), np.arange(time_s.size), 0)
     return time_s[np.maximum.accumulate(known)]
 

@@ -1,4 +1,4 @@
-"""Time stamps of any clock as seconds: units, counters that wrap, dates, and epochs as an import's own zero."""
+"""Convert time stamps to seconds: units, counters that wrap, dates, and epochs relative to the import's first."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from orchestrator.importing._units import FACTORS
 from protocols import InputError
 
 EPOCH_S = 1e8
-"""Stamps beyond this [s] count from some year's beginning: an experiment of three years there is none."""
+"""Stamps beyond this [s] count from an epoch: no experiment lasts three years."""
 
 
 class Stamps:
-    """The clock of one import; holds what carries over from block to block and from file to file."""
+    """The clock of one import; holds the state between blocks and files."""
 
     def __init__(self) -> None:
         self._origin_s: float | None = None
@@ -25,11 +25,11 @@ class Stamps:
 
     @property
     def since_epoch(self) -> bool:
-        """Whether the stamps were dates, or as large as dates are."""
+        """Whether the stamps were dates, or as large as seconds since an epoch."""
         return bool(self._origin_s)
 
     def next_file(self) -> None:
-        """Another file begins: a counter that wraps begins anew."""
+        """Begin another file: the count of wraps restarts."""
         self._last, self._turns = 0.0, 0
 
     def seconds(self, mapping: ImportMapping, block: Block, row: int) -> Numbers:
@@ -48,13 +48,13 @@ class Stamps:
             first_s = float(known[0]) * unit_s if known.size else 0.0
             if known.size:
                 self._origin_s = first_s if time.unit == "iso" or abs(first_s) > EPOCH_S else 0.0
-        # In its own numbers, where the difference of neighbours is exact.
+        # In ticks the difference of neighbours is exact.
         return (raw - (self._origin_s or 0.0) / unit_s) * unit_s if self._origin_s else raw * unit_s
 
     def _unwrapped(self, raw: Numbers, wraps_at: float) -> Numbers:
         finite = np.isfinite(raw)
         known = raw[finite]
-        # Time only goes on: a step back is a new turn, of which a pause may hide more.
+        # A step back is a wrap of the counter; a pause may hide further wraps.
         back = np.diff(known, prepend=self._last) < 0.0
         turns = self._turns + np.cumsum(back)
         out = np.full_like(raw, np.nan)
@@ -75,7 +75,7 @@ def dates_as_seconds(path: Path, name: str, texts: Any) -> Numbers:
     Raises
     ------
     InputError
-        Where one is no date.
+        Where a text is no date.
     """
     import pyarrow as pa
     import pyarrow.compute as pc
@@ -90,8 +90,8 @@ def dates_as_seconds(path: Path, name: str, texts: Any) -> Numbers:
             column = column.cast(pa.timestamp("ns", column.type.tz))
         numbers = column.cast(pa.int64()).to_numpy(zero_copy_only=False) * 1e-9
     except (pa.ArrowException, OverflowError) as error:
-        said = " ".join(str(error).split())[:80]
-        raise InputError(str(path), name, f"expected dates as 2026-11-23T06:45:35.123 ({said})") from None
+        reason = " ".join(str(error).split())[:80]
+        raise InputError(str(path), name, f"expected dates as 2026-11-23T06:45:35.123 ({reason})") from None
     return np.asarray(numbers, dtype=np.float64)
 
 

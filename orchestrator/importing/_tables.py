@@ -1,4 +1,4 @@
-"""Some columns of a table, whole and in memory: what is no waveform, such as a flux map."""
+"""Read columns of a table as a whole, such as a flux map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orchestrator.importing._source import Numbers, Wanted, held
 
 
 def read_table(path: Path, names: Sequence[str], layout: CsvLayout) -> dict[str, Numbers]:
-    """Columns of a Parquet file, or of a text file laid out as said; raises `InputError`."""
+    """Columns of a Parquet file, or of a text file with the given layout; raises `InputError`."""
     wanted = Wanted(tuple(dict.fromkeys(names)))
     source = (
         open_parquet(path, wanted) if path.suffix.lower() in (".parquet", ".pq") else open_csv(path, wanted, layout)

@@ -1,4 +1,4 @@
-"""The time stamps of a piece: missing samples, gaps and uneven spacing found; resampling where asked for.
+"""Check a piece's time stamps for missing samples, gaps and uneven spacing; resample where the mapping requests it.
 
 Voltages are held between samples, so they are resampled by their integral (volt-seconds are kept); everything else is
 interpolated linearly.
@@ -21,13 +21,13 @@ from orchestrator.importing._splitting import Piece
 from orchestrator.importing._units import FACTORS, unit_that_fits
 from protocols import InputError
 
-FEWEST_SAMPLES = 10
-"""Shorter stretches are left out: nothing can be told from them."""
+MIN_STRETCH_SAMPLES = 10
+"""Shorter stretches are left out: they contain too little information."""
 
 _PART_ROWS = 1 << 19
-"""Longer stretches are computed with in parts, for the memory."""
+"""Longer stretches are processed in parts, to limit the memory."""
 _GAP = 1.5
-"""A longer step than this, in samples, is a gap."""
+"""Smallest step that counts as a gap [samples]."""
 _PLAUSIBLE_RATE_HZ = (200.0, 5e6)
 
 
@@ -37,28 +37,28 @@ Rows = range | NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Stretch:
-    """Rows of a piece without a gap among them: indices into the piece, and whether they have to be resampled."""
+    """Rows of a piece without a gap: indices into the piece, and whether they need resampling."""
 
     rows: Rows
     uneven: bool
 
     @property
     def part(self) -> slice | NDArray[np.intp]:
-        """The rows as an index that copies nothing, where they follow each other."""
+        """The rows as a slice where they are consecutive, which avoids a copy."""
         first, last = int(self.rows[0]), int(self.rows[-1])
         if isinstance(self.rows, range) or last - first + 1 == len(self.rows):
             return slice(first, last + 1)
         return self.rows
 
     def parts(self) -> list[Stretch]:
-        """The stretch in pieces that are computed with one by one; whole where it has to be resampled."""
+        """The stretch in parts for processing; whole where it needs resampling."""
         if self.uneven:
             return [self]
         return [Stretch(self.rows[k : k + _PART_ROWS], False) for k in range(0, len(self.rows), _PART_ROWS)]
 
 
 class Clock:
-    """Finds the sampling frequency with the first piece and holds every later one against it."""
+    """Determines the sampling frequency from the first piece and checks every later piece against it."""
 
     def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
         self._findings = findings
@@ -66,22 +66,22 @@ class Clock:
 
     @property
     def rate_hz(self) -> float:
-        """The recording's sampling frequency, known once a piece came by."""
+        """The recording's sampling frequency, known after the first piece."""
         assert self._rate_hz is not None
         return self._rate_hz
 
     def stretches(self, piece: Piece) -> Iterator[Stretch]:
-        """The piece's uninterrupted stretches; raises `InputError` where they cannot be had."""
+        """The piece's uninterrupted stretches; raises `InputError` where gaps or uneven stamps are not allowed."""
         complete = self._complete_rows(piece)
         self._findings.dropped_rows["a value is missing"] += piece.time_s.size - len(complete)
-        if len(complete) < FEWEST_SAMPLES:
+        if len(complete) < MIN_STRETCH_SAMPLES:
             self._too_short(piece, len(complete))
             return
         time_s = piece.time_s if isinstance(complete, range) else piece.time_s[complete]
         self._check_increasing(piece, complete, time_s)
         self._learn_rate(piece, time_s)
         for start, end in self._between_gaps(piece, complete, time_s):
-            if end - start < FEWEST_SAMPLES:
+            if end - start < MIN_STRETCH_SAMPLES:
                 self._too_short(piece, end - start)
                 continue
             yield Stretch(complete[start:end], self._is_uneven(piece, complete[start:end], time_s[start:end]))
@@ -125,7 +125,7 @@ class Clock:
         low, high = _PLAUSIBLE_RATE_HZ
         self._check_unit(piece, column.unit, period_s, (1.0 / high, 1.0 / low))
         steady = steps < _GAP * period_s
-        # Within a twentieth of a sample over all of them the roundest rate is meant.
+        # Among rates within a twentieth of a sample over the whole piece, the roundest is the intended one.
         self._rate_hz = _roundest(1.0 / float(np.mean(steps, where=steady)), 0.05 / np.count_nonzero(steady))
 
     def _check_unit(self, piece: Piece, unit: str, period_s: float, plausible: tuple[float, float]) -> None:
@@ -133,12 +133,12 @@ class Clock:
             return
         fits = unit_that_fits(unit, period_s, *plausible)
         hint = "" if fits is None else f"; {fits} would give {1 / (period_s * FACTORS[fits] / FACTORS[unit]):.6g} Hz"
-        asked = "" if self._rate_hz is None else f", not {self._rate_hz:g} Hz"
+        expected = "" if self._rate_hz is None else f", not {self._rate_hz:g} Hz"
         self._findings.doubt(
             Finding.TIME_UNIT,
             str(piece.path),
             _time_column(piece),
-            f"read in {unit}, the time stamps make {1 / period_s:.6g} Hz{asked}{hint}",
+            f"read in {unit}, the time stamps make {1 / period_s:.6g} Hz{expected}{hint}",
         )
 
     def _between_gaps(self, piece: Piece, rows: Rows, time_s: Numbers) -> Sequence[tuple[int, int]]:
@@ -160,7 +160,7 @@ class Clock:
     def _is_uneven(self, piece: Piece, rows: Rows, time_s: Numbers) -> bool:
         intervals = time_s.size - 1
         own_rate = intervals / float(time_s[-1] - time_s[0])
-        # In place: of ten million rows each array more is 80 MB.
+        # In place: for ten million rows each further array takes 80 MB.
         off = np.arange(time_s.size, dtype=np.float64)
         off /= own_rate
         off += time_s[0]
@@ -191,7 +191,7 @@ class Clock:
         return True
 
     def _too_short(self, piece: Piece, samples: int) -> None:
-        self._findings.dropped_rows[f"fewer than {FEWEST_SAMPLES} in a row"] += samples
+        self._findings.dropped_rows[f"fewer than {MIN_STRETCH_SAMPLES} in a row"] += samples
         self._findings.note(
             "short", f"{piece.path}: {samples} samples after {at(piece, 0)} are too few for a segment, left out"
         )
@@ -202,7 +202,7 @@ def _time_column(piece: Piece) -> str:
 
 
 def at(piece: Piece, row: int | np.integer[Any]) -> str:
-    """Where a row of a piece is, in words: rows are counted from 1 below the names."""
+    """The place of a row for a message; rows count from 1 below the names."""
     time_s = float(piece.time_s[row])
     stamp = f" (t = {time_s:.6g} s)" if np.isfinite(time_s) else ""
     return f"row {piece.first_row + int(row) + 1}{stamp}"
@@ -232,7 +232,7 @@ def held_means(time_s: Numbers, values: Numbers, edges_s: Numbers) -> Numbers:
 
 
 def _grid(time_s: Numbers, rate_hz: float) -> Numbers:
-    # The last stamp counts as reached where it is missed by rounding only.
+    # The tolerance includes the last stamp where only rounding misses it.
     samples = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     grid: Numbers = time_s[0] + np.arange(samples) / rate_hz
     return grid

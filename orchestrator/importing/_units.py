@@ -1,4 +1,4 @@
-"""The units that a mapping may name, as factors to SI, and which of them would fit a value; converts nothing itself."""
+"""Units of a mapping as factors to SI, and a search for the unit that makes a value plausible."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FACTORS: Mapping[str, float] = MappingProxyType(
         **{"degC": 1.0, "K": 1.0},
     }
 )
-"""SI units in one of each; of shares of the bus voltage, bus voltages."""
+"""Factor from each unit to SI; for duties, to the bus voltage."""
 
 ZERO_CELSIUS_K = 273.15
 
@@ -30,9 +30,9 @@ _FAMILIES = (("A", "mA", "uA", "kA"), ("V", "mV", "uV", "kV"), ("duty", "duty_pe
 
 
 def unit_that_fits(labelled: str, value: float, low: float, high: float) -> str | None:
-    """The unit that takes `value` (read as `labelled`, in SI) to between `low` and `high`; None where there is none.
+    """The unit in which `value` (read as `labelled`, in SI) lies between `low` and `high`; None where none does.
 
-    Of several, the one that takes it nearest the middle of the range, on a logarithmic scale.
+    Of several units, the result is nearest the middle of the range on a logarithmic scale.
     """
     family = next((units for units in _FAMILIES if labelled in units), ())
     read_as = {unit: value * FACTORS[unit] / FACTORS[labelled] for unit in family if unit != labelled}

@@ -1,4 +1,4 @@
-"""Columns into stator-frame vectors, amplitude-invariant peak values, SI; nothing is judged here."""
+"""Convert columns into stator-frame vectors in SI, as amplitude-invariant peak values; runs no checks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Columns = Mapping[str, Numbers]
 TO_PEAK: Mapping[Scaling, float] = MappingProxyType(
     {"amplitude_invariant": 1.0, "power_invariant": math.sqrt(2.0 / 3.0), "rms": math.sqrt(2.0)}
 )
-"""What vectors of each scaling are multiplied by to have the length of the phases' peak."""
+"""Factor from each scaling to amplitude-invariant vectors."""
 
 
 def _legs(*order: int) -> Numbers:
@@ -57,11 +57,11 @@ def vectors(
     Parameters
     ----------
     rotor_angle_rad : float, or array of shape (n,)
-        Taken where a signal in the dq frame names no angle of its own.
+        Angle for a dq signal that names no own angle column.
     pole_pairs : int
-        Of the motor, for angles of the shaft.
+        Pole pairs of the motor, for mechanical angles.
     dc_v : array, shape (n,)
-        The bus voltage [V], for voltages that are shares of it.
+        The bus voltage [V], for voltages in duty.
     """
     x = _stator_vectors(signal, columns, rotor_angle_rad, pole_pairs)
     return x * dc_v[:, None] if signal.unit in DUTIES else x
@@ -87,7 +87,7 @@ def _stator_vectors(
 
 
 def wrong_state(voltage: VoltageSignal, columns: Columns) -> int | None:
-    """The first row in which a switching state is no whole number from 0 to 7."""
+    """The first row whose switching state is not a whole number from 0 to 7."""
     if voltage.frame != "switching":
         return None
     states = columns[voltage.columns["state"]]
@@ -96,7 +96,7 @@ def wrong_state(voltage: VoltageSignal, columns: Columns) -> int | None:
 
 
 def phases(signal: CurrentSignal | VoltageSignal | PhaseCurrents, columns: Columns) -> Numbers:
-    """Phase quantities (a, b, c), shape (n, 3); the third of two is what brings their sum to zero."""
+    """Phase quantities (a, b, c), shape (n, 3); with two columns, the third makes the sum zero."""
     if isinstance(signal, PhaseCurrents):
         known: dict[str, Numbers] = {a: _from_raw(signal, columns[n], signal.unit) for a, n in signal.columns.items()}
         return np.column_stack(_three(known, ("a", "b", "c")))
@@ -104,7 +104,7 @@ def phases(signal: CurrentSignal | VoltageSignal | PhaseCurrents, columns: Colum
 
 
 def _in_unit(signal: CurrentSignal | VoltageSignal, columns: Columns) -> dict[str, Numbers]:
-    """The columns by axis, peak values in SI."""
+    """The columns by axis, in SI."""
     scale = FACTORS[signal.unit] * TO_PEAK[signal.scaling or "amplitude_invariant"]
     return {
         axis: (columns[name] - signal.offset_of(axis)) * (signal.factor_of(axis) * scale)
@@ -113,7 +113,7 @@ def _in_unit(signal: CurrentSignal | VoltageSignal, columns: Columns) -> dict[st
 
 
 def _three(known: Mapping[str, Numbers], axes: tuple[str, str, str]) -> list[Numbers]:
-    """All three of what adds up to zero, where two are known."""
+    """Three phase quantities with zero sum, from two or three of them."""
     closing = -np.sum(list(known.values()), axis=0)
     return [known.get(axis, closing) for axis in axes]
 

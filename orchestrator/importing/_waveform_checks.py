@@ -1,7 +1,7 @@
-"""Do the waveforms look like a motor's? Units, scaling, zero sequence, polarity and lag, held against the nameplate.
+"""Check waveforms against the nameplate: units, scaling, zero sequence, polarity and lag.
 
-Each check is about a mistake of the mapping or the logger, with wide margins: what a drive or motor does to its
-waveforms is not judged here.
+Each check detects a mistake of the mapping or the logger, with wide margins. Effects of drive and motor are left to
+the diagnosis.
 """
 
 from __future__ import annotations
@@ -35,32 +35,32 @@ from orchestrator.plausibility import (
 from protocols import SegmentStage
 
 _LOCKED = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
-"""Stages whose currents do not turn by themselves; steps on both axes may go round a square."""
+"""Stages whose currents do not rotate by design; steps on both axes may go round a square."""
 
 
 @dataclass(frozen=True)
 class Waveforms:
-    """A segment as it will be written, and as much of the file as the checks need."""
+    """A segment's waveforms, and the file's data that the checks need."""
 
     file: str
     mapping: ImportMapping
-    """What is said of the file."""
+    """Mapping of the segment's file."""
     rows: str
-    """Its first row, in words."""
+    """The place of the first row, for messages."""
     stage: SegmentStage
     rate_hz: float
     i_ab: Numbers
     v_ab: Numbers
     v_dc: Numbers
     injected_hz: float | None
-    """What the mapping says of an injection's frequency: its ripple may turn."""
+    """Injection frequency of the mapping's settings [Hz]; its ripple may rotate."""
     i_abc: Numbers | None
-    """Where all three phases were measured."""
+    """The phase currents, where the file has all three."""
     raw_currents: Mapping[str, Numbers]
 
 
 class WaveformChecks:
-    """Judges segment by segment, and in the end the recording as a whole."""
+    """Checks each segment, and at the end the recording as a whole."""
 
     def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
         self._mapping, self._findings = mapping, findings
@@ -71,7 +71,7 @@ class WaveformChecks:
         self._lags: list[Alignment] = []
 
     def judge(self, w: Waveforms) -> None:
-        """Look at one segment; raises `InputError` for what the mapping does not accept."""
+        """Check one segment; raises `InputError` for a finding that the mapping does not accept."""
         self._mapping = w.mapping
         self._current_names = ", ".join(w.mapping.current.columns.values())
         self._voltage_names = ", ".join(w.mapping.voltage.columns.values())
@@ -88,14 +88,14 @@ class WaveformChecks:
             self._zero_sequence(w, w.i_abc)
             if self._mapping.phase_currents is not None:
                 self._scaling(w, from_phases(w.i_abc))
-        if w.stage is not SegmentStage.SPIN:  # a machine that turns may give power
+        if w.stage is not SegmentStage.SPIN:  # a rotating machine may generate
             self._polarity(w)
         if w.stage is SegmentStage.INJECTION:
             found = alignment_of(w.i_ab, w.v_ab, ohm=self._mapping.motor.stator_resistance_ohm)
             self._lags += [] if found is None else [found]
 
     def conclude(self, file: str) -> None:
-        """Look at all that was seen; `file` is named where the recording as a whole looks wrong."""
+        """Check the recording as a whole; findings name `file`."""
         self._current_too_small(file)
         self._voltage_too_small(file)
         self._resistance(file)
@@ -143,26 +143,26 @@ class WaveformChecks:
         if largest <= 1.05 * MAX_VOLTAGE_RATIO:
             return
         bus = abs(float(w.v_dc[worst]))
-        said = (
+        excess = (
             f"{length[worst]:.4g} V at sample {worst + 1} from {w.rows} on is more than a bridge makes of {bus:.4g} V "
             f"({MAX_VOLTAGE_RATIO * bus:.4g} V)"
         )
         if largest > PLAUSIBLE_BOUNDS.bus_voltages[1]:
             hint = _unit_hint(self._mapping.voltage.unit, float(length[worst]), 1e-3 * bus, MAX_VOLTAGE_RATIO * bus)
-            self._findings.doubt(Finding.VOLTAGE_UNIT, w.file, self._voltage_names, said + hint)
+            self._findings.doubt(Finding.VOLTAGE_UNIT, w.file, self._voltage_names, excess + hint)
         else:
-            # Controllers that saturate late command such voltages.
-            self._findings.note("modulation", f"{w.file}: {self._voltage_names}: {said}; is the scaling right?")
+            # Controllers with late saturation command such voltages.
+            self._findings.note("modulation", f"{w.file}: {self._voltage_names}: {excess}; is the scaling right?")
 
     def _constants(self, w: Waveforms) -> None:
         still = [name for name, values in w.raw_currents.items() if np.ptp(values) == 0.0]
         if still:
-            said = f"constant at {float(w.raw_currents[still[0]][0]):g} from {w.rows} to the segment's end"
+            problem = f"constant at {float(w.raw_currents[still[0]][0]):g} from {w.rows} to the segment's end"
             if len(still) == len(w.raw_currents):
-                self._findings.doubt(Finding.CONSTANT_CURRENT, w.file, ", ".join(still), said)
+                self._findings.doubt(Finding.CONSTANT_CURRENT, w.file, ", ".join(still), problem)
             else:
-                self._findings.note("constant", f"{w.file}: {', '.join(still)}: {said}; is it connected?")
-        # Duties of a half are no volts, but for their rounding.
+                self._findings.note("constant", f"{w.file}: {', '.join(still)}: {problem}; is it connected?")
+        # Duties of a half give zero volts except for rounding.
         if float(np.max(np.abs(w.v_ab))) < 1e-9 * self._mapping.drive.dc_bus_voltage_v:
             self._findings.doubt(
                 Finding.CONSTANT_VOLTAGE, w.file, self._voltage_names, f"zero from {w.rows} to the segment's end"
@@ -173,16 +173,16 @@ class WaveformChecks:
         if self._is_significant(rms(w.i_ab)) and w.injected_hz is None:
             found = turning(w.i_ab, w.rate_hz)
             if found is not None:
-                said = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz from {w.rows} on: {where}"
-                self._findings.doubt(Finding.TURNING_ROTOR, w.file, self._current_names, said)
+                problem = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz from {w.rows} on: {where}"
+                self._findings.doubt(Finding.TURNING_ROTOR, w.file, self._current_names, problem)
         ohm, bus = self._mapping.motor.stator_resistance_ohm, self._mapping.drive.dc_bus_voltage_v
         if self._mapping.voltage.frame != "dq" or ohm is None:
             return
         left = beyond_resistance_v(w.i_ab, w.v_ab, ohm)
         # Dead time and drops are far below a twentieth of the bus.
         if left is not None and left > 0.05 * bus:
-            said = f"{left:.3g} V (mean from {w.rows} on) are not the {ohm:g} ohm of the nameplate: back-EMF? {where}"
-            self._findings.doubt(Finding.TURNING_ROTOR, w.file, self._voltage_names, said)
+            problem = f"{left:.3g} V (mean from {w.rows} on) exceed the drop at the nameplate's {ohm:g} ohm: back-EMF?"
+            self._findings.doubt(Finding.TURNING_ROTOR, w.file, self._voltage_names, f"{problem} {where}")
 
     def _zero_sequence(self, w: Waveforms, i_abc: Numbers) -> None:
         total = i_abc.sum(axis=1)
@@ -223,7 +223,7 @@ class WaveformChecks:
         )
 
     def _enabled(self, w: Waveforms) -> None:
-        """Note a voltage that stands at the beginning while no current flows: the bridge was not on yet."""
+        """Note a constant voltage at the start without current: the bridge was off."""
         ohm, window_s = self._mapping.motor.stator_resistance_ohm, 0.02
         i, v = (np.hypot(*slow_part(x, w.rate_hz, window_s).T) for x in (w.i_ab, w.v_ab))
         if ohm is None or not len(i):
@@ -255,7 +255,7 @@ class WaveformChecks:
         if angle is not None:
             hint = "one of both is reversed (factor: -1)" if is_reversed(angle) else "phases are exchanged"
             if is_reversed(angle) and self._with_the_current:
-                # Along one axis an exchange changes nothing, across it all.
+                # Exchanged phases have no effect along one axis, and a full effect across it.
                 hint = "other segments are right: two phases of one of both may be exchanged"
             self._findings.doubt(
                 Finding.POLARITY,
@@ -267,7 +267,7 @@ class WaveformChecks:
         self._with_the_current |= power.real > 0.5 * rms(i) * rms(v) * len(i)
 
     def _is_significant(self, rms_a: float) -> bool:
-        """Whether a current is worth a conclusion: a twentieth of the rating, or of what else was measured."""
+        """Whether a current is large enough to evaluate: a twentieth of the rated or largest measured current."""
         return rms_a > 0.05 * (self._mapping.motor.rated_current_a or self._largest_rms_a)
 
     def _current_too_small(self, file: str) -> None:
@@ -313,7 +313,7 @@ class WaveformChecks:
             self._mapping.drive.voltage_delay_samples or 0.0,
         )
         by_edges = any(x.by_edges for x in self._lags)
-        # A quarter of a sample is what the ripple's own shape may look like; iron loss turns a sine by half a sample.
+        # The ripple's shape may act as a quarter of a sample; iron loss shifts a sine's phase by half a sample.
         if abs(lag - given) > (0.25 if by_edges else 0.6):
             how = "" if by_edges else f", by the phase of a sine at {self._mapping.motor.stator_resistance_ohm:g} ohm"
             self._findings.note(
@@ -324,7 +324,7 @@ class WaveformChecks:
 
 
 def _compared(x: Numbers, y: Numbers) -> tuple[float, float, float]:
-    """How alike two series of vectors are (1: up to a gain and a turn), and the gain and angle from y to x."""
+    """Coherence of two vector series (1: equal up to gain and rotation), and the gain and angle from y to x."""
     x_c, y_c = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
     product, x_power, y_power = np.vdot(y_c, x_c), np.vdot(x_c, x_c).real, np.vdot(y_c, y_c).real
     if x_power == 0.0 or y_power == 0.0:
@@ -338,7 +338,7 @@ def _unit_hint(labelled: str, value: float, low: float, high: float) -> str:
 
 
 def _scaling_hint(labelled: Scaling | None, gain: float) -> str:
-    """Which scaling would fit; nothing where none was claimed, as of phase quantities."""
+    """A hint at the scaling that would fit; empty for quantities without a scaling."""
     if labelled is None:
         return ""
     for scaling, to_peak in TO_PEAK.items():

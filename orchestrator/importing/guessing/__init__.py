@@ -1,6 +1,6 @@
 """`fluxbench import --guess`: a mapping written from a measurement file alone, each line with its reason.
 
-What cannot be told is refused with one line; what was written has been imported once before it is handed out.
+An ambiguous file is refused with one line. Each mapping has passed a trial import before it is returned.
 """
 
 from orchestrator.importing.guessing._columns import Columns, columns_of

@@ -1,4 +1,4 @@
-"""The columns that a measurement file has, whatever its kind, and what it says itself of their units."""
+"""List the columns of a measurement file of any kind, with the units that the file states."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from orchestrator.memory import require_memory
 from protocols import InputError
 
 _OF_MAPS = (".npz", ".nc", ".json")
-"""Kinds of files that hold flux maps, and no waveforms."""
+"""Endings of files with flux maps instead of waveforms."""
 
 
 @dataclass(frozen=True)
 class Columns:
-    """Names, units by name where the file tells them, and the layout of a text file."""
+    """Column names, units by name as stated in the file, and the layout of a text file."""
 
     names: list[str]
     units: dict[str, str] = field(default_factory=dict)
     layout: TextLayout | None = None
     called: dict[str, str] = field(default_factory=dict)
-    """What is in a column by the file's own word, where its name is a place only (dSPACE)."""
+    """Descriptions from the file, where a column's name is only its place (dSPACE)."""
 
 
 def columns_of(path: Path) -> Columns:
-    """List a file's columns; raises `InputError` for a kind that is not listed here, and for one that is damaged."""
+    """List a file's columns; raises `InputError` for an unknown kind or a damaged file."""
     ending = path.suffix.lower()
     try:
         if ending in (".csv", ".tsv", ".txt"):
@@ -46,18 +46,18 @@ def columns_of(path: Path) -> Columns:
             return _with_units(list(pq.read_schema(path).names), {})
         if ending in (".h5", ".hdf5", ".hdf", ".mat"):
             called = _of_hdf5_or_mat(path)
-            return replace(_with_units(list(called), {}), called={n: said for n, said in called.items() if said != n})
+            return replace(_with_units(list(called), {}), called={n: text for n, text in called.items() if text != n})
         if ending == ".tdms":
             return _of_tdms(path)
     except InputError:
         raise
-    except Exception as error:  # the libraries have no common base for what a damaged file makes them raise
-        said = " ".join(str(error).split())[:200]
-        raise InputError(str(path), "", f"cannot be read: {said or type(error).__name__}") from None
-    said = "--guess knows text, Parquet, MATLAB, HDF5 and TDMS files only"
+    except Exception as error:  # the libraries have no common base class for errors of damaged files
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(str(path), "", f"cannot be read: {reason or type(error).__name__}") from None
+    problem = "--guess knows text, Parquet, MATLAB, HDF5 and TDMS files only"
     if ending in _OF_MAPS:
-        said += f"; a flux map is judged by `fluxbench audit {path.name}`"
-    raise InputError(str(path), "", said)
+        problem += f"; `fluxbench audit {path.name}` checks a flux map"
+    raise InputError(str(path), "", problem)
 
 
 def variables_of(names: Sequence[str]) -> list[str]:
@@ -71,7 +71,7 @@ def _with_units(names: list[str], units: dict[str, str], layout: TextLayout | No
 
 
 def _of_hdf5_or_mat(path: Path) -> dict[str, str]:
-    """Names, and what the file says is there."""
+    """Column names, each with the file's description."""
     import h5py
 
     if h5py.is_hdf5(path):

@@ -1,4 +1,4 @@
-"""From a measurement file to a mapping with a reason on each line; it is tried before it is handed out."""
+"""Write a mapping for a measurement file, with a reason on each line, and try it before returning it."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ from orchestrator.importing.guessing._units import RMS
 from protocols import InputError, SegmentStage
 
 _RATES_HZ = (500.0, 2e6)
-"""What a measurement of a drive is sampled with."""
+"""Usual sampling rates of drive measurements [Hz]."""
 _TIME_UNITS = ("s", "ms", "us", "ns")
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A mapping as text, and what its reader has to look at before it is believed."""
+    """A mapping as text, and the lines that its reader has to confirm."""
 
     text: str
     doubts: tuple[str, ...]
 
 
 class _Lines:
-    """The mapping while it is written: keys and values, and a reason for each."""
+    """Keys and values of the mapping, with a reason for each."""
 
     def __init__(self) -> None:
         self.data: dict[str, Any] = {}
@@ -81,7 +81,7 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
     Raises
     ------
     InputError
-        One line: what cannot be told, or why what was guessed cannot be imported.
+        One line: the ambiguity, or the reason why the guessed mapping cannot be imported.
     """
     check_file(path)
     columns = columns_of(path)
@@ -113,13 +113,13 @@ def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
         if found is None:
             variables = variables_of(columns.names)
             if roles_of_map(variables).is_map:
-                said = f"looks like a flux map, not like waveforms: `fluxbench audit {path.name}` reads and judges it"
-                raise InputError(str(path), "", said)
-            said = f"cannot tell which columns are the {what} by their names; the file has {len(columns.names)}:"
+                problem = f"holds a flux map instead of waveforms: `fluxbench audit {path.name}` checks it"
+                raise InputError(str(path), "", problem)
+            problem = f"no column names identify the {what}; the file has {len(columns.names)}:"
             named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in variables]
             if columns.names == ["Time", "Ampl"]:
-                said = "a file a channel (LeCroy): lay the others beside it by an entry of files with beside; it has"
-            raise InputError(str(path), "", said, named)
+                problem = "one file per channel (LeCroy): add the other files by an entry of files with beside; it has"
+            raise InputError(str(path), "", problem, named)
     assert roles.current is not None
     assert roles.voltage is not None
     return roles.current, roles.voltage
@@ -137,7 +137,7 @@ def _read(path: Path, columns: Columns, roles: Roles, *signals: Signal) -> dict[
         except InputError as error:
             if error.field != time:
                 raise
-    # Without a time, or with one of texts.
+    # No time column, or one of texts.
     return dict(whole(path, open_columns(path, Wanted(tuple(dict.fromkeys(names))), layout)).numbers)
 
 
@@ -146,14 +146,14 @@ def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: di
     increment = columns.layout.increment_s if columns.layout is not None else None
     if name is None or increment:
         if not increment:
-            raise InputError(str(path), "", "no column of time, and nothing that says the sampling frequency")
+            raise InputError(str(path), "", "no column of time, and no sampling frequency in the file")
         lines.say("sampling_frequency_hz", round(1.0 / increment, 9), "the increment in the preamble")
         return
     if name not in raw:
         lines.say("time", {"column": name, "unit": "iso"}, "texts that are dates")
         return
     steps = np.diff(raw[name][np.isfinite(raw[name])])
-    # Of an epoch a single step is coarse: the mean of those that are no gap.
+    # Seconds since an epoch resolve a single step coarsely, so the mean of all steps without gaps counts.
     step = float(np.mean(steps[np.abs(steps) < 1.5 * np.median(np.abs(steps))])) if steps.size else 0.0
     fitting = [u for u in _TIME_UNITS if step > 0 and _RATES_HZ[0] <= 1.0 / (step * FACTORS[u]) <= _RATES_HZ[1]]
     given = columns.units.get(name)
@@ -168,8 +168,8 @@ def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: di
         )
         return
     if step == 1.0 or len(fitting) != 1:
-        said = f"steps of {step:g} may be {' or '.join(fitting)}" if fitting else f"steps of {step:g} are no time"
-        raise InputError(str(path), name, f"{said}; the unit of time cannot be told")
+        problem = f"steps of {step:g} may be {' or '.join(fitting)}" if fitting else f"steps of {step:g} are no time"
+        raise InputError(str(path), name, f"{problem}; the unit of time is unknown")
     why = f"steps of {step:.6g}: only in {fitting[0]} a usual rate, {1.0 / (step * FACTORS[fitting[0]]):.6g} Hz"
     lines.say("time", {"column": name, "unit": fitting[0]}, why)
 
@@ -186,7 +186,7 @@ def _say_bus(
         lines.say("bus", {"column": name, "unit": unit}, f"the name{' and unit' if name in columns.units else ''}")
         return
     if voltage.is_duty:
-        raise InputError(str(path), "", "duties without a column of the bus voltage: their volts cannot be told")
+        raise InputError(str(path), "", "duties without a column of the bus voltage: their volts are unknown")
     unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
     values = np.stack([raw[name] for name in voltage.columns.values()])
     is_vector = voltage.frame in ("alpha_beta", "dq")
@@ -212,7 +212,7 @@ def _say_signals(
         elif given:
             unit, why = next(iter(given)), "the file gives the unit"
         elif whole_numbers:
-            problem = f"whole numbers up to {size:g}: a converter's counts? what one of them is cannot be told"
+            problem = f"whole numbers up to {size:g}: a converter's counts? the scale factor is unknown"
             raise InputError(str(path), ", ".join(names), problem)
         elif size > largest:
             unit, why = f"m{plain}", f"up to {size:.3g}: too much for {plain}"
@@ -239,7 +239,7 @@ def _say_angle(
     largest = float(np.nanmax(np.abs(raw[name])))
     unit = columns.units.get(name, "rad" if largest <= 2.0 * np.pi + 1e-3 else "deg" if largest <= 360.0 else "")
     if unit not in ("rad", "deg", "turn"):
-        raise InputError(str(path), name, f"an angle up to {largest:g}: its unit cannot be told")
+        raise InputError(str(path), name, f"an angle up to {largest:g}: its unit is unknown")
     why = "the name; that it is electrical is not in the file"
     lines.say("rotor_angle", {"column": name, "unit": unit}, why, doubt=True)
 
@@ -260,8 +260,8 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
     dc_v = np.full(time_s.size, mapping.drive.dc_bus_voltage_v) if bus is None else columns[bus.column]
     i, v = (vectors(signal, columns, 0.0, pairs, dc_v) for signal in (mapping.current, mapping.voltage))
     if mapping.rotor_angle.column is None and (found := turning(i, 1.0 / float(np.median(np.diff(time_s))))):
-        said = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz, and no column is the rotor's angle"
-        raise InputError(str(path), "", said)
+        problem = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz, and no column is the rotor's angle"
+        raise InputError(str(path), "", problem)
     angle = mapping.rotor_angle
     is_spin = angle.column is not None and np.ptp(np.unwrap(angle_rad(angle, columns, pairs))) > 6.0 * np.pi
     largest = float(np.max(np.hypot(*i.T))), float(np.max(np.hypot(*v.T)))
@@ -287,16 +287,16 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
 
 
 def _longest(time_s: Numbers, i: Numbers, v: Numbers, rows: Any, largest: tuple[float, float]) -> Stretch | None:
-    """What was done for the longest time in the rows of one label."""
+    """The stretch of the stage with the longest duration in the rows of one label."""
     found = stretches_of(time_s[rows], i[rows], v[rows], largest) if np.count_nonzero(rows) > 20 else []
     return max(found, key=lambda one: one.end_s - one.start_s, default=None)
 
 
 def _stretches(path: Path, found: list[Stretch]) -> list[Stretch]:
     if len(found) > MAX_RULES:
-        said = f"what is done changes {len(found) - 1} times, which is no log of experiments"
-        wanted = "a column with one label for each kind of experiment (holds, sweeps, injections) would tell them apart"
-        raise InputError(str(path), "", f"{said}; {wanted}")
+        problem = f"the kind of excitation changes {len(found) - 1} times, which is no log of experiments"
+        wanted = "add a column with one label for each kind of experiment (holds, sweeps, injections)"
+        raise InputError(str(path), "", f"{problem}; {wanted}")
     return found
 
 
@@ -308,6 +308,6 @@ def _try(path: Path, lines: _Lines) -> None:
             report = import_files(trial, [path], Path(folder) / "recording")
         except InputError as error:
             where = "" if error.where.startswith(str(trial)) else error.where
-            said = f"what was guessed cannot be imported: {error.problem}"
-            raise InputError(where or str(path), error.field, said, error.choices) from None
+            problem = f"the guessed mapping cannot be imported: {error.problem}"
+            raise InputError(where or str(path), error.field, problem, error.choices) from None
     lines.doubts.extend(report.notes)

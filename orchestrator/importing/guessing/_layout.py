@@ -1,4 +1,4 @@
-"""How a text file is laid out: preamble, names, units, delimiter, decimal mark; told from its first lines."""
+"""Detect a text file's layout from its first lines: preamble, names, units, delimiter, decimal mark."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from protocols import InputError
 _LINES = 400
 _BYTES = 1 << 18
 _METADATA = re.compile(r"(unit|type|interp|block ?path|port ?index|enum): *(.*)", re.IGNORECASE)
-"""Rows below the names in what Simulink's Data Inspector writes."""
+"""Rows below the names in files of Simulink's Data Inspector."""
 
 _NO_UNIT = ("sequence", "-", "none", "string", "text")
 
 
 @dataclass(frozen=True)
 class TextLayout:
-    """The section `csv` of a mapping, why it is so, and what the file says of its columns."""
+    """The section `csv` of a mapping with its reason, and the file's column names and units."""
 
     csv: CsvLayout
     why: str
     names: tuple[str, ...]
     units: dict[str, str]
     increment_s: float | None = None
-    """The sampling period, where the preamble says it (Rigol)."""
+    """The sampling period from the preamble (Rigol), or None."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _decoded(path: Path) -> tuple[str, Literal["utf-8", "latin-1", "utf-16"]]:
 
 
 def _tried(lines: Sequence[str], delimiter: str, decimal: Literal[".", ","]) -> _Try:
-    """The longest run of lines that are rows of numbers, read in this way."""
+    """The longest run of rows of numbers with this delimiter and decimal mark."""
     rows = list(csv.reader(lines, delimiter=delimiter))
     counts = [_numbers(row, decimal) for row in rows]
     best = (0, 0)
@@ -113,7 +113,7 @@ def _tried(lines: Sequence[str], delimiter: str, decimal: Literal[".", ","]) -> 
 
 
 def _numbers(row: Sequence[str], decimal: str) -> int:
-    """How many fields are numbers; none where a row has texts only beside one."""
+    """Number of numeric fields; zero where all other fields of a row are texts."""
     other = "," if decimal == "." else "."
     found = 0
     for field in row:
@@ -138,7 +138,7 @@ def _is_described(row: Sequence[str]) -> bool:
 
 
 def _stripped(row: Sequence[str]) -> list[str]:
-    """Without what a trailing delimiter makes."""
+    """The fields without the empty one after a trailing delimiter."""
     fields = [field.strip() for field in row]
     while fields and not fields[-1]:
         fields.pop()
@@ -146,7 +146,7 @@ def _stripped(row: Sequence[str]) -> list[str]:
 
 
 def _units_in(row: Sequence[str]) -> list[str] | None:
-    """The units of a row that holds nothing else (or numbers, as Rigol's); None where it is no such row."""
+    """The units in a row of units (with numbers, for Rigol); None for any other row."""
     units: list[str] = []
     for field in (field.strip() for field in row):
         described = _METADATA.fullmatch(field)

@@ -1,4 +1,4 @@
-"""Which array or column of a flux map's file is what, by its name; looks at no values."""
+"""Identify the arrays or columns of a flux map's file by name alone."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _UNIT = re.compile(r"[\s_\[(/]+([mukµμ]?)(wb|vs|n\.?m)[\])]?$", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class MapRoles:
-    """Columns by what they are; None where no name tells."""
+    """Column names by role; None where no name fits."""
 
     i_d: str | None
     i_q: str | None
@@ -43,13 +43,13 @@ class MapRoles:
 
     @property
     def is_map(self) -> bool:
-        """Whether there are flux linkages, and currents that they are over."""
+        """Whether the file has flux linkages and the currents that they depend on."""
         on_axes, polar = None not in (self.i_d, self.i_q), None not in (self.amplitude, self.angle)
         return None not in (self.psi_d, self.psi_q) and (on_axes or polar)
 
 
 def roles_of_map(names: Sequence[str]) -> MapRoles:
-    """The roles of arrays and columns in a flux map's file; of several, peak values before effective ones."""
+    """The roles of arrays and columns in a flux map's file; peak values take precedence over rms."""
     plain = {name: _plain(name) for name in names}
 
     def one(pattern: str) -> str | None:
@@ -80,7 +80,7 @@ def map_unit(name: str) -> str | None:
 
 
 def _plain(name: str) -> str:
-    """Small letters of the last part of a name, without its unit."""
+    """The last part of a name in lower case, without its unit."""
     last = name.rpartition(".")[2] if "/" not in name else name.rpartition("/")[2] or name
     bare = name_and_unit(_UNIT.sub("", last))[0]
     return re.sub(r"[^a-z0-9]", "", bare.lower().replace("λ", "lambda").replace("ψ", "psi"))

@@ -1,4 +1,4 @@
-"""Which column is what: by its name, and where that leaves it open not at all."""
+"""Identify columns by name; an ambiguous name identifies none."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _LINES: tuple[dict[Axis, str], ...] = ({"ab": "ab", "bc": "bc", "ca": "ca"}, {"a
 _CURRENT = r"(?:i|cur|curr|current|strom|iphase|phasecurrent|is|im|imot|ichannel)"
 _VOLTAGE = r"(?:v|u|volt|voltage|spannung|vs|us|vphase|uphase|phasevoltage|vm|um)"
 _DUTY = r"(?:d|duty|dutycycle|pwm|dc)"
-_ASKED = r"(?:ref|cmd|com|set|star|sp|soll|demand|target|command)?"
-_SEEN = r"(?:meas|act|fb|ist|mess|measured|actual)?"
+_COMMAND = r"(?:ref|cmd|com|set|star|sp|soll|demand|target|command)?"
+_ACTUAL = r"(?:meas|act|fb|ist|mess|measured|actual)?"
 _ONE: Mapping[str, str] = {
     "time": r"(?:t|time|zeit|timestamp|timestamps|timesec|seconds|xaxis|datetime|date|clock|epoch|tick|ticks)\d*",
     "bus": r"(?:v|u|volt)?(?:dc|bus|dclink|dcbus|zk)(?:v|u|voltage|link|bus|volt|meas|filt)?|(?:v|u)zk",
@@ -44,7 +44,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class Roles:
-    """What the columns are, as far as their names tell."""
+    """Roles of the columns that their names identify."""
 
     current: Signal | None
     voltage: Signal | None
@@ -53,7 +53,7 @@ class Roles:
 
 
 def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
-    """The roles of columns by their names, or by what the file calls them."""
+    """The roles of columns by their names, or by the file's descriptions."""
     plain = {name: _plain(called.get(name, name)) for name in names}
     one: dict[str, str] = {}
     for role, pattern in _ONE.items():
@@ -61,10 +61,10 @@ def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
         if found is not None:
             one[role] = found
     rest = {name: text for name, text in plain.items() if name not in one.values()}
-    current = _signal(rest, _CURRENT, _SEEN)
-    voltage = _signal(rest, _VOLTAGE, _ASKED) or _lines(rest) or _signal(rest, _VOLTAGE, _SEEN)
+    current = _signal(rest, _CURRENT, _ACTUAL)
+    voltage = _signal(rest, _VOLTAGE, _COMMAND) or _lines(rest) or _signal(rest, _VOLTAGE, _ACTUAL)
     if voltage is None:
-        duty = _signal(plain, _DUTY, _ASKED)
+        duty = _signal(plain, _DUTY, _COMMAND)
         if duty is not None and (duty.frame != "abc" or len(duty.columns) == 3):
             voltage = Signal(duty.frame, duty.columns, is_duty=True)
             one = {role: name for role, name in one.items() if name not in duty.columns.values()}
@@ -87,7 +87,7 @@ def _signal(plain: Mapping[str, str], quantity: str, suffix: str) -> Signal | No
 
 def _lines(plain: Mapping[str, str]) -> Signal | None:
     for naming in _LINES:
-        found = {axis: _named(plain, _VOLTAGE, text, _ASKED) for axis, text in naming.items()}
+        found = {axis: _named(plain, _VOLTAGE, text, _COMMAND) for axis, text in naming.items()}
         known = {axis: name for axis, name in found.items() if name is not None}
         if len(known) >= 2:
             return Signal("line_to_line", known)
@@ -95,7 +95,7 @@ def _lines(plain: Mapping[str, str]) -> Signal | None:
 
 
 def _named(plain: Mapping[str, str], quantity: str, axis: str, suffix: str) -> str | None:
-    """The column of an axis: ``ia``, ``current_phase_a``, ``a_current``; what was asked for before what was seen."""
+    """The column of an axis: ``ia``, ``current_phase_a``, ``a_current``; commands before measured values."""
     middle = r"(?:phase|ph|s|l)?"
     pattern = rf"{quantity}{middle}{axis}{suffix}|{quantity}{suffix}{axis}|(?:phase|ph)?{axis}{quantity}"
     found = [name for name, text in plain.items() if re.fullmatch(pattern, text)]

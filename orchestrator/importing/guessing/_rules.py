@@ -1,4 +1,4 @@
-"""From stretches of waveforms, and labels where there are any, to a mapping's rules for segments."""
+"""Derive a mapping's rules for segments from stretches of waveforms and from labels."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from orchestrator.importing.guessing._stages import Stretch
 from protocols import SegmentStage
 
 MAX_RULES = 1000
-"""What a log of experiments has at most; more changes are another thing than experiments."""
+"""Largest number of stretches in a log of experiments."""
 _STAGES = {stage.value for stage in SegmentStage}
 
 Rule = tuple[dict[str, Any], str]
-"""An entry of `segments`, and why it is there."""
+"""An entry of `segments`, and its reason."""
 
 
 def rules_by_time(found: Sequence[Stretch]) -> list[Rule]:
-    """A rule for each stretch, from one's begin to the next one's."""
+    """A rule for each stretch, from its start to the start of the next."""
     rules = []
     for k, one in enumerate(found):
         span = {} if k == 0 else {"from_s": _just_before(one.start_s)}
@@ -29,12 +29,12 @@ def rules_by_time(found: Sequence[Stretch]) -> list[Rule]:
 
 
 def _just_before(time_s: float) -> float:
-    """The last whole microsecond, so that a stamp is not cut off by the rounding of its own digits."""
+    """The time rounded down to a microsecond, so that rounding of a stamp's digits excludes no row."""
     return math.floor(time_s * 1e6) / 1e6
 
 
 def rules_by_label(found: Mapping[str, Stretch | None]) -> list[Rule]:
-    """A rule for each label that names a stage or has a stretch; one for all labels of a stage that begin alike."""
+    """A rule for each label that names a stage or has a stretch; labels of one stage with a prefix share one."""
     stages = {one: at.stage.value for one, at in found.items() if at is not None}
     stages |= {one: one for one in found if one in _STAGES}
     rules: list[Rule] = []
@@ -49,8 +49,8 @@ def rules_by_label(found: Mapping[str, Stretch | None]) -> list[Rule]:
 
 
 def _pattern(labels: Sequence[str], others: Sequence[str]) -> str | None:
-    """What three labels and more have in common at their begin, and no other label has."""
-    first, last = min(labels), max(labels)  # what these two share, all between them do
+    """The common prefix of three or more labels that no other label has."""
+    first, last = min(labels), max(labels)  # all labels between these two share their prefix
     shared = next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))
     pattern = f"{first[:shared].rstrip('0123456789')}*"
     if len(labels) < 3 or len(pattern) < 2 or any(mark in pattern[:-1] for mark in "*?["):

@@ -1,4 +1,4 @@
-"""What was done when: holds, sweeps, injections and steps told from the waveforms, window by window."""
+"""Classify a log window by window into holds, sweeps, injections and steps."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from protocols import SegmentStage
 Complex = NDArray[np.complex128]
 
 _WINDOW_S = 0.02
-"""A window: some periods of an injection, a small part of a sweep or a hold."""
-_SHORTEST_S = 0.1
-"""What lasts less is taken for the way from one stage to the next, and goes with what is before it."""
-_LONGEST_REST_S = 1.0
-"""A sweep rests no longer than this where it turns round."""
-_FLOWS = 0.03
-"""Of the largest current, which no offset of a sensor is."""
-_TO_AND_FRO = 0.4
-"""Of the largest current, by which a voltage that only changes its sign moves it: between limits, and no ripple."""
-_SAME_CURRENT = 0.03
-"""Of the largest current, by which what is held, or rippled about, is another: a hold or an injection of its own."""
+"""Window length: some periods of an injection, a small part of a sweep or a hold."""
+_MIN_STRETCH_S = 0.1
+"""A shorter stretch is a transition between stages and joins the stretch before it."""
+_MAX_DWELL_S = 1.0
+"""Longest dwell of a sweep at its turning points."""
+_CURRENT_SHARE = 0.03
+"""Share of the largest current above which a current flows; sensor offsets are smaller."""
+_SWING_SHARE = 0.4
+"""Share of the largest current that voltage steps swing the current by; an injection's ripple is smaller."""
+_CURRENT_STEP_SHARE = 0.03
+"""Change of the mean current, as a share of the largest, that begins another hold or injection point."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """Time in which one thing was done."""
+    """A time range of one stage."""
 
     stage: SegmentStage
     start_s: float
@@ -37,7 +37,7 @@ class Stretch:
 
 
 def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[float, float]) -> list[Stretch]:
-    """The stretches of a log, in order of time; `largest` are current [A] and voltage [V] of the whole measurement."""
+    """The stretches of a log in order of time; `largest` is the current [A] and voltage [V] of the whole log."""
     i, v = (np.asarray(x[:, 0] + 1j * x[:, 1]) for x in (i_ab, v_ab))
     period_s = float(np.median(np.diff(time_s)))
     samples = max(20, int(_WINDOW_S / period_s))
@@ -54,9 +54,9 @@ def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[f
 
 
 def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float, resumed_s: Numbers) -> list[Stretch]:
-    """A stretch of holds or of injections as one for each current; the way to one belongs to it.
+    """A stretch of holds or injections, split by current; the transition to a current belongs to its part.
 
-    `resumed_s` are the times after gaps: where one lies in a window with a change, the change is there.
+    `resumed_s` are the times after gaps; a change within the window of such a time is placed at that time.
     """
     if run.stage not in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
         return [run]
@@ -65,25 +65,25 @@ def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float, res
     samples = max(20, int(_WINDOW_S / period_s))
     starts = np.arange(first, max(last - samples + 1, first + 1), samples)
     means = np.add.reduceat(i[first:last], starts - first) / np.diff(np.append(starts, last))
-    jumps = np.abs(np.diff(means)) > _SAME_CURRENT * largest_a
-    # Of a way that takes several windows, its begin.
+    jumps = np.abs(np.diff(means)) > _CURRENT_STEP_SHARE * largest_a
+    # A transition over several windows counts from its begin.
     begins = np.flatnonzero(jumps & ~np.concatenate([[False], jumps[:-1]])) + 1
     edges = [run.start_s]
     for begin in begins.tolist():
         ends = time_s[starts[max(begin - 1, 0)]], time_s[min(starts[begin] + samples, time_s.size - 1)]
         near = resumed_s[(resumed_s > ends[0]) & (resumed_s <= ends[1])]
         at = float(near[0] if near.size else time_s[starts[begin]])
-        if at - edges[-1] >= _SHORTEST_S and run.end_s - at >= _SHORTEST_S:
+        if at - edges[-1] >= _MIN_STRETCH_S and run.end_s - at >= _MIN_STRETCH_S:
             edges.append(at)
     return [replace(run, start_s=a, end_s=b) for a, b in zip(edges, [*edges[1:], run.end_s], strict=True)]
 
 
 def _without_rests(runs: list[Stretch]) -> list[Stretch]:
-    """Short rests beside a sweep belong to it: it turns round there."""
+    """Merge short dwells into the sweep beside them, which reverses there."""
     kinds = [run.stage for run in runs]
     for k, run in enumerate(runs):
         beside = kinds[max(k - 1, 0) : k + 2]
-        rests = run.stage is SegmentStage.RESISTANCE and run.end_s - run.start_s < _LONGEST_REST_S
+        rests = run.stage is SegmentStage.RESISTANCE and run.end_s - run.start_s < _MAX_DWELL_S
         if rests and SegmentStage.CLASSICAL in beside:
             runs[k] = Stretch(SegmentStage.CLASSICAL, run.start_s, run.end_s)
     return _joined(runs)
@@ -93,14 +93,14 @@ def _stage(
     i: Complex, v: Complex, period_s: float, largest_a: float, largest_v: float
 ) -> tuple[SegmentStage, float | None]:
     if np.max(np.abs(v)) <= 1e-4 * largest_v:
-        # A current that decays without a voltage is a step's end: the bridge is on.
-        return (SegmentStage.STEPS if np.max(np.abs(i)) > _FLOWS * largest_a else SegmentStage.GATES_OFF), None
-    if _two_levels(v) and np.max(np.abs(i - i.mean())) > _TO_AND_FRO * largest_a:
+        # A current that decays without voltage ends a step: the bridge is on.
+        return (SegmentStage.STEPS if np.max(np.abs(i)) > _CURRENT_SHARE * largest_a else SegmentStage.GATES_OFF), None
+    if _two_levels(v) and np.max(np.abs(i - i.mean())) > _SWING_SHARE * largest_a:
         return SegmentStage.STEPS, None
     ripple = v - v.mean()
     if np.sqrt(np.mean(np.abs(ripple) ** 2)) > 0.03 * largest_v:
         power = np.abs(np.fft.fft(ripple)) ** 2
-        power = power + np.roll(power[::-1], 1)  # both ways round
+        power = power + np.roll(power[::-1], 1)  # both directions of rotation
         half = power[: v.size // 2 + 1]
         line = int(np.argmax(half))
         if line >= 4 and half[max(line - 1, 0) : line + 2].sum() > 0.3 * half.sum():
@@ -113,21 +113,21 @@ def _stage(
 
 
 def _two_levels(v: Complex) -> bool:
-    """Whether nearly all voltages are of one length: plus, minus, on one axis or both."""
+    """Whether nearly all voltages have one amplitude: plus or minus, on one axis or both."""
     length = np.abs(v)
     return bool(np.mean(np.abs(length - np.median(length)) < 0.05 * np.median(length)) > 0.8)
 
 
 def _merged(found: list[Stretch]) -> list[Stretch]:
-    """Neighbours of one stage as one; what is too short joins what is before it, or after it where nothing was done."""
+    """Merge neighbours of one stage; a short stretch joins the one before, or the one after without excitation."""
     runs = _joined(found)
     while len(runs) > 1:
         shortest = min(range(len(runs)), key=lambda k: runs[k].end_s - runs[k].start_s)
         run = runs[shortest]
-        if run.end_s - run.start_s >= _SHORTEST_S:
+        if run.end_s - run.start_s >= _MIN_STRETCH_S:
             break
         before, after = runs[max(shortest - 1, 0)], runs[min(shortest + 1, len(runs) - 1)]
-        # Of the way into the first stage after it, a reading without voltage has nothing.
+        # A stretch without voltage contains no part of the transition to the first stage.
         into = shortest == 0 or (before.stage is SegmentStage.GATES_OFF and shortest + 1 < len(runs))
         other = after if into else before
         runs[shortest] = Stretch(other.stage, run.start_s, run.end_s, other.injected_hz)

@@ -1,11 +1,11 @@
-"""Units as people write them, as the mapping's own."""
+"""Convert common spellings of units to the mapping's units."""
 
 from __future__ import annotations
 
 import re
 
 RMS = " rms"
-"""Behind a unit: effective values, which are a scaling of the unit to the mapping."""
+"""Suffix of units of rms values, which the mapping expresses as a scaling."""
 _UNITS = {
     **dict.fromkeys(("a", "amp", "amps", "ampere", "amperes", "amp."), "A"),
     **dict.fromkeys(("v", "volt", "volts"), "V"),
@@ -29,13 +29,13 @@ _SUFFIX = re.compile(r"(.+)_(A|mA|V|mV|kV|s|ms|us|ns|deg|rad)$")
 
 
 def unit_of(text: str) -> str | None:
-    """The mapping's unit for a text such as ``[mA]``, ``Volts`` or ``µs``; None where it is none."""
+    """The mapping's unit for a text such as ``[mA]``, ``Volts`` or ``µs``; None for any other text."""
     plain = text.strip().strip("[]()").strip().replace("µ", "u").replace("μ", "u")
     return plain if plain in _PREFIXED else _UNITS.get(plain.lower())
 
 
 def name_and_unit(name: str) -> tuple[str, str | None]:
-    """A column's name without the unit in it, and that: ``ia [mA]``, ``Time(s)``, ``Current/A``, ``u_dc_V``."""
+    """A column's name without its unit, and the unit: ``ia [mA]``, ``Time(s)``, ``Current/A``, ``u_dc_V``."""
     for pattern in (_AFTER, _SUFFIX):
         found = pattern.fullmatch(name.strip())
         if found is not None and found[1] and unit_of(found[2]) is not None:

@@ -73,7 +73,7 @@ class Bench:
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> Path:
-    """Columns as CSV or Parquet, told by the ending."""
+    """Columns as CSV or Parquet, chosen by the ending."""
     table = pa.table({name: np.asarray(values) for name, values in columns.items()})
     if path.suffix == ".csv":
         pa.csv.write_csv(table, path)

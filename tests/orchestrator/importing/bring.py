@@ -1,7 +1,7 @@
 """`python -m tests.orchestrator.importing.bring`: strangers' logs of the blind plant, from import to diagnosis.
 
 Each shape of `shapes` is written four times: of a plant with nothing wrong, and with a lag, a sensor's gain or an
-inverter's drop. The first says how good the map is that `estimate` makes of it, the others what is said of the fault.
+inverter's drop. The first says how good the map is that `estimate` makes of it, the others what is reported of the fault.
 """
 
 from __future__ import annotations
@@ -79,25 +79,25 @@ MEASURED: Mapping[str, Callable[[Bench, Path], object]] = {
 
 
 @dataclass(frozen=True)
-class Told:
-    """What came of one log.
+class Outcome:
+    """Result of one log.
 
     Attributes
     ----------
     map_percent, std_percent : float
         Error of the map's flux and what it states, both rms over its nodes, of the flux at the rated current.
-    said : tuple of str
-        What the commands said of what is wrong.
+    reported : tuple of str
+        Faults that the commands reported.
     """
 
     lines: int
     map_percent: float
     std_percent: float
-    said: Sequence[str]
+    reported: Sequence[str]
 
 
 class Laboratory:
-    """A bench, measured once for each way and fault, and whatever is asked of it."""
+    """A bench, measured once for each way and fault, and the commands run on its logs."""
 
     def __init__(self, seed: int, folder: Path) -> None:
         drawn = draw_case("clean", 1, seed).bench
@@ -110,19 +110,19 @@ class Laboratory:
         MEASURED[measured](replace(self.bench, plant=self.bench.plant._replace(**FAULTS[fault])), at)
         return log_of((), at)
 
-    def told(self, brought: Brought, fault: str, diagnosed: bool = True) -> Told:
+    def outcome(self, brought: Brought, fault: str, diagnosed: bool = True) -> Outcome:
         """Write the log, import it, and ask the commands."""
         with tempfile.TemporaryDirectory(dir=self._folder) as name:
             desk = Desk(Path(name), plate=self._plate(brought.measured))
             brought.write(desk, self.log(brought.measured, fault))
             out = str(desk.folder / "recording")
-            report = _asked("import", str(desk.write_mapping()), *map(str, desk.files), "--out", out)
-            estimated = _asked("estimate", out)
+            report = _run_command("import", str(desk.write_mapping()), *map(str, desk.files), "--out", out)
+            estimated = _run_command("estimate", out)
             off = self.off_percent(load_map(Path(out)))
-            said = (*_imported(report), *_estimated(estimated))
+            reported = (*_imported(report), *_estimated(estimated))
             if diagnosed:
-                said += tuple(_diagnosed(_asked("diagnose", out)))
-        return Told(len(desk.mapping.splitlines()), *off, said)
+                reported += tuple(_diagnosed(_run_command("diagnose", out)))
+        return Outcome(len(desk.mapping.splitlines()), *off, reported)
 
     def _plate(self, measured: str) -> str:
         """What the stranger knows: the nameplate, and R_s to a percent where nothing will rest."""
@@ -149,7 +149,7 @@ class Laboratory:
         return error, stated
 
 
-def _asked(command: str, *words: str) -> dict[str, Any]:
+def _run_command(command: str, *words: str) -> dict[str, Any]:
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         code = run_app([command, *words, "--json"])
@@ -186,7 +186,7 @@ def _diagnosed(report: dict[str, Any]) -> Iterator[str]:
         yield f"diagnose: {report['verdict'].replace('_', ' ')}"
 
 
-def section(told: Mapping[tuple[str, str], Told], seed: int) -> str:
+def section(outcomes: Mapping[tuple[str, str], Outcome], seed: int) -> str:
     """The table, as Markdown."""
     lines = [
         HEADING,
@@ -202,9 +202,9 @@ def section(told: Mapping[tuple[str, str], Told], seed: int) -> str:
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for brought in SHAPES:
-        if (brought.words, "nothing") in told:
-            each = [told[brought.words, fault] for fault in FAULTS]
-            cells = ["; ".join(one.said) or "nothing said" for one in each]
+        if (brought.words, "nothing") in outcomes:
+            each = [outcomes[brought.words, fault] for fault in FAULTS]
+            cells = ["; ".join(one.reported) or "nothing said" for one in each]
             first = each[0]
             lines.append(
                 f"| {brought.words} | {first.lines} | {first.map_percent:.3f} ({first.std_percent:.3f}) "
@@ -218,25 +218,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--only", nargs="*", type=int, default=range(len(SHAPES)), help="numbers of shapes")
-    parser.add_argument("--log", type=Path, required=True, help="what was told so far, and is not asked again")
+    parser.add_argument("--log", type=Path, required=True, help="outcomes so far, which are not measured again")
     parser.add_argument("--write", type=Path, help="the page whose section is this table")
-    asked = parser.parse_args(arguments)
-    kept = [json.loads(line) for line in asked.log.read_text().splitlines()] if asked.log.exists() else []
-    told = {(words, fault): Told(**one) for words, fault, one in kept}
+    options = parser.parse_args(arguments)
+    kept = [json.loads(line) for line in options.log.read_text().splitlines()] if options.log.exists() else []
+    outcomes = {(words, fault): Outcome(**one) for words, fault, one in kept}
     with tempfile.TemporaryDirectory(prefix="strangers-") as folder:
-        laboratory = Laboratory(asked.seed, Path(folder))
-        for brought in (SHAPES[number] for number in asked.only):
+        laboratory = Laboratory(options.seed, Path(folder))
+        for brought in (SHAPES[number] for number in options.only):
             for fault in FAULTS:
-                if (brought.words, fault) not in told:
-                    told[brought.words, fault] = one = laboratory.told(brought, fault)
-                    with asked.log.open("a") as file:
+                if (brought.words, fault) not in outcomes:
+                    outcomes[brought.words, fault] = one = laboratory.outcome(brought, fault)
+                    with options.log.open("a") as file:
                         file.write(json.dumps([brought.words, fault, asdict(one)]) + "\n")
-    page = section(told, asked.seed)
+    page = section(outcomes, options.seed)
     print(page)
-    if asked.write is not None:
-        before, _, rest = asked.write.read_text(encoding="utf-8").partition(HEADING)
+    if options.write is not None:
+        before, _, rest = options.write.read_text(encoding="utf-8").partition(HEADING)
         _, mark, after = rest.partition("\n## ")
-        asked.write.write_text(before + page + "\n" + (mark and "\n## ") + after, encoding="utf-8")
+        options.write.write_text(before + page + "\n" + (mark and "\n## ") + after, encoding="utf-8")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""A stranger's log becomes the map, and what was wrong with the bench is said, whatever shape the log has."""
+"""A stranger's log becomes the map, and what was wrong with the bench is reported, whatever shape the log has."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ def laboratory(tmp_path_factory: pytest.TempPathFactory) -> Laboratory:
 
 
 def test_voltage_steps_in_files_of_their_own_become_the_map_whatever_is_wrong(laboratory: Laboratory) -> None:
-    told = laboratory.told(STEPS, "lag", diagnosed=False)
-    assert told.map_percent < 0.1
-    assert any("1 sample later" in said for said in told.said)
+    outcome = laboratory.outcome(STEPS, "lag", diagnosed=False)
+    assert outcome.map_percent < 0.1
+    assert any("1 sample later" in line for line in outcome.reported)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("brought", SHAPES, ids=lambda brought: brought.words)
 def test_every_shape_becomes_the_map(laboratory: Laboratory, brought: Brought) -> None:
-    told = laboratory.told(brought, "nothing", diagnosed=False)
-    assert told.lines <= 10
-    assert told.map_percent < (1.0 if brought.measured in ("steps", "states") else 0.5)
-    assert not told.said
+    outcome = laboratory.outcome(brought, "nothing", diagnosed=False)
+    assert outcome.lines <= 10
+    assert outcome.map_percent < (1.0 if brought.measured in ("steps", "states") else 0.5)
+    assert not outcome.reported
 
 
 @pytest.mark.slow
@@ -36,13 +36,13 @@ def test_every_shape_becomes_the_map(laboratory: Laboratory, brought: Brought) -
 @pytest.mark.parametrize("measured", ["campaign", "sine", "steps", "states"])
 def test_what_is_wrong_is_named_however_it_was_measured(laboratory: Laboratory, measured: str, fault: str) -> None:
     brought = next(brought for brought in SHAPES if brought.measured == measured)
-    said = "; ".join(laboratory.told(brought, fault).said)
-    assert all(word in said for word in TOLD.get(fault, ()))
+    reported = "; ".join(laboratory.outcome(brought, fault).reported)
+    assert all(word in reported for word in TOLD.get(fault, ()))
     if fault == "drop":
-        assert "device drop" in said
-        assert "dead time" in said
+        assert "device drop" in line
+        assert "dead time" in line
 
 
 @pytest.mark.slow
 def test_a_drop_is_named_behind_two_clocks(laboratory: Laboratory) -> None:
-    assert any("device drop or dead time 1 V" in said for said in laboratory.told(LOGGERS, "drop").said)
+    assert any("device drop or dead time 1 V" in line for line in laboratory.outcome(LOGGERS, "drop").reported)

@@ -90,7 +90,7 @@ def test_text_without_names_gets_them_from_the_mapping(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (lambda text: text.replace("ia,", "i_a,", 1), "ia: no such column; did you mean 'i_a'?"),
         (lambda text: text.replace("ib,", "ia,", 1), "ib: no such column"),
@@ -103,10 +103,10 @@ def test_text_without_names_gets_them_from_the_mapping(bench: Bench) -> None:
         (lambda text: text.split("\n")[0] + "\n", "log.csv: no segment in it; it holds no complete row"),
     ],
 )
-def test_what_is_wrong_with_a_text_is_said(bench: Bench, change: Any, said: str) -> None:
+def test_what_is_wrong_with_a_text_is_reported(bench: Bench, change: Any, message: str) -> None:
     path = bench.folder / "log.csv"
     path.write_text(change(as_text(bench)))
-    assert said in complaint(bench, path)
+    assert message in complaint(bench, path)
 
 
 def test_two_columns_of_one_name_are_not_chosen_from(bench: Bench) -> None:
@@ -164,7 +164,7 @@ def test_texts_are_no_numbers(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("name", ["log.parquet", "log.mat", "log.mf4"])
-def test_a_damaged_file_is_said(bench: Bench, name: str) -> None:
+def test_a_damaged_file_is_reported(bench: Bench, name: str) -> None:
     path = bench.folder / name
     path.write_bytes(b"PAR1 this is none of them" * 20)
     assert complaint(bench, path).startswith(f"{name}: ")
@@ -233,7 +233,7 @@ def write_73(path: Path, variables: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("write", [write_5, write_73])
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("shor", "shor: no such column; did you mean 'short'?"),
         ("i", "i: expected a vector, got"),
@@ -244,11 +244,11 @@ def write_73(path: Path, variables: dict[str, Any]) -> None:
         ("short", "short: has 5 samples, but t has 400"),
     ],
 )
-def test_what_is_wrong_with_a_matlab_file_is_said(bench: Bench, write: Any, name: str, said: str) -> None:
+def test_what_is_wrong_with_a_matlab_file_is_reported(bench: Bench, write: Any, name: str, message: str) -> None:
     variables = bench.columns | matrices(bench) | {"z": np.full(400, 1j), "short": np.ones(5)}
     write(bench.folder / "log.mat", variables)
     renamed(bench, {"ia": name})
-    assert said in complaint(bench, bench.folder / "log.mat")
+    assert message in complaint(bench, bench.folder / "log.mat")
 
 
 def test_labels_in_matlab_files_are_numbers_or_texts(bench: Bench) -> None:

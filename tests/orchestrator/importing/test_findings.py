@@ -1,4 +1,4 @@
-"""Each mistake that is planted is found and said where it is; what is right is not complained about."""
+"""Each planted mistake is found and reported with its place; correct data raise no finding."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ def injection(
 
 def test_uneven_time_stamps_are_refused_with_the_largest_deviation(bench: Bench) -> None:
     bench.columns["t"][250] += 0.3 / RATE
-    said = complaint(bench)
-    assert said.startswith("log.csv: t: time stamps are uneven: row 251 (t = 0.02503 s) is 3e-05 s (0.3 samples)")
-    assert "resample: true" in said
+    message = complaint(bench)
+    assert message.startswith("log.csv: t: time stamps are uneven: row 251 (t = 0.02503 s) is 3e-05 s (0.3 samples)")
+    assert "resample: true" in message
 
 
 def test_time_stamps_within_the_tolerance_pass(bench: Bench) -> None:
@@ -165,11 +165,11 @@ def test_currents_in_another_unit_are_doubted(bench: Bench, labelled: str, by: f
         bench.columns[name] *= by
     bench.mapping["current"]["unit"] = labelled
     del bench.mapping["motor"]["stator_resistance_ohm"]
-    said = complaint(bench)
-    assert "ia, ib, ic: " in said
-    assert "rated current" in said
-    assert f"read in {labelled}, {fitting} would fit" in said
-    assert "accept: [current_unit]" in said
+    message = complaint(bench)
+    assert "ia, ib, ic: " in message
+    assert "rated current" in message
+    assert f"read in {labelled}, {fitting} would fit" in message
+    assert "accept: [current_unit]" in message
 
 
 @pytest.mark.parametrize(("labelled", "by", "fitting"), [("V", 1e3, "mV"), ("mV", 1.0, "V"), ("kV", 1.0, "V")])
@@ -177,9 +177,9 @@ def test_voltages_in_another_unit_are_doubted(bench: Bench, labelled: str, by: f
     for name in ("va", "vb", "vc"):
         bench.columns[name] *= by
     bench.mapping["voltage"]["unit"] = labelled
-    said = complaint(bench)
-    assert "va, vb, vc: " in said
-    assert f"read in {labelled}, {fitting} would fit" in said
+    message = complaint(bench)
+    assert "va, vb, vc: " in message
+    assert f"read in {labelled}, {fitting} would fit" in message
 
 
 def test_volts_over_amperes_that_are_no_winding_s_are_doubted(bench: Bench) -> None:
@@ -191,9 +191,9 @@ def test_volts_over_amperes_that_are_no_winding_s_are_doubted(bench: Bench) -> N
 def test_a_bus_far_from_the_nominal_one_is_doubted(bench: Bench) -> None:
     bench.columns["udc"] = np.full(400, 0.54)
     bench.mapping["bus"] = {"column": "udc", "unit": "V"}
-    said = complaint(bench)
-    assert "udc: 0.54 V (median" in said
-    assert "read in V, kV would fit" in said
+    message = complaint(bench)
+    assert "udc: 0.54 V (median" in message
+    assert "read in V, kV would fit" in message
 
 
 def test_more_voltage_than_the_bridge_can_make_is_noted(bench: Bench) -> None:
@@ -224,9 +224,9 @@ def test_a_locked_rotor_that_turns_is_doubted(bench: Bench) -> None:
 
 def test_a_reversed_phase_is_named(bench: Bench) -> None:
     bench.columns["ic"] *= -1.0
-    said = complaint(bench)
-    assert "do not add up to zero" in said
-    assert "phase c looks reversed" in said
+    message = complaint(bench)
+    assert "do not add up to zero" in message
+    assert "phase c looks reversed" in message
 
 
 def test_a_reversed_phase_with_little_current_in_it_is_noted(bench: Bench) -> None:
@@ -347,9 +347,9 @@ def test_a_voltage_without_a_current_at_the_beginning_is_noted(bench: Bench) -> 
 
 def test_exchanged_phases_are_found(bench: Bench) -> None:
     bench.mapping["voltage"]["columns"] = {"a": "vb", "b": "vc", "c": "va"}
-    said = complaint(bench)
-    assert "120 degrees apart" in said
-    assert "phases are exchanged" in said
+    message = complaint(bench)
+    assert "120 degrees apart" in message
+    assert "phases are exchanged" in message
 
 
 def test_phases_that_are_exchanged_look_reversed_across_an_axis_alone(bench: Bench) -> None:
@@ -359,9 +359,9 @@ def test_phases_that_are_exchanged_look_reversed_across_an_axis_alone(bench: Ben
     bench.columns["point"] = np.repeat(["d", "q"], 2000)
     bench.mapping["segment_column"] = "point"
     bench.mapping["segments"] = [{"label": "*", "stage": "resistance"}]
-    said = complaint(bench)
-    assert "180 degrees apart" in said
-    assert "two phases of one of both may be exchanged" in said
+    message = complaint(bench)
+    assert "180 degrees apart" in message
+    assert "two phases of one of both may be exchanged" in message
 
 
 def as_injection(bench: Bench, late: float, sine: bool = False) -> None:
@@ -395,9 +395,9 @@ def test_a_voltage_that_acts_late_is_noted_with_the_lag(bench: Bench, late: floa
     as_injection(bench, late)
     report = bench.run()
     (note,) = report.notes
-    said = re.search(r"voltage_delay_samples is 0: (-?[0-9.]+) would fit", note)
-    assert said is not None
-    assert float(said[1]) == pytest.approx(late, abs=0.1)
+    message = re.search(r"voltage_delay_samples is 0: (-?[0-9.]+) would fit", note)
+    assert message is not None
+    assert float(message[1]) == pytest.approx(late, abs=0.1)
 
 
 @few("known", [True, False], ids=["R known", "R not known"])

@@ -1,4 +1,4 @@
-"""A mapping guessed from a file says why, imports, and gives the measurement; what cannot be told is refused."""
+"""A mapping guessed from a file says why, imports, and gives the measurement; an ambiguous file is refused."""
 
 from __future__ import annotations
 
@@ -135,17 +135,17 @@ def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("names", "rows", "said"),
+    ("names", "rows", "message"),
     [
         (
             "LECROYWaveRunner\u00ff,20113,Waveform\nSegments,1,SegmentSize,10000\nSegment,TrigTime,TimeSinceSegment1\n"
             "#1,14-May-2019 13:29:30,0                 \nTime,Ampl",
             [SOME.t, columns(SOME)[0]],
-            "a file a channel (LeCroy): lay the others beside it",
+            "one file per channel (LeCroy): add the other files",
         ),
-        ("TIME,CH1,CH2,CH3", [SOME.t, *columns(SOME)[:3]], "cannot tell which columns are the currents by their names"),
-        ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], "cannot tell which columns are the voltages by their names"),
-        ("ia,ib,ic,va,vb,vc", columns(SOME), "no column of time, and nothing that says the sampling frequency"),
+        ("TIME,CH1,CH2,CH3", [SOME.t, *columns(SOME)[:3]], "no column names identify the currents"),
+        ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], "no column names identify the voltages"),
+        ("ia,ib,ic,va,vb,vc", columns(SOME), "no column of time, and no sampling frequency in the file"),
         ("t,ia,ib,ic,va,vb,vc", [np.arange(SOME.t.size), *columns(SOME)], "t: steps of 1 may be ms or us; the unit"),
         (
             "t,ia,ib,va,vb,vc",
@@ -160,7 +160,7 @@ def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
         (
             "t,ia,ib,ic,va,vb,vc",
             [SOME.t, *columns(SOME)[:3], *(-x for x in columns(SOME)[3:])],
-            "what was guessed cannot be imported: voltage and current are 180 degrees apart",
+            "the guessed mapping cannot be imported: voltage and current are 180 degrees apart",
         ),
         (
             "t,ia,ib,va,vb",
@@ -173,12 +173,12 @@ def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
         ),
     ],
 )
-def test_what_cannot_be_told_is_refused_with_one_line(
-    tmp_path: Path, names: str, rows: Sequence[Numbers], said: str
+def test_an_ambiguous_file_is_refused_with_one_line(
+    tmp_path: Path, names: str, rows: Sequence[Numbers], message: str
 ) -> None:
     with pytest.raises(InputError) as raised:
         guess_mapping(spoilt_text(tmp_path, names, rows))
-    assert said in str(raised.value)
+    assert message in str(raised.value)
     assert len(str(raised.value).splitlines()) == 1
 
 
@@ -212,10 +212,10 @@ def test_holds_and_injections_of_one_log_are_told_by_their_currents(tmp_path: Pa
     (tmp_path / "m.yaml").write_text(guess_mapping(path).text)
     import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
     recording = open_recording(tmp_path / "out")
-    told = [
+    found = [
         (s.stage.value, *recording.load(s).i_ab[s.samples // 2 :].mean(axis=0).round(1)) for s in recording.segments()
     ]
-    assert told == [(stage, *level) for stage in ("resistance", "injection") for level in levels]
+    assert found == [(stage, *level) for stage in ("resistance", "injection") for level in levels]
 
 
 def test_a_voltage_that_drives_the_current_to_and_fro_is_no_injection(tmp_path: Path) -> None:
@@ -231,8 +231,8 @@ def test_a_voltage_that_drives_the_current_to_and_fro_is_no_injection(tmp_path: 
     path = text(tmp_path / "log.csv", "t,i_alpha,i_beta,u_alpha,u_beta\n", log)
     (tmp_path / "m.yaml").write_text(guess_mapping(path).text)
     import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
-    told = [(s.stage.value, round(s.samples / rate, 1)) for s in open_recording(tmp_path / "out").segments()]
-    assert told == [("gates_off", 0.2), ("steps", 0.4), ("gates_off", 0.4)]
+    found = [(s.stage.value, round(s.samples / rate, 1)) for s in open_recording(tmp_path / "out").segments()]
+    assert found == [("gates_off", 0.2), ("steps", 0.4), ("gates_off", 0.4)]
 
 
 def test_effective_values_are_told_by_their_unit(tmp_path: Path) -> None:
@@ -339,7 +339,7 @@ def test_a_flux_map_is_known_and_audit_named(tmp_path: Path, name: str, write: A
 
 def test_a_kind_of_file_that_holds_maps_only_names_audit(tmp_path: Path) -> None:
     np.savez(tmp_path / "m.npz", psi=np.zeros(3))
-    with pytest.raises(InputError, match=r"a flux map is judged by `fluxbench audit m\.npz`"):
+    with pytest.raises(InputError, match=r"`fluxbench audit m\.npz` checks a flux map"):
         guess_mapping(tmp_path / "m.npz")
 
 
@@ -351,6 +351,6 @@ def test_the_mapping_of_a_map_is_not_imported(tmp_path: Path) -> None:
 
 def test_variables_of_many_columns_are_listed_once(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "m.mat", {"x": np.ones((5, 40)), "t": np.arange(5.0)})
-    with pytest.raises(InputError, match="cannot tell which columns are the currents") as caught:
+    with pytest.raises(InputError, match="no column names identify the currents") as caught:
         guess_mapping(tmp_path / "m.mat")
     assert list(caught.value.choices) == ["x", "t"]

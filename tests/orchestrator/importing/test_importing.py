@@ -1,4 +1,4 @@
-"""An import is whole or not there, splits as it is told, and says what it left out."""
+"""An import is whole or not there, splits by its mapping, and says what it left out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A mapping that does not hold together is said with file, line, key and what would be right."""
+"""An inconsistent mapping is reported with file, line, key and the valid value."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def complaint(bench: Bench) -> str:
 
 def test_a_misspelt_key_is_named_with_its_line_and_the_nearest_one(bench: Bench) -> None:
     bench.mapping["current"]["colums"] = bench.mapping["current"].pop("columns")
-    said = complaint(bench)
-    assert said.startswith("mapping.yaml:")
-    assert "current.colums: unknown key; did you mean 'columns'?" in said
+    message = complaint(bench)
+    assert message.startswith("mapping.yaml:")
+    assert "current.colums: unknown key; did you mean 'columns'?" in message
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "said"),
+    ("path", "value", "message"),
     [
         (("current", "unit"), "Amp", "current.unit: expected 'A', 'mA', 'uA' or 'kA', got 'Amp'"),
         (("current", "unit"), "V", "current.unit: expected 'A'"),
@@ -60,15 +60,15 @@ def test_a_misspelt_key_is_named_with_its_line_and_the_nearest_one(bench: Bench)
         (("version",), 2, "version: expected 1, got 2"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_key(bench: Bench, path: tuple[Any, ...], value: Any, said: str) -> None:
+def test_what_is_wrong_is_said_with_its_key(bench: Bench, path: tuple[Any, ...], value: Any, message: str) -> None:
     here: Any = bench.mapping
     for key in path[:-1]:
         here = here[key]
     here[path[-1]] = value
-    assert said in complaint(bench)
+    assert message in complaint(bench)
 
 
-def test_a_range_that_ends_before_it_begins_is_said(bench: Bench) -> None:
+def test_a_range_that_ends_before_it_begins_is_reported(bench: Bench) -> None:
     bench.mapping["segments"][0] |= {"from_s": 2.0, "to_s": 1.0}
     assert "segments.0: to_s 1 is not after from_s 2" in complaint(bench)
 
@@ -84,7 +84,7 @@ def test_phase_currents_are_not_given_twice(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing.yaml", ".", "\0"])
-def test_a_file_that_cannot_be_read_is_said(tmp_path: Path, name: str) -> None:
+def test_a_file_that_cannot_be_read_is_reported(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_mapping(tmp_path / name)
 

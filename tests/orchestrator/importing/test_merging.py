@@ -1,4 +1,4 @@
-"""Recordings of one motor and drive become one; others are told apart by the field that differs."""
+"""Recordings of one motor and drive become one; for other recordings the error names the field that differs."""
 
 from __future__ import annotations
 

@@ -100,17 +100,17 @@ def test_what_is_spoilt_is_one_line_and_nothing_is_written(
             files[which].write_bytes(spoilt_bytes(rng, sound[which]))
         out = f"out{turn}"
         code = run_app(["import", "m.yaml", "log.csv", "side.csv", "--out", out])
-        said = [line for line in capfd.readouterr().err.splitlines() if not line.startswith("  ")]
+        message = [line for line in capfd.readouterr().err.splitlines() if not line.startswith("  ")]
         left = [entry.name for entry in tmp_path.iterdir() if "out" in entry.name and entry.is_dir()]
         if code == 0:
             assert left == [out]
-            assert said == []
+            assert message == []
             (tmp_path / out).rename(tmp_path.parent / f"{tmp_path.name}-{turn}")
             continue
         refused += 1
-        assert (code, left) == (2, []), said
-        assert len(said) == 1, said
-        assert said[0].startswith("fluxbench: ")
+        assert (code, left) == (2, []), message
+        assert len(message) == 1, message
+        assert message[0].startswith("fluxbench: ")
     assert refused > turns // 3
 
 

@@ -1,4 +1,4 @@
-"""A machine that runs is told from a locked one by its waveforms; what pulsates along an axis is not taken for it."""
+"""A machine that runs is distinguished from a locked one by its waveforms; a current that pulsates along an axis is not."""
 
 from __future__ import annotations
 

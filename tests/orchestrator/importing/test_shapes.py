@@ -154,7 +154,7 @@ def test_edges_that_repeat_leave_the_offset_open(desk: Desk) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         (("columns: [va, vb, vc], ", ""), "files.0: beside needs columns: those that this file has"),
         (("beside: amps*, ", ""), "files.0: columns needs the name in the file for each, such as {ia: CH1}"),
@@ -166,18 +166,18 @@ def test_edges_that_repeat_leave_the_offset_open(desk: Desk) -> None:
         (("[va, vb, vc]", "[va, vb]"), "amps.csv: vc: no such column"),
     ],
 )
-def test_what_is_wrong_with_two_loggers_is_one_line(desk: Desk, change: tuple[str, str], said: str) -> None:
+def test_what_is_wrong_with_two_loggers_is_one_line(desk: Desk, change: tuple[str, str], message: str) -> None:
     two_loggers(desk, log_of(("injection-012",)), 0.0, 0.0, rate_hz=12_500.0)
     before = desk.mapping
     desk.mapping = before.replace(*change)
     assert desk.mapping != before
     with pytest.raises(InputError) as raised:
         desk.run()
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 @pytest.mark.parametrize(
-    ("section", "said"),
+    ("section", "message"),
     [
         ("time: {column: t, unit: tick}", "time: unit tick and tick_hz (ticks a second) go together"),
         ("time: {column: t, unit: iso, wraps_at: 9}", "time: dates do not wrap"),
@@ -196,14 +196,14 @@ def test_what_is_wrong_with_two_loggers_is_one_line(desk: Desk, change: tuple[st
         ("current: {frame: line_to_line, columns: {ab: i, bc: j}, unit: A}", "current.frame: expected 'abc', 'alpha_b"),
     ],
 )
-def test_a_word_that_is_wrong_is_said(desk: Desk, section: str, said: str) -> None:
+def test_a_word_that_is_wrong_is_reported(desk: Desk, section: str, message: str) -> None:
     desk.write("log.csv", {"t": LOG.t, **LOG.phases, **LOG.volts})
     key = section.partition(":")[0]
     parts = {"time": TIME, "current": CURRENT, "voltage": VOLTAGE} | {key: section + "\n"}
     desk.mapping = "".join(parts.values()) + "segments: [{stage: classical}]\n"
     with pytest.raises(InputError) as raised:
         desk.run()
-    assert said in str(raised.value)
+    assert message in str(raised.value)
 
 
 def test_dates_that_are_none_and_states_that_are_none_are_said(desk: Desk) -> None:
