@@ -75,6 +75,7 @@ RULES = (
     Rule("selection.workflow", "no_sharper_than_asked", _given("search")),
     Rule("selection.workflow", "converged", _given("search")),
     Rule("selection.workflow", "with_its_scatter", _always(None)),
+    Rule("uncertainty.scatter", "beside_scatter", _always(None)),
     Rule("selection.modulator_timer", "with_its_timer", _given("setup")),
     Rule("selection.modulator_timer", "with_sharper_timer", _given("setup")),
     Rule("selection.modulator_timer", "with_timer_of_fit", _always(None)),

@@ -35,7 +35,7 @@ from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.intervals import nothing_is_sure, perhaps_absent
-from orchestrator.diagnosis.uncertainty.scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
+from orchestrator.diagnosis.uncertainty.scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH, beside_scatter
 from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
 
@@ -95,6 +95,12 @@ def all_together(
         whole = with_finer_map(setup, setup.fitter, whole)
     whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
     interim.reached_together(setup, steps, (whole_alone, whole), quick, rivals, is_part=False)
+    if whole.chi2_per_dof > whole.criteria.selection.detected_chi2 and not setup.fitter.noise.of_model.scatters:
+        # Beside all effects, a voltage that the timer cannot resolve, or a zero that wanders, may be all that is left.
+        wider = beside_scatter(setup, setup.fitter, whole, library)
+        setup.fitter.trace.record("noise", before=whole, taken=wider is not None)
+        if wider is not None:
+            setup, whole = wider, downwards(wider.fitter, refitted(wider.fitter, whole.model))
     # The whole tells what a part of it was too little for.
     whole = downwards(setup.fitter, with_overlooked(setup.fitter, whole, library))
     if late := [name for name in whole.model.names if name not in fit.model.names]:
@@ -107,7 +113,7 @@ def all_together(
     rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
     if not whole.model.active:
         return None
-    if setup.prepared.timer is not None:
+    if setup.prepared.timer is not None or setup.fitter.noise.of_model.scatters:
         steps = refitted_steps(setup, steps)
     begin("what does each take away?", "ladder")
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)

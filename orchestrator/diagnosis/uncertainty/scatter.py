@@ -228,6 +228,14 @@ def explained_by_scatter(setup: DiagnosisSetup, likelihood: Likelihood) -> Diagn
     return setup.with_noise(scatter.noise) if enough and _is_noise(scatter, setup) else None
 
 
+def beside_scatter(
+    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[Candidate]
+) -> DiagnosisSetup | None:
+    """The setup with a scatter as noise, where there is one beside all that a fit of the whole or of a part has."""
+    scatter = scatter_of(fitter, fit, library)
+    return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
+
+
 def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
     """Whether two scatters are the same as far as a fit heeds them."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
