@@ -10,14 +10,14 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.budget import Budget
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from orchestrator.diagnosis.selection.rippling import with_its_ripple
-from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
+from orchestrator.diagnosis.selection.rippling import with_carrier_ripple
+from orchestrator.diagnosis.selection.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
-from orchestrator.diagnosis.weak_form.rounding import of_rounding
+from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
@@ -62,16 +62,18 @@ def open_for_diagnosis(
     prepared = prepare(watched, criteria)
     watched.conclude()
     noise = sensor_noise(prepared.pieces)
-    prepared = replace(prepared, pieces=tuple(noise.taken_out_of(piece) for piece in prepared.pieces), fleet=fleet)
+    prepared = replace(
+        prepared, pieces=tuple(noise.with_quiet_current(piece) for piece in prepared.pieces), fleet=fleet
+    )
     require_enough(prepared, noise)
     remarks = [
         *prepared.remarks,
-        *what_is_missing(prepared),
-        *_of_noise(noise),
-        *of_rounding(prepared.pieces, noise),
-        *_of_gains([p.signals for p in prepared.pieces]),
+        *missing_contrasts(prepared),
+        *_noise_remarks(noise),
+        *rounding_remarks(prepared.pieces, noise),
+        *_gain_remarks([p.signals for p in prepared.pieces]),
     ]
-    return with_its_ripple(setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell))
+    return with_carrier_ripple(setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell))
 
 
 def open_for_refit(
@@ -107,16 +109,16 @@ def setup_of(
     l_d = motor.d_inductance_h or _rough_inductance(prepared)
     l_q = motor.q_inductance_h or l_d
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
-    effort = Effort(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
+    budget = Budget(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
     flux = (motor.pm_flux_wb or 0.0) if pm_flux_wb is None else pm_flux_wb
-    trace = SearchRecorder(effort, samples)
-    fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll, tell=tell, trace=trace)
+    trace = SearchRecorder(budget, samples)
+    fitter = Fitter(prepared, noise, flux, budget=budget, poll=poll, tell=tell, trace=trace)
     part = coarse(prepared)
-    search = Fitter(part, noise, fitter.pm_flux_wb, effort=effort, poll=poll, tell=tell, trace=trace.of_part())
+    search = Fitter(part, noise, fitter.pm_flux_wb, budget=budget, poll=poll, tell=tell, trace=trace.of_part())
     return DiagnosisSetup(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 
-def _of_noise(noise: SensorNoise) -> list[Remark]:
+def _noise_remarks(noise: SensorNoise) -> list[Remark]:
     """What is unusual about the current readings' noise; all of it is allowed for."""
     remarks = []
     if noise.correlation != 0.0:
@@ -134,7 +136,7 @@ def _of_noise(noise: SensorNoise) -> list[Remark]:
     return remarks
 
 
-def _of_gains(signals: Sequence[Signals]) -> list[Remark]:
+def _gain_remarks(signals: Sequence[Signals]) -> list[Remark]:
     """What three currents say of their sensors by not adding up to zero, where that is certain."""
     gains = gains_of(signals)
     if gains is None or all(gains.differ(pair) is None for pair in ((1, -1, 0), (0, 1, -1), (1, 0, -1))):

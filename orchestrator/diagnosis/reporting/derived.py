@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from protocols import DriveRecord, ParameterValue, PluginError, hook_of
 
 
 def derived_quantities(
-    active: Active, parameters: Mapping[str, ParameterValue], drive: DriveRecord
+    active: EffectTerm, parameters: Mapping[str, ParameterValue], drive: DriveRecord
 ) -> dict[str, ParameterValue]:
     """What the effect makes of its parameters and the drive's data; empty where it has nothing to say.
 

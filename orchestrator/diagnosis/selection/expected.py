@@ -9,21 +9,21 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.selection.refining import polished
+from orchestrator.diagnosis.selection.refining import refit_newest
 from orchestrator.diagnosis.selection.scoring import log_evidence
 from protocols import ParameterRole
 
 
-def with_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> list[Step]:
-    """The ladder gone on with each effect that is expected; whether the data bear it out is asked at the end."""
+def include_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect]) -> list[Step]:
+    """The ladder with each effect that the fleet includes a priori; the end of the search tests it."""
     given, steps = len(steps), list(steps)
     for candidate in library:
         before = steps[-1].fit
-        if not candidate.is_expected or candidate.name in before.model.names:
+        if not candidate.included_a_priori or candidate.name in before.model.names:
             continue
-        active = candidate.absent().freeing(*candidate.of_role(ParameterRole.SHAPE))
+        active = candidate.absent().release(*candidate.of_role(ParameterRole.SHAPE))
         for name, x in candidate.centres.items():
             active = active.moved(name, x)
         fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]), before.frame, renewals=0)
@@ -35,8 +35,8 @@ def with_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
         )
         steps.append(Step(candidate.name, fit, gain))
     if len(steps) > given:
-        # Forms are asked for once all of them are there: another's lack would bend them.
+        # Refinements are released once all of these effects are present: a missing one would distort them.
         last = steps[-1]
-        fit = polished(setup.fitter, last.fit, max(1.0, last.fit.chi2_per_dof))
+        fit = refit_newest(setup.fitter, last.fit, max(1.0, last.fit.chi2_per_dof))
         steps[-1] = replace(last, fit=fit)
     return steps

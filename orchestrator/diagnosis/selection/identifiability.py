@@ -7,11 +7,11 @@ from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import Contrast, Effect
 
 
-def parted_by(first: Effect, second: Effect) -> tuple[Contrast, ...]:
+def separating_contrasts(first: Effect, second: Effect) -> tuple[Contrast, ...]:
     """What it takes to tell two effects apart: the contrasts that both need. None: what was measured will do."""
     return tuple(contrast for contrast in first.needs if contrast in second.needs)
 
 
 def separable(prepared: PreparedRecording, first: Effect, second: Effect) -> bool:
     """Whether the recording holds what it takes to tell two effects apart."""
-    return all(holds(prepared, contrast) for contrast in parted_by(first, second))
+    return all(holds(prepared, contrast) for contrast in separating_contrasts(first, second))

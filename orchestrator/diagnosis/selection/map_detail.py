@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_detail
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 
 
-def with_finer_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+def record_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on the finest map that is worth its freedom; the fit itself where none is."""
-    finer = with_detail(setup, fitter, fit)
+    finer = with_finest_map(setup, fitter, fit)
     if finer is fit:
         fitter.trace.record("finer_map", before=fit, taken=False)
     else:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate, coordinate_of
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
 from orchestrator.diagnosis.selection.forward_search import Step
 from protocols import PluginError, Signals, hook_of
 
 
-def with_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> list[Step]:
+def include_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect]) -> list[Step]:
     """The ladder gone on with each effect that says how large it is, as far as it is worth its name.
 
     Raises
@@ -21,7 +21,7 @@ def with_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
     signals, steps = [piece.signals for piece in setup.prepared.pieces], list(steps)
     for candidate in library:
         before = steps[-1].fit
-        active = None if candidate.name in before.model.names else _measured(candidate, signals)
+        active = None if candidate.name in before.model.names else _from_readings(candidate, signals)
         if active is None:
             continue
         fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]))
@@ -43,7 +43,7 @@ def with_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
     return steps
 
 
-def _measured(candidate: Candidate, signals: Sequence[Signals]) -> Active | None:
+def _from_readings(candidate: CandidateEffect, signals: Sequence[Signals]) -> EffectTerm | None:
     measured = hook_of(candidate.effect, "measured")
     try:
         found = None if measured is None else measured(signals)
@@ -52,5 +52,5 @@ def _measured(candidate: Candidate, signals: Sequence[Signals]) -> Active | None
         raise PluginError("effects", candidate.name, f"measured: {type(error).__name__}: {error}") from error
     active = candidate.absent()
     for name, value in values.items():
-        active = active.moved(name, coordinate_of(candidate.named(name), value))
+        active = active.moved(name, standardised(candidate.named(name), value))
     return None if active.is_absent else active

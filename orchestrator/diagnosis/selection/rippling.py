@@ -14,7 +14,7 @@ LEAST_RESISTIVE_RIPPLE: float = 0.02
 square over 24, 2e-5 of the voltage, is what the best recordings show."""
 
 
-def with_its_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
+def with_carrier_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
     """The setup as a bridge that switches has it, where that matters, unless the bare map says otherwise."""
     if not _matters(setup):
         return setup
@@ -34,5 +34,5 @@ def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:
 
 
 def _does_better(one: Fit, other: Fit) -> bool:
-    asked = 2.0 * one.criteria.selection.log_evidence * max(one.chi2_per_dof, 1.0)
-    return other.objective - one.objective > asked
+    threshold = 2.0 * one.criteria.selection.log_evidence * max(one.chi2_per_dof, 1.0)
+    return other.objective - one.objective > threshold

@@ -24,7 +24,7 @@ def block_scatter_ratio(fit: Fit) -> dict[str, float]:
     ratios: dict[str, float] = {}
     k = 0
     for active in fit.model.active:
-        worst, largest = 0.0, max(abs(active.coordinate(n)) for n in active.candidate.amplitudes)
+        worst, largest = 0.0, max(abs(active.standardised_value(n)) for n in active.candidate.amplitudes)
         for name in active.free:
             if name in active.candidate.amplitudes and largest > 0.0:
                 worst = max(worst, scatter[k] / largest)
@@ -40,7 +40,7 @@ def certainty(fit: Fit) -> dict[str, float]:
     sizes: dict[str, float] = {}
     for k, (active, name) in enumerate(fit.model.free):
         if name in active.candidate.amplitudes:
-            size = abs(active.coordinate(name)) / float(spread[k])
+            size = abs(active.standardised_value(name)) / float(spread[k])
             sizes[active.name] = max(sizes.get(active.name, 0.0), size)
     return sizes
 

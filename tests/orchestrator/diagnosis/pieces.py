@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import MapSpace, Model
@@ -195,7 +195,7 @@ def with_voltage(made: PreparedRecording, change: Mapping[str, Array] | Array) -
     return replace(made, pieces=tuple(pieces))
 
 
-def with_effects(made: PreparedRecording, active: Sequence[Active]) -> PreparedRecording:
+def with_effects(made: PreparedRecording, active: Sequence[EffectTerm]) -> PreparedRecording:
     """The same where effects are accounted for in every piece's signals."""
     pieces = []
     for p in made.pieces:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.reporting.derived import derived_quantities
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from protocols import DriveRecord, Effect, ParameterValue, PluginError
@@ -15,10 +15,10 @@ DRIVE = DriveRecord(name="bench", sampling_frequency_hz=1e4, pwm_frequency_hz=1e
 WITHIN_2_PERCENT = {"voltage_v": ParameterValue(value=1.0, low=0.98, high=1.02, unit="V")}
 
 
-def active(effect: Effect, **values: float) -> Active:
+def active(effect: Effect, **values: float) -> EffectTerm:
     (candidate,) = scaled_library([effect], MANIFEST)
     absent = candidate.absent()
-    return Active(candidate, {**absent.values, **values}, absent.free)
+    return EffectTerm(candidate, {**absent.values, **values}, absent.free)
 
 
 def test_a_dead_time_is_its_voltage_over_frequency_and_bus_voltage() -> None:

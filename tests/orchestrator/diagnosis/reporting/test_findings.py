@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects, said_by_effects
+from orchestrator.diagnosis.reporting.findings import above_residual, effect_remarks, found_effects, map_effects
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.iron import SlotHarmonics
 from protocols import FoundEffect, PluginError, Remark
@@ -66,15 +66,15 @@ def _by(effect: VoltageBias) -> Fit:
 
 
 def test_an_effect_that_is_named_says_what_its_parameters_mean() -> None:
-    (said,) = said_by_effects(_by(Talkative()), {"voltage_bias"})
+    (said,) = effect_remarks(_by(Talkative()), {"voltage_bias"})
     assert (said.code, said.text) == ("voltage_bias.in_a", "voltage_bias: 0.3 V in a")
-    assert said_by_effects(_by(Talkative()), set()) == []
-    assert said_by_effects(_by(VoltageBias()), {"voltage_bias"}) == []
+    assert effect_remarks(_by(Talkative()), set()) == []
+    assert effect_remarks(_by(VoltageBias()), {"voltage_bias"}) == []
 
 
 def test_an_effect_that_fails_to_say_it_is_named() -> None:
     with pytest.raises(PluginError, match=r"voltage_bias.*remarks: KeyError"):
-        said_by_effects(_by(Faulty()), {"voltage_bias"})
+        effect_remarks(_by(Faulty()), {"voltage_bias"})
 
 
 def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
@@ -82,8 +82,8 @@ def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
         FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
         for name, share in (("a", 0.5), ("b", 0.02))
     ]
-    assert [effect.name for effect in beyond_the_rest(some, 0.42, 3.0)] == ["a"]
-    assert [effect.name for effect in beyond_the_rest(some, 0.0, 3.0)] == ["a", "b"]
+    assert [effect.name for effect in above_residual(some, 0.42, 3.0)] == ["a"]
+    assert [effect.name for effect in above_residual(some, 0.0, 3.0)] == ["a", "b"]
 
 
 @pytest.mark.parametrize(("left", "listed"), [(0.1, ["a"]), (0.0, ["a", "b"])])
@@ -94,4 +94,4 @@ def test_what_takes_away_many_times_the_error_while_something_is_left_is_not_lis
         FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
         for name, share in (("a", 0.5), ("b", 30.0))
     ]
-    assert [effect.name for effect in beyond_the_rest(some, left, 3.0)] == listed
+    assert [effect.name for effect in above_residual(some, left, 3.0)] == listed

@@ -34,7 +34,7 @@ def test_noise_alone_is_given_no_name() -> None:
     library = scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], maker.prepared.manifest)
     search = forward(maker, [Step(None, maker.fit(free_model()))], library)
     assert [step.added for step in search.steps] == [None]
-    assert search.traces == []
+    assert search.detected_not_named == []
     (screen,) = maker.trace.events
     assert (screen.move, screen.decision) == ("screen", "refused")
     assert screen.score is not None

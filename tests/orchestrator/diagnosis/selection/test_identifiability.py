@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from orchestrator.diagnosis.selection.identifiability import parted_by, separable
+from orchestrator.diagnosis.selection.identifiability import separable, separating_contrasts
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.sensors import CurrentOffset
 from protocols import Contrast, SegmentStage
@@ -15,9 +15,9 @@ BRIDGE_ON = replace(WHOLE, pieces=tuple(p for p in WHOLE.pieces if p.stage is no
 
 
 def test_what_parts_two_effects_is_what_both_need() -> None:
-    assert parted_by(VoltageBias(), CurrentOffset()) == (Contrast.GATES_OFF,)
-    assert parted_by(DeadTime(), DeviceDrop()) == (Contrast.SECOND_PWM_FREQUENCY,)
-    assert parted_by(DeadTime(), CurrentOffset()) == ()
+    assert separating_contrasts(VoltageBias(), CurrentOffset()) == (Contrast.GATES_OFF,)
+    assert separating_contrasts(DeadTime(), DeviceDrop()) == (Contrast.SECOND_PWM_FREQUENCY,)
+    assert separating_contrasts(DeadTime(), CurrentOffset()) == ()
 
 
 def test_a_recording_parts_what_it_holds_the_contrast_for() -> None:

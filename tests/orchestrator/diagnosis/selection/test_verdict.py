@@ -58,7 +58,7 @@ def test_a_form_bent_further_than_such_effects_are_stands_in_for_another_where_s
     fit: Fit, widths: float, chi2: float, verdict: str
 ) -> None:
     (dead_time,) = scaled_library([DeadTime()], fit.prepared.manifest)
-    bent = dead_time.absent().freeing("leg_a_longer").moved("leg_a_longer", widths)
+    bent = dead_time.absent().release("leg_a_longer").moved("leg_a_longer", widths)
     strained = replace(fit, model=fit.model.with_active([*fit.model.active, bent]))
     assert verdict_of(_with_chi2(strained, 900.0), _with_chi2(strained, chi2), 1) == verdict
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.uncertainty.block_scatter import BLOCKS, block_scatter, block_scatter_ratio, certainty
-from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
+from orchestrator.diagnosis.uncertainty.intervals import standardised_std
 from plugins.effects.inverter import VoltageBias
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import CRITERIA, fitter, free_model, plan, prepared, with_voltage
@@ -24,7 +24,7 @@ def test_an_effect_that_is_the_same_all_through_does_not_scatter_and_one_that_gr
         maker = fitter(recording)
         fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
         sizes.append(block_scatter_ratio(fit)["voltage_bias"])
-        spread = coordinate_spread(maker, fit)
+        spread = standardised_std(maker, fit)
         assert (spread >= np.sqrt(np.diag(fit.covariance()))).all()
         assert certainty(fit)["voltage_bias"] > BLOCKS
     assert sizes[0] < 0.05

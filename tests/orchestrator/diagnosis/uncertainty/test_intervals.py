@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import fitted_baseline
+from orchestrator.diagnosis.fitting.baseline import fit_baseline
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
@@ -17,11 +17,11 @@ from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.uncertainty.intervals import (
     FORM_STD,
     RIPPLE_FORM_STD,
-    coordinate_spread,
     following,
-    nothing_is_sure,
-    perhaps_absent,
+    is_none_significant,
+    possibly_absent,
     ripple_share,
+    standardised_std,
 )
 from orchestrator.recording import Recording, open_recording, write_manifest
 from plugins.effects.inverter import DeadTime
@@ -38,7 +38,7 @@ DOUBT = Criteria().uncertainty
 def fitted(recording: Recording, effect: Effect) -> tuple[Fitter, Fit]:
     setup = open_for_diagnosis(recording)
     (candidate,) = scaled_library([effect], setup.prepared.manifest)
-    return setup.fitter, with_effect(setup.fitter, fitted_baseline(setup), candidate)
+    return setup.fitter, with_effect(setup.fitter, fit_baseline(setup), candidate)
 
 
 @pytest.fixture(scope="module")
@@ -53,12 +53,12 @@ def delayed(clean: Recording, tmp_path_factory: pytest.TempPathFactory) -> tuple
 
 def test_a_model_without_effects_has_none_that_might_be_absent(clean: Recording) -> None:
     setup = open_for_diagnosis(clean)
-    assert perhaps_absent(setup.fitter, fitted_baseline(setup)) == []
+    assert possibly_absent(setup.fitter, fit_baseline(setup)) == []
 
 
 def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(clean: Recording) -> None:
     setup = open_for_diagnosis(clean)
-    fit = fitted_baseline(setup)
+    fit = fit_baseline(setup)
     library = scaled_library([VoltageDelay(), EddyCurrents(), CurrentOffset(), CurrentGainMismatch()], clean.manifest)
     columns = absent_columns(library)
     loose = setup.fitter.evaluate(fit.model, fit.frame, columns)
@@ -80,8 +80,8 @@ def test_what_the_columns_keep_is_what_the_map_cannot_follow(delayed: tuple[Fitt
 
 def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[Fitter, Fit]) -> None:
     fitter, fit = delayed
-    x = fit.model.active[0].coordinate("delay_s")
-    (spread,) = coordinate_spread(fitter, fit)
+    x = fit.model.active[0].standardised_value("delay_s")
+    (spread,) = standardised_std(fitter, fit)
     assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * RIPPLE_FORM_STD * abs(x)
     assert 0.98 * RIPPLE_FORM_STD * abs(x) < spread < 2.0 * RIPPLE_FORM_STD * abs(x)
 
@@ -92,8 +92,8 @@ def test_what_is_there_is_surely_there_and_what_is_not_may_be_absent(delayed: tu
     (offset,) = scaled_library([CurrentOffset()], fit.prepared.manifest)
     model = fit.model.with_active([late, offset.absent().moved("offset_a_a", 1e-6)])
     both = fitter.evaluate(model, fit.frame)
-    assert perhaps_absent(fitter, both) == ["current_offset"]
-    assert not nothing_is_sure(fitter, both)
+    assert possibly_absent(fitter, both) == ["current_offset"]
+    assert not is_none_significant(fitter, both)
 
 
 class OtherDelay(VoltageDelay):
@@ -105,11 +105,11 @@ def test_two_that_stand_in_for_each_other_may_each_be_absent_and_not_both(delaye
     (late,) = fit.model.active
     (other,) = scaled_library([OtherDelay()], fit.prepared.manifest)
     for part, sure in ((0.5, True), (1e-6, False)):
-        each = part * late.coordinate("delay_s")
+        each = part * late.standardised_value("delay_s")
         twins = [one.absent().moved("delay_s", each) for one in (late.candidate, other)]
         both = fitter.evaluate(fit.model.with_active(twins), fit.frame)
-        assert perhaps_absent(fitter, both) == list(both.model.names)
-        assert nothing_is_sure(fitter, both) != sure
+        assert possibly_absent(fitter, both) == list(both.model.names)
+        assert is_none_significant(fitter, both) != sure
 
 
 @pytest.mark.slow
@@ -117,6 +117,6 @@ def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Rec
     fitter, fit = fitted(with_dead_time, DeadTime())
     active, name = fit.model.free[0]
     assert name == "voltage_v"
-    spread = float(coordinate_spread(fitter, fit)[0])
-    assert FORM_STD * active.coordinate(name) < spread < 0.2 * RIPPLE_FORM_STD * active.coordinate(name)
+    spread = float(standardised_std(fitter, fit)[0])
+    assert FORM_STD * active.standardised_value(name) < spread < 0.2 * RIPPLE_FORM_STD * active.standardised_value(name)
     assert float(np.sqrt(fit.covariance()[0, 0])) < spread
