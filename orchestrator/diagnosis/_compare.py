@@ -19,7 +19,7 @@ from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
 from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.selection.leftover import map_asymmetry
+from orchestrator.diagnosis.selection.residual_pattern import map_asymmetry
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals

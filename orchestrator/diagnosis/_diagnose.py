@@ -32,21 +32,20 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
-from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.expected import include_expected
-from orchestrator.diagnosis.selection.forward_search import Search
-from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
-from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
-from orchestrator.diagnosis.selection.joint_workflow import MAX_SHARE_OF_ERROR, drop_confounded
-from orchestrator.diagnosis.selection.judge import judge
-from orchestrator.diagnosis.selection.measured import include_measured
-from orchestrator.diagnosis.selection.shares import (
+from orchestrator.diagnosis.selection.contributions import (
     contributions,
     left_of_excitation,
     mean_currents,
     rated_flux_wb,
     unexplained_at_rest_v,
 )
+from orchestrator.diagnosis.selection.ending_early import unfinished_search
+from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
+from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
+from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
+from orchestrator.diagnosis.selection.joint_workflow import MAX_SHARE_OF_ERROR, drop_confounded
+from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_record
 from orchestrator.diagnosis.selection.workflow import (
@@ -61,7 +60,7 @@ from orchestrator.diagnosis.selection.workflow import (
 )
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.diagnosis.uncertainty.scatter import quantiser_step_s
-from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
+from orchestrator.diagnosis.weak_form.pwm_quantiser import own_leg_step_of
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (

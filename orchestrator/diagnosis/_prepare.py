@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from orchestrator.diagnosis.fitting.budget import Budget
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from orchestrator.diagnosis.selection.rippling import with_carrier_ripple
 from orchestrator.diagnosis.selection.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
@@ -22,7 +22,7 @@ from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse,
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
 from orchestrator.recording_checks import check_recording
-from protocols import RecordingReader, Remark, Signals
+from protocols import RecordingReader, Remark, Saturated, Signals
 from protocols.fleet_priors import FleetPriors
 
 MAX_RATED_CURRENT_FACTOR: float = 2.0
@@ -161,3 +161,32 @@ def _rough_inductance(prepared: PreparedRecording) -> float:
         if together > best and power > 0.0:
             best, ratio = together, float(np.sum(dv * dv)) / together
     return ratio
+
+
+LEAST_RESISTIVE_RIPPLE: float = 0.02
+"""R_s over the inductance, times the carrier's period, from which R_s is included in the ripple within a period: its
+square over 24, 2e-5 of the voltage, is what the best recordings show."""
+
+
+def with_carrier_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
+    """The setup as a bridge that switches has it, where that matters, unless the bare map says otherwise."""
+    if not _matters(setup):
+        return setup
+    rippling = setup.with_ripple(ripples=True)
+    plain, other = (_fitted(one, baseline_model(one, Saturated())) for one in (setup, rippling))
+    return setup if _does_better(plain, other) else rippling
+
+
+def _matters(setup: DiagnosisSetup) -> bool:
+    drive, ohm = setup.prepared.manifest.drive, setup.prepared.manifest.motor.stator_resistance_ohm or 0.0
+    period_s = 1.0 / (drive.pwm_frequency_hz or drive.sampling_frequency_hz)
+    return ohm * period_s > LEAST_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h)
+
+
+def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:
+    return setup.coarse_fitter.fit(model, renewals=1)
+
+
+def _does_better(one: Fit, other: Fit) -> bool:
+    threshold = 2.0 * one.criteria.selection.log_evidence * max(one.chi2_per_dof, 1.0)
+    return other.objective - one.objective > threshold

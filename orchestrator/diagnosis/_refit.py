@@ -25,8 +25,8 @@ from orchestrator.diagnosis.reporting.findings import found_effects, map_effects
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
+from orchestrator.diagnosis.selection.contributions import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
-from orchestrator.diagnosis.selection.shares import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty

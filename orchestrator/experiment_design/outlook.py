@@ -15,8 +15,7 @@ from orchestrator.diagnosis.fitting.candidates import (
     typical_standardised_value,
     value_at,
 )
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds
-from orchestrator.diagnosis.selection.identifiability import separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.experiment_design.additions import additions
 from orchestrator.experiment_design.information import information
 from orchestrator.experiment_design.isolability import Isolability, isolability

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import holds
-from orchestrator.diagnosis.selection.identifiability import separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import holds, separating_contrasts
 from orchestrator.diagnosis.selection.scoring import linear_view, score
 from orchestrator.experiment_design.contrasts import STAGES, Bench, Stage, minutes
 from orchestrator.experiment_design.separation import confounded_pair, separation

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 
 import numpy as np
@@ -10,13 +11,22 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, EffectTerm, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.derived import derived_quantities
+from orchestrator.diagnosis.selection.contributions import Contribution, is_material
 from orchestrator.diagnosis.selection.joint_search import probabilities
-from orchestrator.diagnosis.selection.leftover import residual_pattern
-from orchestrator.diagnosis.selection.shares import Contribution, is_material
+from orchestrator.diagnosis.selection.residual_pattern import residual_pattern
 from orchestrator.diagnosis.selection.verdict import large_effects_together, left_fraction
 from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, standardised_std
-from protocols import FoundEffect, ParameterRole, ParameterValue, PluginError, Remark, ShapeShare, Unexplained, hook_of
+from protocols import (
+    DriveRecord,
+    FoundEffect,
+    ParameterRole,
+    ParameterValue,
+    PluginError,
+    Remark,
+    ShapeShare,
+    Unexplained,
+    hook_of,
+)
 
 
 def found_effects(
@@ -126,3 +136,43 @@ def unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplai
         fraction=left_fraction(first_chi2, last),
         shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),
     )
+
+
+def derived_quantities(
+    active: EffectTerm, parameters: Mapping[str, ParameterValue], drive: DriveRecord
+) -> dict[str, ParameterValue]:
+    """What the effect makes of its parameters and the drive's data; empty where it has nothing to say.
+
+    Each interval follows from the parameters' own, moved to their ends one at a time and added as squares:
+    correlations between them are left out.
+
+    Raises
+    ------
+    PluginError
+        Where the effect's own code fails.
+    """
+    hook = hook_of(active.candidate.effect, "derived")
+    if hook is None:
+        return {}
+
+    def at(values: Mapping[str, float]) -> Mapping[str, tuple[float, str]]:
+        try:
+            return dict(hook(active.candidate.effect.Parameters(**values), drive))
+        except Exception as error:  # somebody else's code may raise anything
+            raise PluginError("effects", active.name, f"derived: {type(error).__name__}: {error}") from error
+
+    middle = at(active.values)
+    below, above = dict.fromkeys(middle, 0.0), dict.fromkeys(middle, 0.0)
+    for parameter, interval in parameters.items():
+        for end in (interval.low, interval.high):
+            if end is None:
+                continue
+            moved = at({**active.values, parameter: end})
+            for name, (value, _) in middle.items():
+                change = moved.get(name, (value, ""))[0] - value
+                side = below if change < 0.0 else above
+                side[name] = math.hypot(side[name], change)
+    return {
+        name: ParameterValue(value=value, low=value - below[name], high=value + above[name], unit=unit)
+        for name, (value, unit) in middle.items()
+    }

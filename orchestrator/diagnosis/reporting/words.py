@@ -11,8 +11,7 @@ import numpy as np
 from orchestrator.diagnosis._diagnose import Diagnosis
 from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS
-from orchestrator.diagnosis.selection.identifiability import separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, separating_contrasts
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed

@@ -10,6 +10,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     has_fine_grid,
     keep_fine_grid,
     on_usual_grid,
+    with_finest_map,
 )
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -29,12 +30,10 @@ from orchestrator.diagnosis.selection.joint_search import (
     swap_step,
     with_all_effects,
 )
-from orchestrator.diagnosis.selection.map_detail import record_finest_map
-from orchestrator.diagnosis.selection.modulator_timer import refine_quantiser_by_fit, with_quantiser_of_dwells
+from orchestrator.diagnosis.selection.quantiser import refine_quantiser_by_fit, with_quantiser_of_dwells
 from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
-from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
-from orchestrator.diagnosis.uncertainty.intervals import is_none_significant, possibly_absent
+from orchestrator.diagnosis.uncertainty.intervals import block_scatter_ratio, is_none_significant, possibly_absent
 from orchestrator.diagnosis.uncertainty.scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
@@ -282,3 +281,14 @@ def drop_confounded(fitter: Fitter, search: Search) -> tuple[Search, list[str]]:
     steps = [s for s in steps if s.added != added or added is None]
     steps.append(replace(search.steps[-1], added=added))
     return replace(search, steps=steps, below_materiality=(*doubtful, *search.below_materiality)), doubtful
+
+
+def record_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+    """The same model on the finest map that is worth its freedom; the fit itself where none is."""
+    finer = with_finest_map(setup, fitter, fit)
+    if finer is fit:
+        fitter.trace.record("finer_map", before=fit, taken=False)
+    else:
+        gain = fit.objective - finer.objective
+        fitter.trace.record("finer_map", before=fit, after=finer, measure="objective", score=gain, taken=True)
+    return finer

@@ -23,12 +23,11 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import LEAST_EFFECT_SIZE, Search, Step, forward, refit_steps
 from orchestrator.diagnosis.selection.interim import InterimRecorder
-from orchestrator.diagnosis.selection.joint_workflow import search_jointly
-from orchestrator.diagnosis.selection.map_detail import record_finest_map
-from orchestrator.diagnosis.selection.modulator_timer import with_detected_quantiser
+from orchestrator.diagnosis.selection.joint_workflow import record_finest_map, search_jointly
+from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.refining import converge, refit_newest
 from orchestrator.diagnosis.selection.scoring import keep_threshold, log_evidence, loss_without
-from orchestrator.diagnosis.uncertainty.block_scatter import certainty
+from orchestrator.diagnosis.uncertainty.intervals import certainty
 from orchestrator.diagnosis.uncertainty.scatter import likelihood_of, with_scatter_as_noise
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 

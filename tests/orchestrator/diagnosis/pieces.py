@@ -21,9 +21,9 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
+from orchestrator.diagnosis.weak_form.pwm_quantiser import leg_step_of, rounded_by
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, injection_period, windows_of
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
-from orchestrator.diagnosis.weak_form.timer import leg_step_of, rounded_by
 from orchestrator.numerics.tensor_spline import EvenSpline
 from protocols import (
     DriveRecord,

@@ -28,7 +28,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     without_effect,
 )
 from orchestrator.diagnosis.selection.scoring import LinearView, Score, score
-from orchestrator.diagnosis.uncertainty.block_scatter import BLOCKS, block_scatter
+from orchestrator.diagnosis.uncertainty.intervals import BLOCKS, block_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias

@@ -10,8 +10,8 @@ import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, with_quantiser
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.diagnosis.weak_form.timer import QuantiserEstimate, with_quantiser
 from protocols import ModulatorTimer, SegmentStage, TimerPhases
 from tests.orchestrator.diagnosis.pieces import (
     FS,

@@ -9,7 +9,7 @@ from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.selection.measured import include_measured
+from orchestrator.diagnosis.selection.initial_effects import include_measured
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from protocols import Effect, PluginError, Signals

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
-from orchestrator.diagnosis.uncertainty.timer_search import PHASE_BIAS_STD, detect_quantisation
+from orchestrator.diagnosis.uncertainty.quantiser_search import PHASE_BIAS_STD, detect_quantisation
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_rounded_by
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.diagnosis.weak_form.timer import QuantiserEstimate, leg_step_of, legs_rounded_by
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     CRITERIA,

@@ -8,14 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
-from orchestrator.diagnosis.weak_form.timer import (
+from orchestrator.diagnosis.weak_form.pwm_quantiser import (
     QuantiserEstimate,
     leg_step_of,
     own_leg_step_of,
     rounded_by,
     with_quantiser,
 )
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
 from orchestrator.numerics.frames import from_phases, to_phases
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import FS, Array, plan, prepared, timer
@@ -75,7 +75,7 @@ def test_a_recording_gets_the_voltages_that_its_timer_lets_through_once() -> Non
             assert moved == 0.0
         else:
             assert 0.0 < moved <= step_v
-    assert once.timer == timer(STEP_S, 0.3, 0.6)
+    assert once.quantiser == timer(STEP_S, 0.3, 0.6)
 
 
 def test_where_the_phases_are_not_known_nothing_is_moved() -> None:
