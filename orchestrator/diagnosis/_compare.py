@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.reporting.benefit import added_remark
@@ -19,7 +19,7 @@ from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
 from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.selection.leftover import map_breaks
+from orchestrator.diagnosis.selection.residual_pattern import map_asymmetry
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
@@ -90,7 +90,7 @@ def compare_recording(
     remarks += [_benefit(setup, fit, library[name]) for name in candidates if name not in fit.model.names]
     pieces = [p for p in setup.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
     rated = _rated_flux(setup, fit)
-    parity, reciprocity = map_breaks(setup.fitter, fit, setup.current_a)
+    parity, reciprocity = map_asymmetry(setup.fitter, fit, setup.current_a)
     return CompareReport(
         recording=recording.manifest.name,
         model=title,
@@ -105,7 +105,7 @@ def compare_recording(
     )
 
 
-def _benefit(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Remark:
+def _benefit(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Remark:
     """Whether one more effect helps."""
     after = with_effect(setup.fitter, fit, candidate)
     found = next(e for e in found_effects(setup.fitter, after, {}, {}) if e.name == candidate.name)

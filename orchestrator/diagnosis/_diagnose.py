@@ -12,56 +12,55 @@ from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import (
     MAP_RUNGS,
-    Candidate,
+    CandidateEffect,
+    observable_effects,
     require_known,
     scaled_library,
-    those_that_can_show,
 )
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.fitting.priors import require_same_motor, unlike_the_fleet, with_priors
+from orchestrator.diagnosis.fitting.priors import contradicts_fleet, require_same_motor, with_priors
 from orchestrator.diagnosis.fitting.workers import Executor, executor_of
 from orchestrator.diagnosis.reporting.convention import convention_report
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import (
-    beyond_the_rest,
+    above_residual,
+    effect_remarks,
     found_effects,
     map_effects,
-    said_by_effects,
-    said_of_sizes,
+    size_remarks,
     unexplained,
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
+from orchestrator.diagnosis.selection.contributions import (
+    contributions,
+    left_of_excitation,
+    mean_currents,
+    rated_flux_wb,
+    unexplained_at_rest_v,
+)
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.expected import with_expected
 from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
-from orchestrator.diagnosis.selection.joint_workflow import MAX_SHARE_OF_ERROR, without_stand_ins
+from orchestrator.diagnosis.selection.joint_workflow import MAX_SHARE_OF_ERROR, drop_confounded
 from orchestrator.diagnosis.selection.judge import judge
-from orchestrator.diagnosis.selection.measured import with_measured
-from orchestrator.diagnosis.selection.shares import (
-    left_of_excitation,
-    rated_flux_wb,
-    shares,
-    unexplained_at_rest_v,
-    visited,
-)
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_record
 from orchestrator.diagnosis.selection.workflow import (
-    LEFT_FROM_REPORT,
+    EVALUATIONS_LEFT_FROM_REPORT,
     ModelChoice,
     baseline_of,
+    coarsen_map,
     converged,
     map_steps,
-    no_sharper_than_asked,
-    pruned,
+    prune,
     search_effects,
 )
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
-from orchestrator.diagnosis.uncertainty.scatter import timer_step_s
-from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
+from orchestrator.diagnosis.uncertainty.scatter import quantiser_step_s
+from orchestrator.diagnosis.weak_form.pwm_quantiser import own_leg_step_of
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (
@@ -88,7 +87,7 @@ from protocols.fleet_priors import FleetPriors
 LEAST_CHI2_OF_RANDOM_NOISE: float = 0.8
 """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
 
-Proposer = Callable[[DiagnosisSetup, Fit, Sequence[Candidate], str, str], NextExperiment | None]
+Proposer = Callable[[DiagnosisSetup, Fit, Sequence[CandidateEffect], str, str], NextExperiment | None]
 """Chooses the experiment that separates two effects of the library, by the fit; None where no stage can."""
 
 ENDED_EARLY = Remark.of("ended_early", "ended early by the user: the search was not finished")
@@ -106,7 +105,7 @@ class Diagnosis:
         None where the diagnosis ended with a convention: then nothing was fitted.
     search : Search
         Its steps are the rungs of the ladder.
-    library : sequence of Candidate
+    library : sequence of CandidateEffect
         What was looked for.
     delivery : Delivery or None
         The map and R_s that it ends with; None where nothing was fitted.
@@ -117,7 +116,7 @@ class Diagnosis:
     report: DiagnosisReport
     setup: DiagnosisSetup | None
     search: Search
-    library: Sequence[Candidate]
+    library: Sequence[CandidateEffect]
     delivery: Delivery | None = None
     estimates: EstimationReport | None = None
 
@@ -185,7 +184,7 @@ def diagnose_recording(
         Where `without` names an effect that is not in the library.
     """
     with executor_of(workers) as executor:
-        asked = _Asked(
+        request = _Request(
             effects,
             model,
             tuple(without),
@@ -199,32 +198,32 @@ def diagnose_recording(
             report_early,
         )
         if priors is None:
-            return _diagnosed(recording, asked, on_step)
-        return _diagnosed_in_fleet(recording, asked, on_step, priors)
+            return _diagnose(recording, request, on_step)
+        return _diagnose_in_fleet(recording, request, on_step, priors)
 
 
-def _diagnosed_in_fleet(
-    recording: Recording, asked: _Asked, on_step: Callable[[DiagnosisStep], None] | None, priors: FleetPriors
+def _diagnose_in_fleet(
+    recording: Recording, request: _Request, on_step: Callable[[DiagnosisStep], None] | None, priors: FleetPriors
 ) -> Diagnosis:
     """The diagnosis by what other motors of its kind let expect, and once more without what is none of theirs."""
     require_same_motor(priors, recording.manifest)
-    found = _diagnosed(recording, asked, None, priors)
+    found = _diagnose(recording, request, None, priors)
     if found.setup is None:
         return found
-    unlike = unlike_the_fleet(found.search.fit)
+    unlike = contradicts_fleet(found.search.fit)
     if unlike and ENDED_EARLY not in found.report.remarks:
-        asked.tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
-        found = _diagnosed(recording, asked, None, priors.without(unlike))
+        request.tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
+        found = _diagnose(recording, request, None, priors.without(unlike))
     if on_step is not None and found.setup is not None:
         _show(found.setup, found.search, found.report.ladder, on_step)
-    said = (*found.report.remarks, *_of_fleet(priors, unlike, found.report))
+    remarks = (*found.report.remarks, *_fleet_remarks(priors, unlike, found.report))
     used = {**found.report.criteria, "fleet": priors.without(unlike).model_dump(mode="json")}
-    return replace(found, report=found.report.model_copy(update={"remarks": said, "criteria": used}))
+    return replace(found, report=found.report.model_copy(update={"remarks": remarks, "criteria": used}))
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What `diagnose_recording` was asked for."""
+class _Request:
+    """The arguments of `diagnose_recording`."""
 
     effects: Sequence[Effect]
     model: ModelChoice
@@ -240,25 +239,25 @@ class _Asked:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _SearchResult:
     """What a search came to, and the effects that its end has set aside."""
 
     setup: DiagnosisSetup
     search: Search
     doubtful: Sequence[str]
-    spared: Sequence[str] = ()
+    removed: Sequence[str] = ()
     is_early: bool = False
 
 
-def _diagnosed(
+def _diagnose(
     recording: Recording,
-    asked: _Asked,
+    request: _Request,
     on_step: Callable[[DiagnosisStep], None] | None,
     priors: FleetPriors | None = None,
 ) -> Diagnosis:
     began = time.monotonic()
-    model, without, poll, tell, criteria = asked.model, asked.without, asked.poll, asked.tell, asked.criteria
-    require_known(without, asked.effects)
+    model, without, poll, tell, criteria = request.model, request.without, request.poll, request.tell, request.criteria
+    require_known(without, request.effects)
     tell("does the recording keep its manifest's conventions?")
     checked = check_recording(recording, poll)
     if checked.convention is not None:
@@ -266,80 +265,80 @@ def _diagnosed(
         report = convention_report(recording.manifest.name, checked.convention, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())
     setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), fleet=priors, tell=tell)
-    setup = replace(setup, remarks=(*checked.remarks, *setup.remarks)).with_executor(asked.executor)
-    every = scaled_library(asked.effects, setup.prepared.manifest, without)
+    setup = replace(setup, remarks=(*checked.remarks, *setup.remarks)).with_executor(request.executor)
+    every = scaled_library(request.effects, setup.prepared.manifest, without)
     if priors is not None:
         every = with_priors(every, priors, setup.prepared.criteria.selection)
-    library = those_that_can_show(every, [p.signals for p in setup.prepared.pieces])
+    library = observable_effects(every, [p.signals for p in setup.prepared.pieces])
     if isinstance(model, MotorModel):
         model = reduced(model, without)
 
-    interim = InterimRecorder(asked.on_interim)
+    interim = InterimRecorder(request.on_interim)
     try:
-        found = _search(setup, asked, model, every, library, interim)
+        found = _search(setup, request, model, every, library, interim)
     except KeyboardInterrupt:
-        if not asked.report_early or interim.checkpoint is None:
+        if not request.report_early or interim.checkpoint is None:
             raise
         tell("ended early: what was found so far is fitted to the whole recording")
         search, doubtful = unfinished_search(interim.checkpoint)
-        found = _Found(interim.checkpoint.setup, search, doubtful, is_early=True)
-    found.setup.fitter.begin("how sure is what was found?", LEFT_FROM_REPORT)
+        found = _SearchResult(interim.checkpoint.setup, search, doubtful, is_early=True)
+    found.setup.fitter.begin("how sure is what was found?", EVALUATIONS_LEFT_FROM_REPORT)
     try:
-        return _reported(recording, asked, on_step, found, model, library, began)
+        return _report(recording, request, on_step, found, model, library, began)
     except KeyboardInterrupt:
-        if not asked.report_early or found.is_early:
+        if not request.report_early or found.is_early:
             raise
         # The search is over: whoever stops it now gets its report.
-        return _reported(recording, asked, on_step, found, model, library, began)
+        return _report(recording, request, on_step, found, model, library, began)
 
 
 def _search(
     setup: DiagnosisSetup,
-    asked: _Asked,
+    request: _Request,
     model: ModelChoice,
-    every: Sequence[Candidate],
-    library: Sequence[Candidate],
+    every: Sequence[CandidateEffect],
+    library: Sequence[CandidateEffect],
     interim: InterimRecorder,
-) -> _Found:
+) -> _SearchResult:
     """Everything that the data ask for, looked for to the end."""
 
-    steps = map_steps(setup, model, {c.name: c for c in every}, asked.without)
-    setup.fitter.effort.calibrate()
-    steps = with_measured(setup, steps, library)
-    setup, search = search_effects(setup, with_expected(setup, steps, library), library, interim)
-    if search.shares:
-        search, doubtful = without_stand_ins(setup.fitter, search)
-        return _Found(setup, search, doubtful)
+    steps = map_steps(setup, model, {c.name: c for c in every}, request.without)
+    setup.fitter.budget.calibrate()
+    steps = include_measured(setup, steps, library)
+    setup, search = search_effects(setup, include_expected(setup, steps, library), library, interim)
+    if search.contributions:
+        search, doubtful = drop_confounded(setup.fitter, search)
+        return _SearchResult(setup, search, doubtful)
     first = search.bare_steps
-    search, spared = pruned(setup, no_sharper_than_asked(setup, converged(setup, search)))
-    interim.reached(setup, first, search, is_part=False)
-    return _Found(setup, search, [], spared)
+    search, removed = prune(setup, coarsen_map(setup, converged(setup, search)))
+    interim.record(setup, first, search, is_part=False)
+    return _SearchResult(setup, search, [], removed)
 
 
-def _reported(
+def _report(
     recording: Recording,
-    asked: _Asked,
+    request: _Request,
     on_step: Callable[[DiagnosisStep], None] | None,
-    searched: _Found,
+    result: _SearchResult,
     model: ModelChoice,
-    library: Sequence[Candidate],
+    library: Sequence[CandidateEffect],
     began: float,
 ) -> Diagnosis:
     """The report of what a search came to, its model written to `model.json`."""
-    setup, search, doubtful, spared = searched.setup, searched.search, searched.doubtful, searched.spared
+    setup, search, doubtful, removed = result.setup, result.search, result.doubtful, result.removed
     first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
-    sizes = search.shares or shares(setup, first, last)
-    active = found_effects(setup.fitter, last, evidence, search.rivals, sizes)
+    sizes = search.contributions or contributions(setup, first, last)
+    active = found_effects(setup.fitter, last, evidence, search.indistinguishable, sizes)
     of_map = map_effects(last, freed)
-    found = of_map + tuple(e for e in active if e.name not in search.minor)
+    found = of_map + tuple(e for e in active if e.name not in search.below_materiality)
     periodic = sum(not line.switching for line in setup.fitter.noise.lines)
     error = current_error(last)
     # As whoever reads the model back will find it, not as the search left it.
     held = setup.fitter.hold(last.model)
     uncertainty = MapUncertainty.of(setup.fitter, last, library)
-    map_error = uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
+    map_error = uncertainty.band_wb(mean_currents(last)) / rated_flux_wb(setup)
     record = verdict_record(
         first,
         held,
@@ -363,20 +362,22 @@ def _reported(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
         verdict=verdict,
-        reasons=(*([REASON_ENDED_EARLY] if searched.is_early else []), *judgement.reasons),
+        reasons=(*([REASON_ENDED_EARLY] if result.is_early else []), *judgement.reasons),
         verdict_record=record,
         effects=found,
-        minor=beyond_the_rest((e for e in active if e.name in search.minor), rest, MAX_SHARE_OF_ERROR),
-        traces=tuple(dict.fromkeys([*search.minor, *doubtful, *spared, *search.traces])),
+        minor=above_residual((e for e in active if e.name in search.below_materiality), rest, MAX_SHARE_OF_ERROR),
+        traces=tuple(dict.fromkeys([*search.below_materiality, *doubtful, *removed, *search.detected_not_named])),
         joint=joint,
         ladder=ladder,
         unexplained=left,
-        next_experiment=_proposal(asked.propose, setup, last, library, found, verdict, [*doubtful, *search.traces]),
+        next_experiment=_proposal(
+            request.propose, setup, last, library, found, verdict, [*doubtful, *search.detected_not_named]
+        ),
         remarks=(
-            *([ENDED_EARLY] if searched.is_early else []),
+            *([ENDED_EARLY] if result.is_early else []),
             *_remarks(setup, search, verdict, left, doubtful),
-            *said_by_effects(last, {effect.name for effect in found}),
-            *said_of_sizes(last),
+            *effect_remarks(last, {effect.name for effect in found}),
+            *size_remarks(last),
             *other_opinion(joint, active),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
@@ -394,40 +395,40 @@ def _reported(
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
     kept = kept_model(setup, last, baseline, (*of_map, *active), ladder)
     try:
-        write_model(asked.out or recording.path, kept)
+        write_model(request.out or recording.path, kept)
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
-    moved = {name: share.of_flux for name, share in sizes.items()}
+    moved = {name: share.relative_to_flux for name, share in sizes.items()}
     delivery = delivery_of(uncertainty, last, kept, verdict, 100.0 * map_error, moved)
     return Diagnosis(report, setup, search, library, delivery)
 
 
-def _of_fleet(priors: FleetPriors, unlike: frozenset[str], report: DiagnosisReport) -> list[Remark]:
+def _fleet_remarks(priors: FleetPriors, unlike: frozenset[str], report: DiagnosisReport) -> list[Remark]:
     """That a fleet was believed, and where this motor is none of it."""
     text = "with what {count} recordings of a fleet let expect ({table})"
-    said = [Remark.of("fleet", text, count=priors.recordings, table=priors.table)]
+    remarks = [Remark.of("fleet", text, count=priors.recordings, table=priors.table)]
     for name in sorted(unlike):
         text = "{effect}: its size is none of the fleet's, which had no say in it"
-        said.append(Remark.of("unlike_the_fleet", text, effect=name))
+        remarks.append(Remark.of("unlike_the_fleet", text, effect=name))
     here = {name for effect in (*report.effects, *report.minor) for name in (effect.name, *effect.twins)}
     for name, prior in priors.effects.items():
         if prior.probability > 0.9 and name not in here:
             text = "{effect}: in {found} of {asked} recordings of the fleet, not found here"
-            said.append(Remark.of("not_found_here", text, effect=name, found=prior.found, asked=prior.asked))
-    return said
+            remarks.append(Remark.of("not_found_here", text, effect=name, found=prior.found, asked=prior.asked))
+    return remarks
 
 
 def _remarks(
     setup: DiagnosisSetup, search: Search, verdict: Verdict, left: Unexplained, doubtful: Sequence[str]
 ) -> list[Remark]:
-    """What is to be said beside the findings."""
+    """Remarks beside the findings."""
     limits, chi2 = search.fit.criteria.verdict, search.fit.chi2_per_dof
     remarks = list(setup.remarks)
     scatter = setup.fitter.noise.of_model
     if scatter.offset_scatter_a > 0.0:
         text = "as if the readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
         remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * scatter.offset_scatter_a))
-    timer = setup.prepared.timer
+    timer = setup.prepared.quantiser
     if timer is not None:
         text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: taken out"
         sizes = {
@@ -442,7 +443,7 @@ def _remarks(
         text = (
             "as if a timer's step of {step_ns:.2g} ns put held voltages off by {scatter_mv:.2g} mV rms: taken for noise"
         )
-        sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * timer_step_s(scatter, setup)}
+        sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * quantiser_step_s(scatter, setup)}
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
@@ -453,7 +454,7 @@ def _remarks(
         text = "chi2 {chi2:.3g} is more than noise, but immaterial: {left_percent:.2g} % of the voltage"
         remarks.append(Remark.of("immaterial", text, chi2=chi2, left_percent=100.0 * left_of_excitation(search.fit)))
     # What fits all together takes what it takes.
-    if setup.fitter.effort.exhausted and not search.shares:
+    if setup.fitter.budget.is_spent and not search.contributions:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
     if (at_rest := unexplained_at_rest_v(search.fit)) > 0.0:
         text = "with the gates off the sensors read what the model denies: {reading_ma:.2g} mA rms"
@@ -477,7 +478,7 @@ def _proposal(
     propose: Proposer | None,
     setup: DiagnosisSetup,
     fit: Fit,
-    library: Sequence[Candidate],
+    library: Sequence[CandidateEffect],
     found: Sequence[FoundEffect],
     verdict: Verdict,
     suspects: Sequence[str],

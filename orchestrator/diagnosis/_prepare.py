@@ -9,20 +9,20 @@ from dataclasses import replace
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
+from orchestrator.diagnosis.fitting.budget import Budget
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from orchestrator.diagnosis.selection.rippling import with_its_ripple
-from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
+from orchestrator.diagnosis.selection.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
-from orchestrator.diagnosis.weak_form.rounding import of_rounding
+from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
 from orchestrator.recording_checks import check_recording
-from protocols import RecordingReader, Remark, Signals
+from protocols import RecordingReader, Remark, Saturated, Signals
 from protocols.fleet_priors import FleetPriors
 
 MAX_RATED_CURRENT_FACTOR: float = 2.0
@@ -62,16 +62,18 @@ def open_for_diagnosis(
     prepared = prepare(watched, criteria)
     watched.conclude()
     noise = sensor_noise(prepared.pieces)
-    prepared = replace(prepared, pieces=tuple(noise.taken_out_of(piece) for piece in prepared.pieces), fleet=fleet)
+    prepared = replace(
+        prepared, pieces=tuple(noise.with_quiet_current(piece) for piece in prepared.pieces), fleet=fleet
+    )
     require_enough(prepared, noise)
     remarks = [
         *prepared.remarks,
-        *what_is_missing(prepared),
-        *_of_noise(noise),
-        *of_rounding(prepared.pieces, noise),
-        *_of_gains([p.signals for p in prepared.pieces]),
+        *missing_contrasts(prepared),
+        *_noise_remarks(noise),
+        *rounding_remarks(prepared.pieces, noise),
+        *_gain_remarks([p.signals for p in prepared.pieces]),
     ]
-    return with_its_ripple(setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell))
+    return with_carrier_ripple(setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell))
 
 
 def open_for_refit(
@@ -107,16 +109,16 @@ def setup_of(
     l_d = motor.d_inductance_h or _rough_inductance(prepared)
     l_q = motor.q_inductance_h or l_d
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
-    effort = Effort(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
+    budget = Budget(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
     flux = (motor.pm_flux_wb or 0.0) if pm_flux_wb is None else pm_flux_wb
-    trace = SearchRecorder(effort, samples)
-    fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll, tell=tell, trace=trace)
+    trace = SearchRecorder(budget, samples)
+    fitter = Fitter(prepared, noise, flux, budget=budget, poll=poll, tell=tell, trace=trace)
     part = coarse(prepared)
-    search = Fitter(part, noise, fitter.pm_flux_wb, effort=effort, poll=poll, tell=tell, trace=trace.of_part())
+    search = Fitter(part, noise, fitter.pm_flux_wb, budget=budget, poll=poll, tell=tell, trace=trace.of_part())
     return DiagnosisSetup(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 
-def _of_noise(noise: SensorNoise) -> list[Remark]:
+def _noise_remarks(noise: SensorNoise) -> list[Remark]:
     """What is unusual about the current readings' noise; all of it is allowed for."""
     remarks = []
     if noise.correlation != 0.0:
@@ -134,7 +136,7 @@ def _of_noise(noise: SensorNoise) -> list[Remark]:
     return remarks
 
 
-def _of_gains(signals: Sequence[Signals]) -> list[Remark]:
+def _gain_remarks(signals: Sequence[Signals]) -> list[Remark]:
     """What three currents say of their sensors by not adding up to zero, where that is certain."""
     gains = gains_of(signals)
     if gains is None or all(gains.differ(pair) is None for pair in ((1, -1, 0), (0, 1, -1), (1, 0, -1))):
@@ -159,3 +161,32 @@ def _rough_inductance(prepared: PreparedRecording) -> float:
         if together > best and power > 0.0:
             best, ratio = together, float(np.sum(dv * dv)) / together
     return ratio
+
+
+LEAST_RESISTIVE_RIPPLE: float = 0.02
+"""R_s over the inductance, times the carrier's period, from which R_s is included in the ripple within a period: its
+square over 24, 2e-5 of the voltage, is what the best recordings show."""
+
+
+def with_carrier_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
+    """The setup as a bridge that switches has it, where that matters, unless the bare map says otherwise."""
+    if not _matters(setup):
+        return setup
+    rippling = setup.with_ripple(ripples=True)
+    plain, other = (_fitted(one, baseline_model(one, Saturated())) for one in (setup, rippling))
+    return setup if _does_better(plain, other) else rippling
+
+
+def _matters(setup: DiagnosisSetup) -> bool:
+    drive, ohm = setup.prepared.manifest.drive, setup.prepared.manifest.motor.stator_resistance_ohm or 0.0
+    period_s = 1.0 / (drive.pwm_frequency_hz or drive.sampling_frequency_hz)
+    return ohm * period_s > LEAST_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h)
+
+
+def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:
+    return setup.coarse_fitter.fit(model, renewals=1)
+
+
+def _does_better(one: Fit, other: Fit) -> bool:
+    threshold = 2.0 * one.criteria.selection.log_evidence * max(one.chi2_per_dof, 1.0)
+    return other.objective - one.objective > threshold

@@ -9,8 +9,14 @@ from itertools import pairwise
 from pathlib import Path
 
 from orchestrator.diagnosis._prepare import open_for_refit
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_further, with_detail
-from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate, require_known, scaled_library
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map, with_freed_map
+from orchestrator.diagnosis.fitting.candidates import (
+    MAP_RUNGS,
+    CandidateEffect,
+    EffectTerm,
+    require_known,
+    scaled_library,
+)
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.benefit import added_remark, removed_remark
@@ -19,8 +25,8 @@ from orchestrator.diagnosis.reporting.findings import found_effects, map_effects
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
+from orchestrator.diagnosis.selection.contributions import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
-from orchestrator.diagnosis.selection.shares import rated_flux_wb, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
@@ -95,7 +101,7 @@ def _added(
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
             tell(f"the model with {plain(name)}")
-            steps.append(Step(name, setup.fitter.fit(_grown(setup.fitter, fit, library[name]).model)))
+            steps.append(Step(name, setup.fitter.fit(_with_effect(setup.fitter, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
             tell(f"the model with {plain(name)}")
@@ -105,7 +111,7 @@ def _added(
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
         tell("is a finer map worth its freedom?")
-        steps[-1] = replace(steps[-1], fit=_as_detailed_as_asked(setup, steps[-1].fit))
+        steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
     ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup, steps))
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
@@ -117,7 +123,7 @@ def _added(
     return report.model_copy(update={"remarks": (*benefits, *report.remarks)})
 
 
-def _grown(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
+def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
     """The model with one more effect.
 
     Shapes that made up for it so far may have run to where no descent leads back: where much is left, it is fitted from
@@ -129,18 +135,18 @@ def _grown(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
     still = fitter.fit(fit.model.with_active([_in_usual_shape(a) for a in fit.model.active]))
     again = with_effect(fitter, still, candidate)
     shapes = {a.name: [n for n in a.free if n in a.candidate.of_role(ParameterRole.SHAPE)] for a in fit.model.active}
-    free = [a.freeing(*shapes.get(a.name, ())) for a in again.model.active]
+    free = [a.release(*shapes.get(a.name, ())) for a in again.model.active]
     again = fitter.fit(again.model.with_active(free), again.frame)
     return min(grown, again, key=lambda f: f.chi2)
 
 
-def _as_detailed_as_asked(setup: DiagnosisSetup, fit: Fit) -> Fit:
+def _refine_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """The model on a map as fine as the data ask for now: beside what was missing, detail was not worth its freedom."""
-    detailed = with_detail(setup, setup.fitter, fit)
+    detailed = with_finest_map(setup, setup.fitter, fit)
     return fit if detailed is fit else setup.fitter.fit(detailed.model, detailed.frame)
 
 
-def _in_usual_shape(active: Active) -> Active:
+def _in_usual_shape(active: EffectTerm) -> EffectTerm:
     """As large as it is, in its candidate's shape and simple form, its amplitudes free."""
     usual = active.candidate.absent()
     amplitudes = {name: active.values[name] for name in active.candidate.amplitudes}
@@ -169,7 +175,7 @@ def remove_effect(
     """
     directory = out or recording.path
     kept = read_model(directory) if has_model(directory) else None
-    have = [] if kept is None else [*_causes(kept), *_beside(kept)]
+    have = [] if kept is None else [*_causes(kept), *_without_rung(kept)]
     if kept is None or name not in have:
         raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
     return _removed(recording, name, effects, kept, out, tell)
@@ -187,7 +193,7 @@ def _removed(
     setup = open_for_refit(recording, kept, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     before = setup.fitter.hold(restored(setup, kept, kept.baseline, library))
-    left, beside = ([n for n in names if n != name] for names in (_causes(kept), _beside(kept)))
+    left, beside = ([n for n in names if n != name] for names in (_causes(kept), _without_rung(kept)))
     # What is no cause has no rung of its own: the last one has them all.
     at = next((k for k, r in enumerate(kept.ladder) if r.added == name), len(left) + 1)
     steps = []
@@ -210,13 +216,13 @@ def _causes(kept: MotorModel) -> list[str]:
     return [rung.added for rung in kept.ladder if rung.added is not None]
 
 
-def _beside(kept: MotorModel) -> list[str]:
+def _without_rung(kept: MotorModel) -> list[str]:
     """Effects that are in the model without a rung of their own."""
     return [effect.name for effect in kept.effects if effect.name not in _causes(kept)]
 
 
 def _as_of(
-    setup: DiagnosisSetup, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, Candidate]
+    setup: DiagnosisSetup, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, CandidateEffect]
 ) -> tuple[Baseline, Model]:
     """The model with no more than these rungs, as free as its map was then."""
     baseline = kept.baseline
@@ -224,7 +230,7 @@ def _as_of(
         baseline = Nameplate(freed=tuple(n for n in baseline.freed if n in names))
     model = restored(setup, kept, baseline, library)
     if isinstance(baseline, Nameplate):
-        model = freed_further(setup, model, baseline)
+        model = with_freed_map(setup, model, baseline)
     return baseline, model.with_active([a for a in model.active if a.name in names])
 
 
@@ -246,7 +252,7 @@ def _keep_refit(
     kept = kept_model(setup, fit, baseline, found, ladder)
     write_model(out or recording.path, kept)
     uncertainty = MapUncertainty.of(setup.fitter, fit)
-    band_percent = 100.0 * uncertainty.band_wb(visited(fit)) / rated_flux_wb(setup)
+    band_percent = 100.0 * uncertainty.band_wb(mean_currents(fit)) / rated_flux_wb(setup)
     deliver(delivery_of(uncertainty, fit, kept, None, band_percent), recording, out)
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
-from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.budget import Budget
 from protocols import SearchDecision, SearchEvent, SearchMeasure, SearchMove
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ class SearchRecorder:
 
     Attributes
     ----------
-    effort : Effort
+    budget : Budget
         Of all fits of the diagnosis.
     samples : int
         Of the whole recording; the unit of `SearchEvent.evaluations`.
@@ -30,7 +30,7 @@ class SearchRecorder:
         Shared by the recorders of the whole and of its part.
     """
 
-    effort: Effort = field(default_factory=Effort)
+    budget: Budget = field(default_factory=Budget)
     samples: int = 1
     is_part: bool = False
     events: list[SearchEvent] = field(default_factory=list)
@@ -67,7 +67,7 @@ class SearchRecorder:
             chi2_after=None if after is None else after.chi2_per_dof,
             decision=decision,
             note=note,
-            evaluations=self.effort.spent / self.samples,
+            evaluations=self.budget.spent / self.samples,
             seconds=time.monotonic() - self.begun_s,
         )
         self.events.append(event)

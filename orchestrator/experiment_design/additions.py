@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from orchestrator.config import Plan, check_plan, make_plan
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.experiment_design.contrasts import Stage, minutes
 from orchestrator.experiment_design.information import Information, information
 from orchestrator.experiment_design.isolability import Isolability, required_size
@@ -38,7 +38,7 @@ def additions(
     rehearsal: Rehearsal,
     drive: Capabilities,
     machine: Machine,
-    library: Sequence[Candidate],
+    library: Sequence[CandidateEffect],
     known: Information,
     result: Isolability,
 ) -> list[Addition]:

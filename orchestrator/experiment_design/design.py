@@ -13,7 +13,7 @@ import numpy as np
 
 from orchestrator.config import Plan, make_plan
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library, those_that_can_show
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, observable_effects, scaled_library
 from orchestrator.diagnosis.weak_form.segments import USABLE
 from orchestrator.experiment_design.additions import allowed_stages, extended_plan
 from orchestrator.experiment_design.contrasts import Stage
@@ -84,7 +84,7 @@ def design(
     criteria, name = criteria or Criteria(), plan.procedure.name
     base = rehearse(plan, drive, machine, noise_a, criteria)
     every = scaled_library(effects, base.setup.prepared.manifest)
-    library = those_that_can_show(every, [p.signals for p in base.setup.prepared.pieces])
+    library = observable_effects(every, [p.signals for p in base.setup.prepared.pieces])
     offer = _offer(base, drive, machine, library, criteria)
     if beyond := out_of_reach(offer, size, criteria):
         what = ", ".join(f"{q[0]} is not detected" if len(q) == 1 else "{} or {}".format(*q) for q in beyond)
@@ -131,7 +131,7 @@ def other_stages(plan: Plan) -> tuple[list[int], list[int]]:
 
 
 def _offer(
-    base: Rehearsal, drive: Capabilities, machine: Machine, library: Sequence[Candidate], criteria: Criteria
+    base: Rehearsal, drive: Capabilities, machine: Machine, library: Sequence[CandidateEffect], criteria: Criteria
 ) -> Offer:
     whole = extended_plan(base.plan, drive, allowed_stages(base.plan, drive, catalogue(base.setup)))
     # Candidate points are not held out of fits.

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate, typical_coordinate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, typical_standardised_value
 from orchestrator.diagnosis.fitting.model import BatchFrame
 from orchestrator.experiment_design.rehearsal import Rehearsal
 from orchestrator.numerics.types import Array
@@ -35,22 +35,22 @@ class EffectColumns:
 
     Attributes
     ----------
-    there : Active
+    there : EffectTerm
         The effect at its typical size and shape.
-    shapes : tuple of Active
+    shapes : tuple of EffectTerm
         The effect absent, in its typical shape and in others.
     amplitudes, forms, others : array of int
         Indices of its amplitudes and forms in the typical shape, and of its amplitudes in others.
     """
 
-    there: Active
-    shapes: tuple[Active, ...]
+    there: EffectTerm
+    shapes: tuple[EffectTerm, ...]
     amplitudes: Places
     forms: Places
     others: Places
 
     @classmethod
-    def of(cls, candidate: Candidate, first: int, shapes: Sequence[float]) -> EffectColumns:
+    def of(cls, candidate: CandidateEffect, first: int, shapes: Sequence[float]) -> EffectColumns:
         """Columns from the index `first` on; shapes in standard deviations of their prior."""
         absent = candidate.absent()
         sizes = {n: candidate.named(n).typical for n in candidate.amplitudes}
@@ -58,7 +58,7 @@ class EffectColumns:
         others = [absent.moved(name, x) for name in shape for x in shapes]
         counts = [len(sizes), len(candidate.of_role(*_FORMS)), len(sizes) * len(others)]
         places = np.split(np.arange(first, first + sum(counts)), np.cumsum(counts)[:-1])
-        return cls(Active(candidate, {**absent.values, **sizes}, ()), (absent, *others), *places)
+        return cls(EffectTerm(candidate, {**absent.values, **sizes}, ()), (absent, *others), *places)
 
     @property
     def forms_named(self) -> tuple[str, ...]:
@@ -76,7 +76,7 @@ class EffectColumns:
     def typical(self) -> Array:
         """Coordinates of the amplitudes at the typical size."""
         candidate = self.there.candidate
-        return np.array([typical_coordinate(candidate.named(n)) for n in candidate.amplitudes])
+        return np.array([typical_standardised_value(candidate.named(n)) for n in candidate.amplitudes])
 
 
 _FORMS = (ParameterRole.SHAPE, ParameterRole.REFINEMENT)
@@ -125,7 +125,7 @@ class Information:
 
 
 def information(
-    rehearsal: Rehearsal, library: Sequence[Candidate], of_stages: Collection[int] | None = None
+    rehearsal: Rehearsal, library: Sequence[CandidateEffect], of_stages: Collection[int] | None = None
 ) -> Information:
     """The information of a rehearsed plan, or of some of its stages, on a library's effects."""
     model, whole = rehearsal.model, rehearsal.setup.fitter

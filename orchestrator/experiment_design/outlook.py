@@ -9,14 +9,13 @@ from typing import Any
 from orchestrator.config import Plan
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import (
-    Candidate,
+    CandidateEffect,
+    observable_effects,
     scaled_library,
-    those_that_can_show,
-    typical_coordinate,
+    typical_standardised_value,
     value_at,
 )
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds
-from orchestrator.diagnosis.selection.identifiability import parted_by
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.experiment_design.additions import additions
 from orchestrator.experiment_design.information import information
 from orchestrator.experiment_design.isolability import Isolability, isolability
@@ -112,7 +111,7 @@ def outlook(
     criteria = criteria or Criteria()
     rehearsal = rehearse(plan, drive, machine, noise_a, criteria)
     every = scaled_library(effects, rehearsal.setup.prepared.manifest)
-    library = those_that_can_show(every, [p.signals for p in rehearsal.setup.prepared.pieces])
+    library = observable_effects(every, [p.signals for p in rehearsal.setup.prepared.pieces])
     known = information(rehearsal, library)
     result = isolability(known, known.total, criteria)
     more = additions(rehearsal, drive, machine, library, known, result)
@@ -128,9 +127,9 @@ def outlook(
     )
 
 
-def _outlook_of(candidate: Candidate, result: Isolability) -> EffectOutlook:
+def _outlook_of(candidate: CandidateEffect, result: Isolability) -> EffectOutlook:
     p, size = candidate.named(candidate.amplitudes[0]), result.detection[candidate.name]
-    least = value_at(p, size * typical_coordinate(p)) if math.isfinite(size) else None
+    least = value_at(p, size * typical_standardised_value(p)) if math.isfinite(size) else None
     return EffectOutlook(
         name=candidate.name,
         parameter=p.name,
@@ -146,8 +145,8 @@ def _finite(size: float) -> float | None:
     return size if math.isfinite(size) else None
 
 
-def _needs(rehearsal: Rehearsal, library: Sequence[Candidate], question: tuple[str, ...]) -> tuple[str, ...]:
+def _needs(rehearsal: Rehearsal, library: Sequence[CandidateEffect], question: tuple[str, ...]) -> tuple[str, ...]:
     """The contrasts that the effects declare as needed and that this plan lacks."""
     effects = [candidate.effect for candidate in library if candidate.name in question]
-    wanted: tuple[Contrast, ...] = parted_by(effects[0], effects[-1])
+    wanted: tuple[Contrast, ...] = separating_contrasts(effects[0], effects[-1])
     return tuple(CONTRASTS[c].text for c in wanted if not holds(rehearsal.setup.prepared, c))

@@ -11,10 +11,9 @@ import math
 from collections.abc import Sequence
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import holds
-from orchestrator.diagnosis.selection.identifiability import parted_by
+from orchestrator.diagnosis.selection.contrasts import holds, separating_contrasts
 from orchestrator.diagnosis.selection.scoring import linear_view, score
 from orchestrator.experiment_design.contrasts import STAGES, Bench, Stage, minutes
 from orchestrator.experiment_design.separation import confounded_pair, separation
@@ -22,7 +21,7 @@ from protocols import NextExperiment
 
 
 def next_experiment(
-    setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate], first: str, second: str
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect], first: str, second: str
 ) -> NextExperiment | None:
     """The experiment for a pair of effects; None where no stage of a procedure can separate them.
 
@@ -31,7 +30,7 @@ def next_experiment(
     setup : DiagnosisSetup
     fit : Fit
         A fit, with or without the first effect.
-    library : sequence of Candidate
+    library : sequence of CandidateEffect
         Contains both effects.
     first, second : str
         Names of the effects.
@@ -50,7 +49,7 @@ def catalogue(setup: DiagnosisSetup) -> list[Stage]:
     return [stage for stages in STAGES.values() for stage in stages(bench)]
 
 
-def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Active:
+def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> EffectTerm:
     """An effect that is not in the model, with the amplitude that it would have there to first order."""
     active = candidate.absent()
     estimate = score(linear_view(setup.fitter, fit, [candidate]))[0]
@@ -59,7 +58,7 @@ def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Active:
     return active
 
 
-def _predicted(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> Stage | None:
+def _predicted(setup: DiagnosisSetup, fit: Fit, first: EffectTerm, second: CandidateEffect) -> Stage | None:
     """The stage of most separation per minute; None where none separates enough."""
     pair = confounded_pair(setup, fit, first, second)
     if pair is None:
@@ -70,7 +69,7 @@ def _predicted(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate
     return max(sufficient, key=lambda item: item[0])[1] if sufficient else None
 
 
-def _needed(setup: DiagnosisSetup, first: Candidate, second: Candidate) -> Stage | None:
+def _needed(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> Stage | None:
     """The first stage for a contrast that both effects need and the recording lacks."""
-    lacking = [c for c in parted_by(first.effect, second.effect) if not holds(setup.prepared, c)]
+    lacking = [c for c in separating_contrasts(first.effect, second.effect) if not holds(setup.prepared, c)]
     return next((stage for contrast in lacking for stage in STAGES[contrast](Bench.of(setup))), None)

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Model
@@ -46,7 +46,7 @@ class ConfoundedPair:
     ----------
     model : Model
         With the second effect in place of the first, at the amplitude that imitates it.
-    absent : Active
+    absent : EffectTerm
         The first effect, its amplitudes neutral and its shape as fitted.
     coordinates : array
         Standardised values of the first effect's amplitudes.
@@ -57,17 +57,19 @@ class ConfoundedPair:
     """
 
     model: Model
-    absent: Active
+    absent: EffectTerm
     coordinates: Array
     known: Array
     answering: Mapping[ColumnName, frozenset[str]]
 
-    def responding(self, columns: Sequence[tuple[Active, str]]) -> list[frozenset[str] | None]:
+    def responding(self, columns: Sequence[tuple[EffectTerm, str]]) -> list[frozenset[str] | None]:
         """The effects that respond to each column; None for all."""
         return [self.answering.get((active.name, name)) for active, name in columns]
 
 
-def confounded_pair(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> ConfoundedPair | None:
+def confounded_pair(
+    setup: DiagnosisSetup, fit: Fit, first: EffectTerm, second: CandidateEffect
+) -> ConfoundedPair | None:
     """The first effect and the second one fitted to imitate it; None where it cannot.
 
     The model may contain the first effect, but not the second.
@@ -78,8 +80,8 @@ def confounded_pair(setup: DiagnosisSetup, fit: Fit, first: Active, second: Cand
     # The second takes the first's place, and may respond where the first did.
     answering = {column: effects | {second.name} for column, effects in fit.answers.of.items()}
     neutral = {n: first.candidate.named(n).neutral for n in first.candidate.amplitudes}
-    absent = Active(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
-    coordinates = np.array([first.coordinate(n) for n in first.candidate.amplitudes])
+    absent = EffectTerm(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
+    coordinates = np.array([first.standardised_value(n) for n in first.candidate.amplitudes])
     others = model.with_active([a for a in model.active if a.name != first.name])
     fitter = _part_of(setup)
     trial = ConfoundedPair(others, absent, coordinates, np.zeros((0, 0)), answering)
@@ -90,7 +92,7 @@ def confounded_pair(setup: DiagnosisSetup, fit: Fit, first: Active, second: Cand
         rival = rival.moved(name, float(x))
     if rival.is_absent:
         return None
-    rival = rival.freeing(*second.of_role(ParameterRole.SHAPE))
+    rival = rival.release(*second.of_role(ParameterRole.SHAPE))
     both = replace(trial, model=others.with_active([*others.active, rival]))
     return replace(both, known=_normal(fitter, both, fitter.prepared.pieces))
 
@@ -114,7 +116,7 @@ def _normal(
     fitter: Fitter,
     pair: ConfoundedPair,
     pieces: Sequence[SegmentSignals],
-    more: Sequence[tuple[Active, str]] = (),
+    more: Sequence[tuple[EffectTerm, str]] = (),
     *,
     with_prior: bool = True,
 ) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.fitting.candidates import scaled_library, those_that_can_show
+from orchestrator.diagnosis.fitting.candidates import observable_effects, scaled_library
 from orchestrator.diagnosis.selection.scoring import linear_view
 from orchestrator.diagnosis.selection.workflow import first_steps
 from orchestrator.numerics.types import Array
@@ -26,7 +26,7 @@ def baselines(recording: RecordingReader, library: Sequence[Effect]) -> dict[str
     """Names by method, those first that make chi2 fall most."""
     setup = open_for_diagnosis(recording)
     every = scaled_library(library, setup.prepared.manifest)
-    candidates = those_that_can_show(every, [p.signals for p in setup.prepared.pieces])
+    candidates = observable_effects(every, [p.signals for p in setup.prepared.pieces])
     bare = first_steps(setup, "saturated", {c.name: c for c in candidates})[-1].fit
     fit = setup.coarse_fitter.fit(bare.model, renewals=0)
     view = linear_view(setup.coarse_fitter, fit, candidates)

@@ -15,8 +15,8 @@ from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
 from orchestrator.diagnosis.fitting.workers import Executor
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, with_quantiser
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
-from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -80,7 +80,7 @@ class DiagnosisSetup:
     current_a: float
     """Rated current, or the largest used; no more than twice that [A peak]."""
     remarks: tuple[Remark, ...]
-    timers: tuple[BorneTimer, ...] = ()
+    quantisers: tuple[QuantiserEstimate, ...] = ()
     """The modulator's, as the readings bear it, and those that round much like it."""
 
     def with_executor(self, executor: Executor) -> DiagnosisSetup:
@@ -96,20 +96,20 @@ class DiagnosisSetup:
         return replace(self, fitter=whole, coarse_fitter=part)
 
     @property
-    def bare(self) -> DiagnosisSetup:
+    def without_quantiser(self) -> DiagnosisSetup:
         """The same with the voltages as they were commanded."""
-        return self if self.prepared.timer is None else self.with_timer(None)
+        return self if self.prepared.quantiser is None else self.with_quantiser(None)
 
-    def with_timer(self, timer: ModulatorTimer | None) -> DiagnosisSetup:
+    def with_quantiser(self, timer: ModulatorTimer | None) -> DiagnosisSetup:
         """The same with the voltages that a modulator's timer lets through, or as they were commanded."""
-        return self._with_voltages(lambda prepared: with_timer(prepared, timer))
+        return self._with_voltages(lambda prepared: with_quantiser(prepared, timer))
 
     def with_ripple(self, ripples: bool) -> DiagnosisSetup:
         """The same where currents ripple within a carrier's period, or are taken for lines between readings."""
         return self._with_voltages(lambda prepared: replace(prepared, ripples=ripples))
 
     def _with_voltages(self, change: Callable[[PreparedRecording], PreparedRecording]) -> DiagnosisSetup:
-        # No frame of the old voltages is one of the new ones: they are told apart by the noise's identity.
+        # A frame of the old voltages does not fit the new ones: the noise's identity separates them.
         whole, part = (
             replace(f, prepared=change(f.prepared), noise=replace(f.noise)) for f in (self.fitter, self.coarse_fitter)
         )
@@ -187,7 +187,7 @@ def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Mo
     return Model(map_space(setup, baseline, grid, linear.coefficients), linear, _resistance(setup))
 
 
-def freed_further(setup: DiagnosisSetup, model: Model, baseline: Nameplate) -> Model:
+def with_freed_map(setup: DiagnosisSetup, model: Model, baseline: Nameplate) -> Model:
     """The same R_s and effects, with the map as free as this baseline says."""
     bare = baseline_model(setup, baseline)
     return replace(bare, r_s=model.r_s, active=model.active)
@@ -224,41 +224,43 @@ def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def fitted_baseline(setup: DiagnosisSetup) -> Fit:
+def fit_baseline(setup: DiagnosisSetup) -> Fit:
     """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
     coarsest = setup.coarse_fitter.fit(baseline_model(setup, Saturated()), renewals=1)
-    part = with_detail(setup, setup.coarse_fitter, coarsest)
+    part = with_finest_map(setup, setup.coarse_fitter, coarsest)
     if part.chi2_per_dof > MAX_CHI2_FOR_FINER_MAP:
         # It is not detail that is missing, and a fine map is bent to what is.
         part = coarsest
     fit = setup.fitter.fit(part.model, renewals=0)
     # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
     worth_it = LEAST_CHI2_FOR_FINER_MAP < fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP
-    return with_detail(setup, setup.fitter, fit) if worth_it else fit
+    return with_finest_map(setup, setup.fitter, fit) if worth_it else fit
 
 
-def with_detail(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on the finest map that is worth its freedom; a knee may lie well between a finer one's nodes."""
-    fit = within_reach(setup, fitter, fit)
+    fit = widened_map(setup, fitter, fit)
     for intervals in setup.criteria.intervals[1:]:
         finer = finer_map(setup, fitter, fit, (intervals, intervals))
         fit = fit if finer is None else finer
-    return fit if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1] else _sharper(setup, fitter, fit)
+    return (
+        fit if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1] else _refine_further(setup, fitter, fit)
+    )
 
 
-def within_reach(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on a map as wide as the currents that the rotor sees where it lies.
 
     The first map is as wide as they are where it is believed to lie. Beyond a map there is nothing to fit, however
     well the wider one does.
     """
-    grid, space = _reaching(fit), fit.model.space
+    grid, space = _widened_grid(fit), fit.model.space
     if grid == space.grid or not space.is_free:
         return fit
-    return _fitted_on(fitter, _on_grid(setup, fit, grid, space.roughness), fit)
+    return _fit_on_map(fitter, _on_grid(setup, fit, grid, space.roughness), fit)
 
 
-def _fitted_on(fitter: Fitter, model: Model, fit: Fit) -> Fit:
+def _fit_on_map(fitter: Fitter, model: Model, fit: Fit) -> Fit:
     """The model of a fit on another map, fitted there.
 
     Effects that rest are where the fit's frame was made, and what the map does not change of that is kept. Those that
@@ -267,33 +269,33 @@ def _fitted_on(fitter: Fitter, model: Model, fit: Fit) -> Fit:
     return fitter.fit(model, None if fit.model.free else fit.frame, steps=2, renewals=0)
 
 
-def _reaching(fit: Fit) -> EvenSpline:
+def _widened_grid(fit: Fit) -> EvenSpline:
     """The fit's grid, or one that reaches all currents in its frame where some leave it by more than a little."""
     grid = fit.model.space.grid
     seen = fit.true_currents()
     low, high = min(float(i[:, 0].min()) for i in seen), max(float(i[:, 0].max()) for i in seen)
     q = max(float(np.abs(i[:, 1]).max()) for i in seen)
-    bearable = MAX_OVERREACH
-    inside = max(grid.low - low, high - grid.high) <= bearable * (grid.high - grid.low)
-    if inside and q <= (1.0 + bearable) * grid.reach:
+    tolerance = MAX_OVERREACH
+    inside = max(grid.low - low, high - grid.high) <= tolerance * (grid.high - grid.low)
+    if inside and q <= (1.0 + tolerance) * grid.reach:
         return grid
     return EvenSpline(min(low, grid.low), max(high, grid.high), max(q, grid.reach), grid.cells)
 
 
-def worth_its_freedom(trial: Fit, fit: Fit) -> bool:
+def is_finer_map_justified(trial: Fit, fit: Fit) -> bool:
     """Whether a fit on a finer map is that much better than one on a coarser."""
-    asked = LEAST_GAIN_PER_MAP_FREEDOM * max(fit.dof - trial.dof, 1.0) + LEAST_GAIN_OF_FINER_MAP
-    return fit.objective - trial.objective > asked * max(trial.chi2_per_dof, 1.0)
+    threshold = LEAST_GAIN_PER_MAP_FREEDOM * max(fit.dof - trial.dof, 1.0) + LEAST_GAIN_OF_FINER_MAP
+    return fit.objective - trial.objective > threshold * max(trial.chi2_per_dof, 1.0)
 
 
-def is_sharp(fit: Fit) -> bool:
+def has_fine_grid(fit: Fit) -> bool:
     """Whether a fit's own map is finer or rougher than smooth iron asks for; a given one is as it is."""
     space = fit.model.space
     usual = max(space.grid.cells) <= fit.criteria.fitting.intervals[-1] and space.roughness <= 1.0
     return space.is_free and not usual
 
 
-def on_usual_map(setup: DiagnosisSetup, fit: Fit) -> Model:
+def on_usual_grid(setup: DiagnosisSetup, fit: Fit) -> Model:
     """The model of a sharp fit on the finest map that smooth iron asks for."""
     intervals = setup.criteria.intervals[-1]
     return _on_map(setup, fit, (intervals, intervals))
@@ -307,29 +309,29 @@ def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float
     return replace(fit.model, space=_free(setup, grid, roughness), magnetics=fit.model.magnetics.on(grid))
 
 
-def earns_its_sharpness(sharp: Fit, usual: Fit) -> bool:
+def keep_fine_grid(sharp: Fit, usual: Fit) -> bool:
     """Whether a fit on a sharp map is that much better than one on a usual map, all else refitted on either."""
-    most = _left(sharp) <= (1.0 - LEAST_FINAL_SHARE_OF_FINE_MAP) * _left(usual)
-    return most and worth_its_freedom(sharp, usual)
+    most = _excess_chi2(sharp) <= (1.0 - LEAST_FINAL_SHARE_OF_FINE_MAP) * _excess_chi2(usual)
+    return most and is_finer_map_justified(sharp, usual)
 
 
-def _takes_much(sharper: Fit, fit: Fit) -> bool:
+def _removes_much(finer: Fit, fit: Fit) -> bool:
     """Whether a sharper map takes away much of what is left."""
-    return _left(sharper) <= (1.0 - LEAST_RESIDUAL_SHARE_OF_FINE_MAP) * _left(fit)
+    return _excess_chi2(finer) <= (1.0 - LEAST_RESIDUAL_SHARE_OF_FINE_MAP) * _excess_chi2(fit)
 
 
-def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same on maps ever finer along one axis, or rougher, as long as one takes away much of what is left."""
     while fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP:
-        trials = [trial for cells, r in _sharpened(setup, fit) if (trial := finer_map(setup, fitter, fit, cells, r))]
-        best = min(trials, key=_left, default=fit)
-        if not _takes_much(best, fit):
+        trials = [trial for cells, r in _finer_grids(setup, fit) if (trial := finer_map(setup, fitter, fit, cells, r))]
+        best = min(trials, key=_excess_chi2, default=fit)
+        if not _removes_much(best, fit):
             break
         fit = best
     return fit
 
 
-def _sharpened(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int], float]]:
+def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int], float]]:
     """Intervals and roughness of those maps that are a step sharper."""
     limits, space = setup.criteria, fit.model.space
     d, q = space.grid.cells
@@ -340,7 +342,7 @@ def _sharpened(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int
     yield (d, q), min(MAX_ROUGHNESS_STEP * space.roughness, MAX_ROUGHNESS_FACTOR)
 
 
-def _left(fit: Fit) -> float:
+def _excess_chi2(fit: Fit) -> float:
     """What of chi2 per degree of freedom noise does not make."""
     return fit.chi2_per_dof - 1.0
 
@@ -360,8 +362,8 @@ def finer_map(
     space = fit.model.space
     if all(n <= own for n, own in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
         return None
-    trial = _fitted_on(fitter, _on_map(setup, fit, cells, roughness), fit)
-    return trial if worth_its_freedom(trial, fit) else None
+    trial = _fit_on_map(fitter, _on_map(setup, fit, cells, roughness), fit)
+    return trial if is_finer_map_justified(trial, fit) else None
 
 
 def _grid(setup: DiagnosisSetup, cells: tuple[int, int]) -> EvenSpline:

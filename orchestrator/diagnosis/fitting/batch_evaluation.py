@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from orchestrator.diagnosis.fitting.candidates import Active
-from orchestrator.diagnosis.fitting.columns import ColumnProbe, probed_segments
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
+from orchestrator.diagnosis.fitting.columns import ColumnProbe, probe_segments
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.model import BatchFrame, Model, SegmentRows
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 
-Columns = Sequence[tuple[Active, str]]
+Columns = Sequence[tuple[EffectTerm, str]]
 """Effects with one of their parameters each, by which derivatives are wanted."""
 
 
@@ -36,7 +36,7 @@ class RecordingBatches:
     @classmethod
     def of(cls, prepared: PreparedRecording) -> RecordingBatches:
         """All segments of a recording."""
-        probes = probed_segments(prepared.pieces)
+        probes = probe_segments(prepared.pieces)
         return cls(prepared.pieces, *in_batches(prepared.pieces, probes))
 
     @property
@@ -58,7 +58,7 @@ class BatchTask:
         Of an earlier evaluation.
     renew : bool
         Whether the frame is renewed, as far as it changed since; else the model is evaluated in that one.
-    columns : sequence of (Active, str) or None
+    columns : sequence of (EffectTerm, str) or None
         Parameters to differentiate by; None: the frame alone, without equations. What is held out has no columns.
     answering : sequence of frozenset of str or None, optional
         Of every column the inner effects that answer to it; all by default.

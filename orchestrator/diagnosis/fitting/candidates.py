@@ -22,17 +22,17 @@ MAP_RUNGS = (SATURATION, CROSS_SATURATION)
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateEffect:
     """One effect with its parameters scaled to the machine."""
 
     effect: Effect
     parameters: tuple[EffectParameter, ...]
     centres: Mapping[str, float] = field(default_factory=dict)
     """Coordinates at which the priors of some amplitudes stand; all others' stand at zero."""
-    head_start: float = 0.0
+    prior_log_odds: float = 0.0
     """Evidence for its being there that a fleet has given; below zero where the fleet has hardly ever had it [nat]."""
 
-    is_expected: bool = False
+    included_a_priori: bool = False
     """Whether a fleet has it nearly always: then it is in the model until the data speak against it."""
 
     @cached_property
@@ -58,12 +58,12 @@ class Candidate:
         """Coordinates at which the amplitudes' priors stand, shape (amplitudes,)."""
         return np.array([self.centres.get(name, 0.0) for name in self.amplitudes])
 
-    def absent(self) -> Active:
+    def absent(self) -> EffectTerm:
         """This effect at its neutral amplitudes, amplitudes free."""
         values = {p.name: p.typical if p.role is ParameterRole.SHAPE else p.neutral for p in self.parameters}
-        return Active(self, values, self.amplitudes)
+        return EffectTerm(self, values, self.amplitudes)
 
-    def absent_in_other_form(self) -> Active | None:
+    def absent_in_alternative_form(self) -> EffectTerm | None:
         """The same at its second form, from which no descent leads to the first; None where its shapes have but one."""
         there = {p.name: p.other_form for p in self.parameters if p.other_form is not None}
         if not any(self.named(name).role is ParameterRole.SHAPE for name in there):
@@ -73,10 +73,10 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Active:
+class EffectTerm:
     """An effect in the model: its values, and which of its parameters are free."""
 
-    candidate: Candidate
+    candidate: CandidateEffect
     values: Mapping[str, float]
     free: tuple[str, ...]
 
@@ -84,31 +84,31 @@ class Active:
     def name(self) -> str:
         return self.candidate.name
 
-    def moved(self, name: str, x: float) -> Active:
+    def moved(self, name: str, x: float) -> EffectTerm:
         """The same with one parameter at the coordinate `x`."""
         return replace(self, values={**self.values, name: value_at(self.candidate.named(name), x)})
 
-    def coordinate(self, name: str) -> float:
-        return coordinate_of(self.candidate.named(name), self.values[name])
+    def standardised_value(self, name: str) -> float:
+        return standardised(self.candidate.named(name), self.values[name])
 
-    def off_prior(self, name: str) -> float:
+    def prior_residual(self, name: str) -> float:
         """Coordinate from where its prior stands, in standard deviations of that."""
-        return self.coordinate(name) - self.candidate.centres.get(name, 0.0)
+        return self.standardised_value(name) - self.candidate.centres.get(name, 0.0)
 
-    def freeing(self, *names: str) -> Active:
+    def release(self, *names: str) -> EffectTerm:
         return replace(self, free=self.free + tuple(n for n in names if n not in self.free))
 
-    def resting(self, *names: str) -> Active:
+    def fix(self, *names: str) -> EffectTerm:
         """The same with some parameters neutral, and not free."""
         neutral = {n: value_at(self.candidate.named(n), 0.0) for n in names}
         return replace(self, free=tuple(n for n in self.free if n not in names), values={**self.values, **neutral})
 
     @property
-    def bent_by(self) -> tuple[str, ...]:
+    def free_refinements(self) -> tuple[str, ...]:
         """Refinements that are free."""
         return tuple(n for n in self.candidate.of_role(ParameterRole.REFINEMENT) if n in self.free)
 
-    def other_forms(self) -> list[Active]:
+    def alternative_forms(self) -> list[EffectTerm]:
         """The same at its second form, other refinements resting, and where there are such, with these as they are.
 
         Nothing where it has but one form, or stands nearer the second.
@@ -119,8 +119,8 @@ class Active:
         if all(abs(self.values[n] - x) <= abs(self.values[n] - named(n).neutral) for n, x in there.items()):
             return []
         leading = [n for n in there if not named(n).detail]
-        mere, bent = self.resting(*names).freeing(*leading), self.freeing(*leading)
-        forms = [mere, bent] if any(n not in there for n in self.bent_by) else [mere]
+        mere, bent = self.fix(*names).release(*leading), self.release(*leading)
+        forms = [mere, bent] if any(n not in there for n in self.free_refinements) else [mere]
         return [replace(form, values={**form.values, **there}) for form in forms]
 
     @cached_property
@@ -144,19 +144,21 @@ class Active:
         return max(sizes)
 
 
-def scaled_library(effects: Sequence[Effect], manifest: Manifest, without: Sequence[str] = ()) -> tuple[Candidate, ...]:
+def scaled_library(
+    effects: Sequence[Effect], manifest: Manifest, without: Sequence[str] = ()
+) -> tuple[CandidateEffect, ...]:
     """Candidates for one machine, in the effects' order; raises `PluginError` where one cannot be fitted."""
     for effect in effects:
         require_effect(effect)
     scale = MachineScale.of(manifest)
     return tuple(
-        Candidate(effect, tuple(scale.scaled(p) for p in effect.Parameters.declared()))
+        CandidateEffect(effect, tuple(scale.scaled(p) for p in effect.Parameters.declared()))
         for effect in effects
         if effect.name not in without
     )
 
 
-def those_that_can_show(library: Sequence[Candidate], signals: Sequence[Signals]) -> tuple[Candidate, ...]:
+def observable_effects(library: Sequence[CandidateEffect], signals: Sequence[Signals]) -> tuple[CandidateEffect, ...]:
     """The candidates that some segment can show; raises `PluginError` where an effect fails to say."""
     return tuple(c for c in library if any(_can_show(c.effect, s) for s in signals))
 
@@ -177,7 +179,7 @@ def require_known(names: Sequence[str], effects: Sequence[Effect]) -> None:
             raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}")
 
 
-def coordinate_of(p: EffectParameter, value: float) -> float:
+def standardised(p: EffectParameter, value: float) -> float:
     """The coordinate in which the prior is a unit normal: amplitudes over their width, shapes by logit in bounds."""
     if p.role is ParameterRole.SHAPE:
         return (_logit(p, value) - _logit(p, p.typical)) / p.prior_width
@@ -187,7 +189,7 @@ def coordinate_of(p: EffectParameter, value: float) -> float:
 
 
 def value_at(p: EffectParameter, x: float) -> float:
-    """Inverse of `coordinate_of`, held within the bounds."""
+    """Inverse of `standardised`, held within the bounds."""
     if p.role is ParameterRole.SHAPE:
         u = _logit(p, p.typical) + p.prior_width * x
         return p.low + (p.high - p.low) / (1.0 + math.exp(-min(max(u, -12.0), 12.0)))
@@ -197,9 +199,9 @@ def value_at(p: EffectParameter, x: float) -> float:
     return min(max(p.neutral + p.prior_width * x, p.low), p.high)
 
 
-def typical_coordinate(p: EffectParameter) -> float:
+def typical_standardised_value(p: EffectParameter) -> float:
     """Where a typical effect is: the secant from neutral to here scores an effect that is not in the model yet."""
-    return coordinate_of(p, p.typical)
+    return standardised(p, p.typical)
 
 
 def _logit(p: EffectParameter, value: float) -> float:

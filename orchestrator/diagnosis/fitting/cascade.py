@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of, typical_coordinate
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, standardised, typical_standardised_value
 from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effect, random_directions_of
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SignalBatch
@@ -33,17 +33,17 @@ class Cascade:
 
     Attributes
     ----------
-    effects : tuple of Active
+    effects : tuple of EffectTerm
         Outermost first.
     stages : tuple of Corrected
         The signals before each of the effects and after the last, each with what the effect before it changed.
     """
 
-    effects: tuple[Active, ...]
+    effects: tuple[EffectTerm, ...]
     stages: tuple[Corrected, ...]
 
     @classmethod
-    def of(cls, signals: SignalBatch, active: Sequence[Active]) -> Cascade:
+    def of(cls, signals: SignalBatch, active: Sequence[EffectTerm]) -> Cascade:
         """Signals as measured, led through all effects."""
         effects = tuple(sorted(active, key=lambda a: a.candidate.effect.layer))
         stages = [Corrected(signals)]
@@ -60,7 +60,7 @@ class Cascade:
         """Names of the arrays that any of the effects changed."""
         return frozenset[str]().union(*(stage.changed for stage in self.stages))
 
-    def change_by(self, moved: Active, answering: Container[str] | None = None) -> tuple[Change, dict[str, Change]]:
+    def change_by(self, moved: EffectTerm, answering: Container[str] | None = None) -> tuple[Change, dict[str, Change]]:
         """What changes behind the innermost effect where one effect is as in `moved`, present in the model or not.
 
         Parameters
@@ -72,7 +72,7 @@ class Cascade:
         -------
         change : dict
         answers : dict
-            What each inner effect added to the change, where all were asked.
+            What each inner effect added to the change, where `answering` is None.
         """
         at = next((k for k, a in enumerate(self.effects) if a.name == moved.name), None)
         if at is None:
@@ -93,7 +93,7 @@ class Cascade:
     def _inwards(
         self, behind: int, change: Change, answering: Container[str] | None = None
     ) -> tuple[Change, dict[str, Change]]:
-        """A change before the effects from a place on, led through them, and what each added where all were asked."""
+        """A change before the effects from a place on, led through them, and what each added where all were applied."""
         answers = dict[str, Change]()
         for k in range(behind, len(self.effects)):
             inner = self.effects[k]
@@ -110,30 +110,30 @@ class Cascade:
         return change, answers
 
 
-def step_of(active: Active, name: str) -> float:
+def step_of(active: EffectTerm, name: str) -> float:
     """The step of one parameter's coordinate that its secant is taken over.
 
     To typical size where its effect is absent; from the first form to the second, for no descent leads there. Where a
     bound is nearer than the step, to the other side.
     """
     p = active.candidate.named(name)
-    x = active.coordinate(name)
+    x = active.standardised_value(name)
     refines = p.role is ParameterRole.REFINEMENT
     if refines and p.other_form is not None and active.values[name] == p.neutral:
-        return coordinate_of(p, p.other_form) - x
+        return standardised(p, p.other_form) - x
     if p.role is not ParameterRole.AMPLITUDE:
         step = SECANT_STEP * max(abs(x), 1.0)
     elif active.is_absent:
-        step = typical_coordinate(p)
+        step = typical_standardised_value(p)
     else:
         step = SECANT_STEP * max(abs(x), LEAST_SECANT_AMPLITUDE)
     return max((_within(active, name, side) for side in (step, -step)), key=abs)
 
 
-def _within(active: Active, name: str, step: float) -> float:
+def _within(active: EffectTerm, name: str, step: float) -> float:
     """As much of a step of one parameter's coordinate as its bounds let be."""
-    x = active.coordinate(name)
-    moved = active.moved(name, x + step).coordinate(name) - x
+    x = active.standardised_value(name)
+    moved = active.moved(name, x + step).standardised_value(name) - x
     return step if math.isclose(moved, step, rel_tol=1e-6) else moved
 
 

@@ -23,7 +23,9 @@ LEAST_CHORD_STEP: float = 0.01
 """Step below which no further one is tried, in standard deviations of the prior."""
 
 
-def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: float, known: Fit | None = None) -> Fit:
+def fit_with_frozen_jacobian(
+    fitter: Fitter, model: Model, *, rounds: int, tolerance: float, known: Fit | None = None
+) -> Fit:
     """Fit R_s, the map and every free parameter, from where the model stands.
 
     Parameters
@@ -42,8 +44,8 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     best = fitter.renewed(model, known.frame if known else None, known=known)
     for _ in range(rounds if model.free else 0):
         fitter.under_way(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
-        enough = LEAST_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
-        trial, radius = _stepped(fitter, best, min(radius, widest), enough, widest)
+        least_gain = LEAST_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
+        trial, radius = _frozen_steps(fitter, best, min(radius, widest), least_gain, widest)
         if trial is best:
             break
         renewed = fitter.renewed(trial.model, best.frame, known=trial)
@@ -55,32 +57,32 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
                 break
             continue
         best = renewed
-        if gain < enough:
+        if gain < least_gain:
             break
     return best
 
 
-def glanced(fitter: Fitter, model: Model, known: Fit) -> Fit:
+def trial_step(fitter: Fitter, model: Model, known: Fit) -> Fit:
     """Where the columns of an earlier fit lead a model much like that fit's: nothing is made anew that it has."""
     best = fitter.evaluate(model, known.frame, known=known)
-    return _stepped(fitter, best, MAX_CHORD_STEP, LEAST_GAIN, MAX_CHORD_STEP)[0]
+    return _frozen_steps(fitter, best, MAX_CHORD_STEP, LEAST_GAIN, MAX_CHORD_STEP)[0]
 
 
-def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float, widest: float) -> tuple[Fit, float]:
+def _frozen_steps(fitter: Fitter, best: Fit, radius: float, least_gain: float, widest: float) -> tuple[Fit, float]:
     """As many steps along the columns as keep their promise, the last that gained at all, and the radius then."""
     while radius >= LEAST_CHORD_STEP:
-        move, promised = bounded_step(best, best.projected(), radius)
-        if promised < enough:
+        move, predicted = bounded_step(best, best.projected(), radius)
+        if predicted < least_gain:
             break
         # Amplitudes, too: a loop that is wider than a ripple is no multiple of one that is narrower.
         part = min(radius, 1.0)
-        promised *= part * (2.0 - part)
+        predicted *= part * (2.0 - part)
         trial = fitter.evaluate(moved_by(best.model, part * move), best.frame, known=best, renew=False)
-        kept = (best.objective - trial.objective) / promised
-        if kept > GOOD_CHORD_REDUCTION_RATIO:
+        reduction_ratio = (best.objective - trial.objective) / predicted
+        if reduction_ratio > GOOD_CHORD_REDUCTION_RATIO:
             best, radius = trial, min(2.0 * radius, widest)
             continue
         radius *= CHORD_STEP_FACTOR
-        if kept > 0.0:
+        if reduction_ratio > 0.0:
             return trial, radius
     return best, radius

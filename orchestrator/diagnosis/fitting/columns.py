@@ -37,7 +37,7 @@ class ColumnProbe:
         Whitened.
     answers : dict
         Squared norm of what an inner effect added to a column, by the column's place and the effect's name, where all
-        effects were asked.
+        effects were applied.
     """
 
     columns: Array
@@ -72,7 +72,7 @@ class ColumnPlan:
         return columns
 
 
-def probed_segments(pieces: Sequence[SegmentSignals]) -> tuple[int, ...]:
+def probe_segments(pieces: Sequence[SegmentSignals]) -> tuple[int, ...]:
     """The segments that columns are probed on: a few of each stage, spread evenly; none that is held out."""
     stages: dict[object, list[int]] = {}
     for k, piece in enumerate(pieces):
@@ -82,20 +82,20 @@ def probed_segments(pieces: Sequence[SegmentSignals]) -> tuple[int, ...]:
     return tuple(sorted(k for places in stages.values() for k in places[min(every, len(places)) // 2 :: every]))
 
 
-def answers_so_far(model: Model, known: Fit | None) -> Answers:
-    """What an earlier fit has asked of these effects; nothing where they are others, or have grown since."""
+def known_answers(model: Model, known: Fit | None) -> Answers:
+    """The answers of an earlier fit for these effects; none where they are others, or have grown since."""
     there = {a.name: a.relative_size for a in model.active if not a.is_absent}
-    asked = Answers() if known is None else known.answers
-    if any(size > MAX_GROWTH_BEFORE_PROBE * asked.sizes.get(name, 0.0) for name, size in there.items()):
+    known_before = Answers() if known is None else known.answers
+    if any(size > MAX_GROWTH_BEFORE_PROBE * known_before.sizes.get(name, 0.0) for name, size in there.items()):
         return Answers({}, there)
-    return asked
+    return known_before
 
 
 def column_plan(
     names: Sequence[ColumnName],
     probes: Mapping[int, ColumnProbe],
     known: Fit | None,
-    told: Mapping[ColumnName, frozenset[str]] = MappingProxyType({}),
+    previous: Mapping[ColumnName, frozenset[str]] = MappingProxyType({}),
 ) -> ColumnPlan:
     """What the probes say of columns on all other segments.
 
@@ -107,17 +107,17 @@ def column_plan(
         By the segments' places.
     known : Fit, optional
         An earlier one, whose columns are kept where they are the same on the probed segments.
-    told : dict
-        Of columns that were asked before, the inner effects that answer to them.
+    previous : dict
+        Of columns that were probed before, the inner effects that respond to them.
     """
     power = sum((np.sum(p.columns**2, axis=0) for p in probes.values()), np.zeros(len(names)))
     answers: dict[tuple[int, str], float] = {}
     for probe in probes.values():
         for key, value in probe.answers.items():
             answers[key] = answers.get(key, 0.0) + value
-    heard = {key for key, value in answers.items() if value > LEAST_RESPONSE**2 * power[key[0]]}
+    responding = {key for key, value in answers.items() if value > LEAST_RESPONSE**2 * power[key[0]]}
     answering = tuple(
-        told[column] if column in told else frozenset(name for j, name in heard if j == k)
+        previous[column] if column in previous else frozenset(name for j, name in responding if j == k)
         for k, column in enumerate(names)
     )
     return ColumnPlan({} if known is None else _kept(names, probes, power, known), answering)

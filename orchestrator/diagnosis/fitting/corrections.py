@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from protocols import (
     Correction,
     EffectHook,
@@ -37,7 +37,7 @@ class Corrected:
     changed: frozenset[str] = frozenset()
 
 
-def apply_effects(signals: SignalBatch, active: Sequence[Active]) -> Corrected:
+def apply_effects(signals: SignalBatch, active: Sequence[EffectTerm]) -> Corrected:
     """The signals with all effects accounted for that are there.
 
     Raises
@@ -53,7 +53,7 @@ def apply_effects(signals: SignalBatch, active: Sequence[Active]) -> Corrected:
     return Corrected(signals, frozenset(changed))
 
 
-def apply_effect(signals: SignalBatch, item: Active) -> Corrected:
+def apply_effect(signals: SignalBatch, item: EffectTerm) -> Corrected:
     """The signals with one effect accounted for if it is there; with the bridge off nothing is but what sensors do.
 
     Raises
@@ -66,12 +66,12 @@ def apply_effect(signals: SignalBatch, item: Active) -> Corrected:
     return _corrected(signals, _evaluate(item, signals))
 
 
-def has_random_directions(item: Active) -> bool:
+def has_random_directions(item: EffectTerm) -> bool:
     """Whether an effect that is there says what it cannot know."""
     return not item.is_absent and any(hook_of(item.candidate.effect, hook) is not None for hook in _RANDOM_DIRECTIONS)
 
 
-def random_directions_of(item: Active, signals: SignalBatch) -> list[Corrected]:
+def random_directions_of(item: EffectTerm, signals: SignalBatch) -> list[Corrected]:
     """The signals with one standard deviation of each thing that an effect cannot know of a segment, of all at once.
 
     Raises
@@ -94,7 +94,7 @@ def _corrected(signals: SignalBatch, arrays: Mapping[str, RealArray]) -> Correct
     return Corrected(signals.replaced(changed), frozenset(changed))
 
 
-def _evaluate(item: Active, signals: SignalBatch) -> Mapping[str, RealArray]:
+def _evaluate(item: EffectTerm, signals: SignalBatch) -> Mapping[str, RealArray]:
     """What an effect changes of a batch, in one call where it can, else segment by segment."""
     effect = item.candidate.effect
     correct_batch = hook_of(effect, "correct_batch")
@@ -105,7 +105,7 @@ def _evaluate(item: Active, signals: SignalBatch) -> Mapping[str, RealArray]:
     return _checked(item, "correct", signals, correction)
 
 
-def _evaluate_random_directions(item: Active, signals: SignalBatch) -> list[Mapping[str, RealArray]]:
+def _evaluate_random_directions(item: EffectTerm, signals: SignalBatch) -> list[Mapping[str, RealArray]]:
     name = "random_directions"
     of_batch, of_segment = (hook_of(item.candidate.effect, hook) for hook in _RANDOM_DIRECTIONS)
     if of_batch is not None:
@@ -122,13 +122,13 @@ def _evaluate_random_directions(item: Active, signals: SignalBatch) -> list[Mapp
 _RANDOM_DIRECTIONS: tuple[EffectHook, EffectHook] = ("random_directions_batch", "random_directions")
 
 
-def _sequence(item: Active, found: object) -> Sequence[object]:
+def _sequence(item: EffectTerm, found: object) -> Sequence[object]:
     if not isinstance(found, Sequence):
         raise PluginError("effects", item.name, f"random_directions: returned {type(found).__name__}, no sequence")
     return found
 
 
-def _end_to_end(item: Active, method: str, signals: SignalBatch, parts: Sequence[object]) -> Correction:
+def _end_to_end(item: EffectTerm, method: str, signals: SignalBatch, parts: Sequence[object]) -> Correction:
     """Corrections of a batch's segments as one; what only some of them change stays as it is in the others."""
     corrections = [_require_correction(item, method, part) for part in parts]
 
@@ -151,7 +151,7 @@ def _end_to_end(item: Active, method: str, signals: SignalBatch, parts: Sequence
     return Correction(**arrays)
 
 
-def _call(item: Active, method: str, function: Callable[..., object], signals: Signals | SignalBatch) -> object:
+def _call(item: EffectTerm, method: str, function: Callable[..., object], signals: Signals | SignalBatch) -> object:
     try:
         return function(signals, item.parameters)
     except FluxbenchError:
@@ -160,14 +160,14 @@ def _call(item: Active, method: str, function: Callable[..., object], signals: S
         raise PluginError("effects", item.name, f"{method}: {type(error).__name__}: {error}") from error
 
 
-def _require_correction(item: Active, method: str, correction: object) -> Correction:
+def _require_correction(item: EffectTerm, method: str, correction: object) -> Correction:
     if not isinstance(correction, Correction):
         returned = type(correction).__name__
         raise PluginError("effects", item.name, f"{method}: returned {returned} instead of a Correction")
     return correction
 
 
-def _checked(item: Active, method: str, signals: SignalBatch, correction: object) -> Mapping[str, RealArray]:
+def _checked(item: EffectTerm, method: str, signals: SignalBatch, correction: object) -> Mapping[str, RealArray]:
     """The arrays of what a method of an effect returned, each checked."""
     arrays = _require_correction(item, method, correction).arrays
     for name, array in arrays.items():
@@ -182,6 +182,6 @@ def _require_array(effect: str, name: str, before: RealArray, now: object) -> No
         raise PluginError("effects", effect, f"{name} has shape {shape}, not {before.shape}")
     if now.dtype.kind != "f":
         raise PluginError("effects", effect, f"{name} is of type {now.dtype}, not float64")
-    # What is finite has a finite sum of squares, unless it is beyond all bounds: then each number is asked.
+    # A finite array has a finite sum of squares, unless that overflows: then each number is checked.
     if not math.isfinite(np.vdot(now, now)) and not np.isfinite(now).all():
         raise PluginError("effects", effect, f"{name} is not finite")

@@ -9,13 +9,14 @@ from itertools import repeat
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.cascade import Cascade, Change, array_of, step_of
 from orchestrator.diagnosis.fitting.columns import ColumnProbe
 from orchestrator.diagnosis.fitting.corrections import apply_effects, has_random_directions
 from orchestrator.diagnosis.fitting.model import BatchFrame, ColumnName, Model, SegmentFrame, SegmentRows
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
-from orchestrator.diagnosis.weak_form.carrier_ripple import taken_of_ripple
+from orchestrator.diagnosis.weak_form.carrier_ripple import carrier_ripple_voltage
+from orchestrator.diagnosis.weak_form.dwells import QuantiserScatter, dwells
 from orchestrator.diagnosis.weak_form.equations import (
     LocalMap,
     basis,
@@ -26,7 +27,6 @@ from orchestrator.diagnosis.weak_form.equations import (
 )
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
-from orchestrator.diagnosis.weak_form.rests import TimerScatter, rests
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rotation
 from orchestrator.numerics.kernels import unit_vectors
@@ -78,7 +78,7 @@ class WeakFormEquations:
         Its signals are led through the effects but once for both.
         """
         base = self._with_resistance(model, batch)
-        # A sensor's lag and skin effect are told by the current without noise: by that of before, or else of this flux.
+        # A sensor's lag and skin effect need the current without noise: the earlier one, else the one of this flux.
         if old is not None:
             base = base.replaced(_flux_of(old.base))
         elif model.active:
@@ -92,13 +92,13 @@ class WeakFormEquations:
         state = BatchState(BatchFrame(batch, base, ()), cascade, local)
         noises = self._noises(state, model, old)
         pieces = []
-        for j, (whitener, mean, carriers) in enumerate(noises):
+        for j, (whitener, mean, noise_parameters) in enumerate(noises):
             before = None if old is None else old.pieces[j]
             if before is not None and whitener is before.whitener and raw[j] is before.basis:
                 white = before.white_basis
             else:
                 white = whitener(raw[j] if model.space.is_free else raw[j] @ model.space.directions)
-            pieces.append(SegmentFrame(whitener, raw[j], white, mean, carriers))
+            pieces.append(SegmentFrame(whitener, raw[j], white, mean, noise_parameters))
         return BatchState(BatchFrame(batch, base, tuple(pieces)), cascade, local)
 
     def at(self, model: Model, frame: BatchFrame) -> BatchState:
@@ -122,7 +122,9 @@ class WeakFormEquations:
         )
         if not self.ripples:
             return base
-        taken = [taken_of_ripple(piece, base.segment(j), model.magnetics) for j, piece in enumerate(batch.pieces)]
+        taken = [
+            carrier_ripple_voltage(piece, base.segment(j), model.magnetics) for j, piece in enumerate(batch.pieces)
+        ]
         return base.replaced({"v_ab": base.v_ab + np.concatenate(taken)})
 
     def _noises(
@@ -130,13 +132,13 @@ class WeakFormEquations:
     ) -> list[tuple[Whitener, Array, dict[ColumnName, float]]]:
         """Of each segment how its noise is whitened, and by what: as before, where that bears what has moved since."""
         batch, local, corrected = state.batch, state.local, state.cascade.corrected
-        carriers = self._carriers(batch, model)
+        noise_parameters = self._noise_parameters(batch, model)
         means = np.add.reduceat(local.inductance, batch.layout.starts[:-1]) / np.diff(batch.layout.starts)[:, None]
         found: list[tuple[Whitener, Array, dict[ColumnName, float]] | None] = [None] * len(batch.pieces)
         if old is not None:
-            same = self._same_noise(means, carriers, old)
+            same = self._same_noise(means, noise_parameters, old)
             found = [
-                (kept.whitener, kept.mean_inductance, kept.carried_by) if as_before else None
+                (kept.whitener, kept.mean_inductance, kept.noise_parameters) if as_before else None
                 for kept, as_before in zip(old.pieces, same, strict=True)
             ]
         if all(one is not None for one in found):
@@ -156,9 +158,9 @@ class WeakFormEquations:
             common, scatter = [rows[batch.rows_of(j)] for rows in doubts], self.noise.of_model
             if scatter.scatters:
                 rows = self._common_rows(state, j, slopes)
-                common.append(rows * scatter_sizes(TimerScatter.of(piece), scatter))
+                common.append(rows * scatter_sizes(QuantiserScatter.of(piece), scatter))
             whitener = Whitener.of(covariance, np.column_stack(common) if common else None)
-            made.append((whitener, means[j], carriers))
+            made.append((whitener, means[j], noise_parameters))
         return made
 
     def _common_rows(self, state: BatchState, j: int, slopes: Array | None) -> Array:
@@ -179,18 +181,18 @@ class WeakFormEquations:
             if slopes is not None:
                 change["v_ab"] = np.ascontiguousarray(slopes[at] @ from_two_phases(*phases))
             changes.append(change)
-        for rest in rests(one.pieces[0]):
+        for dwell in dwells(one.pieces[0]):
             for axis in np.eye(2):
                 volt = np.zeros((n, 2))
-                volt[rest] = axis
+                volt[dwell] = axis
                 changes.append({"v_ab": volt})
         return np.stack([change_of_rows(one, corrected, c, own, self.pm_flux_wb) for c in changes], axis=-1)
 
-    def _carriers(self, batch: SegmentBatch, model: Model) -> dict[ColumnName, float]:
+    def _noise_parameters(self, batch: SegmentBatch, model: Model) -> dict[ColumnName, float]:
         """Coordinates of the effects that have a part in the noise: that multiply it, or do not know all they do."""
         on = batch.pieces[0].signals.bridge_on
         there = [a for a in model.active if on and (_multiplies_noise(a) or has_random_directions(a))]
-        return {(a.name, p.name): a.coordinate(p.name) for a in there for p in a.candidate.parameters}
+        return {(a.name, p.name): a.standardised_value(p.name) for a in there for p in a.candidate.parameters}
 
     def _doubted_rows(self, state: BatchState) -> list[Array]:
         """What each doubt of an effect does to the equations, one standard deviation of it: each of shape (rows,)."""
@@ -198,20 +200,21 @@ class WeakFormEquations:
         directions = state.cascade.random_directions()
         return [change_of_rows(state.batch, at, change, state.local, magnet) for change in directions]
 
-    def _same_noise(self, inductances: Array, carriers: dict[ColumnName, float], old: BatchFrame) -> list[bool]:
+    def _same_noise(self, inductances: Array, noise_parameters: dict[ColumnName, float], old: BatchFrame) -> list[bool]:
         """Of each segment, whether its noise's covariance bears what has moved since an earlier frame."""
-        carried = dict[int, bool]()
+        is_same = dict[int, bool]()
         before = np.stack([kept.mean_inductance for kept in old.pieces])
         moved = np.abs(inductances - before).max(axis=1)
         bearable = MAX_INDUCTANCE_CHANGE * inductances[:, [0, 2]].min(axis=1)
-        # Segments whose noise was told at once share what it was carried by.
+        # Segments whose noise was computed at once share its parameters.
         for kept in old.pieces:
-            if id(kept.carried_by) not in carried:
-                carried[id(kept.carried_by)] = carriers.keys() == kept.carried_by.keys() and all(
-                    abs(x - kept.carried_by[k]) <= MAX_INVERTER_CHANGE * max(abs(x), 1.0) for k, x in carriers.items()
+            if id(kept.noise_parameters) not in is_same:
+                is_same[id(kept.noise_parameters)] = noise_parameters.keys() == kept.noise_parameters.keys() and all(
+                    abs(x - kept.noise_parameters[k]) <= MAX_INVERTER_CHANGE * max(abs(x), 1.0)
+                    for k, x in noise_parameters.items()
                 )
         return [
-            bool(steady) and carried[id(kept.carried_by)]
+            bool(steady) and is_same[id(kept.noise_parameters)]
             for kept, steady in zip(old.pieces, moved < bearable, strict=True)
         ]
 
@@ -292,7 +295,7 @@ class WeakFormEquations:
     def rows(
         self,
         at: BatchState,
-        parameters: Sequence[tuple[Active, str]] = (),
+        parameters: Sequence[tuple[EffectTerm, str]] = (),
         answering: Sequence[frozenset[str] | None] | None = None,
     ) -> list[SegmentRows]:
         """Each segment's equations where a model stands, and a column for each of some parameters.
@@ -309,7 +312,7 @@ class WeakFormEquations:
         return self._white(at, columns)
 
     def probed(
-        self, at: BatchState, parameters: Sequence[tuple[Active, str]], answering: Sequence[frozenset[str] | None]
+        self, at: BatchState, parameters: Sequence[tuple[EffectTerm, str]], answering: Sequence[frozenset[str] | None]
     ) -> tuple[list[SegmentRows], list[ColumnProbe]]:
         """The same, and what each inner effect has to do with each column of which that is not known."""
         columns = _Columns.of(at.batch, len(parameters))
@@ -341,11 +344,11 @@ class WeakFormEquations:
         return made
 
     def _column(
-        self, at: BatchState, active: Active, name: str, out: Array, answering: frozenset[str] | None = None
+        self, at: BatchState, active: EffectTerm, name: str, out: Array, answering: frozenset[str] | None = None
     ) -> dict[str, Array]:
         """Derivative of y by one parameter's coordinate into `out` (rows,), and what inner effects had in it."""
         step = step_of(active, name)
-        change, answers = at.cascade.change_by(active.moved(name, active.coordinate(name) + step), answering)
+        change, answers = at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
         self._difference(at, change, step, out)
         corrected = at.cascade.corrected
         return {n: self._difference(at, c, step) for n, c in answers.items() if _beyond_rounding(c, corrected)}
@@ -385,11 +388,11 @@ def _flux_of(signals: SignalBatch) -> dict[str, Array]:
     return {name: getattr(signals, name) for name in FLUX}
 
 
-def _multiplies_noise(active: Active) -> bool:
+def _multiplies_noise(active: EffectTerm) -> bool:
     return active.candidate.effect.layer is EffectLayer.INVERTER and not active.is_absent
 
 
-def scatter_sizes(timer: TimerScatter, noise: ModelNoise) -> Array:
+def scatter_sizes(timer: QuantiserScatter, noise: ModelNoise) -> Array:
     """Standard deviations of what a segment's readings have in common: both phases' zero, and each rest's volts."""
     volts = timer.sizes(noise.voltage_scatter_v, dithered=noise.dithered)
     return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])

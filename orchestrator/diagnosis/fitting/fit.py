@@ -23,9 +23,9 @@ from orchestrator.diagnosis.fitting.batch_evaluation import (
     RecordingBatches,
     evaluate_batch,
 )
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, answers_so_far, column_plan
-from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.budget import Budget
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
+from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, column_plan, known_answers
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import Answers, BatchFrame, Fit, Frame, MapSpace, Model, SegmentRows
@@ -70,7 +70,7 @@ class Fitter:
     prepared : PreparedRecording
     noise : SensorNoise
     pm_flux_wb : float
-    effort : Effort
+    budget : Budget
         Of all fits; a search ends where it is exhausted.
     poll : callable
         Called before each evaluation; what it raises ends the fit.
@@ -88,7 +88,7 @@ class Fitter:
     prepared: PreparedRecording
     noise: SensorNoise
     pm_flux_wb: float
-    effort: Effort = field(default_factory=Effort)
+    budget: Budget = field(default_factory=Budget)
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
     executor: Executor = field(default_factory=SerialExecutor)
@@ -109,12 +109,12 @@ class Fitter:
         evaluations : float
             Of the first model on the whole recording, which take as long as what is left usually does.
         """
-        self.effort.expect(evaluations * self.trace.samples)
+        self.budget.expect(evaluations * self.trace.samples)
         self.under_way(text)
 
     def under_way(self, text: str) -> None:
         """Tell what is under way, and how long it may take where that is known."""
-        self.tell(text + self.effort.left)
+        self.tell(text + self.budget.left)
 
     def with_noise(self, of_model: ModelNoise) -> Fitter:
         """The same where this is noise beside the readings' own; the effort is counted on."""
@@ -156,33 +156,33 @@ class Fitter:
         damping = 0.0
         for _ in range(steps if best.model.free else 0):
             system = best.projected()
-            enough = LEAST_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
-            promised = newton_step(best, system, 0.0)[1]
-            if promised < enough:
+            least_gain = LEAST_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
+            predicted = newton_step(best, system, 0.0)[1]
+            if predicted < least_gain:
                 break
-            begun = damping
+            first_damping = damping
             while True:
-                move, kept = newton_step(best, system, damping)
-                trial = self._led_back(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
+                move, damped_reduction = newton_step(best, system, damping)
+                trial = self.correct_step(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
                 missed = trial.objective >= best.objective + OBJECTIVE_SLACK
-                if not missed or damping > MAX_DAMPING or promised < LEAST_PREDICTED_REDUCTION:
+                if not missed or damping > MAX_DAMPING or predicted < LEAST_PREDICTED_REDUCTION:
                     break
                 damping = 10.0 * damping or FIRST_DAMPING
             gain = best.objective - trial.objective
             if gain > -OBJECTIVE_SLACK:
                 best = trial
-            if gain < enough:
+            if gain < least_gain:
                 break
             # Where a step had to be damped more, the next one most likely has to be too.
-            if damping == begun and gain > GOOD_REDUCTION_RATIO * kept:
+            if damping == first_damping and gain > GOOD_REDUCTION_RATIO * damped_reduction:
                 damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
         return best
 
-    def promise(self, fit: Fit) -> float:
+    def predicted_reduction(self, fit: Fit) -> float:
         """How far one more step would bring the objective down, if all were linear."""
         return newton_step(fit, fit.projected(), 0.0)[1]
 
-    def _led_back(self, trial: Fit, wanted: float) -> Fit:
+    def correct_step(self, trial: Fit, wanted: float) -> Fit:
         """A trial that missed, led back to the valley that a step straight ahead has left.
 
         Amplitude and shape of an effect lie along a curved valley (a heating's size and its time constant), as do the
@@ -193,8 +193,8 @@ class Fitter:
         for which in (sizes, *[None] * MAX_RETURNS):
             if trial.objective < wanted:
                 break
-            move, promised = newton_step(trial, trial.projected(), 0.0, which)
-            if which is None and trial.objective - promised > wanted:
+            move, predicted = newton_step(trial, trial.projected(), 0.0, which)
+            if which is None and trial.objective - predicted > wanted:
                 break
             again = self.evaluate(moved_by(trial.model, move), trial.frame)
             if again.objective >= trial.objective:
@@ -204,7 +204,7 @@ class Fitter:
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
-        old = self._kept_of(model, old)
+        old = self._reusable(model, old)
         results = self._evaluate(
             model, [BatchTask(batch, before, True, None) for batch, before in self._with_frames(old)]
         )
@@ -214,7 +214,7 @@ class Fitter:
         self,
         model: Model,
         old: Frame | None = None,
-        extra: Sequence[tuple[Active, str]] = (),
+        extra: Sequence[tuple[EffectTerm, str]] = (),
         *,
         held: bool = False,
         known: Fit | None = None,
@@ -228,7 +228,7 @@ class Fitter:
         """
         self.poll()
         wanted = [] if held else [*model.free, *extra]
-        old = self._kept_of(model, old)
+        old = self._reusable(model, old)
         frames, rows, answers = self._rows(model, old, True, wanted, known)
         frame = self._framed(model, frames, old)
         fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
@@ -238,7 +238,7 @@ class Fitter:
         self,
         model: Model,
         frame: Frame,
-        extra: Sequence[tuple[Active, str]] = (),
+        extra: Sequence[tuple[EffectTerm, str]] = (),
         *,
         known: Fit | None = None,
         renew: bool = True,
@@ -260,13 +260,13 @@ class Fitter:
             return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
         return replace(fit, answers=answers)
 
-    def _kept_of(self, model: Model, old: Frame | None) -> Frame | None:
+    def _reusable(self, model: Model, old: Frame | None) -> Frame | None:
         """An earlier frame where what it keeps can be the model's: of the same noise, segments, and a map as free."""
-        if old is None or old.noise is not self.noise or not _as_free(old.space, model.space):
+        if old is None or old.noise is not self.noise or not _is_equally_free(old.space, model.space):
             return None
-        return old if self._is_of(old) else None
+        return old if self._has_same_batches(old) else None
 
-    def _is_of(self, frame: Frame) -> bool:
+    def _has_same_batches(self, frame: Frame) -> bool:
         ours = self.batches.all
         return len(ours) == len(frame.batches) and all(b.batch is a for a, b in zip(ours, frame.batches, strict=True))
 
@@ -277,8 +277,8 @@ class Fitter:
     def _framed(self, model: Model, frames: Sequence[BatchFrame], old: Frame | None) -> Frame:
         """All batches' frames as one."""
         frame = Frame(model.space, self.noise, tuple(frames), np.zeros((0, 0)))
-        kept = zip(frame.pieces, old.pieces, strict=True) if old is not None else ()
-        if old is not None and all(a.white_basis is b.white_basis for a, b in kept):
+        damped_reduction = zip(frame.pieces, old.pieces, strict=True) if old is not None else ()
+        if old is not None and all(a.white_basis is b.white_basis for a, b in damped_reduction):
             return replace(frame, gram=old.gram)
         free = model.space.directions.shape[1]
         gram = np.zeros((free, free))
@@ -295,11 +295,11 @@ class Fitter:
     ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
         """Every batch's frame, every segment's equations with columns where it is not held out, and what answers."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
-        self.effort.spend(samples * COLUMNS_PER_EVALUATION)
+        self.budget.spend(samples * COLUMNS_PER_EVALUATION)
         ours = self._with_frames(frame)
         if len(wanted) > FEW_COLUMNS:
             return self._rows_by_plan(model, ours, renew, wanted, known, samples)
-        self.effort.spend(samples * len(wanted))
+        self.budget.spend(samples * len(wanted))
         results = self._evaluate(model, [BatchTask(batch, before, renew, wanted) for batch, before in ours])
         rows = {k: row for result in results for k, row in result.rows_by_place.items()}
         answers = Answers() if known is None else known.answers
@@ -316,14 +316,14 @@ class Fitter:
     ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
         """The same; columns that have not moved on a few segments, which are evaluated first, are the known fit's."""
         names = [(a.name, n) for a, n in wanted]
-        before = answers_so_far(model, known)
+        before = known_answers(model, known)
         answering = [before.of.get(n) for n in names]
         first, later = ours[: len(self.batches.probes)], ours[len(self.batches.probes) :]
         probed = self._evaluate(model, [BatchTask(b, f, renew, wanted, answering, probing=True) for b, f in first])
         probes = {k: p for result in probed for k, p in result.probes_by_place.items()}
         plan = column_plan(names, probes, known, before.of)
         moved, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
-        self.effort.spend(samples * (len(moved) + len(wanted) / PROBE_EVERY))
+        self.budget.spend(samples * (len(moved) + len(wanted) / PROBE_EVERY))
         others = self._evaluate(model, [BatchTask(b, f, renew, moved, inner) for b, f in later])
         rows = {k: row for result in probed for k, row in result.rows_by_place.items()}
         for result in others:
@@ -346,11 +346,11 @@ def _with_columns(row: SegmentRows, plan: ColumnPlan, known: Fit | None, k: int)
     return replace(row, white=np.column_stack([row.white[:, :2], columns]))
 
 
-def _as_free(one: MapSpace, other: MapSpace) -> bool:
+def _is_equally_free(one: MapSpace, other: MapSpace) -> bool:
     """Whether what one map's equations are made of can be the other's: of two that are free, or of one and the same."""
     return one is other or (one.is_free and other.is_free)
 
 
-def absent_columns(candidates: Sequence[Candidate]) -> list[tuple[Active, str]]:
+def absent_columns(candidates: Sequence[CandidateEffect]) -> list[tuple[EffectTerm, str]]:
     """Every amplitude of effects that are not in the model, as `Fitter.evaluate` takes them."""
     return [(c.absent(), n) for c in candidates for n in c.amplitudes]

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, standardised
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole
 
-MOST_POWER = 1.25
+MAX_POWER_EXPONENT = 1.25
 """Of a shape, that an amplitude goes by: one leaves their quotient as it is. Beyond, it does not go along with it."""
 
 
@@ -27,10 +27,10 @@ def newton_step(
     A parameter at its bound that is drawn beyond it stays, and the others move as if it were fixed.
     """
     free = fit.model.free
-    x = np.array([a.coordinate(n) for a, n in free])
+    x = np.array([a.standardised_value(n) for a, n in free])
     normal, gradient = system
     count = len(x)
-    slope = gradient[:count] + _off_priors(fit)
+    slope = gradient[:count] + _prior_residuals(fit)
     curvature = normal[:count, :count] + np.eye(count)
     curvature += damping * np.diag(np.diag(curvature))
     moving = np.flatnonzero(which) if which is not None else np.arange(count)
@@ -52,10 +52,10 @@ def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[
     Amplitudes, in which the residual is nearly linear, follow where the shapes stop (bounded least squares).
     """
     free = fit.model.free
-    x = np.array([a.coordinate(n) for a, n in free])
+    x = np.array([a.standardised_value(n) for a, n in free])
     normal, gradient = system
     count = len(x)
-    slope, curvature = gradient[:count] + _off_priors(fit), normal[:count, :count] + np.eye(count)
+    slope, curvature = gradient[:count] + _prior_residuals(fit), normal[:count, :count] + np.eye(count)
     lows, highs = np.array([reach(a, n) for a, n in free]).T - x
     shapes = np.array([n not in a.candidate.amplitudes for a, n in free])
     lows[shapes], highs[shapes] = np.maximum(lows[shapes], -radius), np.minimum(highs[shapes], radius)
@@ -69,23 +69,23 @@ def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[
     return move, -float(2.0 * slope @ move + move @ curvature @ move)
 
 
-def _off_priors(fit: Fit) -> Array:
-    return np.array([a.off_prior(n) for a, n in fit.model.free])
+def _prior_residuals(fit: Fit) -> Array:
+    return np.array([a.prior_residual(n) for a, n in fit.model.free])
 
 
-def reach(active: Active, name: str) -> tuple[float, float]:
+def reach(active: EffectTerm, name: str) -> tuple[float, float]:
     """The coordinates within which a parameter may be."""
     p = active.candidate.named(name)
     if p.role is ParameterRole.SHAPE:
         return -math.inf, math.inf
-    ends = coordinate_of(p, p.low), coordinate_of(p, p.high)
+    ends = standardised(p, p.low), standardised(p, p.high)
     return min(ends), max(ends)
 
 
-def is_stuck(active: Active, name: str, wanted: float) -> bool:
-    """Whether a parameter stays where it is though it is asked to move; rounding is no movement."""
-    moved = active.moved(name, wanted).coordinate(name) - active.coordinate(name)
-    return abs(moved) <= 1e-6 * abs(wanted - active.coordinate(name))
+def is_stuck(active: EffectTerm, name: str, wanted: float) -> bool:
+    """Whether bounds keep a parameter from moving; rounding is no movement."""
+    moved = active.moved(name, wanted).standardised_value(name) - active.standardised_value(name)
+    return abs(moved) <= 1e-6 * abs(wanted - active.standardised_value(name))
 
 
 def moved_by(model: Model, move: Array) -> Model:
@@ -100,17 +100,17 @@ def moved_by(model: Model, move: Array) -> Model:
         k += len(item.free)
         moved = item
         for name, step in steps.items():
-            moved = moved.moved(name, item.coordinate(name) + step)
+            moved = moved.moved(name, item.standardised_value(name) + step)
         active.append(_by_powers(item, moved, steps))
     return model.with_active(active)
 
 
-def _by_powers(item: Active, moved: Active, steps: Mapping[str, float]) -> Active:
-    """The moved effect with those amplitudes moved by a power of a shape that are asked to go as that does, or less."""
+def _by_powers(item: EffectTerm, moved: EffectTerm, steps: Mapping[str, float]) -> EffectTerm:
+    """The moved effect with those amplitudes moved by a power of a shape whose step is proportional to it, or less."""
     shapes = [n for n in item.candidate.of_role(ParameterRole.SHAPE) if n in steps]
     widest = max((math.log(moved.values[n] / item.values[n]) for n in shapes), key=abs, default=0.0)
     for name in item.candidate.amplitudes:
-        x, step = item.coordinate(name), steps.get(name, 0.0)
-        if x and 0.0 < step / x * widest <= MOST_POWER * widest**2:
+        x, step = item.standardised_value(name), steps.get(name, 0.0)
+        if x and 0.0 < step / x * widest <= MAX_POWER_EXPONENT * widest**2:
             moved = moved.moved(name, x * math.exp(step / x))
     return moved

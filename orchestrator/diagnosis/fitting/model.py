@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import true_frame
@@ -59,9 +59,9 @@ class Model:
     space: MapSpace
     magnetics: Magnetics
     r_s: float
-    active: tuple[Active, ...] = ()
+    active: tuple[EffectTerm, ...] = ()
 
-    def with_active(self, active: Sequence[Active]) -> Model:
+    def with_active(self, active: Sequence[EffectTerm]) -> Model:
         return replace(self, active=tuple(active))
 
     @property
@@ -69,7 +69,7 @@ class Model:
         return tuple(a.name for a in self.active)
 
     @property
-    def free(self) -> list[tuple[Active, str]]:
+    def free(self) -> list[tuple[EffectTerm, str]]:
         """Every free parameter of the active effects, in order."""
         return [(a, n) for a in self.active for n in a.free]
 
@@ -84,7 +84,7 @@ class SegmentFrame:
     """Whitened, on the map's free directions."""
     mean_inductance: Array
     """Of the map that the noise was carried through, shape (3,)."""
-    carried_by: dict[ColumnName, float]
+    noise_parameters: dict[ColumnName, float]
     """Coordinates of those effects that the noise was carried through: the inverter's, and those with doubts."""
 
 
@@ -140,14 +140,14 @@ class SegmentRows:
 
 @dataclass(frozen=True)
 class Answers:
-    """Which inner effects answer to which columns, as asked on a few segments.
+    """Which inner effects respond to which columns, as measured on a few segments.
 
     Attributes
     ----------
     of : dict
         By column.
     sizes : dict
-        Relative size of every effect that was there to be asked.
+        Relative size of every effect that was present then.
     """
 
     of: Mapping[ColumnName, frozenset[str]] = field(default_factory=dict)
@@ -174,7 +174,7 @@ class Fit:
     normal: Array
     """Normal matrix of (R_s, map) with its prior."""
     columns: tuple[Array, ...]
-    """Whitened columns of every piece: the free parameters', then what was asked for beside them.
+    """Whitened columns of every piece: the free parameters', then the requested extra ones.
 
     None of a piece that is held out."""
     parameters: tuple[ColumnName, ...]

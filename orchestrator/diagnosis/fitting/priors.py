@@ -1,7 +1,7 @@
 """What a fleet knows of the next motor, as the fit's own priors: where amplitudes stand, how widely, and how likely.
 
 An amplitude's coordinate is its value over its prior's width; a fleet gives the width and where the middle is. Its
-probability goes to the evidence that is asked for. Nothing is fitted here.
+probability changes the evidence that is required. Nothing is fitted here.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from orchestrator.analysis import KnownResistance
 from orchestrator.diagnosis.criteria import SelectionCriteria
-from orchestrator.diagnosis.fitting.candidates import Candidate, coordinate_of
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, standardised
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics
 from orchestrator.numerics.tensor_spline import EvenSpline
@@ -22,15 +22,15 @@ from orchestrator.numerics.types import Array
 from protocols import EffectParameter, InputError, Manifest, ParameterRole
 from protocols.fleet_priors import EffectPrior, FleetPriors, NormalPrior
 
-EXPECTED = 0.8
+LEAST_PROBABILITY_OF_INCLUSION = 0.8
 """Probability from which on an effect is in the model before any search: four of five motors have it."""
 
 
 def require_same_motor(priors: FleetPriors, manifest: Manifest) -> None:
     """Raise `InputError` where the priors are another motor's."""
     if priors.motor is not None and priors.motor != manifest.motor.name:
-        told = f"they are of {priors.motor!r}, {manifest.name} is of {manifest.motor.name!r}"
-        raise InputError("priors", "motor", told)
+        problem = f"they are of {priors.motor!r}, {manifest.name} is of {manifest.motor.name!r}"
+        raise InputError("priors", "motor", problem)
 
 
 def known_by(priors: FleetPriors | None) -> KnownResistance | None:
@@ -53,8 +53,8 @@ def inductances_at_rest(priors: FleetPriors | None, grid: EvenSpline) -> tuple[A
 
 
 def with_priors(
-    library: Sequence[Candidate], priors: FleetPriors, criteria: SelectionCriteria
-) -> tuple[Candidate, ...]:
+    library: Sequence[CandidateEffect], priors: FleetPriors, criteria: SelectionCriteria
+) -> tuple[CandidateEffect, ...]:
     """The library with each effect's priors where the fleet has them.
 
     Raises
@@ -76,14 +76,14 @@ class Disagreement:
     unlike : float
         Standard deviations beyond what the fleet has: one of 16,000 by chance, of some twenty effects.
     least_learnt : float
-        Largest part of a prior's variance that may be left: what told nothing cannot disagree.
+        Largest part of a prior's variance that may be left: without information there is no disagreement.
     """
 
     unlike: float = 4.0
     least_learnt: float = 0.99
 
 
-def unlike_the_fleet(fit: Fit, limits: Disagreement | None = None) -> frozenset[str]:
+def contradicts_fleet(fit: Fit, limits: Disagreement | None = None) -> frozenset[str]:
     """Effects whose size the fleet would hardly have, as this recording alone has it.
 
     By the predictive distribution (Box 1980, doi:10.2307/2982063): a posterior x of variance s about a prior N(c, 1)
@@ -96,28 +96,28 @@ def unlike_the_fleet(fit: Fit, limits: Disagreement | None = None) -> frozenset[
     return frozenset(
         active.name
         for (active, name), s in zip(fit.model.free, variance, strict=True)
-        if name in active.candidate.centres and abs(active.off_prior(name)) / math.sqrt(1.0 - s) > limits.unlike
+        if name in active.candidate.centres and abs(active.prior_residual(name)) / math.sqrt(1.0 - s) > limits.unlike
     )
 
 
-def _with_prior(candidate: Candidate, prior: EffectPrior, own: float) -> Candidate:
+def _with_prior(candidate: CandidateEffect, prior: EffectPrior, own: float) -> CandidateEffect:
     parameters, centres = list(candidate.parameters), {}
     for name, size in prior.sizes.items():
         place = next((k for k, p in enumerate(parameters) if p.name == name), None)
         if place is None or parameters[place].role is not ParameterRole.AMPLITUDE:
             raise InputError("priors", f"effects.{candidate.name}.sizes.{name}", "no amplitude of that effect")
         if size.unit != parameters[place].unit:
-            told = f"expected {parameters[place].unit}, got {size.unit}"
-            raise InputError("priors", f"effects.{candidate.name}.sizes.{name}.unit", told)
+            problem = f"expected {parameters[place].unit}, got {size.unit}"
+            raise InputError("priors", f"effects.{candidate.name}.sizes.{name}.unit", problem)
         parameters[place] = _narrowed(parameters[place], size)
-        centres[name] = coordinate_of(parameters[place], size.mean)
+        centres[name] = standardised(parameters[place], size.mean)
     odds, usual = (math.log(p / (1.0 - p)) for p in (prior.probability, own))
     return replace(
         candidate,
         parameters=tuple(parameters),
         centres=centres,
-        head_start=odds - usual,
-        is_expected=bool(centres) and prior.probability > EXPECTED,
+        prior_log_odds=odds - usual,
+        included_a_priori=bool(centres) and prior.probability > LEAST_PROBABILITY_OF_INCLUSION,
     )
 
 

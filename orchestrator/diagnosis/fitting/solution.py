@@ -58,10 +58,10 @@ def solved(
         raw = row.known + row.resistance * r_s + segment_frame.basis @ moved
         volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight)
     training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
-    telling = sum(p.windows.telling for p in pieces if not p.held_out)
+    informative = sum(p.windows.informative for p in pieces if not p.held_out)
     chi2 = float(sum(e @ e for e in training))
     log_det = sum(f.whitener.log_det for p, f in zip(pieces, frame.pieces, strict=True) if not p.held_out)
-    priors = sum(a.off_prior(n) ** 2 for a, n in model.free)
+    priors = sum(a.prior_residual(n) ** 2 for a, n in model.free)
     rough = space.prior @ (free_numbers + change)
     return Fit(
         model=fitted,
@@ -70,7 +70,7 @@ def solved(
         chi2=chi2,
         objective=chi2 + log_det + priors + float(rough @ rough) + believed * (r_s - nominal) ** 2,
         log_det=log_det,
-        dof=max(telling - effective - len(model.free), 1.0),
+        dof=max(informative - effective - len(model.free), 1.0),
         residual=tuple(residual),
         volts=tuple(volts),
         normal=total,

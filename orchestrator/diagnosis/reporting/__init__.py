@@ -1,1 +1,1 @@
-"""What is said and drawn of a diagnosis: reports, words, pictures, and the files that keep them."""
+"""Results of a diagnosis: reports, words, pictures, and the files that keep them."""

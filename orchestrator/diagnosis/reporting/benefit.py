@@ -47,13 +47,13 @@ def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
 
 
 def _remark(code: str, text: str, name: str, errors: dict[str, float | str | None]) -> Remark:
-    told = Remark.of(code, text, effect=plain(name), **_in_words(errors))
-    return told.model_copy(update={"values": {"effect": name, **errors}})
+    remark = Remark.of(code, text, effect=plain(name), **_in_words(errors))
+    return remark.model_copy(update={"values": {"effect": name, **errors}})
 
 
 def _errors(before: Fit, after: Fit) -> dict[str, float | str | None]:
     """rms errors of what was held out, or of what was fitted where nothing was [V]."""
-    use = _judged_on(before)
+    use = _evaluated_rows(before)
     return {
         "judged_on": "held_out" if use is held_out else "fitted",
         "before_v": mean_rms_v(before, use),
@@ -78,13 +78,13 @@ def _number(value: float | str | None) -> float | None:
     return value if isinstance(value, float) else None
 
 
-def _judged_on(fit: Fit) -> Callable[[SegmentSignals], bool]:
+def _evaluated_rows(fit: Fit) -> Callable[[SegmentSignals], bool]:
     return held_out if any(map(held_out, fit.prepared.pieces)) else training
 
 
 def _log_likelihood_gain(worse: Fit, better: Fit) -> float:
     """Log likelihood of the rows to judge by, of one model over another's [nat]; noise no less than is known."""
-    use = _judged_on(worse)
+    use = _evaluated_rows(worse)
     rows = sum(e.size for p, e in zip(worse.prepared.pieces, worse.residual, strict=True) if use(p))
     first, last = worse.chi2_of(use) or 0.0, better.chi2_of(use) or 0.0
     return 0.5 * rows * (first - last) / max(1.0, last)
@@ -93,7 +93,7 @@ def _log_likelihood_gain(worse: Fit, better: Fit) -> float:
 def _least_gain(fit: Fit) -> float:
     """Gain from which on an effect helps: fitted rows gain by any freedom, rows that were held out do not [nat]."""
     limits = fit.criteria.selection
-    return limits.tie if _judged_on(fit) is held_out else limits.log_evidence
+    return limits.tie if _evaluated_rows(fit) is held_out else limits.log_evidence
 
 
 def _amplitudes_that_hold_zero(fit: Fit, found: FoundEffect) -> list[str]:

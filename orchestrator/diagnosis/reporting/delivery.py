@@ -9,9 +9,9 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.corrections import has_random_directions
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.findings import said_of_sizes
+from orchestrator.diagnosis.reporting.findings import size_remarks
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
-from orchestrator.diagnosis.selection.shares import left_of_excitation
+from orchestrator.diagnosis.selection.contributions import left_of_excitation
 from orchestrator.diagnosis.selection.verdict import most_strained
 from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
@@ -90,8 +90,8 @@ def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
         for k, piece in enumerate(fit.prepared.pieces)
         if piece.stage is not SegmentStage.GATES_OFF
     ]
-    told = "R_s is that of the whole model, the winding as warm as at the start"
-    remark = Remark.of("of_the_model", told)
+    text = "R_s is that of the whole model, the winding as warm as at the start"
+    remark = Remark.of("of_the_model", text)
     return ResistanceEstimate(
         value_ohm=value,
         low=value - half,
@@ -120,7 +120,7 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
         text = "{effect} has a form as no such effect has, and may stand in for what is unknown"
         against.append(Remark.of("strained_form", text, effect=name))
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
-    against += said_of_sizes(fit)
+    against += size_remarks(fit)
     if band_percent > limits.verdict.widest_band_percent:
         text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))

@@ -97,7 +97,7 @@ def load_diagnosis(directory: Path) -> SavedDiagnosis | None:
     path, drawn = directory / "results" / REPORT_NAME, directory / "results" / STEPS_NAME
     if not path.is_file():
         return None
-    report, words = _guarded(path, lambda: _told(path))
+    report, words = _guarded(path, lambda: _read_report(path))
     steps = _guarded(drawn, lambda: _unpacked(drawn)) if drawn.is_file() else ()
     ladder = [rung.added for rung in report.ladder]
     if steps and [step.added for step in steps] != ladder:
@@ -105,7 +105,7 @@ def load_diagnosis(directory: Path) -> SavedDiagnosis | None:
     return SavedDiagnosis(report, words, steps)
 
 
-def _told(path: Path) -> tuple[DiagnosisReport, DiagnosisWords]:
+def _read_report(path: Path) -> tuple[DiagnosisReport, DiagnosisWords]:
     content = json.loads(read_bytes(path))
     if not isinstance(content, dict):
         raise ValueError("expected an object with report and words")

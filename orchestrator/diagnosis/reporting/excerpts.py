@@ -74,10 +74,10 @@ def _mean_current(piece: SegmentSignals) -> Array:
 
 
 def _amplitude(piece: SegmentSignals) -> float:
-    """Of the injected voltage [V]: as asked for, else rms of its vector about the mean."""
-    asked = piece.segment.settings.get("amplitude_v")
-    if isinstance(asked, int | float) and asked > 0:
-        return float(asked)
+    """Of the injected voltage [V]: the set point, else the rms of its vector about the mean."""
+    requested = piece.segment.settings.get("amplitude_v")
+    if isinstance(requested, int | float) and requested > 0:
+        return float(requested)
     return float(np.linalg.norm(np.std(piece.signals.v_ab, axis=0)))
 
 
@@ -205,8 +205,8 @@ def _swept(piece: SegmentSignals) -> tuple[Axis, float]:
 def _period(piece: SegmentSignals) -> int:
     """Samples in a period of a sweep; all of them where it does not say."""
     period = piece.segment.settings.get("period_s")
-    asked = float(period) if isinstance(period, int | float) and period > 0 else math.inf
-    return _samples(piece, asked)
+    requested = float(period) if isinstance(period, int | float) and period > 0 else math.inf
+    return _samples(piece, requested)
 
 
 def _samples(piece: SegmentSignals, seconds: float) -> int:

@@ -2,38 +2,48 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Iterable, Mapping, Sequence
 
 import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, Active, value_at
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, EffectTerm, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.derived import derived_quantities
+from orchestrator.diagnosis.selection.contributions import Contribution, is_material
 from orchestrator.diagnosis.selection.joint_search import probabilities
-from orchestrator.diagnosis.selection.leftover import leftover_shape
-from orchestrator.diagnosis.selection.shares import Share, is_material
-from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together
-from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, coordinate_spread
-from protocols import FoundEffect, ParameterRole, ParameterValue, PluginError, Remark, ShapeShare, Unexplained, hook_of
+from orchestrator.diagnosis.selection.residual_pattern import residual_pattern
+from orchestrator.diagnosis.selection.verdict import large_effects_together, left_fraction
+from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, standardised_std
+from protocols import (
+    DriveRecord,
+    FoundEffect,
+    ParameterRole,
+    ParameterValue,
+    PluginError,
+    Remark,
+    ShapeShare,
+    Unexplained,
+    hook_of,
+)
 
 
 def found_effects(
     fitter: Fitter,
     fit: Fit,
     evidence: Mapping[str, float | None],
-    rivals: Mapping[str, Sequence[str]],
-    sizes: Mapping[str, Share] | None = None,
+    indistinguishable: Mapping[str, Sequence[str]],
+    sizes: Mapping[str, Contribution] | None = None,
 ) -> tuple[FoundEffect, ...]:
-    """The active effects with 95 % intervals, by share; see `coordinate_spread`.
+    """The active effects with 95 % intervals, by share; see `standardised_std`.
 
-    Of what the recording does not show at all, as slots at a second angle where there is none, nothing is said.
+    Parameters that the recording does not show at all (slots, where there is no second angle) are left out.
     """
     if not fit.model.active:
         return ()
     chances, sizes = probabilities(fit), sizes or {}
-    half = INTERVAL_SIGMAS * coordinate_spread(fitter, fit)
+    half = INTERVAL_SIGMAS * standardised_std(fitter, fit)
     shows = np.diag(fit.projected()[0]) > 0.0
     effects, k = [], 0
     for active in fit.model.active:
@@ -45,20 +55,20 @@ def found_effects(
                 name=active.name,
                 parameters=(parameters := {n: _interval(active, n, float(w)) for n, w in widths.items()}),
                 derived=derived_quantities(active, parameters, fit.prepared.manifest.drive),
-                twins=tuple(rivals.get(active.name, ())),
+                twins=tuple(indistinguishable.get(active.name, ())),
                 relative_size=active.relative_size,
                 log_evidence=evidence.get(active.name, 0.0),
                 probability=chances[active.name],
-                share=sizes[active.name].of_error if active.name in sizes else None,
+                share=sizes[active.name].relative_to_error if active.name in sizes else None,
                 material=is_material(sizes[active.name], fit) if active.name in sizes else None,
             )
         )
     return tuple(sorted(effects, key=lambda effect: -(effect.share or 0.0)))
 
 
-def said_of_sizes(fit: Fit) -> list[Remark]:
+def size_remarks(fit: Fit) -> list[Remark]:
     """That more effects are large at once than is likely: one that is in no library may act like all of them."""
-    large = rare_together(fit)
+    large = large_effects_together(fit)
     text = (
         "{effects}: each is larger than most drives have it; one thing may act like all of them, as a sensor does "
         "that hears another phase's current: measure at a second angle, too"
@@ -66,12 +76,12 @@ def said_of_sizes(fit: Fit) -> list[Remark]:
     return [Remark.of("rare_together", text, effects=", ".join(large))] if large else []
 
 
-def said_by_effects(fit: Fit, causes: Container[str]) -> list[Remark]:
+def effect_remarks(fit: Fit, causes: Container[str]) -> list[Remark]:
     """What the effects that are named say of their parameters beside sizes; raises `PluginError` where one fails."""
-    return [remark for active in fit.model.active if active.name in causes for remark in _said_by(active)]
+    return [remark for active in fit.model.active if active.name in causes for remark in _remarks_of_effect(active)]
 
 
-def _said_by(active: Active) -> list[Remark]:
+def _remarks_of_effect(active: EffectTerm) -> list[Remark]:
     says = hook_of(active.candidate.effect, "remarks")
     try:
         return [] if says is None else [remark.by(active.name) for remark in says(active.parameters)]
@@ -79,7 +89,7 @@ def _said_by(active: Active) -> list[Remark]:
         raise PluginError("effects", active.name, f"remarks: {type(error).__name__}: {error}") from error
 
 
-def beyond_the_rest(effects: Iterable[FoundEffect], rest: float, most: float) -> tuple[FoundEffect, ...]:
+def above_residual(effects: Iterable[FoundEffect], rest: float, most: float) -> tuple[FoundEffect, ...]:
     """Those that take away no less of the error than is left: of less, nobody can say that it is there.
 
     Nor of what takes away more than `most` while something is left: another one puts it there.
@@ -87,9 +97,9 @@ def beyond_the_rest(effects: Iterable[FoundEffect], rest: float, most: float) ->
     return tuple(e for e in effects if (e.share or 0.0) >= rest and (rest <= 0.0 or (e.share or 0.0) <= most))
 
 
-def _interval(active: Active, name: str, half: float) -> ParameterValue:
+def _interval(active: EffectTerm, name: str, half: float) -> ParameterValue:
     p = active.candidate.named(name)
-    x = active.coordinate(name)
+    x = active.standardised_value(name)
     ends = sorted((value_at(p, x - half), value_at(p, x + half)))
     bends = p.role is ParameterRole.REFINEMENT
     return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit, bends_form=bends)
@@ -121,8 +131,48 @@ def map_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, .
 
 def unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplained:
     detected = last.chi2_per_dof > last.criteria.verdict.noise_chi2
-    shape = leftover_shape(setup.fitter, last, setup.current_a) if detected else []
+    shape = residual_pattern(setup.fitter, last, setup.current_a) if detected else []
     return Unexplained(
         fraction=left_fraction(first_chi2, last),
         shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),
     )
+
+
+def derived_quantities(
+    active: EffectTerm, parameters: Mapping[str, ParameterValue], drive: DriveRecord
+) -> dict[str, ParameterValue]:
+    """What the effect makes of its parameters and the drive's data; empty where it has nothing to say.
+
+    Each interval follows from the parameters' own, moved to their ends one at a time and added as squares:
+    correlations between them are left out.
+
+    Raises
+    ------
+    PluginError
+        Where the effect's own code fails.
+    """
+    hook = hook_of(active.candidate.effect, "derived")
+    if hook is None:
+        return {}
+
+    def at(values: Mapping[str, float]) -> Mapping[str, tuple[float, str]]:
+        try:
+            return dict(hook(active.candidate.effect.Parameters(**values), drive))
+        except Exception as error:  # somebody else's code may raise anything
+            raise PluginError("effects", active.name, f"derived: {type(error).__name__}: {error}") from error
+
+    middle = at(active.values)
+    below, above = dict.fromkeys(middle, 0.0), dict.fromkeys(middle, 0.0)
+    for parameter, interval in parameters.items():
+        for end in (interval.low, interval.high):
+            if end is None:
+                continue
+            moved = at({**active.values, parameter: end})
+            for name, (value, _) in middle.items():
+                change = moved.get(name, (value, ""))[0] - value
+                side = below if change < 0.0 else above
+                side[name] = math.hypot(side[name], change)
+    return {
+        name: ParameterValue(value=value, low=value - below[name], high=value + above[name], unit=unit)
+        for name, (value, unit) in middle.items()
+    }

@@ -40,8 +40,8 @@ def noise_rms_v(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True
 
 
 def _means(piece: SegmentSignals, rows: Array) -> Array:
-    carriers = len(piece.windows.carriers)
-    return rows.reshape(-1, carriers, 2)[:, 0].ravel()
+    modes = len(piece.windows.modes)
+    return rows.reshape(-1, modes, 2)[:, 0].ravel()
 
 
 def current_error(fit: Fit) -> float | None:

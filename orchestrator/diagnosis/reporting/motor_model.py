@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, map_space
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
@@ -43,7 +43,7 @@ def kept_model(
         r_s_ohm=fit.model.r_s,
         pm_flux_wb=setup.fitter.pm_flux_wb,
         noise=setup.fitter.noise.of_model,
-        timer=setup.prepared.timer,
+        timer=setup.prepared.quantiser,
         magnetics=CoEnergySpline(
             d_low_a=grid.low,
             d_high_a=grid.high,
@@ -59,7 +59,7 @@ def kept_model(
     )
 
 
-def _kept_effect(active: Active, found: FoundEffect) -> ModelEffect:
+def _kept_effect(active: EffectTerm, found: FoundEffect) -> ModelEffect:
     parameters = {}
     for p in active.candidate.parameters:
         interval = found.parameters.get(p.name)
@@ -94,14 +94,16 @@ def measured_hull(pieces: Sequence[SegmentSignals], samples: int = 200) -> tuple
     return tuple((float(d), float(q)) for d, q in corners)
 
 
-def restored(setup: DiagnosisSetup, kept: MotorModel, baseline: Baseline, library: Mapping[str, Candidate]) -> Model:
+def restored(
+    setup: DiagnosisSetup, kept: MotorModel, baseline: Baseline, library: Mapping[str, CandidateEffect]
+) -> Model:
     """The model of a `model.json`, to be evaluated or fitted further.
 
     Parameters
     ----------
     baseline : Baseline
         Says how free the map is: the model's own, or `GivenMap` where it is to be held.
-    library : mapping of str to Candidate
+    library : mapping of str to CandidateEffect
         The installed effects.
 
     Raises
@@ -114,16 +116,16 @@ def restored(setup: DiagnosisSetup, kept: MotorModel, baseline: Baseline, librar
     return Model(space, magnetics, kept.r_s_ohm, tuple(_active(effect, library) for effect in kept.effects))
 
 
-def _active(effect: ModelEffect, library: Mapping[str, Candidate]) -> Active:
+def _active(effect: ModelEffect, library: Mapping[str, CandidateEffect]) -> EffectTerm:
     candidate = library.get(effect.name)
     if candidate is None:
         raise PluginError("effects", effect.name, "in the model, but not installed; `--effects` names a file with it")
     names = [p.name for p in candidate.parameters]
     if sorted(names) != sorted(effect.parameters):
-        told = f"has {', '.join(names)}, but the model gives {', '.join(effect.parameters) or 'none'}"
-        raise PluginError("effects", effect.name, f"parameters: the installed effect {told}")
+        problem = f"has {', '.join(names)}, but the model gives {', '.join(effect.parameters) or 'none'}"
+        raise PluginError("effects", effect.name, f"parameters: the installed effect {problem}")
     values = {name: effect.parameters[name].value for name in names}
-    return Active(candidate, values, tuple(n for n in names if effect.parameters[n].fitted))
+    return EffectTerm(candidate, values, tuple(n for n in names if effect.parameters[n].fitted))
 
 
 def magnetics_of(spline: CoEnergySpline) -> Magnetics:
@@ -183,7 +185,7 @@ def with_noise_of(setup: DiagnosisSetup, model: object) -> DiagnosisSetup:
     """The setup with what is noise to a whole model, and its modulator's timer; as it is for everything else."""
     if not isinstance(model, MotorModel):
         return setup
-    timed = setup if model.timer is None else setup.with_timer(model.timer)
+    timed = setup if model.timer is None else setup.with_quantiser(model.timer)
     return timed.with_noise(model.noise)
 
 

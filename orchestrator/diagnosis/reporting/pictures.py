@@ -119,14 +119,16 @@ class _Rows:
     def time_s(self) -> Array:
         """Middle of each hat."""
         w, s = self.piece.windows, self.piece.signals
-        return np.asarray(s.start_s + (np.arange(w.hats) + 1.0) * w.step / s.sampling_frequency_hz, dtype=np.float64)
+        return np.asarray(
+            s.start_s + (np.arange(w.test_functions) + 1.0) * w.step / s.sampling_frequency_hz, dtype=np.float64
+        )
 
     @cached_property
     def i_ab(self) -> Array:
         """Mean measured current in each hat, stator frame."""
         w, i = self.piece.windows, self.piece.signals.i_ab
         one_bin = np.zeros(len(i) - 1, dtype=np.int64)
-        sums = sum_intervals(0.5 * (i[1:] + i[:-1]), w.step, w.hats, one_bin, 1)
+        sums = sum_intervals(0.5 * (i[1:] + i[:-1]), w.step, w.test_functions, one_bin, 1)
         return np.asarray(sums[:, 0] / w.step, dtype=np.float64)
 
     @property
@@ -150,7 +152,7 @@ class _Rows:
 
     def _means(self, rows: Array) -> Array:
         w = self.piece.windows
-        return rows.reshape(w.hats, len(w.carriers), 2)[:, 0]
+        return rows.reshape(w.test_functions, len(w.modes), 2)[:, 0]
 
 
 def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
@@ -169,8 +171,8 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
             continue
         _, base = fit.frame.base_of(row.index)
         model = float(fit.corrected(row.index).resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
-        asked = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
-        dwells.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))
+        estimate = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
+        dwells.append((float(row.time_s.mean()), float(base.heat_j.mean()), estimate, model))
     if not dwells:
         return None
     stride = math.ceil(len(dwells) / MAX_DWELLS)

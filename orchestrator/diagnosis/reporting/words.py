@@ -11,8 +11,7 @@ import numpy as np
 from orchestrator.diagnosis._diagnose import Diagnosis
 from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS
-from orchestrator.diagnosis.selection.identifiability import parted_by
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, separating_contrasts
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
@@ -73,9 +72,9 @@ def _looks(diagnosis: Diagnosis) -> str:
     report = diagnosis.report
     if report.effects and report.verdict != "unknown_remains":
         signatures = {c.name: c.effect.signature for c in diagnosis.library}
-        told = [_signature(diagnosis, e, signatures[e.name]) for e in report.effects if e.name in signatures]
-        if told:
-            return " ".join(told)
+        sizes = [_signature(diagnosis, e, signatures[e.name]) for e in report.effects if e.name in signatures]
+        if sizes:
+            return " ".join(sizes)
     if not report.unexplained.shape:
         return "what is left has no shape above the noise"
     parts = [f"{100 * (s.share or 0.0):.0f} % {_LOOKS[s.group]}" for s in report.unexplained.shape[:3]]
@@ -93,7 +92,9 @@ def _needed(diagnosis: Diagnosis, found: FoundEffect) -> list[str]:
     """What it takes to tell an effect from its twins."""
     effects = {c.name: c.effect for c in diagnosis.library}
     twins = [effects[name] for name in found.twins]
-    return list(dict.fromkeys(CONTRASTS[c].text for twin in twins for c in parted_by(effects[found.name], twin)))
+    return list(
+        dict.fromkeys(CONTRASTS[c].text for twin in twins for c in separating_contrasts(effects[found.name], twin))
+    )
 
 
 def _cause(diagnosis: Diagnosis) -> str:
@@ -115,18 +116,18 @@ def _cause(diagnosis: Diagnosis) -> str:
 def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
     """The effect with the parameters that say how large it is."""
     sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
-    told = []
+    parts = []
     for name in sizes:
         found = effect.parameters[name]
         size, interval = value_and_interval(found.value, found.low, found.high, found.unit)
-        told.append(f"{parameter_words(name)} {size}" + (f", 95 %: {interval}" if interval else ""))
-    told += [
+        parts.append(f"{parameter_words(name)} {size}" + (f", 95 %: {interval}" if interval else ""))
+    parts += [
         f"{plain(name)} {quantity(found.value, found.unit)}"
         for name, found in effect.derived.items()
         if not _is_parameter(effect, found)
     ]
     twins = f", cannot be told from {listed(effect.twins)} here" if effect.twins else ""
-    return f"{effect.name} ({'; '.join(told)}){twins}"
+    return f"{effect.name} ({'; '.join(parts)}){twins}"
 
 
 def _is_parameter(effect: FoundEffect, quantity: ParameterValue) -> bool:
@@ -141,22 +142,22 @@ def _gain(diagnosis: Diagnosis) -> str:
     before, after, noise = ladder[0], ladder[-1], diagnosis.report.noise_floor
     fits = [diagnosis.search.steps[0].fit, diagnosis.search.fit]
     if before.heldout_rms_v is None or after.heldout_rms_v is None:
-        told = f"error {quantity(before.rms_v, 'V')} -> {quantity(after.rms_v, 'V')}"
+        sizes = f"error {quantity(before.rms_v, 'V')} -> {quantity(after.rms_v, 'V')}"
         floor = noise.rms_v
     else:
-        told = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
+        sizes = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
         floor = noise.heldout_rms_v
     resistances = " -> ".join(quantity(fit.model.r_s, "ohm", 4) for fit in fits)
     gauges = [f"{a.candidate.effect.gauge.rstrip('.')}." for a in fits[1].model.active if a.candidate.effect.gauge]
-    said = f"{told} (noise {quantity(floor, 'V')}); the model's R_s {resistances}"
-    return " ".join([f"{said}.", *gauges]) if gauges else said
+    text = f"{sizes} (noise {quantity(floor, 'V')}); the model's R_s {resistances}"
+    return " ".join([f"{text}.", *gauges]) if gauges else text
 
 
 def _next(diagnosis: Diagnosis) -> str:
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
-        told = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
-        return f"{told}, tells {proposal.separates[0]} from {proposal.separates[1]}"
+        sizes = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
+        return f"{sizes}, tells {proposal.separates[0]} from {proposal.separates[1]}"
     for found in diagnosis.report.effects:
         if needed := _needed(diagnosis, found):
             return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"

@@ -1,4 +1,4 @@
-"""How each contrast is recognised in a recording. Fits nothing."""
+"""How each contrast is recognised in a recording, and which effects a recording can separate by them. Fits nothing."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
-from protocols import Contrast, SegmentStage
+from protocols import Contrast, Effect, SegmentStage
 
 SAME_CURRENT: float = 0.02
 """Currents nearer to each other than this part of the largest count as one."""
@@ -130,3 +130,13 @@ CONTRASTS: Mapping[Contrast, Recognition] = {
     Contrast.OPERATING_POINTS: Recognition("ripple along both axes", _along_both_axes),
     Contrast.SECOND_ANGLE: Recognition("the rotor locked at a second angle", _two_angles),
 }
+
+
+def separating_contrasts(first: Effect, second: Effect) -> tuple[Contrast, ...]:
+    """What it takes to tell two effects apart: the contrasts that both need. None: what was measured will do."""
+    return tuple(contrast for contrast in first.needs if contrast in second.needs)
+
+
+def separable(prepared: PreparedRecording, first: Effect, second: Effect) -> bool:
+    """Whether the recording holds what it takes to tell two effects apart."""
+    return all(holds(prepared, contrast) for contrast in separating_contrasts(first, second))

@@ -6,11 +6,11 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import Search, refitted_steps
+from orchestrator.diagnosis.selection.forward_search import Search, refit_steps
 from orchestrator.diagnosis.selection.interim import Checkpoint
-from orchestrator.diagnosis.selection.joint_search import briefly_refitted, dispensable
-from orchestrator.diagnosis.selection.joint_workflow import at_rest, ladder_of, without_stand_ins
-from orchestrator.diagnosis.selection.workflow import fitted_to_whole
+from orchestrator.diagnosis.selection.joint_search import redundant_terms, refit_briefly
+from orchestrator.diagnosis.selection.joint_workflow import build_ladder, drop_confounded, with_fixed_effects
+from orchestrator.diagnosis.selection.workflow import fit_to_whole
 
 
 def unfinished_search(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
@@ -21,15 +21,15 @@ def unfinished_search(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
     search : Search
         All of its fits are of the whole recording, with the noise of the checkpoint's setup.
     doubtful : list of str
-        Effects that cannot be told from what remains unknown.
+        Effects that are not separable from the remaining error.
     """
     checkpoint = _with_own_noise(checkpoint)
     if checkpoint.is_joint:
         return _of_joint_fit(checkpoint)
     setup, search = checkpoint.setup, checkpoint.search
     if checkpoint.is_part:
-        steps = fitted_to_whole(setup, checkpoint.first, search.steps[1:])
-        search = Search(steps, search.traces, search.rivals)
+        steps = fit_to_whole(setup, checkpoint.first, search.steps[1:])
+        search = Search(steps, search.detected_not_named, search.indistinguishable)
     return search, []
 
 
@@ -37,22 +37,22 @@ def _with_own_noise(checkpoint: Checkpoint) -> Checkpoint:
     """The same, its first steps fitted with what has come to be taken for noise since."""
     if checkpoint.first[-1].fit.frame.noise is checkpoint.setup.fitter.noise:
         return checkpoint
-    return replace(checkpoint, first=tuple(refitted_steps(checkpoint.setup, checkpoint.first)))
+    return replace(checkpoint, first=tuple(refit_steps(checkpoint.setup, checkpoint.first)))
 
 
 def _of_joint_fit(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
     setup, search = checkpoint.setup, checkpoint.search
     whole = _on_whole(setup, search.fit) if checkpoint.is_part else search.fit
     if not whole.model.active:
-        return Search(list(checkpoint.first), search.traces), []
-    ladder = ladder_of(setup, checkpoint.first, whole, search.rivals, search.traces)
-    return without_stand_ins(setup.fitter, ladder)
+        return Search(list(checkpoint.first), search.detected_not_named), []
+    ladder = build_ladder(setup, checkpoint.first, whole, search.indistinguishable, search.detected_not_named)
+    return drop_confounded(setup.fitter, ladder)
 
 
 def _on_whole(setup: DiagnosisSetup, part: Fit) -> Fit:
     """A part's joint fit on the whole recording, without the effects that linearly can go."""
-    out = dispensable(part)
+    out = redundant_terms(part)
     model = part.model.with_active([active for active in part.model.active if active.name not in out])
     # The map first: there is more of the current plane in the whole.
-    rested = setup.fitter.fit(at_rest(model), renewals=0)
-    return briefly_refitted(setup.fitter, rested.model.with_active(model.active))
+    rested = setup.fitter.fit(with_fixed_effects(model), renewals=0)
+    return refit_briefly(setup.fitter, rested.model.with_active(model.active))

@@ -12,30 +12,36 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.identifiability import parted_by, separable
+from orchestrator.diagnosis.selection.contrasts import separable, separating_contrasts
+from orchestrator.diagnosis.selection.contributions import Contribution
 from orchestrator.diagnosis.selection.joint_search import INDISTINGUISHABLE_SHARE
-from orchestrator.diagnosis.selection.refining import flexible, in_simple_form, polished, repolished, rigid_in
+from orchestrator.diagnosis.selection.refining import (
+    extend_earlier,
+    extend_newest,
+    fit_newest,
+    fixed_refinements,
+    refit_newest,
+)
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     Score,
-    asked,
-    does_as_well,
-    form_gain,
-    gain_with,
+    add_threshold,
+    fits_as_well,
+    linear_gain_of_absent,
     linear_view,
     log_evidence,
+    refinement_gain,
     score,
 )
-from orchestrator.diagnosis.selection.shares import Share
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import ParameterRole
 
-LEAST_SHARE_BEFORE_FORM: float = 0.5
-"""Part of the residual that an absent effect has to explain to be tried before a form: the larger part."""
+LEAST_SHARE_BEFORE_REFINEMENTS: float = 0.5
+"""Part of the residual that an absent effect has to explain to be tried before refinements: the larger part."""
 LEAST_EFFECT_SIZE: float = 0.02
 """Effects smaller than this part of their typical size are not named."""
 LEAST_SHARE_OF_EXCESS: float = 0.2
@@ -57,7 +63,7 @@ class Step:
     log_evidence: float = 0.0
 
 
-def refitted_steps(setup: DiagnosisSetup, steps: Sequence[Step]) -> list[Step]:
+def refit_steps(setup: DiagnosisSetup, steps: Sequence[Step]) -> list[Step]:
     """The same rungs where the noise is another."""
     return [replace(step, fit=setup.fitter.fit(step.fit.model)) for step in steps]
 
@@ -67,16 +73,16 @@ class Search:
     """Where the search ended, and how it came there."""
 
     steps: list[Step]
-    traces: list[str] = field(default_factory=list)
-    rivals: dict[str, list[str]] = field(default_factory=dict)
+    detected_not_named: list[str] = field(default_factory=list)
+    indistinguishable: dict[str, list[str]] = field(default_factory=dict)
     """Effects that do as well as an accepted one in its place."""
     view: LinearView | None = None
     """Of the last fit."""
-    unbent: bool = False
-    """Whether the newest effect waits to be bent until another one is in the model that explains more."""
-    minor: tuple[str, ...] = ()
+    has_deferred_refinements: bool = False
+    """Whether the newest effect's refinements wait until an effect that explains more is in the model."""
+    below_materiality: tuple[str, ...] = ()
     """Effects of the last fit that are in the model, but no causes."""
-    shares: Mapping[str, Share] = field(default_factory=dict)
+    contributions: Mapping[str, Contribution] = field(default_factory=dict)
     """Of the effects of a joint fit."""
 
     @property
@@ -92,63 +98,65 @@ class Search:
 def forward(
     fitter: Fitter,
     steps: Sequence[Step],
-    candidates: Sequence[Candidate],
+    candidates: Sequence[CandidateEffect],
     *,
-    rivals: Mapping[str, Sequence[str]] | None = None,
+    indistinguishable: Mapping[str, Sequence[str]] | None = None,
     most: int | None = None,
 ) -> Search:
     """Add effects to the last of the steps until the data ask for no more.
 
     Parameters
     ----------
-    rivals : mapping, optional
+    indistinguishable : mapping, optional
         Of the effects that the steps have already.
     most : int, optional
         Effects that the model may have, where that is less than the criteria's.
     """
     most = fitter.prepared.criteria.selection.most_effects if most is None else most
-    search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
-    # What did as well in the place of an accepted effect cannot be told to be there beside it.
-    rejected = {n for tied in (rivals or {}).values() for n in tied}
-    while len(search.fit.model.active) < most and not fitter.effort.exhausted:
-        if not _one_more(fitter, search, candidates, rejected) and not _bent_after_all(fitter, search):
+    search = Search(
+        list(steps), indistinguishable={name: list(tied) for name, tied in (indistinguishable or {}).items()}
+    )
+    # An effect that fits as well in the place of an accepted one is not separable beside it.
+    rejected = {n for tied in (indistinguishable or {}).values() for n in tied}
+    while len(search.fit.model.active) < most and not fitter.budget.is_spent:
+        if not _add_best(fitter, search, candidates, rejected) and not _free_deferred(fitter, search):
             break
-    search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
+    search.detected_not_named = [n for n in dict.fromkeys(search.detected_not_named) if n not in search.fit.model.names]
     return search
 
 
-def _viewed(fitter: Fitter, search: Search, candidates: Sequence[Candidate]) -> LinearView:
+def _current_view(fitter: Fitter, search: Search, candidates: Sequence[CandidateEffect]) -> LinearView:
     """What every effect would do to the search's last fit."""
     if search.view is None or search.view.fit.model is not search.fit.model:
         search.view = linear_view(fitter, search.fit, candidates)
     return search.view
 
 
-def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str]) -> bool:
+def _add_best(fitter: Fitter, search: Search, candidates: Sequence[CandidateEffect], rejected: set[str]) -> bool:
     """Add the effect that the data ask for most, or reject the best one; False where they ask for none."""
     fit, limits = search.fit, fitter.prepared.criteria.selection
-    rejected |= _alike(fit, candidates)
-    view = _viewed(fitter, search, candidates)
+    rejected |= _inseparable(fit, candidates)
+    view = _current_view(fitter, search, candidates)
     scores = [s for s in score(view) if s.candidate.name not in rejected]
-    hopeful = _worth_trying(scores, fit)
+    shortlist = _shortlist(scores, fit)
     if scores:
         fitter.trace.record(
             "screen",
-            [s.candidate.name for s in hopeful or scores[:1]],
+            [s.candidate.name for s in shortlist or scores[:1]],
             before=fit,
             measure="chi2",
             score=scores[0].gain,
             threshold=_least_gain(scores[0], fit),
-            taken=None if hopeful else False,
+            taken=None if shortlist else False,
         )
-    if not hopeful:
-        search.traces += _faint(scores, fit)
+    if not shortlist:
+        search.detected_not_named += _sub_threshold_effects(scores, fit)
         return False
-    fitter.tell(f"which is missing? {', '.join(plain(s.candidate.name) for s in hopeful)}")
-    trials = _tried(fitter, fit, hopeful)
+    fitter.tell(f"which is missing? {', '.join(plain(s.candidate.name) for s in shortlist)}")
+    trials = _refit_all(fitter, fit, shortlist)
     inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
     before = log_evidence(fit, inflation)
-    starts = {c.name: c.head_start for c in candidates}
+    starts = {c.name: c.prior_log_odds for c in candidates}
     weighed = ((log_evidence(t, inflation) - before + starts[n], n, t) for n, t in trials)
     ranked = sorted(weighed, key=lambda item: -item[0])
     gain, name, trial = ranked[0]
@@ -162,14 +170,14 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
         note = "too small, or removes too little of the misfit"
         record("add", [name], after=trial, score=gain, taken=False, note=note)
         rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
-        search.traces.append(name)
+        search.detected_not_named.append(name)
         return True
-    search.rivals[name] = [
+    search.indistinguishable[name] = [
         n
         for g, n, t in ranked[1:]
-        if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
+        if gain - g < limits.tie or fits_as_well(t, trial) or _is_indistinguishable(fit, trial, t, name, n)
     ]
-    _taken(fitter, search, Step(name, trial, gain), candidates, inflation)
+    _accept(fitter, search, Step(name, trial, gain), candidates, inflation)
     if search.fit.objective > fit.objective:
         # What it promised where the model stood does not hold where it leads.
         note = "the complete refit leaves more than before"
@@ -177,45 +185,47 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
         search.steps.pop()
         search.view = None
         rejected.add(name)
-        search.traces.append(name)
+        search.detected_not_named.append(name)
         return True
     record("add", [name], after=search.fit, score=gain, taken=True)
     rejected.clear()
-    rejected.update(n for tied in search.rivals.values() for n in tied)
+    rejected.update(n for tied in search.indistinguishable.values() for n in tied)
     return True
 
 
-def _taken(fitter: Fitter, search: Search, step: Step, candidates: Sequence[Candidate], inflation: float) -> None:
-    """Let an effect into the model, and extend forms unless an absent effect explains more of what it leaves."""
-    fit = in_simple_form(fitter, step.fit)
-    search.view = linear_view(fitter, fit, candidates, rigid_in(fit.model.active[-1:]))
-    search.unbent = _stands_before_a_form(search.view)
-    if not search.unbent:
-        fit = repolished(fitter, flexible(fitter, fit, inflation))
+def _accept(
+    fitter: Fitter, search: Search, step: Step, candidates: Sequence[CandidateEffect], inflation: float
+) -> None:
+    """Let an effect into the model, and free refinements unless an absent effect explains more of what it leaves."""
+    fit = fit_newest(fitter, step.fit)
+    search.view = linear_view(fitter, fit, candidates, fixed_refinements(fit.model.active[-1:]))
+    search.has_deferred_refinements = _outweighs_refinements(search.view)
+    if not search.has_deferred_refinements:
+        fit = extend_earlier(fitter, extend_newest(fitter, fit, inflation))
     search.steps.append(replace(step, fit=fit))
     fitter.tell(f"+ {plain(step.added or '')}: chi2 {number(search.fit.chi2_per_dof)}")
 
 
-def _bent_after_all(fitter: Fitter, search: Search) -> bool:
-    """Extend the forms that waited for another effect, which did not come; False where none waited."""
-    if not search.unbent:
+def _free_deferred(fitter: Fitter, search: Search) -> bool:
+    """Free the refinements that waited for another effect, which did not come; False where none waited."""
+    if not search.has_deferred_refinements:
         return False
-    search.unbent = False
-    search.steps[-1] = replace(search.steps[-1], fit=repolished(fitter, flexible(fitter, search.fit, 1.0)))
+    search.has_deferred_refinements = False
+    search.steps[-1] = replace(search.steps[-1], fit=extend_earlier(fitter, extend_newest(fitter, search.fit, 1.0)))
     return True
 
 
-def _stands_before_a_form(view: LinearView) -> bool:
-    """Whether an effect that is absent explains most of what is left, and more than the newest one's flexible form.
+def _outweighs_refinements(view: LinearView) -> bool:
+    """Whether an absent effect explains most of what is left, and more than the newest effect's refinements.
 
-    The form would be bent to what is missing beside it; it is asked again with that in the model.
+    The refinements would adapt to what is missing; they are tried again once it is in the model.
     """
     scores, fit = score(view), view.fit
-    most = LEAST_SHARE_BEFORE_FORM * (fit.chi2 - fit.dof)
-    return bool(scores) and scores[0].gain > max(form_gain(view), most)
+    most = LEAST_SHARE_BEFORE_REFINEMENTS * (fit.chi2 - fit.dof)
+    return bool(scores) and scores[0].gain > max(refinement_gain(view), most)
 
 
-def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:
+def _inseparable(fit: Fit, candidates: Sequence[CandidateEffect]) -> set[str]:
     """Candidates that this recording cannot tell from an effect that the model has."""
     return {
         c.name
@@ -225,15 +235,15 @@ def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:
     }
 
 
-def _stands_in(before: Fit, best: Fit, other: Fit, name: str, rival: str) -> bool:
+def _is_indistinguishable(before: Fit, best: Fit, other: Fit, name: str, other_name: str) -> bool:
     """Whether a rival that the recording cannot part from the best one explains nearly as much."""
     effects = {a.name: a.candidate.effect for t in (best, other) for a in t.model.active}
-    if separable(before.prepared, effects[name], effects[rival]):
+    if separable(before.prepared, effects[name], effects[other_name]):
         return False
     return before.chi2 - other.chi2 > INDISTINGUISHABLE_SHARE * (before.chi2 - best.chi2)
 
 
-def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
+def _shortlist(scores: Sequence[Score], fit: Fit) -> list[Score]:
     """The best few by linear gain, with what may look like the best; none where even the best explains little."""
     if not scores:
         return []
@@ -241,29 +251,29 @@ def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
     inflation = max(1.0, (fit.chi2 - best.gain) / fit.dof)
 
     def least(s: Score) -> float:
-        return 2.0 * asked(fit, s.candidate) * inflation
+        return 2.0 * add_threshold(fit, s.candidate) * inflation
 
     if best.gain < _least_gain(best, fit):
         return []
 
     def alike(s: Score) -> bool:
-        return bool(parted_by(s.candidate.effect, best.candidate.effect))
+        return bool(separating_contrasts(s.candidate.effect, best.candidate.effect))
 
-    hopeful = [s for s in scores if s.gain > LEAST_RELATIVE_LINEAR_GAIN * best.gain or alike(s)]
-    return [s for s in hopeful if s.gain > least(s)][: limits.most_trials]
+    shortlist = [s for s in scores if s.gain > LEAST_RELATIVE_LINEAR_GAIN * best.gain or alike(s)]
+    return [s for s in shortlist if s.gain > least(s)][: limits.most_trials]
 
 
 def _least_gain(best: Score, fit: Fit) -> float:
     """Fall of chi2 that the best effect has to promise; a refit with its shape free brings more, within limits."""
     inflation = max(1.0, (fit.chi2 - best.gain) / fit.dof)
     share = 0.5 * LEAST_SHARE_OF_EXCESS
-    return max(2.0 * asked(fit, best.candidate) * inflation, share * (fit.chi2 - fit.dof))
+    return max(2.0 * add_threshold(fit, best.candidate) * inflation, share * (fit.chi2 - fit.dof))
 
 
-def _faint(scores: Sequence[Score], fit: Fit) -> list[str]:
+def _sub_threshold_effects(scores: Sequence[Score], fit: Fit) -> list[str]:
     """Effects whose linear gain is beyond chance, though they explain little of what is left."""
     inflation = max(1.0, fit.chi2_per_dof)
-    return [s.candidate.name for s in scores[:3] if s.gain > 2.0 * asked(fit, s.candidate) * inflation]
+    return [s.candidate.name for s in scores[:3] if s.gain > 2.0 * add_threshold(fit, s.candidate) * inflation]
 
 
 def _size(fit: Fit, name: str) -> float:
@@ -278,15 +288,15 @@ def _share(before: Fit, after: Fit) -> float:
     return (before.chi2_per_dof - after.chi2_per_dof) / excess if excess > 0.0 else 0.0
 
 
-def with_effect(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
+def with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
     """The model refitted with one named effect, in its flexible form where that pays."""
     scored = score(linear_view(fitter, fit, [candidate]))[0]
-    return polished(fitter, _refit(fitter, fit, scored), 1.0)
+    return refit_newest(fitter, _refit(fitter, fit, scored), 1.0)
 
 
-def _tried(fitter: Fitter, fit: Fit, hopeful: Sequence[Score]) -> list[tuple[str, Fit]]:
+def _refit_all(fitter: Fitter, fit: Fit, shortlist: Sequence[Score]) -> list[tuple[str, Fit]]:
     """Refits with each of some effects; those that stay far behind the best are not fitted to the end."""
-    rough = [(s.candidate.name, _refit(fitter, fit, s)) for s in hopeful]
+    rough = [(s.candidate.name, _refit(fitter, fit, s)) for s in shortlist]
     best = min(t.chi2 for _, t in rough)
     near = MAX_EXCESS_RATIO_TO_BEST * max(best - fit.dof, 0.1 * fit.dof) + fit.dof
     if sum(t.chi2 < near for _, t in rough) < 2:
@@ -300,14 +310,16 @@ def _refit(fitter: Fitter, fit: Fit, scored: Score) -> Fit:
     The shapes of the effects that are there already rest meanwhile: they have been fitted to their end without it.
     """
     active = _best_start(fitter, fit, scored)
-    active = active.freeing(*scored.candidate.of_role(ParameterRole.SHAPE))
-    resting = [replace(a, free=a.candidate.amplitudes) for a in fit.model.active]
-    rough = fitter.fit(fit.model.with_active([*resting, active]), fit.frame, steps=4, renewals=0, tolerance=0.03)
-    awake = [replace(a, free=b.free) for a, b in zip(rough.model.active, [*fit.model.active, active], strict=True)]
-    return fitter.evaluate(rough.model.with_active(awake), fit.frame) if resting else rough
+    active = active.release(*scored.candidate.of_role(ParameterRole.SHAPE))
+    with_others_fixed = [replace(a, free=a.candidate.amplitudes) for a in fit.model.active]
+    rough = fitter.fit(
+        fit.model.with_active([*with_others_fixed, active]), fit.frame, steps=4, renewals=0, tolerance=0.03
+    )
+    released = [replace(a, free=b.free) for a, b in zip(rough.model.active, [*fit.model.active, active], strict=True)]
+    return fitter.evaluate(rough.model.with_active(released), fit.frame) if with_others_fixed else rough
 
 
-def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
+def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> EffectTerm:
     """The absent effect at its linear estimate, for the best of a few shapes: a descent finds the nearest only."""
     candidate = scored.candidate
     best, gain, coordinates = candidate.absent(), scored.gain, scored.coordinates
@@ -318,7 +330,7 @@ def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
         fitted, each = len(fit.model.free), len(candidate.amplitudes)
         for k, variant in enumerate(variants):
             amplitudes = list(range(fitted + k * each, fitted + (k + 1) * each))
-            estimate = gain_with(candidate, normal, right, fitted, amplitudes)
+            estimate = linear_gain_of_absent(candidate, normal, right, fitted, amplitudes)
             if estimate[0] > gain:
                 best, gain, coordinates = variant, *estimate
     for name, x in zip(candidate.amplitudes, coordinates, strict=True):

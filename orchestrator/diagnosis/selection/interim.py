@@ -11,13 +11,13 @@ from dataclasses import dataclass, field, replace
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import Search, Step
-from orchestrator.diagnosis.selection.joint_search import dispensable, log_bayes_factors
+from orchestrator.diagnosis.selection.joint_search import log_bayes_factors, redundant_terms
 from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import Verdict
 
-MOST_NAMES = 5
+MAX_NAMES = 5
 """Effects that a sentence names."""
 
 
@@ -45,7 +45,7 @@ class InterimResult:
     @property
     def sentence(self) -> str:
         """The same in plain English, on one line."""
-        first, more = self.effects[:MOST_NAMES], len(self.effects) - MOST_NAMES
+        first, more = self.effects[:MAX_NAMES], len(self.effects) - MAX_NAMES
         names = ", ".join(plain(name) for name in first) + (f" and {more} more" if more > 0 else "")
         data = "the part of the recording that was searched" if self.is_part else "the recording"
         meaning = {
@@ -92,47 +92,52 @@ class InterimRecorder:
 
     tell: Callable[[InterimResult], None] = lambda _: None
     checkpoint: Checkpoint | None = None
-    _told: tuple[object, ...] = field(default=(), init=False)
+    _last_answer: tuple[object, ...] = field(default=(), init=False)
 
-    def reached(
+    def record(
         self, setup: DiagnosisSetup, first: Sequence[Step], search: Search, *, is_part: bool, is_joint: bool = False
     ) -> None:
         """A step of the search has ended here."""
         # The search goes on with the same lists.
-        kept = replace(search, steps=list(search.steps), traces=list(search.traces), rivals=dict(search.rivals))
-        self.checkpoint = Checkpoint(setup, tuple(first), kept, is_part, is_joint)
+        snapshot = replace(
+            search,
+            steps=list(search.steps),
+            detected_not_named=list(search.detected_not_named),
+            indistinguishable=dict(search.indistinguishable),
+        )
+        self.checkpoint = Checkpoint(setup, tuple(first), snapshot, is_part, is_joint)
         before, fit = search.steps[0].fit, search.fit
         names = _clear_effects(fit) if is_joint else _causes(search)
         result = InterimResult(names, fitted_verdict(before, fit), fit.chi2_per_dof, is_part)
         answer = (set(names), result.verdict, is_part)
-        if answer != self._told:
-            self._told = answer
+        if answer != self._last_answer:
+            self._last_answer = answer
             self.tell(result)
 
-    def reached_together(
+    def record_joint(
         self,
         setup: DiagnosisSetup,
         first: Sequence[Step],
         fits: tuple[Fit, Fit],
         quick: Search,
-        rivals: Mapping[str, Sequence[str]],
+        indistinguishable: Mapping[str, Sequence[str]],
         *,
         is_part: bool,
     ) -> None:
         """The same where effects are fitted together: `fits` without any of them, and with them."""
         before, fit = fits
-        tied = {name: list(others) for name, others in rivals.items()}
-        search = Search([Step(None, before), Step(None, fit)], quick.traces, tied)
-        self.reached(setup, first, search, is_part=is_part, is_joint=True)
+        tied = {name: list(others) for name, others in indistinguishable.items()}
+        search = Search([Step(None, before), Step(None, fit)], quick.detected_not_named, tied)
+        self.record(setup, first, search, is_part=is_part, is_joint=True)
 
 
 def _causes(search: Search) -> tuple[str, ...]:
-    return tuple(name for name in search.fit.model.names if name not in search.minor)
+    return tuple(name for name in search.fit.model.names if name not in search.below_materiality)
 
 
 def _clear_effects(fit: Fit) -> tuple[str, ...]:
     """Effects of a joint fit whose evidence exceeds half of what is left, the clearest first."""
-    factors, spare = log_bayes_factors(fit), set(dispensable(fit))
+    factors, spare = log_bayes_factors(fit), set(redundant_terms(fit))
     rest = 0.5 * max(fit.chi2 - fit.dof, 0.0)
     clear = [name for name in fit.model.names if name not in spare and factors[name] > rest]
     return tuple(sorted(clear, key=lambda name: -factors[name]))

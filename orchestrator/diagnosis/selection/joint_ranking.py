@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import Search
@@ -27,7 +27,7 @@ MAX_CHI2_CHANGE: float = 0.01
 """Relative change of chi2 beyond which effects have to be scored anew."""
 
 
-def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
+def joint_fit(fitter: Fitter, search: Search, library: Sequence[CandidateEffect]) -> tuple[JointEntry, ...]:
     """All effects at once, linearly around the model, under the priors; ranked by relative size."""
     view = search.view if search.view is not None and _still_holds(search.view, search.fit) else None
     view = view or linear_view(fitter, search.fit, library)
@@ -37,9 +37,9 @@ def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> t
     fit, columns = view.fit, [view.columns[k] for k in which]
     normal, right = view.normal[np.ix_(which, which)], view.right[which]
     inflation = max(fit.chi2_per_dof, 1.0)
-    x0 = np.array([a.coordinate(n) for a, n in columns])
+    x0 = np.array([a.standardised_value(n) for a, n in columns])
     precision = normal / inflation + np.eye(len(columns))
-    off = np.array([a.off_prior(n) for a, n in columns])
+    off = np.array([a.prior_residual(n) for a, n in columns])
     x = x0 - np.linalg.solve(precision, right / inflation + off)
     spread = np.sqrt(np.diag(np.linalg.inv(precision)))
     entries: dict[str, JointEntry] = {}

@@ -15,25 +15,25 @@ from itertools import combinations
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate, coordinate_of
-from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian, trial_step
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.diagnosis.selection.identifiability import separable
-from orchestrator.diagnosis.selection.refining import in_order, rigid_in
+from orchestrator.diagnosis.selection.contrasts import separable
+from orchestrator.diagnosis.selection.refining import fixed_refinements, refinement_groups
 from orchestrator.diagnosis.selection.scoring import (
-    asked,
-    asked_to_stay,
-    does_as_well,
-    gain_with,
+    add_threshold,
+    fits_as_well,
+    keep_threshold,
     linear_gain,
+    linear_gain_of_absent,
     linear_view,
     log_density_ratio,
     log_evidence,
     score,
-    worth_bending,
+    select_terms,
 )
-from orchestrator.diagnosis.uncertainty.block_scatter import BLOCKS, block_scatter
+from orchestrator.diagnosis.uncertainty.intervals import BLOCKS, block_scatter
 from orchestrator.numerics.types import Array
 from protocols import Effect, ParameterRole, SearchMove
 
@@ -53,7 +53,7 @@ MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
 benches it was 1.1 where the second form did better, and 90 where it did not."""
 
 
-def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
+def fit_full_model(fitter: Fitter, start: Model, library: Sequence[CandidateEffect]) -> Fit:
     """The amplitudes of everything in the library fitted together, each effect in the better of its forms.
 
     Parameters
@@ -62,14 +62,14 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
         Its map is where the fit begins; its effects, where they are.
     """
     limits = fitter.prepared.criteria.selection
-    fit = briefly_refitted(fitter, with_everything(start, library))
+    fit = refit_briefly(fitter, with_all_effects(start, library))
     fitter.trace.record("full_model", fit.model.names, after=fit, taken=True)
-    for other in (c.absent_in_other_form() for c in library):
+    for other in (c.absent_in_alternative_form() for c in library):
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue
         model = _with_form(fit.model, other)
-        if glanced(fitter, model, fit).chi2_per_dof <= MAX_CHI2_RATIO_OF_SECOND_FORM * fit.chi2_per_dof:
-            trial = briefly_refitted(fitter, model, fit)
+        if trial_step(fitter, model, fit).chi2_per_dof <= MAX_CHI2_RATIO_OF_SECOND_FORM * fit.chi2_per_dof:
+            trial = refit_briefly(fitter, model, fit)
             _record_form(fitter, other.name, fit, trial, taken=trial.objective < fit.objective)
             fit = trial if trial.objective < fit.objective else fit
     return fit
@@ -82,17 +82,17 @@ def _record_form(fitter: Fitter, name: str, fit: Fit, trial: Fit, *, taken: bool
     )
 
 
-def with_everything(model: Model, library: Sequence[Candidate]) -> Model:
+def with_all_effects(model: Model, library: Sequence[CandidateEffect]) -> Model:
     """The model with all the rest of the library, absent."""
     there = {active.name: active for active in model.active}
     return model.with_active([there.get(c.name, c.absent()) for c in library])
 
 
-def in_own_forms(fitter: Fitter, fit: Fit) -> Fit:
+def free_own_shapes(fitter: Fitter, fit: Fit) -> Fit:
     """The fit with the shapes of those effects free that show, and the flexible forms of those that it is worth to."""
     known = fit if fit.frame.noise is fitter.noise else None
-    given, fit = fit, refitted(fitter, with_shapes(fitter, fit), known)
-    fit = refitted(fitter, with_flexible_forms(fitter, fit, share=math.inf), fit)
+    given, fit = fit, refit(fitter, release_shapes(fitter, fit), known)
+    fit = refit(fitter, release_refinements(fitter, fit, share=math.inf), fit)
     _record_shapes(fitter, given, fit)
     return fit
 
@@ -106,7 +106,7 @@ def _record_shapes(fitter: Fitter, fit: Fit, freer: Fit) -> None:
     fitter.trace.record("free_shape", freed, before=fit, after=freer, measure="objective", score=gain, taken=True)
 
 
-def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
+def joint_search(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> tuple[Fit, dict[str, list[str]]]:
     """What all effects together come to, without those that the data do not ask for, and rivals that do as well.
 
     Parameters
@@ -114,52 +114,56 @@ def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tupl
     fit : Fit
         Of all effects in their own forms.
     """
-    fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
-    fit, doubles = without_doubles(fitter, downwards(fitter, with_overlooked(fitter, fit, library)))
-    fit = in_forms_still_asked_for(fitter, fit)
-    return fit, {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
+    fit, indistinguishable = swap_step(fitter, backward_elimination(fitter, fit), library)
+    fit, doubles = merge_indistinguishable(fitter, backward_elimination(fitter, forward_step(fitter, fit, library)))
+    fit = free_remaining_shapes(fitter, fit)
+    return fit, {
+        name: [*indistinguishable.get(name, []), *doubles.get(name, [])] for name in {**indistinguishable, **doubles}
+    }
 
 
-def in_forms_still_asked_for(fitter: Fitter, fit: Fit) -> Fit:
+def free_remaining_shapes(fitter: Fitter, fit: Fit) -> Fit:
     """The fit with those shapes and flexible forms free that it asks for only now, all that hid their worth known."""
-    for form in (with_shapes, partial(with_flexible_forms, share=0.0)):
+    for form in (release_shapes, partial(release_refinements, share=0.0)):
         while fit.chi2_per_dof > fit.criteria.selection.detected_chi2:
             freed = form(fitter, fit)
             if len(freed.free) == len(fit.model.free):
                 break
-            given, fit = fit, refitted(fitter, freed, fit)
+            given, fit = fit, refit(fitter, freed, fit)
             _record_shapes(fitter, given, fit)
     return fit
 
 
-def refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
+def refit(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     """The model with many effects fitted to its end, as far as that is worth its time."""
-    return fit_along_chords(fitter, model, rounds=MAX_JOINT_ROUNDS[1], tolerance=JOINT_TOLERANCE, known=known)
+    return fit_with_frozen_jacobian(fitter, model, rounds=MAX_JOINT_ROUNDS[1], tolerance=JOINT_TOLERANCE, known=known)
 
 
-def briefly_refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
+def refit_briefly(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     """The model fitted in as few rounds as amplitudes need."""
-    return fit_along_chords(fitter, model, rounds=MAX_JOINT_ROUNDS[0], tolerance=JOINT_TOLERANCE, known=known)
+    return fit_with_frozen_jacobian(fitter, model, rounds=MAX_JOINT_ROUNDS[0], tolerance=JOINT_TOLERANCE, known=known)
 
 
-def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Fit:
+def forward_step(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> Fit:
     """The fit with those absent effects that it asks for, to first order, now that the others are as they are.
 
     An effect whose first step was to the wrong side stayed at nothing, and its column is a secant only there. Those
-    that ask for much less than another may ask for what that one takes: they are asked when it is there.
+    that gain much less than another may explain the same: they are tested again once that one is in the model.
     """
     noise = max(fit.chi2_per_dof, 1.0)
-    asking = [s for s in score(linear_view(fitter, fit, library)) if s.gain > 2.0 * asked(fit, s.candidate) * noise]
+    asking = [
+        s for s in score(linear_view(fitter, fit, library)) if s.gain > 2.0 * add_threshold(fit, s.candidate) * noise
+    ]
     if not asking:
         return fit
     most = max(s.gain for s in asking)
     overlooked = []
     for one in (s for s in asking if s.gain > LEAST_GAIN_OF_SECOND_EFFECT * most):
-        active = one.candidate.absent().freeing(*one.candidate.of_role(ParameterRole.SHAPE))
+        active = one.candidate.absent().release(*one.candidate.of_role(ParameterRole.SHAPE))
         for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
             active = active.moved(name, float(x))
         overlooked.append(active)
-    more = refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked]), fit)
+    more = refit(fitter, fit.model.with_active([*fit.model.active, *overlooked]), fit)
     fitter.trace.record(
         "add",
         [active.name for active in overlooked],
@@ -172,32 +176,32 @@ def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> F
     )
     if more.objective >= fit.objective:
         return fit
-    return with_overlooked(fitter, more, library) if len(overlooked) < len(asking) else more
+    return forward_step(fitter, more, library) if len(overlooked) < len(asking) else more
 
 
-def with_shapes(_: Fitter, fit: Fit) -> Model:
+def release_shapes(_: Fitter, fit: Fit) -> Model:
     """The model with the shapes of those effects free that show."""
     shown, least = log_bayes_factors(fit), fit.criteria.selection.log_evidence
     shapes = (ParameterRole.SHAPE,)
     return fit.model.with_active(
-        [a.freeing(*a.candidate.of_role(*shapes)) if shown[a.name] > least else a for a in fit.model.active]
+        [a.release(*a.candidate.of_role(*shapes)) if shown[a.name] > least else a for a in fit.model.active]
     )
 
 
-def with_flexible_forms(fitter: Fitter, fit: Fit, share: float | None = None) -> Model:
+def release_refinements(fitter: Fitter, fit: Fit, share: float | None = None) -> Model:
     """The model with those effects' flexible forms free that promise, to first order, to be worth it.
 
     Of each form, what brings nearly all that it does; details where they bring a `share` of what is left.
     """
-    rigid = rigid_in(fit.model.active)
+    rigid = fixed_refinements(fit.model.active)
     view = fitter.evaluate(fit.model, fit.frame, rigid, known=fit).projected()
     names = [n for _, n in (*fit.model.free, *rigid)]
     fitted, noise = len(fit.model.free), max(fit.chi2_per_dof, 1.0)
     active = []
     for one in fit.model.active:
         own = (fitted + k for k, (a, _) in enumerate(rigid) if a.name == one.name)
-        forms = in_order(fit, one, names, own, noise, share)
-        active.append(one.freeing(*(names[k] for k in worth_bending(view, fitted, forms))))
+        forms = refinement_groups(fit, one, names, own, noise, share)
+        active.append(one.release(*(names[k] for k in select_terms(view, fitted, forms))))
     return fit.model.with_active(active)
 
 
@@ -227,22 +231,22 @@ def _record_evidence(
     )
 
 
-def _with_form(model: Model, form: Active) -> Model:
+def _with_form(model: Model, form: EffectTerm) -> Model:
     """The model with that effect in another form."""
     return model.with_active([form if a.name == form.name else a for a in model.active])
 
 
-def downwards(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit without those effects that the data do not ask for, refitted; asked again until all that stay are.
+def backward_elimination(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit without those effects that the data do not require, refitted until all that stay are required.
 
     What blocks disagree on may be another effect's form: where too much is lost with it, it stays if noise lets it.
     """
-    while out := dispensable(fit):
+    while out := redundant_terms(fit):
         trial = _without(fitter, fit, out)
         lost, most = _evidence_gain(fit, trial), fit.criteria.selection.log_evidence * len(out)
         _record_evidence(fitter, "remove", out, (fit, trial), -lost, -most, taken=lost <= most)
         if lost > most:
-            out = dispensable(fit, doubting_blocks=False)
+            out = redundant_terms(fit, with_block_scatter=False)
             if not out:
                 break
             trial = _without(fitter, fit, out)
@@ -254,17 +258,17 @@ def downwards(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def _without(fitter: Fitter, fit: Fit, out: Sequence[str]) -> Fit:
-    return briefly_refitted(fitter, fit.model.with_active([a for a in fit.model.active if a.name not in out]), fit)
+    return refit_briefly(fitter, fit.model.with_active([a for a in fit.model.active if a.name not in out]), fit)
 
 
-def dispensable(fit: Fit, *, doubting_blocks: bool = True) -> list[str]:
-    """Effects that can go, one after the other, the least asked for first, the others following linearly."""
-    mean, covariance, names = _posterior(fit, doubting_blocks=doubting_blocks)
+def redundant_terms(fit: Fit, *, with_block_scatter: bool = True) -> list[str]:
+    """Effects that can go, one after the other, the least evidence first, the others following linearly."""
+    mean, covariance, names = _posterior(fit, with_block_scatter=with_block_scatter)
     columns, known = _places(names), {active.name: active.candidate for active in fit.model.active}
     out: list[str] = []
     while columns:
         spare = {
-            name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)], known[name]) - asked_to_stay(fit, known[name])
+            name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)], known[name]) - keep_threshold(fit, known[name])
             for name, k in columns.items()
         }
         least = min(spare, key=lambda name: spare[name])
@@ -279,43 +283,43 @@ def dispensable(fit: Fit, *, doubting_blocks: bool = True) -> list[str]:
     return out
 
 
-def exchanged(
-    fitter: Fitter, fit: Fit, library: Sequence[Candidate], names: Sequence[str] | None = None
+def swap_step(
+    fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect], names: Sequence[str] | None = None
 ) -> tuple[Fit, dict[str, list[str]]]:
     """The fit with each effect replaced by an absent one that does better in its place, and those that do as well.
 
     Parameters
     ----------
     names : sequence of str, optional
-        Only these are asked; by default all.
+        Only these are tested; by default all.
     """
-    limits, rivals = fit.criteria.selection, dict[str, list[str]]()
-    alike = [pair for pair in _look_alikes(fitter, fit, library) if names is None or pair[0] in names]
+    limits, indistinguishable = fit.criteria.selection, dict[str, list[str]]()
+    alike = [pair for pair in _swap_candidates(fitter, fit, library) if names is None or pair[0] in names]
     for name, other in alike[: limits.most_trials]:
         if name not in fit.model.names or other.name in fit.model.names:
             continue
         others = [a for a in fit.model.active if a.name != name]
         shapes = other.candidate.of_role(ParameterRole.SHAPE)
-        replaced = fit.model.with_active([*others, other.freeing(*shapes)])
-        trial = glanced(fitter, replaced, fit)
+        replaced = fit.model.with_active([*others, other.release(*shapes)])
+        trial = trial_step(fitter, replaced, fit)
         if _evidence_gain(trial, fit) < -limits.tie - MAX_EVIDENCE_DEFICIT * log_bayes_factors(fit)[name]:
             continue
-        trial = briefly_refitted(fitter, replaced, trial)
-        gain = _evidence_gain(trial, fit) + other.candidate.head_start - _candidate(fit, name).head_start
+        trial = refit_briefly(fitter, replaced, trial)
+        gain = _evidence_gain(trial, fit) + other.candidate.prior_log_odds - _candidate(fit, name).prior_log_odds
         better, lesser = (trial, fit) if gain > 0.0 else (fit, trial)
         parted = separable(fit.prepared, other.candidate.effect, _effect(fit, name))
-        tied = abs(gain) < limits.tie or not parted or does_as_well(lesser, better)
+        tied = abs(gain) < limits.tie or not parted or fits_as_well(lesser, better)
         note = "both do as well" if tied else ""
         _record_evidence(fitter, "swap", [other.name, name], (fit, trial), gain, 0.0, taken=gain > 0.0, note=note)
         if gain > 0.0:
             fit = trial
-            rivals[other.name] = [*rivals.pop(name, []), name] if tied else []
+            indistinguishable[other.name] = [*indistinguishable.pop(name, []), name] if tied else []
         elif tied:
-            rivals.setdefault(name, []).append(other.name)
-    return fit, rivals
+            indistinguishable.setdefault(name, []).append(other.name)
+    return fit, indistinguishable
 
 
-def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]]:
+def merge_indistinguishable(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]]:
     """The fit with one of each two effects that the recording cannot part, where it does as well, and what went."""
     gone: dict[str, list[str]] = {}
     limits = fit.criteria.selection
@@ -323,8 +327,8 @@ def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]
         if not {one, other} <= set(fit.model.names) or separable(fit.prepared, _effect(fit, one), _effect(fit, other)):
             continue
         factors = log_bayes_factors(fit)
-        lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).head_start)
-        if (alone := _better_alone(fitter, fit, lesser, stays)) is not None:
+        lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).prior_log_odds)
+        if (alone := _sufficient_alone(fitter, fit, lesser, stays)) is not None:
             given, (keeps, fit) = fit, alone
             pair, gain = [keeps, stays if keeps == lesser else lesser], _evidence_gain(fit, given)
             _record_evidence(fitter, "merge", pair, (given, fit), gain, -limits.log_evidence, taken=True)
@@ -332,46 +336,46 @@ def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]
     return fit, gone
 
 
-def _better_alone(fitter: Fitter, fit: Fit, lesser: str, stays: str) -> tuple[str, Fit] | None:
+def _sufficient_alone(fitter: Fitter, fit: Fit, lesser: str, stays: str) -> tuple[str, Fit] | None:
     """Which of two effects does as well alone as both, and the fit so; None where neither does.
 
-    Of two sizes of one kind the lesser is asked too where the other does not, or is bent for it: it may be the one that
-    has the form.
+    Of two effects with a common amplitude the lesser is tried too where the other does not suffice, or needs more
+    refinements: it may be the one that has the form.
     """
     able: list[tuple[str, Fit]] = []
-    one_kind = bool(_shared_sizes(fit, lesser, stays))
+    one_kind = bool(_shared_amplitudes(fit, lesser, stays))
     for goes, keeps in ((lesser, stays), (stays, lesser))[: 2 if one_kind else 1]:
-        trial = _with_one_of(fitter, fit, goes, keeps)
-        if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, goes)):
+        trial = _refit_without_one(fitter, fit, goes, keeps)
+        if _evidence_gain(fit, trial) < keep_threshold(fit, _candidate(fit, goes)):
             able.append((keeps, trial))
-            if not _bent_more(fit, keeps, trial):
+            if not _needs_more_refinements(fit, keeps, trial):
                 break
-    return max(able, key=lambda one: _evidence_gain(one[1], fit) + _candidate(fit, one[0]).head_start, default=None)
+    return max(able, key=lambda one: _evidence_gain(one[1], fit) + _candidate(fit, one[0]).prior_log_odds, default=None)
 
 
-def _shared_sizes(fit: Fit, one: str, other: str) -> set[str]:
+def _shared_amplitudes(fit: Fit, one: str, other: str) -> set[str]:
     """Amplitudes of the same name: of a dead time and a drop their volts."""
     return set(_candidate(fit, one).amplitudes) & set(_candidate(fit, other).amplitudes)
 
 
-def _bent_more(fit: Fit, name: str, trial: Fit) -> bool:
+def _needs_more_refinements(fit: Fit, name: str, trial: Fit) -> bool:
     """Whether an effect is bent by more in a trial than in the fit."""
     before, after = (next(a for a in f.model.active if a.name == name) for f in (fit, trial))
-    return len(after.bent_by) > len(before.bent_by)
+    return len(after.free_refinements) > len(before.free_refinements)
 
 
-def _with_one_of(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
+def _refit_without_one(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
     """The fit without one of two effects, refitted from where the other has taken over what was its."""
     went, stayed = (next(a for a in fit.model.active if a.name == name) for name in (goes, keeps))
-    shared = _shared_sizes(fit, goes, keeps)
+    shared = _shared_amplitudes(fit, goes, keeps)
     for name in shared:
         whole = stayed.values[name] + went.values[name]
-        stayed = stayed.moved(name, coordinate_of(stayed.candidate.named(name), whole))
+        stayed = stayed.moved(name, standardised(stayed.candidate.named(name), whole))
     active = [stayed if a.name == keeps else a for a in fit.model.active if a is not went]
-    trial = refitted(fitter, fit.model.with_active(active), fit)
+    trial = refit(fitter, fit.model.with_active(active), fit)
     # What two of one kind make good may be the form of either.
-    trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
-    return in_forms_still_asked_for(fitter, trial) if shared else trial
+    trial = refit(fitter, release_refinements(fitter, trial), trial)
+    return free_remaining_shapes(fitter, trial) if shared else trial
 
 
 def _evidence_gain(trial: Fit, fit: Fit) -> float:
@@ -384,11 +388,11 @@ def _effect(fit: Fit, name: str) -> Effect:
     return _candidate(fit, name).effect
 
 
-def _candidate(fit: Fit, name: str) -> Candidate:
+def _candidate(fit: Fit, name: str) -> CandidateEffect:
     return next(a.candidate for a in fit.model.active if a.name == name)
 
 
-def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list[tuple[str, Active]]:
+def _swap_candidates(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> list[tuple[str, EffectTerm]]:
     """Effects that are there, each with an absent one at its best size that makes good most of their loss, linearly."""
     absent = [c for c in library if c.name not in fit.model.names]
     columns = absent_columns(absent)
@@ -399,7 +403,7 @@ def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list
     for one in fit.model.active:
         stay = [k for k in amplitudes if free[k][0].name != one.name]
         go = [k for k in amplitudes if free[k][0].name == one.name]
-        away = -np.array([one.coordinate(free[k][1]) for k in go])
+        away = -np.array([one.standardised_value(free[k][1]) for k in go])
         pull = right + normal[:, go] @ away
         order = [*stay, *go]
         worth, _ = linear_gain(normal[np.ix_(order, order)], pull[order], len(stay), range(len(stay), len(order)))
@@ -407,7 +411,7 @@ def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list
             place = [len(free) + k for k, (a, _) in enumerate(columns) if a.name == c.name]
             order = [*stay, *place]
             columns_of = range(len(stay), len(order))
-            gain, x = gain_with(c, normal[np.ix_(order, order)], pull[order], len(stay), columns_of)
+            gain, x = linear_gain_of_absent(c, normal[np.ix_(order, order)], pull[order], len(stay), columns_of)
             if gain > INDISTINGUISHABLE_SHARE * worth:
                 other = c.absent()
                 for n, value in zip(c.amplitudes, x, strict=True):
@@ -429,29 +433,29 @@ def probabilities(fit: Fit) -> dict[str, float]:
     """Of each active effect, that it is there."""
     prior = fit.criteria.selection.prior_probability
     odds = math.log(prior / (1.0 - prior))
-    starts = {active.name: active.candidate.head_start for active in fit.model.active}
+    starts = {active.name: active.candidate.prior_log_odds for active in fit.model.active}
     return {
         name: 0.5 * (1.0 + math.tanh(0.5 * (f + odds + starts[name]))) for name, f in log_bayes_factors(fit).items()
     }
 
 
-def _log_bayes_factor(mean: Array, covariance: Array, candidate: Candidate) -> float:
+def _log_bayes_factor(mean: Array, covariance: Array, candidate: CandidateEffect) -> float:
     """Savage and Dickey's density ratio at zero, for amplitudes with priors of unit variance."""
     return log_density_ratio(mean, covariance) - 0.5 * float(candidate.standing @ candidate.standing)
 
 
-def _posterior(fit: Fit, *, doubting_blocks: bool = True) -> tuple[Array, Array, list[str]]:
+def _posterior(fit: Fit, *, with_block_scatter: bool = True) -> tuple[Array, Array, list[str]]:
     """Mean and covariance of the amplitudes, shapes as they are, and whose each is.
 
-    Noise is as large as it turned out to be, and what blocks disagree by comes on top, unless that is not to be asked.
+    Noise is as large as it turned out to be; the scatter between blocks is added where `with_block_scatter`.
     """
     which = [k for k, (a, n) in enumerate(fit.model.free) if n in a.candidate.amplitudes]
     free = [fit.model.free[k] for k in which]
     normal = fit.projected()[0][np.ix_(which, which)] / max(fit.chi2_per_dof, 1.0)
     covariance = np.asarray(np.linalg.inv(normal + np.eye(len(which))), dtype=np.float64)
-    if doubting_blocks:
+    if with_block_scatter:
         covariance += np.diag(block_scatter(fit)[which] ** 2 / BLOCKS)
-    return np.array([a.coordinate(n) for a, n in free]), covariance, [a.name for a, _ in free]
+    return np.array([a.standardised_value(n) for a, n in free]), covariance, [a.name for a, _ in free]
 
 
 def _places(names: Sequence[str]) -> dict[str, list[int]]:

@@ -180,7 +180,7 @@ def _doubts(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
 
 
 def _hidden_by_band(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
-    """Nothing was found, and so little was told that an effect that matters would not have shown."""
+    """Nothing was found, and the map is so uncertain that an effect that matters would not have shown."""
     band = record.map_error
     if band is None or band <= limits.material_flux:
         return []

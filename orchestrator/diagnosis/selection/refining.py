@@ -9,13 +9,13 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.scoring import (
     log_evidence,
     loss_without,
-    worth_bending,
+    select_terms,
 )
 from protocols import ParameterRole
 
@@ -30,52 +30,52 @@ LEAST_CHI2_LOSS_OF_SIMPLE_FORM: float = 1000.0
 """Loss of chi2, to first order, beyond which an effect's simple form does not suffice."""
 
 
-def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
+def refit_newest(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
     """The newest effect fitted to the end, in its flexible form where the evidence asks for it."""
-    return flexible(fitter, in_simple_form(fitter, fit), inflation)
+    return extend_newest(fitter, fit_newest(fitter, fit), inflation)
 
 
-def in_simple_form(fitter: Fitter, fit: Fit) -> Fit:
+def fit_newest(fitter: Fitter, fit: Fit) -> Fit:
     """The newest effect fitted to the end as it is."""
     return fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
 
 
-def flexible(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
-    """The newest effect's flexible form where the evidence asks for it."""
-    bent = _flexible(fitter, fit, len(fit.model.active) - 1, inflation)
-    return fit if bent is None else bent
+def extend_newest(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
+    """The fit with the newest effect's refinements where the evidence asks for them."""
+    extended = _try_refinements(fitter, fit, len(fit.model.active) - 1, inflation)
+    return fit if extended is None else extended
 
 
-def rigid_in(effects: Sequence[Active]) -> list[tuple[Active, str]]:
-    """Refinements of some effects that rest."""
-    return [(a, n) for a in effects for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
-
-
-def repolished(fitter: Fitter, fit: Fit) -> Fit:
-    """The earlier effects' flexible forms, where what hid their worth is now in the model."""
-    for index in range(0 if fitter.effort.exhausted else len(fit.model.active) - 1):
-        trial = _flexible(fitter, fit, index, 1.0)
+def extend_earlier(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit with the earlier effects' refinements, where what hid their worth is now in the model."""
+    for index in range(0 if fitter.budget.is_spent else len(fit.model.active) - 1):
+        trial = _try_refinements(fitter, fit, index, 1.0)
         fit = fit if trial is None else trial
     return fit
 
 
-def settled(fitter: Fitter, fit: Fit) -> Fit:
+def fixed_refinements(effects: Sequence[EffectTerm]) -> list[tuple[EffectTerm, str]]:
+    """Refinements of some effects that rest."""
+    return [(a, n) for a in effects for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
+
+
+def converge(fitter: Fitter, fit: Fit) -> Fit:
     """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
     best = fitter.fit(fit.model, fit.frame, steps=8, renewals=3, tolerance=3e-4)
     for index in range(len(best.model.active)):
-        bent_by = best.model.active[index].bent_by
-        if bent_by and not fitter.effort.exhausted:
-            best = _rigid(fitter, best, index, bent_by) or best
+        free_refinements = best.model.active[index].free_refinements
+        if free_refinements and not fitter.budget.is_spent:
+            best = _simplify(fitter, best, index, free_refinements) or best
     return best
 
 
-def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | None:
+def _simplify(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | None:
     """The fit without some refinements of one effect; None where they are needed."""
     active, limits = fit.model.active[index], fit.criteria.selection
     if loss_without(fit, active, names) > LEAST_CHI2_LOSS_OF_SIMPLE_FORM:
         return None
     models = list(fit.model.active)
-    models[index] = active.resting(*names)
+    models[index] = active.fix(*names)
     trial = fitter.fit(fit.model.with_active(models), fit.frame, steps=8, renewals=0, tolerance=3e-4)
     inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
     simple, free = log_evidence(trial, inflation), log_evidence(fit, inflation)
@@ -92,14 +92,14 @@ def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | 
     return trial if simple > free - limits.tie else None
 
 
-def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
+def _try_refinements(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
     """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
     active = fit.model.active[index]
-    if fitter.effort.exhausted or set(active.candidate.of_role(ParameterRole.REFINEMENT)) <= set(active.free):
+    if fitter.budget.is_spent or set(active.candidate.of_role(ParameterRole.REFINEMENT)) <= set(active.free):
         return None
-    best = _bent(fitter, fit, index, active, fit, inflation) or fit
-    for form in _other_forms(active, best, index):
-        best = _bent(fitter, fit, index, form, best, inflation) or best
+    best = _extend_form(fitter, fit, index, active, fit, inflation) or fit
+    for form in _alternative_starts(active, best, index):
+        best = _extend_form(fitter, fit, index, form, best, inflation) or best
     if best is fit:
         return None
     inflation = max(1.0, min(inflation, best.chi2_per_dof))
@@ -118,7 +118,7 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     return best if free > simple + tie else None
 
 
-def _other_forms(active: Active, best: Fit, index: int) -> list[Active]:
+def _alternative_starts(active: EffectTerm, best: Fit, index: int) -> list[EffectTerm]:
     """Where else an effect's flexible form begins, where the best fit so far leaves more than noise.
 
     At its second form, also with what the first was bent by; and without what ran to the end of its range, which stood
@@ -126,64 +126,71 @@ def _other_forms(active: Active, best: Fit, index: int) -> list[Active]:
     """
     if best.chi2_per_dof <= best.criteria.selection.detected_chi2:
         return []
-    ended, bent = _at_an_end(active), best.model.active[index]
-    return [*active.other_forms(), *bent.other_forms()[1:], *([active.resting(*ended)] if ended else [])]
+    ended, extended = _at_bounds(active), best.model.active[index]
+    return [*active.alternative_forms(), *extended.alternative_forms()[1:], *([active.fix(*ended)] if ended else [])]
 
 
-def _at_an_end(active: Active) -> list[str]:
+def _at_bounds(active: EffectTerm) -> list[str]:
     """Refinements that stand at an end of their range, away from the simple form."""
-    declared = ((n, active.candidate.named(n)) for n in active.bent_by)
+    declared = ((n, active.candidate.named(n)) for n in active.free_refinements)
     return [n for n, p in declared if active.values[n] in (p.low, p.high) and active.values[n] != p.neutral]
 
 
-def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, best: Fit, inflation: float) -> Fit | None:
+def _extend_form(fitter: Fitter, fit: Fit, index: int, form: EffectTerm, best: Fit, inflation: float) -> Fit | None:
     """The fit with one effect in a flexible form; None where it does no better than the best so far, or promises so.
 
     What brings most of what the form does is freed and fitted, then what the rest still brings beside it.
     """
     trial, reached = None, best.objective
     for _ in range(MAX_FORM_EXTENSIONS):
-        whole = fitter.evaluate(_with(fit if trial is None else trial, index, _freed(form)), fit.frame)
-        if reached - whole.objective + fitter.promise(whole) < fit.criteria.selection.tie * inflation:
+        whole = fitter.evaluate(
+            _with_term(fit if trial is None else trial, index, _release_refinements(form)), fit.frame
+        )
+        if reached - whole.objective + fitter.predicted_reduction(whole) < fit.criteria.selection.tie * inflation:
             break
-        more = _worth_bending(whole, form, inflation)
+        more = _select_refinements(whole, form, inflation)
         if trial is not None and not more:
             break
-        form = form.freeing(*more)
+        form = form.release(*more)
         # Whether it pays shows early; the last fit of all is taken to its end.
-        trial = fitter.fit(_with(whole, index, form), fit.frame, steps=5, renewals=0, tolerance=3e-3)
+        trial = fitter.fit(_with_term(whole, index, form), fit.frame, steps=5, renewals=0, tolerance=3e-3)
         form, reached = trial.model.active[index], trial.objective
         inflation = max(1.0, min(inflation, trial.chi2_per_dof))
     return trial if trial is not None and trial.objective < best.objective else None
 
 
-def _freed(form: Active) -> Active:
+def _release_refinements(form: EffectTerm) -> EffectTerm:
     """An effect with its refinements free, but for those that lead to its second form, where it is at its first."""
     declared = ((n, form.candidate.named(n)) for n in form.candidate.of_role(ParameterRole.REFINEMENT))
-    return form.freeing(*(n for n, p in declared if p.other_form is None or form.values[n] != p.neutral))
+    return form.release(*(n for n, p in declared if p.other_form is None or form.values[n] != p.neutral))
 
 
-def _with(fit: Fit, index: int, form: Active) -> Model:
+def _with_term(fit: Fit, index: int, form: EffectTerm) -> Model:
     """The model of a fit with one effect in another form."""
     active = list(fit.model.active)
     active[index] = form
     return fit.model.with_active(active)
 
 
-def _worth_bending(whole: Fit, form: Active, inflation: float) -> list[str]:
+def _select_refinements(whole: Fit, form: EffectTerm, inflation: float) -> list[str]:
     """Refinements that bring most of what those do which are not free yet."""
     free = whole.model.free
-    asked = [k for k, (a, n) in enumerate(free) if a.name == form.name and n not in form.free]
-    order = [*(k for k in range(len(free)) if k not in asked), *asked]
+    requested = [k for k, (a, n) in enumerate(free) if a.name == form.name and n not in form.free]
+    order = [*(k for k in range(len(free)) if k not in requested), *requested]
     normal, right = whole.projected()
-    fitted = len(free) - len(asked)
-    forms = in_order(whole, form, [free[k][1] for k in order], range(fitted, len(free)), inflation)
-    some = worth_bending((normal[np.ix_(order, order)], right[order]), fitted, forms, MAX_DEFERRED_FORM_GAIN)
+    fitted = len(free) - len(requested)
+    forms = refinement_groups(whole, form, [free[k][1] for k in order], range(fitted, len(free)), inflation)
+    some = select_terms((normal[np.ix_(order, order)], right[order]), fitted, forms, MAX_DEFERRED_FORM_GAIN)
     return [free[order[k]][1] for k in some]
 
 
-def in_order(
-    fit: Fit, active: Active, names: Sequence[str], which: Iterable[int], inflation: float, share: float | None = None
+def refinement_groups(
+    fit: Fit,
+    active: EffectTerm,
+    names: Sequence[str],
+    which: Iterable[int],
+    inflation: float,
+    share: float | None = None,
 ) -> list[tuple[list[int], float]]:
     """Columns of some refinements of an effect by their names, each group with what it has to bring of chi2.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.types import Array
@@ -18,7 +18,7 @@ from orchestrator.numerics.types import Array
 class Score:
     """What an effect would bring, by a linear estimate."""
 
-    candidate: Candidate
+    candidate: CandidateEffect
     gain: float
     """Fall of chi2."""
     coordinates: Array
@@ -30,17 +30,17 @@ class LinearView:
 
     Attributes
     ----------
-    absent : tuple of Candidate
+    absent : tuple of CandidateEffect
         Effects that are not in the model.
-    columns : tuple of (Active, str)
+    columns : tuple of (EffectTerm, str)
         The model's free parameters, then the amplitudes of the absent effects.
     normal, right : array
         Normal matrix and gradient of the columns, R_s and the map following.
     """
 
     fit: Fit
-    absent: tuple[Candidate, ...]
-    columns: tuple[tuple[Active, str], ...]
+    absent: tuple[CandidateEffect, ...]
+    columns: tuple[tuple[EffectTerm, str], ...]
     normal: Array
     right: Array
 
@@ -48,7 +48,7 @@ class LinearView:
 def log_evidence(fit: Fit, inflation: float) -> float:
     """Laplace's approximation to the log evidence of a fit, up to a constant of the recording."""
     count = len(fit.model.free)
-    priors = sum(a.off_prior(n) ** 2 for a, n in fit.model.free)
+    priors = sum(a.prior_residual(n) ** 2 for a, n in fit.model.free)
     value = -0.5 * (fit.chi2 / inflation + fit.log_det + priors)
     if count:
         normal = fit.projected()[0][:count, :count]
@@ -56,20 +56,20 @@ def log_evidence(fit: Fit, inflation: float) -> float:
     return value
 
 
-def asked(fit: Fit, candidate: Candidate) -> float:
+def add_threshold(fit: Fit, candidate: CandidateEffect) -> float:
     """Log evidence that an effect has to bring to be named."""
-    return fit.criteria.selection.log_evidence - candidate.head_start
+    return fit.criteria.selection.log_evidence - candidate.prior_log_odds
 
 
-def asked_to_stay(fit: Fit, candidate: Candidate) -> float:
+def keep_threshold(fit: Fit, candidate: CandidateEffect) -> float:
     """Log evidence below which an effect that is in the model goes: what is expected, where absence is likelier."""
     usual = fit.criteria.selection.prior_probability
-    if candidate.is_expected:
-        return -(candidate.head_start + math.log(usual / (1.0 - usual)))
-    return asked(fit, candidate)
+    if candidate.included_a_priori:
+        return -(candidate.prior_log_odds + math.log(usual / (1.0 - usual)))
+    return add_threshold(fit, candidate)
 
 
-def does_as_well(rival: Fit, named: Fit) -> bool:
+def fits_as_well(rival: Fit, named: Fit) -> bool:
     """Whether data and priors together lose nothing by a rival, whatever number of parameters that takes.
 
     What is named, evidence decides; but that a rival has more freedom is nothing that was measured.
@@ -79,7 +79,7 @@ def does_as_well(rival: Fit, named: Fit) -> bool:
 
 
 def linear_view(
-    fitter: Fitter, fit: Fit, candidates: Sequence[Candidate], bends: Sequence[tuple[Active, str]] = ()
+    fitter: Fitter, fit: Fit, candidates: Sequence[CandidateEffect], bends: Sequence[tuple[EffectTerm, str]] = ()
 ) -> LinearView:
     """All effects that are not in the model beside those that are, to first order; and what bends one that is."""
     absent = tuple(c for c in candidates if c.name not in fit.model.names)
@@ -94,11 +94,11 @@ def score(view: LinearView) -> list[Score]:
     scores = []
     for candidate in view.absent:
         columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name == candidate.name]
-        scores.append(Score(candidate, *gain_with(candidate, view.normal, view.right, fitted, columns)))
+        scores.append(Score(candidate, *linear_gain_of_absent(candidate, view.normal, view.right, fitted, columns)))
     return sorted(scores, key=lambda s: -s.gain)
 
 
-def form_gain(view: LinearView) -> float:
+def refinement_gain(view: LinearView) -> float:
     """Fall of chi2 by what bends an effect of the model, of those columns that a view has of it."""
     fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
     bends = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name not in absent]
@@ -116,7 +116,7 @@ def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]
     return float(-pull @ x), x
 
 
-def worth_freeing(normal: Array, right: Array, fitted: int, columns: Sequence[int], spare: float) -> list[int]:
+def select_columns(normal: Array, right: Array, fitted: int, columns: Sequence[int], spare: float) -> list[int]:
     """Those of some columns that bring all of their linear gain but as much of chi2 as may be spared.
 
     The least of them go, one after the other; what is fitted already, the first columns, follows.
@@ -133,22 +133,22 @@ def worth_freeing(normal: Array, right: Array, fitted: int, columns: Sequence[in
     return kept
 
 
-def worth_bending(
+def select_terms(
     view: tuple[Array, Array], fitted: int, forms: Sequence[tuple[Sequence[int], float]], later: float = 0.0
 ) -> list[int]:
-    """`worth_freeing` of the first of some groups of columns that brings as much of chi2 as it has to.
+    """`select_columns` of the first of some groups of columns that brings as much of chi2 as it has to.
 
     `later` is the part of what a group brings that may be spared as well.
     """
     for columns, least in forms:
         gain = linear_gain(*view, fitted, columns)[0] if columns else 0.0
         if gain > least:
-            return worth_freeing(*view, fitted, columns, max(forms[0][1], later * gain))
+            return select_columns(*view, fitted, columns, max(forms[0][1], later * gain))
     return []
 
 
-def gain_with(
-    candidate: Candidate, normal: Array, right: Array, fitted: int, columns: Sequence[int]
+def linear_gain_of_absent(
+    candidate: CandidateEffect, normal: Array, right: Array, fitted: int, columns: Sequence[int]
 ) -> tuple[float, Array]:
     """`linear_gain` of an absent effect's amplitudes; their priors may stand elsewhere than at zero."""
     pull = right.copy()
@@ -157,7 +157,7 @@ def gain_with(
     return gain - float(candidate.standing @ candidate.standing), x
 
 
-def loss_without(fit: Fit, active: Active, names: Sequence[str]) -> float:
+def loss_without(fit: Fit, active: EffectTerm, names: Sequence[str]) -> float:
     """How much chi2 would rise, to first order, if some parameters were put back to neutral and all others followed.
 
     Wald's test, in units of the noise that is left.
@@ -171,9 +171,9 @@ def log_density_ratio(mean: Array, covariance: Array) -> float:
     return 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
 
 
-def _away(fit: Fit, active: Active, names: Sequence[str]) -> tuple[Array, Array]:
+def _away(fit: Fit, active: EffectTerm, names: Sequence[str]) -> tuple[Array, Array]:
     """How far some parameters are from neutral, and their covariance."""
     free = fit.model.free
     which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
-    away = np.array([active.coordinate(free[k][1]) for k in which])
+    away = np.array([active.standardised_value(free[k][1]) for k in which])
     return away, fit.covariance(max(fit.chi2_per_dof, 1.0))[np.ix_(which, which)]

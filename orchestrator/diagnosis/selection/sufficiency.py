@@ -1,4 +1,4 @@
-"""Whether there is enough in a recording to name a cause, and what cannot be told from what is there. Fits nothing."""
+"""Whether a recording has enough information to name a cause, and which effects it cannot separate. Fits nothing."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     if reach < max(LEAST_CURRENT * rated, LEAST_CURRENT_SIGMAS * spread):
         problem = f"no excitation: currents stay below {reach:.3g} A"
         raise NotMeasuredError(prepared.manifest.name, "i_alpha, i_beta", problem)
-    if (views := _views(prepared)) < LEAST_OPERATING_POINTS:
+    if (views := _operating_points(prepared)) < LEAST_OPERATING_POINTS:
         used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
         sweeps = LEAST_OPERATING_POINTS // 2
         expected = f"{LEAST_OPERATING_POINTS} holds or injections at different currents, or {sweeps} sweeps"
@@ -83,19 +83,19 @@ def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[C
         try:
             return work(recording, *more, **named)
         except (np.linalg.LinAlgError, ZeroDivisionError) as error:
-            asked = "are nameplate, units and sampling frequency right, and an effect of your own?"
-            problem = f"its equations have no solution ({error}): {asked}"
+            hint = "are nameplate, units and sampling frequency right, and an effect of your own?"
+            problem = f"its equations have no solution ({error}): {hint}"
             raise NotMeasuredError(recording.manifest.name, "", problem) from error
 
     return guarded
 
 
-def _views(prepared: PreparedRecording) -> int:
+def _operating_points(prepared: PreparedRecording) -> int:
     """How many places of the current plane were looked at for long enough."""
     low, high, q = prepared.current_range
     apart = SAME_CURRENT * max(-low, high, q)
-    telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart)]
-    return sum(OPERATING_POINTS_PER_SWEEP * _sweeps(p, apart) or 1 for p in _different(telling, apart))
+    covered = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _is_informative(p, apart)]
+    return sum(OPERATING_POINTS_PER_SWEEP * _sweeps(p, apart) or 1 for p in _distinct_segments(covered, apart))
 
 
 def _sweeps(piece: SegmentSignals, apart_a: float) -> int:
@@ -111,7 +111,7 @@ def _seconds(piece: SegmentSignals) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 
-def _tells(piece: SegmentSignals, apart_a: float) -> bool:
+def _is_informative(piece: SegmentSignals, apart_a: float) -> bool:
     """Whether a segment is long enough, and a hold has settled too."""
     if piece.stage is not SegmentStage.RESISTANCE:
         return piece.windows.rows >= LEAST_EQUATIONS
@@ -121,7 +121,7 @@ def _tells(piece: SegmentSignals, apart_a: float) -> bool:
     return _seconds(piece) >= LEAST_HOLD_S and float(np.abs(moved).max()) < apart_a
 
 
-def _different(pieces: Sequence[SegmentSignals], apart_a: float) -> list[SegmentSignals]:
+def _distinct_segments(pieces: Sequence[SegmentSignals], apart_a: float) -> list[SegmentSignals]:
     """Those whose currents are not those of one before: another mean, or another swing."""
     different: list[SegmentSignals] = []
     marks: list[Array] = []
@@ -134,42 +134,42 @@ def _different(pieces: Sequence[SegmentSignals], apart_a: float) -> list[Segment
     return different
 
 
-def what_is_missing(prepared: PreparedRecording) -> list[Remark]:
-    """What cannot be told from this recording, whatever is found in it."""
+def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
+    """Remarks on effects that this recording cannot separate, whatever is found in it."""
     missing: list[Remark] = []
 
-    def say(code: str, text: str, **values: float) -> None:
+    def add(code: str, text: str, **values: float) -> None:
         missing.append(Remark.of(code, text, **values))
 
     stages = {p.stage for p in prepared.pieces}
-    if (views := _views(prepared)) < prepared.criteria.selection.few_views:
-        say(
+    if (views := _operating_points(prepared)) < prepared.criteria.selection.few_views:
+        add(
             "few_places",
             "{places} places of the current plane only: what no effect explains may pass for several that do",
             places=views,
         )
     if not stages & {*_SWEEPS, SegmentStage.INJECTION}:
-        say("nothing_moves", "no sweep and no injection: flux and inductance cannot be seen, only the resistance")
+        add("nothing_moves", "no sweep and no injection: flux and inductance cannot be seen, only the resistance")
     elif not stages & {*_SWEEPS}:
-        say("no_sweep", "no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
+        add("no_sweep", "no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
     if SegmentStage.RESISTANCE not in stages:
-        say(
+        add(
             "no_holds",
             "no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure",
         )
     if SegmentStage.GATES_OFF not in stages:
-        say("no_gates_off", "no gates-off reading: a current offset and a voltage bias cannot be told apart")
+        add("no_gates_off", "no gates-off reading: a current offset and a voltage bias cannot be told apart")
     if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
-        say("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be told apart")
+        add("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be told apart")
     amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
     if not amplitudes and SegmentStage.STEPS in stages:
         pass  # the edges of steps show what a ripple would
     elif not amplitudes:
-        say("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
+        add("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
     elif max(amplitudes) < LEAST_AMPLITUDE_RATIO * min(amplitudes):
-        say("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
+        add("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
-        say("no_magnet_flux", "no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
+        add("no_magnet_flux", "no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
     return missing
 
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import is_sharp
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.baseline import has_fine_grid
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.contributions import excitation_v, gates_off_error, left_of_excitation
 from orchestrator.diagnosis.selection.judge import fraction_left, jointly_implausible, judge
-from orchestrator.diagnosis.selection.shares import excitation_v, gates_off_error, left_of_excitation
 from orchestrator.diagnosis.uncertainty.scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 from protocols import Verdict, VerdictLimits, VerdictRecord
 
@@ -82,14 +82,14 @@ def fitted_verdict(before: Fit, after: Fit) -> Verdict:
 
 def _of_fitted_stages(before: Fit, after: Fit, effects: int) -> dict[str, Any]:
     """The fields of a record that the fitted stages determine."""
-    strains = {a.name: _widths(a, a.bent_by) for a in after.model.active}
+    strains = {a.name: _widths(a, a.free_refinements) for a in after.model.active}
     return {
         "chi2_before": before.chi2_per_dof,
         "chi2_after": after.chi2_per_dof,
         "degrees_of_freedom": after.dof,
         "effects": effects,
         "left_of_excitation": left_of_excitation(after),
-        "fine_map": is_sharp(after),
+        "fine_map": has_fine_grid(after),
         "shape_widths": max(strains.values(), default=0.0),
         "shape_effect": max(strains, key=lambda name: strains[name], default=None),
     }
@@ -107,27 +107,27 @@ def most_strained(fit: Fit) -> str | None:
     return most if most is not None and strains[most] > fit.criteria.verdict.shape_widths else None
 
 
-def rare_together(fit: Fit) -> list[str]:
+def large_effects_together(fit: Fit) -> list[str]:
     """Effects larger than most drives have them, the largest first, where they are so many that it is suspicious."""
     widths = {a.name: _widths(a, a.candidate.amplitudes) for a in fit.model.active}
     return jointly_implausible(widths, verdict_limits(fit.criteria))
 
 
-def _widths(active: Active, names: Iterable[str]) -> float:
+def _widths(active: EffectTerm, names: Iterable[str]) -> float:
     """Largest distance of some parameters from their usual values, in standard deviations of their priors."""
-    return max((abs(active.off_prior(n)) for n in names), default=0.0)
+    return max((abs(active.prior_residual(n)) for n in names), default=0.0)
 
 
 def held_out_chi2(fit: Fit) -> float | None:
     """Mean square of what was held out, over noise and how far R_s and the map are uncertain; None where nothing was.
 
-    A point at the map's edge that no fit has seen is told by the smoothness alone: it may well be off.
+    The smoothness alone determines a point at the map's edge that no fit has seen: it may well be off.
     """
     covariance = np.linalg.inv(fit.normal)
     squares, rows = 0.0, 0
     for piece, frame, r, e in zip(fit.prepared.pieces, fit.frame.pieces, fit.resistance, fit.residual, strict=True):
         if piece.held_out:
-            told = np.column_stack([r, frame.white_basis])
-            squares += float(e @ np.linalg.solve(np.eye(len(e)) + told @ covariance @ told.T, e))
+            columns = np.column_stack([r, frame.white_basis])
+            squares += float(e @ np.linalg.solve(np.eye(len(e)) + columns @ covariance @ columns.T, e))
             rows += len(e)
     return squares / rows if rows else None

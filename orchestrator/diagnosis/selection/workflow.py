@@ -10,26 +10,25 @@ from orchestrator.diagnosis.fitting.baseline import (
     LEAST_CHI2_FOR_FINER_MAP,
     DiagnosisSetup,
     baseline_model,
-    earns_its_sharpness,
-    fitted_baseline,
-    freed_further,
+    fit_baseline,
     given_model,
-    is_sharp,
-    on_usual_map,
+    has_fine_grid,
+    keep_fine_grid,
+    on_usual_grid,
+    with_freed_map,
 )
-from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
-from orchestrator.diagnosis.selection.forward_search import LEAST_EFFECT_SIZE, Search, Step, forward, refitted_steps
+from orchestrator.diagnosis.selection.forward_search import LEAST_EFFECT_SIZE, Search, Step, forward, refit_steps
 from orchestrator.diagnosis.selection.interim import InterimRecorder
-from orchestrator.diagnosis.selection.joint_workflow import all_together
-from orchestrator.diagnosis.selection.map_detail import with_finer_map
-from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
-from orchestrator.diagnosis.selection.refining import polished, repolished, settled
-from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
-from orchestrator.diagnosis.uncertainty.block_scatter import certainty
-from orchestrator.diagnosis.uncertainty.scatter import explained_by_scatter, likelihood_of
+from orchestrator.diagnosis.selection.joint_workflow import record_finest_map, search_jointly
+from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
+from orchestrator.diagnosis.selection.refining import converge, extend_earlier, refit_newest
+from orchestrator.diagnosis.selection.scoring import keep_threshold, log_evidence, loss_without
+from orchestrator.diagnosis.uncertainty.intervals import certainty
+from orchestrator.diagnosis.uncertainty.scatter import likelihood_of, with_scatter_as_noise
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
 NOTEWORTHY_CHI2: float = 1.5
@@ -53,12 +52,18 @@ ModelChoice = str | FluxMap | MotorModel
 A whole model's map is held, and its effects are fitted anew to the recording at hand.
 """
 
-LEFT_OF_CLEAN, LEFT_WITH_TIMER, LEFT_FROM_SEARCH, LEFT_FROM_WHOLE, LEFT_FROM_REPORT = 45.0, 105.0, 80.0, 60.0, 22.0
+(
+    EVALUATIONS_LEFT_IF_CLEAN,
+    EVALUATIONS_LEFT_WITH_QUANTISER,
+    EVALUATIONS_LEFT_FROM_SEARCH,
+    EVALUATIONS_LEFT_FROM_WHOLE,
+    EVALUATIONS_LEFT_FROM_REPORT,
+) = 45.0, 105.0, 80.0, 60.0, 22.0
 """Evaluations of the first model that take as long as a diagnosis from there, where a few effects explain the error:
 where nothing is missing, before a modulator's timer is looked for, before effects are, before they are fitted to the
 whole, and when the search is over. Medians of benches of one and two effects."""
 
-NO_TIMER = 1.2
+MAX_CHI2_RATIO_WITH_QUANTISER = 1.2
 """Times the first model's chi2, that no modulator's timer leaves once its rounding is taken out: a false one left
 3.2 times as much on a simulated machine."""
 
@@ -74,7 +79,7 @@ def baseline_of(model: ModelChoice) -> Baseline:
     return Nameplate() if model == "linear" else Saturated()
 
 
-def first_steps(setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, Candidate]) -> list[Step]:
+def first_steps(setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, CandidateEffect]) -> list[Step]:
     """The ladder's first rungs: the baseline's, and one for each effect of a whole model."""
     baseline = baseline_of(model)
     if isinstance(model, FluxMap):
@@ -88,16 +93,16 @@ def first_steps(setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str,
         return steps
     if isinstance(baseline, Nameplate):
         return [Step(None, setup.fitter.fit(baseline_model(setup, baseline)))]
-    return [Step(None, fitted_baseline(setup))]
+    return [Step(None, fit_baseline(setup))]
 
 
 def with_map_step(setup: DiagnosisSetup, fit: Fit, baseline: Nameplate) -> Fit:
     """The nameplate's model refitted with its map so far let go."""
-    return setup.fitter.fit(freed_further(setup, fit.model, baseline))
+    return setup.fitter.fit(with_freed_map(setup, fit.model, baseline))
 
 
 def map_steps(
-    setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, Candidate], without: Sequence[str]
+    setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, CandidateEffect], without: Sequence[str]
 ) -> list[Step]:
     """`first_steps`, and from a linear baseline the map's own, as far as the data ask for them."""
     steps = first_steps(setup, model, library)
@@ -130,16 +135,18 @@ def map_steps(
 
 
 def search_effects(
-    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate], interim: InterimRecorder
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect], interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, Search]:
     """Look for a modulator's timer where the baseline leaves something, then for effects with its rounding known."""
     first = steps[-1].fit
     is_clean = first.chi2_per_dof <= first.criteria.selection.detected_chi2
-    setup.fitter.begin("search for a few missing effects", LEFT_OF_CLEAN if is_clean else LEFT_WITH_TIMER)
-    if setup.prepared.timer is None and first.chi2_per_dof > first.criteria.selection.detected_chi2:
-        timed = with_its_timer(setup, first, library)
+    setup.fitter.begin(
+        "search for a few missing effects", EVALUATIONS_LEFT_IF_CLEAN if is_clean else EVALUATIONS_LEFT_WITH_QUANTISER
+    )
+    if setup.prepared.quantiser is None and first.chi2_per_dof > first.criteria.selection.detected_chi2:
+        timed = with_detected_quantiser(setup, first, library)
         if timed is not setup:
-            beside = refitted_steps(timed, steps)
+            beside = refit_steps(timed, steps)
             # Beside large effects a timer's rounding shows in none of it; where it leaves far more, it is none.
             reached = beside[-1].fit
             setup.fitter.trace.record(
@@ -148,16 +155,16 @@ def search_effects(
                 after=reached,
                 measure="chi2_per_dof",
                 score=reached.chi2_per_dof,
-                threshold=NO_TIMER * first.chi2_per_dof,
-                taken=reached.chi2_per_dof <= NO_TIMER * first.chi2_per_dof,
+                threshold=MAX_CHI2_RATIO_WITH_QUANTISER * first.chi2_per_dof,
+                taken=reached.chi2_per_dof <= MAX_CHI2_RATIO_WITH_QUANTISER * first.chi2_per_dof,
             )
-            if reached.chi2_per_dof <= NO_TIMER * first.chi2_per_dof:
+            if reached.chi2_per_dof <= MAX_CHI2_RATIO_WITH_QUANTISER * first.chi2_per_dof:
                 setup, steps = timed, beside
-    return _searched(setup, steps, library, interim)
+    return _search(setup, steps, library, interim)
 
 
-def _searched(
-    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate], interim: InterimRecorder
+def _search(
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect], interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, Search]:
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small.
 
@@ -165,16 +172,16 @@ def _searched(
     segment: then that is noise to the setup which comes back. Else all are fitted together.
     """
     if not _explains(steps[-1].fit):
-        setup.fitter.begin("search for a few missing effects", LEFT_FROM_SEARCH)
+        setup.fitter.begin("search for a few missing effects", EVALUATIONS_LEFT_FROM_SEARCH)
     quick = _quick_search(setup, steps, library)
-    interim.reached(setup, steps, quick, is_part=True)
-    if _explains(quick.fit) or (wider := with_its_scatter(setup, quick.fit, library)) is None:
+    interim.record(setup, steps, quick, is_part=True)
+    if _explains(quick.fit) or (wider := with_estimated_scatter(setup, quick.fit, library)) is None:
         return _after(quick, setup, steps, library, interim)
-    steps = refitted_steps(wider, steps)
+    steps = refit_steps(wider, steps)
     beside = wider.coarse_fitter.fit(quick.fit.model, renewals=1)
     wider.coarse_fitter.trace.record("noise", before=quick.fit, after=beside, taken=True)
     if _explains(beside):
-        return _searched(wider, steps, library, interim)
+        return _search(wider, steps, library, interim)
     # A few effects will not do beside what scatters either.
     quick = replace(quick, steps=[*quick.steps[:-1], replace(quick.steps[-1], fit=beside)])
     return _after(quick, wider, steps, library, interim)
@@ -188,27 +195,31 @@ def _after(
     quick: Search,
     setup: DiagnosisSetup,
     steps: Sequence[Step],
-    library: Sequence[Candidate],
+    library: Sequence[CandidateEffect],
     interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, Search]:
     """All effects fitted together where a quick search has not explained its part, else what it found to the whole."""
     if not _explains(quick.fit) and len(library) > 1:
-        together = all_together(setup, steps, quick, library, interim)
-        if together is not None:
-            return together
+        joint = search_jointly(setup, steps, quick, library, interim)
+        if joint is not None:
+            return joint
     found = quick.steps[1:]
     if found:
-        setup.fitter.begin("the same on the whole recording", LEFT_FROM_WHOLE)
+        setup.fitter.begin("the same on the whole recording", EVALUATIONS_LEFT_FROM_WHOLE)
         # What a form does not need costs most on the whole.
-        found = [*found[:-1], replace(found[-1], fit=settled(setup.coarse_fitter, found[-1].fit))]
-    fits = fitted_to_whole(setup, steps, found)
-    interim.reached(setup, steps, Search(fits, quick.traces, quick.rivals), is_part=False)
-    search = forward(setup.fitter, fits, library, rivals=quick.rivals)
-    search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
+        found = [*found[:-1], replace(found[-1], fit=converge(setup.coarse_fitter, found[-1].fit))]
+    fits = fit_to_whole(setup, steps, found)
+    interim.record(setup, steps, Search(fits, quick.detected_not_named, quick.indistinguishable), is_part=False)
+    search = forward(setup.fitter, fits, library, indistinguishable=quick.indistinguishable)
+    search.detected_not_named = [
+        n
+        for n in dict.fromkeys([*quick.detected_not_named, *search.detected_not_named])
+        if n not in search.fit.model.names
+    ]
     return setup, search
 
 
-def fitted_to_whole(setup: DiagnosisSetup, first: Sequence[Step], found: Sequence[Step]) -> list[Step]:
+def fit_to_whole(setup: DiagnosisSetup, first: Sequence[Step], found: Sequence[Step]) -> list[Step]:
     """The first steps, fitted to the whole recording already, and those that were found in a part of it."""
     steps = list(first)
     for step in found:
@@ -219,14 +230,16 @@ def fitted_to_whole(setup: DiagnosisSetup, first: Sequence[Step], found: Sequenc
     return steps
 
 
-def with_its_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
+def with_estimated_scatter(
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]
+) -> DiagnosisSetup | None:
     """The setup with what scatters as noise; None where that does not help."""
     if setup.fitter.noise.of_model.scatters:
         return None
-    return explained_by_scatter(setup, likelihood_of(setup.coarse_fitter, fit, library))
+    return with_scatter_as_noise(setup, likelihood_of(setup.coarse_fitter, fit, library))
 
 
-def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
+def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect]) -> Search:
     """The first few effects of a part of the recording, on a finer map where that is what is missing.
 
     The largest effect is found on a map that it has not bent; what is small may be that map's own detail.
@@ -236,27 +249,29 @@ def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
     quick = forward(setup.coarse_fitter, [Step(None, part)], library, most=before + 1)
     quick = _with_last(quick, _detailed(setup, quick.fit))
     most = before + FEW_EFFECTS
-    quick = _gone_on(quick, setup.coarse_fitter, library, most)
+    quick = _continue_search(quick, setup.coarse_fitter, library, most)
     return _finer(quick, _detailed(setup, quick.fit), setup.coarse_fitter, library, most=most)
 
 
 def _detailed(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """A part's fit on a finer map, where effects leave more than noise on its own."""
     coarse_map = fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP and fit.model.space.is_free
-    return with_finer_map(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
+    return record_finest_map(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
 
 
-def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate], most: int | None = None) -> Search:
+def _finer(
+    search: Search, fit: Fit, fitter: Fitter, library: Sequence[CandidateEffect], most: int | None = None
+) -> Search:
     """The search gone on from its last step on a finer map; as it was where the map is the same."""
     if fit is search.fit:
         return search
-    return _gone_on(_with_last(search, fit), fitter, library, most)
+    return _continue_search(_with_last(search, fit), fitter, library, most)
 
 
-def _gone_on(search: Search, fitter: Fitter, library: Sequence[Candidate], most: int | None) -> Search:
+def _continue_search(search: Search, fitter: Fitter, library: Sequence[CandidateEffect], most: int | None) -> Search:
     """The search continued from its last step."""
-    again = forward(fitter, search.steps, library, rivals=search.rivals, most=most)
-    again.traces = [*search.traces, *again.traces]
+    again = forward(fitter, search.steps, library, indistinguishable=search.indistinguishable, most=most)
+    again.detected_not_named = [*search.detected_not_named, *again.detected_not_named]
     return again
 
 
@@ -277,7 +292,7 @@ def without(setup: DiagnosisSetup, search: Search, name: str, *, last: Fit | Non
             model = steps[-1].fit.model
             fit = setup.fitter.fit(model.with_active([*model.active, active]), steps=4, renewals=0, tolerance=1e-3)
         steps.append(Step(active.name, fit, gain))
-    return Search(steps, search.traces, search.rivals)
+    return Search(steps, search.detected_not_named, search.indistinguishable)
 
 
 def converged(setup: DiagnosisSetup, search: Search) -> Search:
@@ -286,25 +301,25 @@ def converged(setup: DiagnosisSetup, search: Search) -> Search:
         return search
     last, fit = search.steps[-1], search.fit
     if not _explains(fit):
-        fit = polished(setup.fitter, repolished(setup.fitter, fit), 1.0)
-    steps = [*search.steps[:-1], Step(last.added, settled(setup.fitter, fit), last.log_evidence)]
-    return Search(steps, search.traces, search.rivals, search.view)
+        fit = refit_newest(setup.fitter, extend_earlier(setup.fitter, fit), 1.0)
+    steps = [*search.steps[:-1], Step(last.added, converge(setup.fitter, fit), last.log_evidence)]
+    return Search(steps, search.detected_not_named, search.indistinguishable, search.view)
 
 
-def no_sharper_than_asked(setup: DiagnosisSetup, search: Search) -> Search:
+def coarsen_map(setup: DiagnosisSetup, search: Search) -> Search:
     """The search with its last fit on a usual map, where a sharp one does hardly better now that all is known."""
     fit = search.fit
-    if not fit.model.active or not is_sharp(fit):
+    if not fit.model.active or not has_fine_grid(fit):
         return search
-    usual = setup.fitter.fit(on_usual_map(setup, fit), steps=8, renewals=2, tolerance=3e-4)
-    keeps = earns_its_sharpness(fit, usual)
+    usual = setup.fitter.fit(on_usual_grid(setup, fit), steps=8, renewals=2, tolerance=3e-4)
+    keeps = keep_fine_grid(fit, usual)
     setup.fitter.trace.record("coarser_map", before=fit, after=usual, taken=not keeps)
     return search if keeps else _with_last(search, usual)
 
 
-def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
+def prune(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
     """The search without those effects that can be spared: what they took away may be the others' shape, or chance."""
-    spared: list[str] = []
+    removed: list[str] = []
     first = search.steps[0].fit
     while search.fit.model.active:
         full = search.fit
@@ -312,7 +327,7 @@ def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
         for active in doubted:
             others = full.model.with_active([a for a in full.model.active if a.name != active.name])
             less = setup.fitter.fit(others, steps=4, renewals=0, tolerance=3e-3)
-            spare = _can_be_spared(first, less, full, active.name)
+            spare = _is_redundant(first, less, full, active.name)
             setup.fitter.trace.record(
                 "remove",
                 [active.name],
@@ -320,26 +335,26 @@ def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
                 after=less,
                 measure="log_evidence",
                 score=-_evidence_lost(full, less),
-                threshold=-asked_to_stay(full, active.candidate),
+                threshold=-keep_threshold(full, active.candidate),
                 taken=spare,
                 note="small, uncertain, or what another effect's form makes" if spare else "",
             )
             if spare:
-                spared.append(active.name)
+                removed.append(active.name)
                 search = without(setup, search, active.name, last=less)
                 break
         else:
             break
-    return search, spared
+    return search, removed
 
 
-def _is_minor(first: Fit, full: Fit, active: Active) -> bool:
+def _is_minor(first: Fit, full: Fit, active: EffectTerm) -> bool:
     """Whether an effect is small, and not one that obviously nothing else could stand in for."""
     lost = loss_without(full, active, active.candidate.amplitudes) / full.dof
-    return active.relative_size < MINOR_EFFECT_SIZE and lost < OBVIOUS_EFFECT_FACTOR * _spare(first)
+    return active.relative_size < MINOR_EFFECT_SIZE and lost < OBVIOUS_EFFECT_FACTOR * _redundancy_limit(first)
 
 
-def _spare(first: Fit) -> float:
+def _redundancy_limit(first: Fit) -> float:
     """What minor effects may leave of chi2 - 1 when they go."""
     limits = first.criteria.selection
     return max(
@@ -353,15 +368,15 @@ def _evidence_lost(full: Fit, less: Fit) -> float:
     return log_evidence(full, inflation) - log_evidence(less, inflation)
 
 
-def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
+def _is_redundant(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     limits, active = full.criteria.selection, next(a for a in full.model.active if a.name == name)
     size = active.relative_size
     gained = _evidence_lost(full, without)
-    if active.candidate.is_expected:
-        return gained < asked_to_stay(full, active.candidate)
+    if active.candidate.included_a_priori:
+        return gained < keep_threshold(full, active.candidate)
     if size < LEAST_EFFECT_SIZE or certainty(full)[name] < LEAST_CERTAINTY:
         return True
-    if gained < asked_to_stay(full, active.candidate):
+    if gained < keep_threshold(full, active.candidate):
         return True
     if without.chi2_per_dof < limits.detected_chi2 and size < LEAST_UNDETECTED_SIZE:
         return True
@@ -369,4 +384,4 @@ def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and without.chi2_per_dof > NOTEWORTHY_CHI2
     if len(full.model.active) < 2 or to_the_noise:
         return False
-    return without.chi2_per_dof - 1.0 < _spare(first)
+    return without.chi2_per_dof - 1.0 < _redundancy_limit(first)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from orchestrator.diagnosis.weak_form.pwm_quantiser import leg_step_of
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, delayed
-from orchestrator.diagnosis.weak_form.timer import leg_step_of
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -23,20 +23,20 @@ from protocols import SegmentStage
 LEAST_TIMER_STEP_S: float = 2e-9
 """The finest step of a timer that is searched [s]: half a gigahertz is finer than the control's jitter."""
 
-MOVING = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
+EXCITED_STAGES = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
 """Stages whose commands move on purpose. Those of a hold move with the readings' own noise."""
 LAGS = 30
 """Readings and commands that the next reading is a combination of: some milliseconds."""
-BLOCK = 20_000
+BLOCK_READINGS = 20_000
 """Readings of one combination, many for its 120 numbers; what a machine does as it saturates is noise to it."""
-LEAST_BLOCK = 20 * LAGS
-MOST_BLOCKS = 45
+LEAST_BLOCK_READINGS = 20 * LAGS
+MAX_BLOCKS = 45
 """That are looked at, evenly spread: a million readings tell as well as all of them."""
-STRAIGHT = 300
+LINEAR_STRETCH_READINGS = 300
 """Readings, evenly dividing a block, in which a machine hardly turns into another."""
-RIDGE = 1e-7
+RELATIVE_RIDGE = 1e-7
 """Of a regressor's variance: what stands still in a block foretells nothing there."""
-NAMEPLATE = 0.3
+NAMEPLATE_RELATIVE_STD = 0.3
 """Standard deviation of what a volt does in a sample by the nameplate, as a part of it."""
 
 
@@ -76,20 +76,20 @@ def command_traces(
     bus_v = prepared.manifest.drive.dc_bus_voltage_v
     fs = prepared.manifest.drive.sampling_frequency_hz
     blocks = [
-        (piece, slice(start, start + BLOCK))
+        (piece, slice(start, start + BLOCK_READINGS))
         for piece in prepared.pieces
-        if piece.stage in MOVING and not piece.held_out
-        for start in range(0, len(piece.command_ab) - LEAST_BLOCK, BLOCK)
-        if _moves(piece.command_ab[start : start + BLOCK])
+        if piece.stage in EXCITED_STAGES and not piece.held_out
+        for start in range(0, len(piece.command_ab) - LEAST_BLOCK_READINGS, BLOCK_READINGS)
+        if _command_rms(piece.command_ab[start : start + BLOCK_READINGS])
         > leg_step_of(LEAST_TIMER_STEP_S, piece.signals.pwm_frequency_hz, bus_v)
     ]
     decay = np.exp(-resistance_ohm / (np.array(inductance_h) * fs))
-    stride = max(1.0, len(blocks) / MOST_BLOCKS)
+    stride = max(1.0, len(blocks) / MAX_BLOCKS)
     chosen = [blocks[int(k * stride)] for k in range(int(len(blocks) / stride))]
     return [_trace(piece, there, (1.0 - decay) / resistance_ohm, decay) for piece, there in chosen]
 
 
-def _moves(command_ab: Array) -> float:
+def _command_rms(command_ab: Array) -> float:
     """rms of a command around its mean, along the axis on which it moves more [V]."""
     return float(command_ab.std(axis=0).max())
 
@@ -98,24 +98,26 @@ def _trace(piece: SegmentSignals, there: slice, per_volt_dq: Array, decay_dq: Ar
     i_ab, command_ab = piece.current_ab[there], piece.command_ab[there]
     turn = rotation(piece.segment.rotor_angle_rad)
     per_volt, decay = (turn @ np.diag(x) @ turn.T for x in (per_volt_dq, decay_dq))
-    residual, readings, commands, doubt = _foretold(i_ab, delayed(command_ab, math.floor(piece.delay_samples)))
+    residual, readings, commands, variance_by = _arx_residual(
+        i_ab, delayed(command_ab, math.floor(piece.delay_samples))
+    )
     floor = np.spacing(np.abs(i_ab).max()) ** 2 + np.finfo(np.float64).tiny
     weight = np.linalg.inv(residual.T @ residual / len(residual) + floor * np.eye(2))
     weighed, pull, information = residual @ weight, np.zeros_like(command_ab), 0.0
     # By the nameplate the current has moved and decays; the combination takes off what it foretells from that.
-    moved, certain = np.eye(2), (NAMEPLATE * float(np.abs(per_volt).max())) ** 2
+    moved, certain = np.eye(2), (NAMEPLATE_RELATIVE_STD * float(np.abs(per_volt).max())) ** 2
     for lag in range(LAGS):
         if lag:
             moved = moved @ decay - readings[lag - 1] - (np.eye(2) if lag == 1 else 0.0)
-        share = certain / (certain + doubt[lag])
+        share = certain / (certain + variance_by[lag])
         answer = share * commands[lag] + (1.0 - share) * (moved @ per_volt)
         pull[LAGS - 1 - lag : len(pull) - 1 - lag] += weighed @ answer
         information += 0.5 * float(np.trace(answer.T @ weight @ answer)) * len(residual)
-    pull = _bent(_of_commands(pull, piece.delay_samples), command_ab)
+    pull = _without_slope(_of_commands(pull, piece.delay_samples), command_ab)
     return CommandTrace(command_ab, pull, information, piece.signals.pwm_frequency_hz)
 
 
-def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array]:
+def _arx_residual(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array]:
     """What the last readings and commands do not foretell of the next reading, and what they do.
 
     Returns
@@ -124,8 +126,8 @@ def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array
         From reading LAGS on.
     readings, commands : array, shape (LAGS, 2, 2)
         By how much the step to the next reading follows each, the newest first.
-    doubt : array, shape (LAGS, 2, 2)
-        Variance of what is said of the commands.
+    variance_by : array, shape (LAGS, 2, 2)
+        Variance of `commands`.
     """
     both = np.hstack([i_ab, acting_ab])
     # Row k has readings and commands k + LAGS - 1, k + LAGS - 2, ..., k.
@@ -137,34 +139,36 @@ def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array
     past /= size
     step = np.diff(i_ab, axis=0)[LAGS - 1 :]
     step = step - step.mean(axis=0)
-    inverse = np.linalg.inv(past.T @ past / len(past) + RIDGE * np.eye(past.shape[1]))
+    inverse = np.linalg.inv(past.T @ past / len(past) + RELATIVE_RIDGE * np.eye(past.shape[1]))
     followed = inverse @ (past.T @ step / len(past))
     residual = step - past @ followed
     variance = np.outer(np.diag(inverse) / size**2, residual.var(axis=0)) / len(past)
-    by, doubt = ((x.reshape(LAGS, 4, 2).transpose(0, 2, 1)) for x in (followed / size[:, None], variance))
-    return residual, by[:, :, :2], by[:, :, 2:], doubt[:, :, 2:]
+    by, variance_by = ((x.reshape(LAGS, 4, 2).transpose(0, 2, 1)) for x in (followed / size[:, None], variance))
+    return residual, by[:, :, :2], by[:, :, 2:], variance_by[:, :, 2:]
 
 
 def _of_commands(pull_ab: Array, delay_samples: float) -> Array:
-    """What is said of the volts that act, as said of the commands, which act so many samples later."""
+    """The gradient by the commands, from that by the acting voltages, which follow so many samples later."""
     whole = math.floor(delay_samples)
     part = delay_samples - whole
     later = np.concatenate([pull_ab[whole:], np.zeros((whole + 1, 2))])
     return np.asarray((1.0 - part) * later[:-1] + part * later[1:], dtype=np.float64)
 
 
-def _bent(pull_ab: Array, command_ab: Array) -> Array:
-    """What is said of the commands' volts but for what is linear in the command, a part of a block at a time.
+def _without_slope(pull_ab: Array, command_ab: Array) -> Array:
+    """The gradient by the commands' volts without its part linear in the command, a part of a block at a time.
 
     The combination is a whole block's; where the machine saturates on the way, it foretells too much or too little of
     what a command does: a slope, which a part of a saw is too. And the commands at which sweeps rest lie as regularly
     as their plan, so that one saw would stand for the slopes at all of them.
     """
     left = np.empty_like(pull_ab)
-    for start in range(0, len(pull_ab), STRAIGHT):
-        there = slice(start, start + STRAIGHT)
+    for start in range(0, len(pull_ab), LINEAR_STRETCH_READINGS):
+        there = slice(start, start + LINEAR_STRETCH_READINGS)
         moved = command_ab[there] - command_ab[there].mean(axis=0)
         size = float(np.einsum("ij,ij->", moved, moved))
-        slope = np.linalg.solve(moved.T @ moved + (RIDGE * size + 1e-300) * np.eye(2), moved.T @ pull_ab[there])
+        slope = np.linalg.solve(
+            moved.T @ moved + (RELATIVE_RIDGE * size + 1e-300) * np.eye(2), moved.T @ pull_ab[there]
+        )
         left[there] = pull_ab[there] - pull_ab[there].mean(axis=0) - moved @ slope
     return left

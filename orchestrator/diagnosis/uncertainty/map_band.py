@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, following, form_doubt
+from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, form_std, projected_rows
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.types import Array
 
@@ -58,7 +58,7 @@ class MapUncertainty:
     unseen: tuple[Unseen, ...]
 
     @classmethod
-    def of(cls, fitter: Fitter, fit: Fit, library: Sequence[Candidate] = ()) -> MapUncertainty:
+    def of(cls, fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect] = ()) -> MapUncertainty:
         """That of a fit; effects of the library that are not in the model might be there all the same."""
         width, count = fit.normal.shape[0], len(fit.model.free)
         absent = [c for c in library if c.name not in fit.model.names]
@@ -70,9 +70,9 @@ class MapUncertainty:
         noise = max(fit.chi2_per_dof, 1.0)
         forms = np.zeros((0, width))
         if count:
-            rows = [(p, x[:, :count] @ inverse[width:, width:]) for p, _, x in following(loose)]
+            rows = [(p, x[:, :count] @ inverse[width:, width:]) for p, _, x in projected_rows(loose)]
             moved = np.linalg.solve(fit.normal, total[:width, width : width + count])
-            forms = moved.T * form_doubt(fit, rows)[:, None]
+            forms = moved.T * form_std(fit, rows)[:, None]
         places = [(c, [width + count + k for k, (a, _) in enumerate(columns) if a.name == c.name]) for c in absent]
         return cls(
             fit=fit,
@@ -129,7 +129,7 @@ def flux_rows(fit: Fit, i_dq: Array) -> Array:
     return np.stack(rows, axis=1)
 
 
-def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidate: Candidate) -> Unseen:
+def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidate: CandidateEffect) -> Unseen:
     """What the recording has of one effect; `own` are the places of all that is fitted, `at` its own."""
     width, noise = fit.normal.shape[0], max(fit.chi2_per_dof, 1.0)
     both = np.concatenate([own, at])
@@ -142,15 +142,15 @@ def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidat
     prior = fit.criteria.selection.prior_probability
     gain = 0.5 * float(best @ np.linalg.solve(block, best) - short @ np.linalg.solve(block, short)) / noise
     odds = gain + 0.5 * float(np.linalg.slogdet(block)[1]) + math.log(prior / (1.0 - prior))
-    odds += candidate.head_start - 0.5 * float(candidate.standing @ candidate.standing)
+    odds += candidate.prior_log_odds - 0.5 * float(candidate.standing @ candidate.standing)
     probability = 0.5 * (1.0 + math.tanh(0.5 * odds))
     return Unseen(probability, across @ np.linalg.solve(block, size), noise * inverse[:width, :width])
 
 
-def _within_bounds(candidate: Candidate, coordinates: Array) -> Array:
+def _within_bounds(candidate: CandidateEffect, coordinates: Array) -> Array:
     """Coordinates of an effect's amplitudes, each no further than its bounds."""
     absent, pairs = candidate.absent(), zip(candidate.amplitudes, coordinates, strict=True)
-    return np.array([absent.moved(name, float(x)).coordinate(name) for name, x in pairs])
+    return np.array([absent.moved(name, float(x)).standardised_value(name) for name, x in pairs])
 
 
 def _quadratic(rows: Array, covariance: Array) -> Array:

@@ -23,13 +23,13 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.equations import scatter_sizes
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.timer_search import MAX_TIMER_STEP_S
-from orchestrator.diagnosis.weak_form.rests import TimerScatter, leg_step_v
-from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
+from orchestrator.diagnosis.uncertainty.quantiser_search import MAX_TIMER_STEP_S
+from orchestrator.diagnosis.weak_form.dwells import QuantiserScatter, leg_step_v
+from orchestrator.diagnosis.weak_form.pwm_quantiser import own_leg_step_of
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
 
@@ -39,10 +39,10 @@ MAX_OFFSET_SCATTER: float = 0.002
 """Part of the rated current by which the readings' zero may wander from segment to segment (rms) and count as noise.
 A sound sensor's does, in warm-up and over minutes; a larger one is a fault and has to be found as one."""
 
-DECADES = tuple(range(-5, 1))
+SEARCH_DECADES = tuple(range(-5, 1))
 """Of amperes and of volts: from far below a sensor's noise to as much as there is of either."""
-MOST_DECADES = 6.0
-"""Of either, in a search: beyond, nothing rests that a scatter could be told by."""
+MAX_DECADE = 6.0
+"""Of either, in a search: beyond, no information on a scatter is left."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class _Segment:
     own: Array
     shared: Array
     pull: Array
-    timer: TimerScatter
+    timer: QuantiserScatter
     pwm_hz: float
 
 
@@ -90,7 +90,7 @@ class Likelihood:
     dof: float
 
     @property
-    def rests(self) -> int:
+    def dwells(self) -> int:
         """In which a voltage is held."""
         return sum(len(one.timer.steps) for one in self.segments)
 
@@ -140,14 +140,14 @@ class Likelihood:
             own.append((less @ one.own)[2:, 2:])
             shared.append((less @ one.shared)[2:])
             pull.append((less @ one.pull)[2:])
-        told = np.concatenate(shared)
-        follow = np.linalg.solve(normal, np.column_stack([told.T, gradient]))
-        volts = np.zeros((len(told), len(told)))
+        shared_rows = np.concatenate(shared)
+        follow = np.linalg.solve(normal, np.column_stack([shared_rows.T, gradient]))
+        volts = np.zeros((len(shared_rows), len(shared_rows)))
         at = 0
         for block in own:
             volts[at : at + len(block), at : at + len(block)] = block
             at += len(block)
-        return volts - told @ follow[:, :-1], np.concatenate(pull) - told @ follow[:, -1]
+        return volts - shared_rows @ follow[:, :-1], np.concatenate(pull) - shared_rows @ follow[:, -1]
 
     def with_volts(self, volts: Array) -> Likelihood:
         """Where so many volts on either axis of each rest are in the equations, in the rests' order."""
@@ -162,8 +162,8 @@ class Likelihood:
             squares += float(here @ (2.0 * one.pull + one.own @ here))
         return replace(self, segments=moved, gradient=self.gradient + shift, chi2=self.chi2 + squares)
 
-    def likeliest(self, which: tuple[bool, bool], *, dithered: bool, near: ModelNoise | None = None) -> ModelNoise:
-        """The scatter of the largest likelihood, those of its two standard deviations that are not asked for at nil.
+    def most_likely(self, which: tuple[bool, bool], *, dithered: bool, near: ModelNoise | None = None) -> ModelNoise:
+        """The scatter of the largest likelihood; of its two standard deviations those not in `which` are zero.
 
         It is looked for from `near` on, or all over.
         """
@@ -171,23 +171,23 @@ class Likelihood:
 
         def noise(decades: Array) -> ModelNoise:
             given = iter(decades.tolist())
-            offset, voltage = (10.0 ** min(next(given), MOST_DECADES) if asked else 0.0 for asked in which)
+            offset, voltage = (10.0 ** min(next(given), MAX_DECADE) if is_free else 0.0 for is_free in which)
             return ModelNoise(offset_scatter_a=offset, voltage_scatter_v=voltage, dithered=dithered)
 
         def cost(decades: Array) -> float:
             return self.cost(noise(decades))
 
         if near is None:
-            grid = [np.array(place, dtype=np.float64) for place in product(DECADES, repeat=sum(which))]
+            grid = [np.array(place, dtype=np.float64) for place in product(SEARCH_DECADES, repeat=sum(which))]
             start = min(grid, key=cost)
         else:
             sizes = np.array([near.offset_scatter_a, near.voltage_scatter_v])[list(which)]
-            start = np.log10(np.maximum(sizes, 10.0 ** DECADES[0]))
+            start = np.log10(np.maximum(sizes, 10.0 ** SEARCH_DECADES[0]))
         found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.1})
         return noise(np.asarray(found.x))
 
     @cached_property
-    def _alike(self) -> list[tuple[list[int], Array, Array]]:
+    def _groups(self) -> list[tuple[list[int], Array, Array]]:
         """Segments with as many rests: their places, own information, and what they share with columns and pull."""
         sizes = [len(one.own) for one in self.segments]
         alike = []
@@ -201,7 +201,7 @@ class Likelihood:
     def _reduced(self, noise: ModelNoise) -> tuple[list[Array], list[Array], Array, Array, float]:
         """Of each segment what scatter takes and its factor, then the normal matrix, gradient and chi2 without it."""
         parts = dict[int, tuple[Array, Array]]()
-        for places, own, shared in self._alike:
+        for places, own, shared in self._groups:
             scale = np.array([scatter_sizes(self.segments[k].timer, noise) for k in places])
             inside = np.eye(scale.shape[1]) + scale[:, :, None] * own * scale[:, None, :]
             factor = np.linalg.cholesky(inside)
@@ -221,22 +221,22 @@ class Likelihood:
         return squares, log_det + float(np.linalg.slogdet(normal)[1])
 
 
-def explained_by_scatter(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup | None:
+def with_scatter_as_noise(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where that and effects to first order are all that a part's fit lacks."""
-    scatter = _likeliest_of(likelihood)
-    enough = scatter.chi2 <= 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
-    return setup.with_noise(scatter.noise) if enough and _is_noise(scatter, setup) else None
+    scatter = _most_likely_scatter(likelihood)
+    is_complete = scatter.chi2 <= 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
+    return setup.with_noise(scatter.noise) if is_complete and _is_noise(scatter, setup) else None
 
 
-def beside_scatter(
-    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[Candidate]
+def with_scatter_beside(
+    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]
 ) -> DiagnosisSetup | None:
-    """The setup with a scatter as noise, where there is one beside all that a fit of the whole or of a part has."""
+    """The setup with a scatter as noise, where there is one beside all that a fit has."""
     scatter = scatter_of(fitter, fit, library)
     return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
 
 
-def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
+def is_same_scatter(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
     """Whether two scatters are the same as far as a fit heeds them."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
     alike = all(abs(a - b) <= within * max(a, b) for a, b in pairs)
@@ -247,11 +247,11 @@ def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
     """Whether a scatter is there, alike at all PWM frequencies, and no larger than a sound sensor's and modulator's."""
     limits, noise = setup.prepared.criteria, scatter.noise
     small = noise.offset_scatter_a <= MAX_OFFSET_SCATTER * setup.current_a
-    small = small and timer_step_s(noise, setup) <= MAX_TIMER_STEP_S
+    small = small and quantiser_step_s(noise, setup) <= MAX_TIMER_STEP_S
     return small and noise.scatters and scatter.chance > limits.uncertainty.scatter_chance
 
 
-def timer_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
+def quantiser_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
     """The step of a modulator's timer that makes a scatter of held voltages [s].
 
     A step of t_q moves both edges of a symmetric carrier's pulse, and a leg's mean voltage by 2 t_q f V_dc.
@@ -259,7 +259,9 @@ def timer_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
     return leg_step_v(noise.voltage_scatter_v) / own_leg_step_of(1.0, setup.prepared.manifest.drive)
 
 
-def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate], *, may_be_dithered: bool = True) -> Scatter:
+def scatter_of(
+    fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect], *, may_be_dithered: bool = True
+) -> Scatter:
     """The likeliest scatter around a fit's model, all effects of the library following.
 
     Parameters
@@ -269,26 +271,26 @@ def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate], *, may_be
     may_be_dithered : bool
         Whether what trembles in held voltages may take of their scatter, where it is not alike at all PWM frequencies.
     """
-    return _likeliest_of(likelihood_of(fitter, fit, library), may_be_dithered=may_be_dithered)
+    return _most_likely_scatter(likelihood_of(fitter, fit, library), may_be_dithered=may_be_dithered)
 
 
-def _likeliest_of(likelihood: Likelihood, *, may_be_dithered: bool = True) -> Scatter:
+def _most_likely_scatter(likelihood: Likelihood, *, may_be_dithered: bool = True) -> Scatter:
     criteria = likelihood.criteria
     least = 2.0 * criteria.selection.log_evidence
     # The simpler one stays unless the data ask for more.
     best = ModelNoise()
     cost = none = likelihood.cost(best)
     for which in ((True, False), (False, True), (True, True)):
-        found = likelihood.likeliest(which, dithered=False)
+        found = likelihood.most_likely(which, dithered=False)
         if may_be_dithered and likelihood.chance(found) <= criteria.uncertainty.scatter_chance:
-            found = likelihood.likeliest(which, dithered=True)
+            found = likelihood.most_likely(which, dithered=True)
         if cost - likelihood.cost(found) > least:
             best, cost = found, likelihood.cost(found)
     return Scatter(best, 0.5 * (none - cost), likelihood.chi2_per_dof(best), likelihood.chance(best))
 
 
-def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Likelihood:
-    """What there is to be said of any scatter around a fit's model, all effects of the library following.
+def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> Likelihood:
+    """The likelihood of any scatter around a fit's model, all effects of the library following.
 
     Parameters
     ----------
@@ -305,7 +307,7 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Lik
     gradient = pulls.sum(axis=0)
     # R_s and the map are where their gradient, prior included, is nil.
     gradient[:width] = 0.0
-    gradient[width : width + len(free)] += [a.off_prior(n) for a, n in free]
+    gradient[width : width + len(free)] += [a.prior_residual(n) for a, n in free]
     segments = []
     common: dict[int, Array] = {}
     for frame in loose.frame.batches:
@@ -313,6 +315,6 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Lik
             common |= dict(zip(frame.batch.places, fitter.equations.common(loose.model, frame), strict=True))
     pieces = [(piece, common[k]) for k, piece in enumerate(loose.prepared.pieces) if not piece.held_out]
     for (piece, u), (linear, d, e) in zip(pieces, loose.training(), strict=True):
-        timer, pwm_hz = TimerScatter.of(piece), piece.signals.pwm_frequency_hz
+        timer, pwm_hz = QuantiserScatter.of(piece), piece.signals.pwm_frequency_hz
         segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e, timer, pwm_hz))
     return Likelihood(fitter.prepared.criteria, segments, normal, gradient, loose.chi2, loose.dof)

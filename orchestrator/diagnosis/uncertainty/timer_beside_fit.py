@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.timer_counting import counting
+from orchestrator.diagnosis.uncertainty.quantiser_counter import counter_models
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import LocalMap, change_of_rows, local_map
 from orchestrator.diagnosis.weak_form.noise import Whitener
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, added_by, leg_step_of
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, mean_between
-from orchestrator.diagnosis.weak_form.timer import BorneTimer, added_by, leg_step_of
 from orchestrator.numerics.types import Array, Indices
 from protocols import ModulatorTimer, SignalBatch
 
@@ -42,14 +42,14 @@ FIRST_DAMPING = 0.1
 MOST_DAMPING = 1e3
 
 
-def timer_beside(fit: Fit, borne: Sequence[BorneTimer], pm_flux_wb: float) -> tuple[ModulatorTimer, float]:
+def timer_beside(fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float) -> tuple[ModulatorTimer, float]:
     """The likeliest timer near a fit's own, all that is free following, and what it takes of chi2.
 
     Parameters
     ----------
     fit : Fit
         Of a recording with a timer.
-    borne : sequence of BorneTimer
+    borne : sequence of QuantiserEstimate
         What the readings say of that timer, and of those that round much like it.
     pm_flux_wb : float
         Magnet flux [Wb].
@@ -80,7 +80,7 @@ def _over_jumps(rounding: _Rounding, x: Array) -> Array:
 
 def _or_counting(rounding: _Rounding, x: Array, evidence: float) -> Array:
     """The likeliest timer that counts from the carrier's turns, unless `x` is likelier by so much chi2."""
-    families = [*counting(rounding.borne, rounding.start), *counting(rounding.borne, x)]
+    families = [*counter_models(rounding.borne, rounding.start), *counter_models(rounding.borne, x)]
     best = min((one.likeliest(rounding.cost) for one in families), key=rounding.cost, default=x)
     return best if rounding.cost(best) < rounding.cost(x) + evidence else x
 
@@ -142,7 +142,7 @@ class _Rounding:
     ----------
     normal : array
         Of R_s, the map and all free parameters, with their priors.
-    borne : BorneTimer
+    borne : QuantiserEstimate
         Known wherever the fit's own is; x is how much a timer differs from it.
     start : array, shape (1 + 2 frequencies,)
         x of the fit's own timer.
@@ -152,15 +152,15 @@ class _Rounding:
 
     segments: Sequence[_Segment]
     normal: Array
-    borne: BorneTimer
+    borne: QuantiserEstimate
     start: Array
     unit: Array
     bus_v: float
     pm_flux_wb: float
 
     @classmethod
-    def of(cls, fit: Fit, borne: Sequence[BorneTimer], pm_flux_wb: float) -> _Rounding:
-        timer, bus_v = fit.prepared.timer, fit.prepared.manifest.drive.dc_bus_voltage_v
+    def of(cls, fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float) -> _Rounding:
+        timer, bus_v = fit.prepared.quantiser, fit.prepared.manifest.drive.dc_bus_voltage_v
         if timer is None:
             raise ValueError("expected a recording with a modulator's timer")
         pieces = [(k, p) for k, p in enumerate(fit.prepared.pieces) if not p.held_out]

@@ -29,7 +29,7 @@ class WindowLayout(NamedTuple):
         Bounds of the segments' samples.
     rows : array of int64, shape (segments + 1,)
         Bounds of their equations: test function, mode, axis.
-    hats, n_bins, n_modes, unread : array of int64, shape (segments,)
+    test_functions, n_bins, n_modes, unread : array of int64, shape (segments,)
         As `Windows`; -1 where both axes were read.
     steps : array, shape (segments,)
         Distance of the test functions in intervals.
@@ -52,7 +52,7 @@ class WindowLayout(NamedTuple):
 
     starts: NDArray[np.int64]
     rows: NDArray[np.int64]
-    hats: NDArray[np.int64]
+    test_functions: NDArray[np.int64]
     n_bins: NDArray[np.int64]
     n_modes: NDArray[np.int64]
     unread: NDArray[np.int64]
@@ -95,23 +95,23 @@ class SegmentBatch:
     def layout(self) -> WindowLayout:
         windows = [p.windows for p in self.pieces]
         angles = np.array([float(p.segment.rotor_angle_rad) for p in self.pieces])
-        sizes = [w.carriers.size for w in windows]
+        sizes = [w.modes.size for w in windows]
         # The last sample of a segment begins no interval.
         bins = [np.append(w.bins, 0) for w in windows]
         before, weights = zip(*(_test_functions(w) for w in windows), strict=True)
         return WindowLayout(
             starts=self.signals.starts,
             rows=_bounds([w.rows for w in windows]),
-            hats=np.array([w.hats for w in windows]),
+            test_functions=np.array([w.test_functions for w in windows]),
             n_bins=np.array([w.n_bins for w in windows]),
-            n_modes=np.array([len(w.carriers) for w in windows]),
+            n_modes=np.array([len(w.modes) for w in windows]),
             unread=np.array([-1 if w.unread is None else w.unread for w in windows]),
             steps=np.array([float(w.step) for w in windows]),
             bins=np.concatenate(bins).astype(np.int32),
             before=np.concatenate(before),
             weights=np.concatenate(weights),
             mode_starts=_bounds(sizes)[:-1],
-            modes=np.concatenate([w.carriers.ravel() for w in windows]),
+            modes=np.concatenate([w.modes.ravel() for w in windows]),
             interval_s=1.0 / np.array([p.signals.sampling_frequency_hz for p in self.pieces]),
             cos=np.cos(angles),
             sin=np.sin(angles),
@@ -139,7 +139,7 @@ def _test_functions(windows: Windows) -> tuple[NDArray[np.int32], Array]:
     whole = np.floor(place)
     weights = np.column_stack([1.0 - (place - whole), place - whole])
     weights[-1] = 0.0
-    return np.minimum(whole, windows.hats + 1).astype(np.int32), weights
+    return np.minimum(whole, windows.test_functions + 1).astype(np.int32), weights
 
 
 def _bounds(sizes: Sequence[int]) -> NDArray[np.int64]:
@@ -155,8 +155,8 @@ def in_batches(
 ) -> tuple[tuple[SegmentBatch, ...], tuple[SegmentBatch, ...]]:
     """A recording's segments in batches of at most so many samples, those that come first apart from the others.
 
-    What is held out of fits, and what was read with the bridge off, is in batches of its own: neither is asked for all
-    that the others are.
+    What is held out of fits, and what was read with the bridge off, is in batches of its own: neither needs all that
+    the others do.
     """
     ahead = set(first)
     kinds: dict[tuple[bool, bool, bool], list[int]] = {}

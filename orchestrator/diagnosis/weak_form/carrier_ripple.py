@@ -25,11 +25,11 @@ from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from protocols import Signals
 
-LEAST = 0.1
+LEAST_INDUCTANCE_RATIO = 0.1
 """Of the nameplate's inductance, that saturation leaves at least: iron that is full still leaves the slots' leakage."""
 
 
-def taken_of_ripple(piece: SegmentSignals, signals: Signals, magnetics: Magnetics) -> Array:
+def carrier_ripple_voltage(piece: SegmentSignals, signals: Signals, magnetics: Magnetics) -> Array:
     """The voltage that is to be added to a segment's, so that the line between readings is right.
 
     Parameters
@@ -72,7 +72,11 @@ def _believable(inductance: Array, signals: Signals) -> Array:
         return inductance
     l_d, l_q = motor.d_inductance_h, motor.q_inductance_h
     dd, dq, qq = inductance.T
-    sound = (dd > LEAST * l_d) & (qq > LEAST * l_q) & (dd * qq - dq * dq > LEAST**2 * l_d * l_q)
+    sound = (
+        (dd > LEAST_INDUCTANCE_RATIO * l_d)
+        & (qq > LEAST_INDUCTANCE_RATIO * l_q)
+        & (dd * qq - dq * dq > LEAST_INDUCTANCE_RATIO**2 * l_d * l_q)
+    )
     return np.where(sound[:, None], inductance, np.array([l_d, 0.0, l_q]))
 
 

@@ -21,7 +21,7 @@ def sum_basis(
     i_dq: Array,
     delta: Array,
     step: float,
-    hats: int,
+    test_functions: int,
     bins: NDArray[np.int64],
     n_bins: int,
     numbers: Array,
@@ -42,7 +42,7 @@ def sum_basis(
     """
     n = i_dq.shape[0]
     nq = (counts.shape[0] - 2 + 1) // 2
-    out = np.zeros((hats, n_bins, 2, (counts[0] + 5) * nq))
+    out = np.zeros((test_functions, n_bins, 2, (counts[0] + 5) * nq))
     where = np.zeros((n_bins, 2), dtype=np.int64)
     # Of the powers as they are and, where the rotor turns, times the cosine and the sine of its angle.
     turns = delta.shape[0] > 0
@@ -55,13 +55,13 @@ def sum_basis(
     span = math.floor(0.5 / step)
     for k in range(n - 1):
         place = (k + 0.5) / step
-        hats_before = math.floor(place)
-        if hats_before != span:
+        functions_before = math.floor(place)
+        if functions_before != span:
             for b in range(n_bins):
                 if waiting[b]:
-                    _flush(out, span, b, hats, where[b], moments[b], turns, numbers, counts, pieces)
+                    _flush(out, span, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
                     waiting[b] = False
-            span = hats_before
+            span = functions_before
         b = bins[k]
         u0 = (i_dq[k, 0] - numbers[0]) / numbers[1]
         v0 = (i_dq[k, 1] - numbers[2]) / numbers[3]
@@ -70,7 +70,7 @@ def sum_basis(
         fresh = not waiting[b]
         inside = _within(u0, u1, where[b, 0], counts[0], overlap) and _within(v0, v1, where[b, 1], counts[1], overlap)
         if waiting[b] and not inside:
-            _flush(out, span, b, hats, where[b], moments[b], turns, numbers, counts, pieces)
+            _flush(out, span, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
             fresh = True
         if fresh:
             where[b, 0] = min(max(math.floor(0.5 * (u0 + u1)), 0), counts[0] - 1)
@@ -83,7 +83,7 @@ def sum_basis(
         _powers(u1, where[b, 0], counts[0], after[0])
         _powers(v1, where[b, 1], counts[1], after[1])
         last_bin = b
-        w1 = place - hats_before
+        w1 = place - functions_before
         w0 = 1.0 - w1
         if turns:
             cos_now, sin_now = math.cos(delta[k]), math.sin(delta[k])
@@ -101,7 +101,7 @@ def sum_basis(
         now, after = after, now
     for b in range(n_bins):
         if waiting[b]:
-            _flush(out, span, b, hats, where[b], moments[b], turns, numbers, counts, pieces)
+            _flush(out, span, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
     return out
 
 
@@ -129,7 +129,7 @@ def _flush(
     out: Array,
     span: int,
     slot: int,
-    hats: int,
+    test_functions: int,
     cell: NDArray[np.int64],
     moments: Array,
     turns: bool,
@@ -146,7 +146,7 @@ def _flush(
         # Cosines' part of the flux along each axis stays on it, the sines' goes to the other.
         for part in range(2 if turns else 1):
             m = moments[side, part]
-            for r in range(6 if 0 <= hat < hats else 0):
+            for r in range(6 if 0 <= hat < test_functions else 0):
                 # Along d first: sums over the powers of t_d, with and without the derivative.
                 for j in range(6):
                     plain[j] = 0.0

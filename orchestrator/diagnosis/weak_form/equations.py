@@ -108,7 +108,7 @@ def basis(batch: SegmentBatch, local: LocalMap, magnetics: Magnetics) -> list[Ar
     columns = []
     for j, piece in enumerate(batch.pieces):
         w, own = piece.windows, local.part(batch.signals.slice_of(j))
-        sums = sum_basis(own.i_dq, own.delta, w.step, w.hats, w.bins, w.n_bins, numbers, counts, CARDINAL)
+        sums = sum_basis(own.i_dq, own.delta, w.step, w.test_functions, w.bins, w.n_bins, numbers, counts, CARDINAL)
         columns.append(w.combine(sums))
     return columns
 
@@ -180,7 +180,7 @@ def _add(sums: Array, layout: WindowLayout, k: int, x_d: float, x_q: float) -> N
 @njit(cache=True, nogil=True, inline="always")
 def _sums(layout: WindowLayout, s: int) -> Array:
     """Nothing yet of a segment's test functions, bins and axes, with room before the first and beyond the last."""
-    return np.zeros((layout.hats[s] + 3, layout.n_bins[s], 2))
+    return np.zeros((layout.test_functions[s] + 3, layout.n_bins[s], 2))
 
 
 @njit(cache=True, nogil=True)
@@ -188,7 +188,7 @@ def _combine(sums: Array, layout: WindowLayout, s: int, out: Array) -> None:
     """A segment's rows from its `_sums`: each times the modes."""
     n_bins, n_modes, first = layout.n_bins[s], layout.n_modes[s], layout.mode_starts[s]
     row = layout.rows[s]
-    for j in range(1, layout.hats[s] + 1):
+    for j in range(1, layout.test_functions[s] + 1):
         for m in range(n_modes):
             d = 0.0
             q = 0.0
@@ -204,7 +204,7 @@ def _combine(sums: Array, layout: WindowLayout, s: int, out: Array) -> None:
 @njit(cache=True, nogil=True)
 def _sum_steps(x: Array, layout: WindowLayout, out: Array) -> None:
     """Rows of -(x_k+1 - x_k), x (n, 2) in the believed rotor frame."""
-    for s in range(layout.hats.shape[0]):
+    for s in range(layout.test_functions.shape[0]):
         first = layout.starts[s]
         sums = _sums(layout, s)
         for k in range(first, layout.starts[s + 1] - 1):
@@ -225,7 +225,7 @@ def _sum_intervals(
     v_out: Array,
     r_out: Array,
 ) -> None:
-    for s in range(layout.hats.shape[0]):
+    for s in range(layout.test_functions.shape[0]):
         first = layout.starts[s]
         c = layout.cos[s]
         sn = layout.sin[s]
@@ -271,13 +271,13 @@ def _sum_intervals(
 @njit(cache=True, nogil=True)
 def _sum_voltages(dv: Array, layout: WindowLayout, out: Array) -> None:
     """Rows of a change of the voltage alone, (n, 2) in the stator frame: summed there, then turned."""
-    for s in range(layout.hats.shape[0]):
+    for s in range(layout.test_functions.shape[0]):
         sums = _sums(layout, s)
         for k in range(layout.starts[s], layout.starts[s + 1] - 1):
             _add(sums, layout, k, dv[k, 0], dv[k, 1])
         c = layout.interval_s[s] * layout.cos[s]
         sn = layout.interval_s[s] * layout.sin[s]
-        for j in range(1, layout.hats[s] + 1):
+        for j in range(1, layout.test_functions[s] + 1):
             for b in range(layout.n_bins[s]):
                 alpha, beta = sums[j, b, 0], sums[j, b, 1]
                 sums[j, b, 0] = c * alpha + sn * beta
@@ -308,7 +308,7 @@ def _sum_changes(
     has_m = dim.shape[0] > 0
     has_t = dtheta.shape[0] > 0
     turned = turn.shape[0] > 0
-    for s in range(layout.hats.shape[0]):
+    for s in range(layout.test_functions.shape[0]):
         first = layout.starts[s]
         c = layout.cos[s]
         sn = layout.sin[s]

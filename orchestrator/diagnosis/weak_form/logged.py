@@ -11,15 +11,15 @@ import numpy as np
 from orchestrator.numerics.frames import from_phases, from_two_phases
 from protocols import Capture, RealArray, Signals
 
-_LOOKED_AT = 2000
+_ROWS_COMPARED = 2000
 """Rows by which it is seen of what a vector was made."""
-_FITS = 1e-3
+_LOG_ROUNDING = 1e-3
 """Of the current: by how much a vector may be off what it was made of, by the rounding of a log."""
-_SINGLE = 1e-6
+_SINGLE_PRECISION_ROUNDING = 1e-6
 """The same by the rounding of single precision."""
 
 
-def what_is_logged(capture: Capture, rows: int, width: int) -> dict[str, Any]:
+def logged_fields(capture: Capture, rows: int, width: int) -> dict[str, Any]:
     """The fields of `Signals` that only some recordings have.
 
     Parameters
@@ -43,14 +43,14 @@ def clarke_of_three(i_ab: RealArray, i_abc: RealArray) -> bool | None:
 
     Where the third was computed from the first two, it is the same, and no third reading.
     """
-    rows = slice(None, None, max(1, len(i_ab) // _LOOKED_AT))
+    rows = slice(None, None, max(1, len(i_ab) // _ROWS_COMPARED))
     vector, phases = i_ab[rows], i_abc[rows]
     off_three = float(np.abs(vector - from_phases(phases)).max())
     off_two = float(np.abs(vector - from_two_phases(phases[:, 0], phases[:, 1])).max())
     size = float(np.abs(vector).max())
-    if _SINGLE * size < off_two and off_three < 0.1 * off_two:
+    if _SINGLE_PRECISION_ROUNDING * size < off_two and off_three < 0.1 * off_two:
         return True
-    return False if off_two <= _FITS * size else None
+    return False if off_two <= _LOG_ROUNDING * size else None
 
 
 def since_the_start(signals: Sequence[Signals]) -> list[Signals]:

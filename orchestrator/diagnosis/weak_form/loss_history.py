@@ -16,7 +16,7 @@ LOSS_STEP_S: float = 0.05
 MAX_LOSS_STEPS: int = 2000
 """Steps of the history of losses in a long experiment, without those at gaps."""
 
-_SILENT = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK)
+_UNFITTED_STAGES = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK)
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ def heat_of_unread(recording: RecordingReader, segments: Sequence[Segment], step
     for segment in segments:
         end = segment.start_s + segment.samples / fs
         target = [segment.settings.get(f"target_{axis}_a") for axis in "dq"]
-        if segment.stage in _SILENT and segment.samples:
+        if segment.stage in _UNFITTED_STAGES and segment.samples:
             i_ab = np.asarray(recording.load(segment).i_ab, dtype=np.float64)
             square = np.einsum("ij,ij->i", i_ab, i_ab)
             heats.append(segment_heat(square, segment.start_s, end, fs, step_s, float(square[0])))

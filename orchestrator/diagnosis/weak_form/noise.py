@@ -23,7 +23,7 @@ from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
 from orchestrator.diagnosis.weak_form.spectral_lines import SpectralLine, added_noise, find_lines
-from orchestrator.diagnosis.weak_form.windows import hat_weights
+from orchestrator.diagnosis.weak_form.windows import function_weights
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.quieting import quieted
 from orchestrator.numerics.types import Array
@@ -32,11 +32,11 @@ from protocols import ModelNoise, SegmentStage
 LEAST_CORRELATION: float = 0.08
 """Correlation of successive readings below which a recording's length does not tell them from white noise."""
 
-_MOST_ALIKE = 0.98
-"""Beyond this the readings' noise cannot be told from a current that moves."""
+_MAX_CORRELATION = 0.98
+"""Correlation beyond which noise and a moving current are not separable."""
 
 
-_BEYOND_CHANCE = 3.0
+_SIGNIFICANCE_SIGMAS = 3.0
 """Standard deviations."""
 
 
@@ -69,7 +69,7 @@ class SensorNoise:
         covariance = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
         return np.asarray(covariance / piece.averaged)
 
-    def taken_out_of(self, piece: SegmentSignals) -> SegmentSignals:
+    def with_quiet_current(self, piece: SegmentSignals) -> SegmentSignals:
         """A hold that has its current without noise beside the measured one; any other piece as it is.
 
         A hold's window is so long that the noise in it is that of the mean, which stays. In a sweep's short windows the
@@ -83,10 +83,10 @@ class SensorNoise:
     def colour(self, piece: SegmentSignals) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
         w, rho = piece.windows, self.correlation
-        if len(w.carriers) == 1 and self.lines:
+        if len(w.modes) == 1 and self.lines:
             return np.array([self._steady(piece)])
         if rho == 0.0:
-            return np.ones(len(w.carriers))
+            return np.ones(len(w.modes))
         turn = 2.0 * np.pi * np.array(w.orders) / max(w.period, 1.0)
         return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
 
@@ -143,16 +143,16 @@ def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], least: float
     Current control answers to noise, by which readings are alike; with the gates off nothing does. Where these are so
     few that what they tell may be chance, rho of white noise being 1 / sqrt(n) off, it is none if that is nearer.
     """
-    told, free = ([s for s in some if math.isfinite(s.correlation)] for some in (steady, off))
-    rho = float(np.median([s.correlation for s in told])) if told else 0.0
+    correlated, free = ([s for s in some if math.isfinite(s.correlation)] for some in (steady, off))
+    rho = float(np.median([s.correlation for s in correlated])) if correlated else 0.0
     if abs(rho) < least:
         return 0.0
     if free:
         held, rho = rho, float(np.median([s.correlation for s in free]))
         chance = 1.0 / math.sqrt(max(sum(s.readings for s in free), 1))
-        if abs(rho) < _BEYOND_CHANCE * chance and abs(rho) < abs(rho - held):
+        if abs(rho) < _SIGNIFICANCE_SIGMAS * chance and abs(rho) < abs(rho - held):
             return 0.0
-    return min(max(rho, -_MOST_ALIKE), _MOST_ALIKE)
+    return min(max(rho, -_MAX_CORRELATION), _MAX_CORRELATION)
 
 
 @dataclass(frozen=True)
@@ -193,21 +193,21 @@ def banded_covariance(
         r_s,
         1.0 / piece.signals.sampling_frequency_hz,
         w.step,
-        w.hats,
+        w.test_functions,
         w.bins,
         w.n_bins,
     )
-    shifted = np.stack([np.roll(w.carriers, -d, axis=1) for d in (-1, 0, 1)])
+    shifted = np.stack([np.roll(w.modes, -d, axis=1) for d in (-1, 0, 1)])
     # Carriers first: no order is much better whatever the sizes, and a search for it takes as long as the products.
     order = ["einsum_path", (0, 1), (0, 1)]
-    blocks = np.einsum("hb,dgb,jtbdxy->jthxgy", w.carriers, shifted, sums, optimize=order)
-    size = 2 * len(w.carriers)
+    blocks = np.einsum("hb,dgb,jtbdxy->jthxgy", w.modes, shifted, sums, optimize=order)
+    size = 2 * len(w.modes)
     root = np.repeat(np.sqrt(noise.colour(piece)), 2)
-    blocks = blocks.reshape(w.hats, 2, size, size) * np.outer(root, root)
-    return _banded(blocks if w.unread is None else _apart(blocks, w.unread))
+    blocks = blocks.reshape(w.test_functions, 2, size, size) * np.outer(root, root)
+    return _banded(blocks if w.unread is None else _decoupled(blocks, w.unread))
 
 
-def _apart(blocks: Array, axis: int) -> Array:
+def _decoupled(blocks: Array, axis: int) -> Array:
     """The blocks with one axis' rows as noisy as the other's, and with nothing in common with them."""
     blocks = blocks.copy()
     mine, other = np.arange(axis, blocks.shape[-1], 2), np.arange(1 - axis, blocks.shape[-1], 2)
@@ -219,13 +219,13 @@ def _apart(blocks: Array, axis: int) -> Array:
 
 def _banded(blocks: Array) -> Array:
     """Block-tridiagonal (hats, 2, size, size), own and next, to lower banded form."""
-    hats, _, size, _ = blocks.shape
-    out = np.zeros((2 * size, hats, size))
+    test_functions, _, size, _ = blocks.shape
+    out = np.zeros((2 * size, test_functions, size))
     for column in range(size):
         out[: size - column, :, column] = blocks[:, 0, column, column:].T
         # blocks[j, 1] couples rows of hat j with columns of hat j + 1: its transpose is below the diagonal.
         out[size - column : 2 * size - column, :-1, column] = blocks[:-1, 1, column, :].T
-    return out.reshape(2 * size, hats * size)
+    return out.reshape(2 * size, test_functions * size)
 
 
 @dataclass(frozen=True)
@@ -298,7 +298,7 @@ def _factored(covariance: Array) -> Array:
     """Cholesky factor of a covariance in lower banded form.
 
     Rows further apart than the band are taken to have nothing in common. Where a map that is not found yet is too steep
-    for that, nothing has the rest to be a covariance: what neighbours share is then told smaller, the variances stay.
+    for that, nothing has the rest to be a covariance: the covariances are then reduced, the variances stay.
     """
     from scipy.linalg import cholesky_banded
 
@@ -324,13 +324,13 @@ def _pair_sums(
     r_s: float,
     ts: float,
     step: float,
-    hats: int,
+    test_functions: int,
     bins: NDArray[np.int64],
     n_bins: int,
 ) -> Array:
     """sum_k g_mk Sigma g_m'k^T before the carriers -> (hats, own/next hat, bins, bin -1/0/+1, 2, 2)."""
     n = inductance.shape[0]
-    out = np.zeros((hats, 2, n_bins, 3, 2, 2))
+    out = np.zeros((test_functions, 2, n_bins, 3, 2, 2))
     hat = np.empty(4, dtype=np.int64)
     slot = np.empty(4, dtype=np.int64)
     g = np.empty((4, 2, 2))
@@ -365,7 +365,7 @@ def _pair_sums(
         w0 = 0.0
         w1 = 0.0
         if k < n - 1:
-            j, w0, w1 = hat_weights(k, step, hats)
+            j, w0, w1 = function_weights(k, step, test_functions)
         used = 0
         if k > 0 and k < n - 1 and j == last_j and bins[k] == bins[k - 1]:
             for side in range(2):

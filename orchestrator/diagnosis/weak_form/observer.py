@@ -59,7 +59,7 @@ def smooth_flux(
     out = np.empty((n, 2))
     current = np.empty((n, 2))
     segments = starts.shape[0] - 1
-    rests = turn.shape[0] == segments
+    is_fixed = turn.shape[0] == segments
     for m in range(segments):
         first, end = starts[m], starts[m + 1]
         ts = interval_s[m]
@@ -73,7 +73,7 @@ def smooth_flux(
             largest = max(largest, math.hypot(i_ab[k, 0], i_ab[k, 1]))
         least = 1e-3 * mean_d * mean_q
         for k in range(first, end):
-            c, s = turn[m if rests else k]
+            c, s = turn[m if is_fixed else k]
             d = psi_dq[k, 0] + pm_flux
             psi[k, 0] = c * d - s * psi_dq[k, 1]
             psi[k, 1] = s * d + c * psi_dq[k, 1]

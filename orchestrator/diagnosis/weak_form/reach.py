@@ -8,7 +8,7 @@ import numpy as np
 
 from orchestrator.numerics.types import Array
 
-BESIDE = 0.1
+HULL_TOLERANCE = 0.1
 """Of the largest current, by which a current may be beyond the others; and the part of them that may be further."""
 
 
@@ -22,11 +22,11 @@ def lies_among(current: Array, others: Sequence[Array]) -> bool:
     if not others:
         return False
     around = np.concatenate(others)
-    slack = BESIDE * float(np.abs(around).max(initial=0.0))
+    slack = HULL_TOLERANCE * float(np.abs(around).max(initial=0.0))
     try:
         sides = ConvexHull(around).equations
         beyond = (current @ sides[:, :2].T + sides[:, 2]).max(axis=1)
     except QhullError:
         low, high = around.min(axis=0), around.max(axis=0)
         beyond = np.maximum(low - current, current - high).max(axis=1)
-    return bool((beyond > slack).mean() <= BESIDE)
+    return bool((beyond > slack).mean() <= HULL_TOLERANCE)

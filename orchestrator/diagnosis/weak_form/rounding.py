@@ -14,30 +14,33 @@ from orchestrator.numerics.lattice import step_of
 from orchestrator.numerics.types import Array
 from protocols import Remark, SegmentStage
 
-SOME = 2000
-"""Numbers of a log that are asked first."""
-SHOWS = 0.1
+FIRST_NUMBERS_CHECKED = 2000
+"""Numbers of a log that are checked first."""
+LEAST_ROUNDING_VARIANCE_RATIO = 0.1
 """Of the noise's variance in an equation, from which on a rounding is spoken of."""
 
 
-def of_rounding(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> list[Remark]:
-    """What is said of voltages and currents that were logged in steps too large for what is to be told of them."""
-    told, used = [], [p for p in pieces if p.stage is not SegmentStage.GATES_OFF]
+def rounding_remarks(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> list[Remark]:
+    """Remarks on voltages and currents that were logged in steps too large for a diagnosis."""
+    remarks, used = [], [p for p in pieces if p.stage is not SegmentStage.GATES_OFF]
     volts = logged_step(used, lambda piece: piece.command_ab)
-    if volts is not None and max(_beside_noise(piece, noise, volts) for piece in used) > SHOWS:
+    if (
+        volts is not None
+        and max(_rounding_variance_ratio(piece, noise, volts) for piece in used) > LEAST_ROUNDING_VARIANCE_RATIO
+    ):
         text = (
             "voltages are logged in steps of {step_v:.3g} V: where the drive's own are finer, that rounding shows "
             "beside the noise, and may be told as unknown; log more decimals"
         )
-        told.append(Remark.of("rounded_voltages", text, step_v=volts))
+        remarks.append(Remark.of("rounded_voltages", text, step_v=volts))
     amperes = logged_step(used, lambda piece: piece.current_ab)
     if amperes is not None and amperes > 2.0 * math.sqrt(0.5 * float(np.trace(noise.covariance))):
         text = (
             "currents are logged in steps of {step_a:.3g} A, more than they scatter by: rounding that no noise dithers "
             "is no noise, and may be told as unknown; log more decimals"
         )
-        told.append(Remark.of("rounded_currents", text, step_a=amperes))
-    return told
+        remarks.append(Remark.of("rounded_currents", text, step_a=amperes))
+    return remarks
 
 
 def logged_step(pieces: Sequence[SegmentSignals], read: Callable[[SegmentSignals], Array]) -> float | None:
@@ -51,9 +54,13 @@ def logged_step(pieces: Sequence[SegmentSignals], read: Callable[[SegmentSignals
         lambda piece: to_dq(read(piece), piece.segment.rotor_angle_rad),
         lambda piece: _between_phases(read(piece)),
     )
-    busiest = max(pieces, key=lambda piece: float(np.abs(np.diff(read(piece)[:SOME], axis=0)).sum()), default=None)
+    busiest = max(
+        pieces,
+        key=lambda piece: float(np.abs(np.diff(read(piece)[:FIRST_NUMBERS_CHECKED], axis=0)).sum()),
+        default=None,
+    )
     for frame in frames:
-        if busiest is None or step_of(frame(busiest)[:SOME].ravel()) is None:
+        if busiest is None or step_of(frame(busiest)[:FIRST_NUMBERS_CHECKED].ravel()) is None:
             continue
         step = step_of(np.concatenate([frame(piece).ravel() for piece in pieces]))
         if step is not None:
@@ -67,7 +74,7 @@ def _between_phases(x_ab: Array) -> Array:
     return np.asarray(phases - np.roll(phases, 1, axis=1))
 
 
-def _beside_noise(piece: SegmentSignals, noise: SensorNoise, step_v: float) -> float:
+def _rounding_variance_ratio(piece: SegmentSignals, noise: SensorNoise, step_v: float) -> float:
     """Variance that a step's rounding makes in an equation of a hat, over that of the readings' noise."""
     signals, width = piece.signals, piece.windows.step
     ts, variance = 1.0 / signals.sampling_frequency_hz, 0.5 * float(np.trace(noise.of(piece)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from orchestrator.analysis import turns_of
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
-from orchestrator.diagnosis.weak_form.logged import since_the_start, what_is_logged
+from orchestrator.diagnosis.weak_form.logged import logged_fields, since_the_start
 from orchestrator.diagnosis.weak_form.loss_history import (
     LOSS_STEP_S,
     SegmentHeat,
@@ -95,12 +95,12 @@ USABLE = (
     SegmentStage.INJECTION,
     SegmentStage.STEPS,
 )
-_MOVING = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
-_ROUNDED = 1e-6
+_EXCITED_STAGES = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
+_ZERO_TOLERANCE = 1e-6
 """Of the other axis: single precision turned from frame to frame makes a tenth of it."""
-_LAST_READINGS = 20
+_FINAL_READINGS = 20
 """Whose mean is where a current was as a segment ended."""
-_MOST_WAY_POINTS = 24
+_MAX_HISTORY_POINTS = 24
 """Of the way to a segment that are kept: a sweep's last period, or the last holds; what was before is wiped out."""
 _SAMPLED = (
     *("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j"),
@@ -160,7 +160,7 @@ class PreparedRecording:
     criteria: Criteria
     fleet: FleetPriors | None = None
     """What other motors of its kind let expect."""
-    timer: ModulatorTimer | None = None
+    quantiser: ModulatorTimer | None = None
     """Whose rounding is in the pieces' voltages."""
     ripples: bool = False
     """Whether the current ripples within a carrier's period by as much as matters to its resistance."""
@@ -212,10 +212,10 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     remarks += _too_short(short)
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
         raise NotMeasuredError(manifest.name, "segments", _nothing_long_enough(short))
-    pieces = _held_out_within_reach(pieces)
+    pieces = _held_out_among_fitted(pieces)
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
-    pieces = _knowing_how_far_turned(_knowing_their_way(pieces))
+    pieces = _with_rotor_turn(_with_current_history(pieces))
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
     unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], LOSS_STEP_S)
@@ -235,9 +235,9 @@ def coarse(prepared: PreparedRecording) -> PreparedRecording:
     return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
 
 
-def _held_out_within_reach(pieces: list[SegmentSignals]) -> list[SegmentSignals]:
+def _held_out_among_fitted(pieces: list[SegmentSignals]) -> list[SegmentSignals]:
     """Held out is what lies among the currents that are fitted, and nothing where else nothing would move."""
-    fitted = [_currents(p) for p in pieces if not p.held_out and p.stage in _MOVING]
+    fitted = [_currents(p) for p in pieces if not p.held_out and p.stage in _EXCITED_STAGES]
     held = {p.segment.id for p in pieces if p.held_out and lies_among(_currents(p), fitted)}
     return [replace(p, held_out=p.segment.id in held) if p.held_out else p for p in pieces]
 
@@ -346,7 +346,7 @@ def _piece(
         motor=recording.manifest.motor,
         drive=drive,
         bridge_on=segment.stage is not SegmentStage.GATES_OFF,
-        **what_is_logged(capture, n, width),
+        **logged_fields(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab) == "dq"
     return SegmentSignals(
@@ -361,7 +361,7 @@ def _scatter(segment: Segment, fs: float, i_ab: Array, v_ab: Array) -> Scatter:
     period = injection_period(segment, fs, v_ab) if segment.stage is SegmentStage.INJECTION else None
     if period is not None and not repeats(v_ab, period):
         return scatter_beside_answer(i_ab, v_ab)
-    return scatter_of(i_ab, period, rests=segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE))
+    return scatter_of(i_ab, period, steady=segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE))
 
 
 def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormCriteria) -> int:
@@ -400,9 +400,9 @@ def block_means(x: Array, width: int) -> Array:
 
 def swept_axis(segment: Segment, i_ab: RealArray) -> Axis:
     """The axis along which a sweep moves the current: as it says itself, else by what moved."""
-    said = segment.settings.get("swept_axis")
+    stated = segment.settings.get("swept_axis")
     for axis in AXES:
-        if said == axis:
+        if stated == axis:
             return axis
     swing_d, swing_q = np.ptp(to_dq(i_ab, segment.rotor_angle_rad), axis=0)
     if min(swing_d, swing_q) > LEAST_SWING_RATIO_OF_DIAGONAL * max(swing_d, swing_q):
@@ -416,7 +416,7 @@ def unread_axis(segment: Segment, i_ab: RealArray, v_ab: RealArray) -> int | Non
     A sensor has noise: what is nothing throughout was written, not read.
     """
     size = np.array([np.abs(to_dq(x, segment.rotor_angle_rad)).max(axis=0) for x in (i_ab, v_ab)])
-    nothing = np.flatnonzero((size <= _ROUNDED * size.max(axis=1, keepdims=True)).all(axis=0))
+    nothing = np.flatnonzero((size <= _ZERO_TOLERANCE * size.max(axis=1, keepdims=True)).all(axis=0))
     return int(nothing[0]) if len(nothing) == 1 else None
 
 
@@ -446,11 +446,11 @@ def windows_of(
 
 
 def injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | None:
-    """Samples in an injection period: as asked for, else half the distance of the voltage's strongest lines."""
-    asked = segment.settings.get("frequency_hz")
+    """Samples in an injection period: by the set point, else half the distance of the voltage's strongest lines."""
+    requested = segment.settings.get("frequency_hz")
     highest = fs / LEAST_SAMPLES_PER_PERIOD
-    if isinstance(asked, int | float) and 0 < asked < highest:
-        return fs / float(asked)
+    if isinstance(requested, int | float) and 0 < requested < highest:
+        return fs / float(requested)
     n = len(v_ab)
     vectors = v_ab[:, 0] + 1j * v_ab[:, 1]
     spectrum = np.abs(np.fft.fft((vectors - vectors.mean()) * np.hanning(n)))
@@ -481,17 +481,17 @@ def _late(v_ab: Array, rows: int) -> Array:
     return v_ab[np.maximum(np.arange(len(v_ab)) - rows, 0)]
 
 
-def _knowing_their_way(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
+def _with_current_history(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
     """The pieces with where the current was on the way to each; none flows while a rotor is turned."""
     way, known = np.zeros((0, 2)), list(pieces[:1])
     for before, piece in pairwise(pieces):
         turned = before.segment.rotor_angle_rad != piece.segment.rotor_angle_rad
-        way = np.zeros((1, 2)) if turned else np.concatenate([way, _way_of(before)])[-_MOST_WAY_POINTS:]
+        way = np.zeros((1, 2)) if turned else np.concatenate([way, _current_history(before)])[-_MAX_HISTORY_POINTS:]
         known.append(replace(piece, signals=replace(piece.signals, came_from_ab=way)))
     return known
 
 
-def _knowing_how_far_turned(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
+def _with_rotor_turn(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
     """The pieces with how far the rotor was turned to each, from where it was for most of the recording."""
     samples = dict[float, int]()
     for piece in pieces:
@@ -502,15 +502,15 @@ def _knowing_how_far_turned(pieces: Sequence[SegmentSignals]) -> list[SegmentSig
     return [replace(p, signals=replace(p.signals, turned_rad=by_rad)) for p, by_rad in turned]
 
 
-def _way_of(piece: SegmentSignals) -> Array:
+def _current_history(piece: SegmentSignals) -> Array:
     """Where the current was in a piece, shape (points, 2): all along a sweep, else as it ended."""
     readings = piece.current_ab
     if not piece.signals.bridge_on:
         return np.zeros((1, 2))
     # An injected ripple's mean is where the drive holds the current.
-    parts = [readings if piece.stage is SegmentStage.INJECTION else readings[-_LAST_READINGS:]]
+    parts = [readings if piece.stage is SegmentStage.INJECTION else readings[-_FINAL_READINGS:]]
     if piece.stage is SegmentStage.CLASSICAL:
-        parts = [*np.array_split(readings[len(readings) // 2 :], _MOST_WAY_POINTS - 1), *parts]
+        parts = [*np.array_split(readings[len(readings) // 2 :], _MAX_HISTORY_POINTS - 1), *parts]
     return np.array([part.mean(axis=0) for part in parts if len(part)])
 
 

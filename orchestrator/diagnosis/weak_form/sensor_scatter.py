@@ -11,19 +11,19 @@ import numpy.typing as npt
 from orchestrator.diagnosis.weak_form.spectral_lines import spectrum_of
 from orchestrator.numerics.types import Array
 
-BLOCK = 50
+BLOCK_READINGS = 50
 """Readings, of which some are usual and some are not."""
-TRANSIENT = 2.0
+MAX_POWER_RATIO = 2.0
 """Times the usual power of differences, from which on a block has a current that moves: five sigma of white noise."""
-REPEATING = 0.05
+MAX_PERIOD_MISMATCH = 0.05
 """Power of a voltage's differences over one period, as a part of its own, below which it repeats: an injected direction
 that turns once in a hundred periods leaves 0.004, and what is drawn at random leaves 2."""
-LOCAL = 100
+LOCAL_BLOCK_READINGS = 100
 """Differences in a block, over which the inductance hardly changes."""
-MEMORY = (1, 2, 3, 4, 5, 7, 10, 16)
+ARX_LAGS = (1, 2, 3, 4, 5, 7, 10, 16)
 """Samples back at which stretches of voltage end that a difference answers to as one: the last ones each by itself,
 earlier ones, to which eddy currents alone still answer, together."""
-SETTLED = 0.3
+MAX_CORRELATION_DISAGREEMENT = 0.3
 """By which differences may find readings more alike than differences of these, which see it less well."""
 
 
@@ -40,7 +40,7 @@ class Scatter:
     spectrum : array
         `spectrum_of` the readings; empty where something is injected.
     readings : int
-        Of which the correlation is told.
+        From which the correlation is estimated.
     """
 
     covariance: Array
@@ -49,7 +49,7 @@ class Scatter:
     readings: int = 0
 
 
-def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Scatter:
+def scatter_of(i_ab: Array, period: float | None, *, steady: bool = False) -> Scatter:
     """Scatter of a segment's readings.
 
     Parameters
@@ -57,7 +57,7 @@ def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Sca
     i_ab : array, shape (n, 2)
     period : float, optional
         Samples in a period of injected ripple; its repetitions are compared where it is a whole number.
-    rests : bool
+    steady : bool
         The current does not move: then how alike successive readings are shows in their differences, which see a
         correlation four times as well as differences of these do.
     """
@@ -66,10 +66,10 @@ def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Sca
         d = i_ab[2:] - 2.0 * i_ab[1:-1] + i_ab[:-2]
         usual = _usual(d)
         alike = _of_second_differences(_lag(d, usual))
-        if rests:
+        if steady:
             # A hold may begin before its current has settled, or not settle at all: only what both see is noise.
             at_rest = 1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0))
-            alike = at_rest if at_rest - alike < SETTLED else alike
+            alike = at_rest if at_rest - alike < MAX_CORRELATION_DISAGREEMENT else alike
         return Scatter(_moments(d, usual, 6.0), alike, spectrum_of(i_ab), len(i_ab))
     p = round(period)
     settled = i_ab[len(i_ab) // 4 :]
@@ -116,7 +116,7 @@ def repeats(v_ab: Array, period: float) -> bool:
     if p < 1 or len(v_ab) < 2 * p:
         return False
     moves = v_ab - v_ab.mean(axis=0)
-    return float(np.square(moves[p:] - moves[:-p]).mean()) < REPEATING * float(np.square(moves).mean())
+    return float(np.square(moves[p:] - moves[:-p]).mean()) < MAX_PERIOD_MISMATCH * float(np.square(moves).mean())
 
 
 def scatter_beside_answer(i_ab: Array, v_ab: Array) -> Scatter:
@@ -130,21 +130,21 @@ def scatter_beside_answer(i_ab: Array, v_ab: Array) -> Scatter:
     ----------
     i_ab, v_ab : array, shape (n, 2)
     """
-    first = MEMORY[-1]
+    first = ARX_LAGS[-1]
     d = np.diff(i_ab, axis=0)[first:]
     impulse = np.concatenate([np.zeros((1, 2)), np.cumsum(v_ab, axis=0)])
-    ends = [np.arange(first, first + len(d)) + 1 - lag for lag in (0, *MEMORY)]
+    ends = [np.arange(first, first + len(d)) + 1 - lag for lag in (0, *ARX_LAGS)]
     inputs = [impulse[new] - impulse[old] for new, old in pairwise(ends)]
     x = np.column_stack([*inputs, i_ab[first:-1], np.ones(len(d))])
-    blocks = len(d) // LOCAL
+    blocks = len(d) // LOCAL_BLOCK_READINGS
     if blocks == 0:
         return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
     left = np.zeros((2, 2))
     for block in range(blocks):
-        rows = slice(block * LOCAL, (block + 1) * LOCAL)
+        rows = slice(block * LOCAL_BLOCK_READINGS, (block + 1) * LOCAL_BLOCK_READINGS)
         q = np.linalg.qr(x[rows])[0]
         rest = d[rows] - q @ (q.T @ d[rows])
-        left += rest.T @ rest / (LOCAL - q.shape[1])
+        left += rest.T @ rest / (LOCAL_BLOCK_READINGS - q.shape[1])
     # A difference has the noise of two readings.
     return Scatter(left / (2.0 * blocks), float("nan"), np.zeros(0))
 
@@ -154,10 +154,10 @@ def _usual(d: Array) -> npt.NDArray[np.bool_]:
 
     Nor are a block's beside such a one, which a step ends in. All, where that leaves none.
     """
-    starts = np.arange(0, len(d), BLOCK)
+    starts = np.arange(0, len(d), BLOCK_READINGS)
     powers = np.add.reduceat(np.square(d).sum(axis=1), starts) / np.diff(np.append(starts, len(d)))
-    moves = np.pad(powers > TRANSIENT * np.median(powers), 1)
-    usual = np.repeat(~(moves[:-2] | moves[1:-1] | moves[2:]), BLOCK)[: len(d)]
+    moves = np.pad(powers > MAX_POWER_RATIO * np.median(powers), 1)
+    usual = np.repeat(~(moves[:-2] | moves[1:-1] | moves[2:]), BLOCK_READINGS)[: len(d)]
     return usual if usual.any() else np.ones(len(d), dtype=np.bool_)
 
 

@@ -25,13 +25,13 @@ class Windows:
 
     Attributes
     ----------
-    hats : int
+    test_functions : int
         Number of hats; hat j peaks at interval position (j + 1) * step and vanishes one step away.
     step : float
         Distance of hats in intervals.
     bins : array of int64, shape (n - 1,)
         Bin of each interval within the injection period; zeros where nothing is injected.
-    carriers : array, shape (carriers, n_bins)
+    modes : array, shape (carriers, n_bins)
         Value of each carrier in each bin.
     period : float
         Intervals in an injection period; 0 where nothing is injected.
@@ -41,52 +41,52 @@ class Windows:
         The axis whose current nobody read (0 for d, 1 for q): its equations say nothing.
     """
 
-    hats: int
+    test_functions: int
     step: float
     bins: NDArray[np.int64]
-    carriers: Array
+    modes: Array
     period: float = 0.0
     orders: tuple[int, ...] = (0,)
     unread: int | None = None
 
     @property
     def n_bins(self) -> int:
-        return int(self.carriers.shape[1])
+        return int(self.modes.shape[1])
 
     @property
     def rows(self) -> int:
         """Number of weak-form equations: hats x carriers x two axes."""
-        return self.hats * len(self.carriers) * 2
+        return self.test_functions * len(self.modes) * 2
 
     @property
-    def telling(self) -> int:
+    def informative(self) -> int:
         """Number of those that say something."""
         return self.rows if self.unread is None else self.rows // 2
 
     def combine(self, sums: Array) -> Array:
         """Carriers applied to sums of shape (hats, n_bins, 2, ...) -> (rows, ...): hat, carrier, axis."""
-        if self.carriers.size != 1:
-            sums = np.moveaxis(np.tensordot(self.carriers, sums, axes=(1, 1)), 0, 1)
+        if self.modes.size != 1:
+            sums = np.moveaxis(np.tensordot(self.modes, sums, axes=(1, 1)), 0, 1)
         rows = np.ascontiguousarray(sums).reshape(self.rows, *sums.shape[3:])
         if self.unread is None:
             return rows
-        told = rows.copy()
-        told[self.unread :: 2] = 0.0
-        return told
+        rows = rows.copy()
+        rows[self.unread :: 2] = 0.0
+        return rows
 
     @cached_property
     def absolute_weight(self) -> Array:
         """sum_k |w_mk| for each row, shape (rows,): what turns y_m / Ts into a mean."""
-        mean = np.abs(self.carriers).mean(axis=1) if self.n_bins > 1 else np.ones(1)
-        return np.repeat(np.tile(mean * self.step, self.hats), 2)
+        mean = np.abs(self.modes).mean(axis=1) if self.n_bins > 1 else np.ones(1)
+        return np.repeat(np.tile(mean * self.step, self.test_functions), 2)
 
 
 def plain_windows(intervals: int, step: float) -> Windows | None:
     """Hats `step` apart without carriers; None where not one fits."""
-    hats = math.floor(intervals / step + 1e-9) - 1
-    if hats < 1:
+    test_functions = math.floor(intervals / step + 1e-9) - 1
+    if test_functions < 1:
         return None
-    return Windows(hats, step, np.zeros(intervals, dtype=np.int64), np.ones((1, 1)))
+    return Windows(test_functions, step, np.zeros(intervals, dtype=np.int64), np.ones((1, 1)))
 
 
 def periodic_windows(
@@ -97,8 +97,8 @@ def periodic_windows(
     Bins follow the period even where it is no whole number of samples: any weight gives a valid
     equation, and the bins are the weight.
     """
-    hats = math.floor(intervals / step + 1e-9) - 1
-    if hats < 1:
+    test_functions = math.floor(intervals / step + 1e-9) - 1
+    if test_functions < 1:
         return None
     n_bins = int(min(round(period), most_bins))
     phase = np.mod((np.arange(intervals) + 0.5) / period, 1.0)
@@ -107,30 +107,30 @@ def periodic_windows(
     seen = [order for order in harmonics if order < n_bins / 2]
     modes = [wave(order * centre) for order in seen for wave in (np.cos, np.sin)]
     orders = (0, *(order for order in seen for _ in range(2)))
-    return Windows(hats, step, bins, np.array([np.ones(n_bins), *modes]), period, orders)
+    return Windows(test_functions, step, bins, np.array([np.ones(n_bins), *modes]), period, orders)
 
 
 @njit(cache=True, nogil=True)
-def hat_weights(k: int, step: float, hats: int) -> tuple[int, float, float]:
+def function_weights(k: int, step: float, test_functions: int) -> tuple[int, float, float]:
     """Index of the hat before interval k (-1 where none), its weight, and that of the next."""
     x = (k + 0.5) / step
     before = math.floor(x) - 1
     after = x - math.floor(x)
     w0 = 1.0 - after
     w1 = after
-    if before < 0 or before >= hats:
+    if before < 0 or before >= test_functions:
         w0 = 0.0
-    if before + 1 >= hats or before + 1 < 0:
+    if before + 1 >= test_functions or before + 1 < 0:
         w1 = 0.0
     return before, w0, w1
 
 
 @njit(cache=True, nogil=True)
-def sum_intervals(x: Array, step: float, hats: int, bins: NDArray[np.int64], n_bins: int) -> Array:
+def sum_intervals(x: Array, step: float, test_functions: int, bins: NDArray[np.int64], n_bins: int) -> Array:
     """Weighted sums of per-interval vectors x (n - 1, 2) -> (hats, n_bins, 2)."""
-    out = np.zeros((hats, n_bins, 2))
+    out = np.zeros((test_functions, n_bins, 2))
     for k in range(x.shape[0]):
-        j, w0, w1 = hat_weights(k, step, hats)
+        j, w0, w1 = function_weights(k, step, test_functions)
         b = bins[k]
         if w0 > 0.0:
             out[j, b, 0] += w0 * x[k, 0]

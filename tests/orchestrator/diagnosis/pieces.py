@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
+from orchestrator.diagnosis.weak_form.pwm_quantiser import leg_step_of, rounded_by
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, injection_period, windows_of
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
-from orchestrator.diagnosis.weak_form.timer import leg_step_of, rounded_by
 from orchestrator.numerics.tensor_spline import EvenSpline
 from protocols import (
     DriveRecord,
@@ -195,7 +195,7 @@ def with_voltage(made: PreparedRecording, change: Mapping[str, Array] | Array) -
     return replace(made, pieces=tuple(pieces))
 
 
-def with_effects(made: PreparedRecording, active: Sequence[Active]) -> PreparedRecording:
+def with_effects(made: PreparedRecording, active: Sequence[EffectTerm]) -> PreparedRecording:
     """The same where effects are accounted for in every piece's signals."""
     pieces = []
     for p in made.pieces:

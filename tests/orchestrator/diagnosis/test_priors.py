@@ -10,8 +10,8 @@ import pytest
 
 from orchestrator.diagnosis import Criteria, diagnose_recording
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.fitting.baseline import fitted_baseline
-from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
+from orchestrator.diagnosis.fitting.baseline import fit_baseline
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.priors import with_priors
 from orchestrator.recording import Recording
 from plugins.effects.frame import RotorMisalignment
@@ -80,7 +80,7 @@ def test_what_the_fleet_has_and_this_motor_has_not_is_not_named(clean: Recording
 
 
 def test_a_fleets_resistance_and_inductances_are_believed_as_far_as_they_are_sharp(clean: Recording) -> None:
-    plain = fitted_baseline(open_for_diagnosis(clean)).model
+    plain = fit_baseline(open_for_diagnosis(clean)).model
     at_rest = plain.magnetics.flux_and_inductance(ORIGIN)[1][0]
     priors = FleetPriors(
         motor=None,
@@ -91,14 +91,14 @@ def test_a_fleets_resistance_and_inductances_are_believed_as_far_as_they_are_sha
         d_inductance=NormalPrior(mean=1.02 * at_rest[0], std=1e-9, unit="H", recordings=50),
         q_inductance=NormalPrior(mean=0.99 * at_rest[2], std=1e-9, unit="H", recordings=50),
     )
-    moved = fitted_baseline(open_for_diagnosis(clean, fleet=priors)).model
+    moved = fit_baseline(open_for_diagnosis(clean, fleet=priors)).model
     assert moved.r_s == pytest.approx(plain.r_s + 0.05, abs=1e-4)
     now = moved.magnetics.flux_and_inductance(ORIGIN)[1][0]
     assert now[0] == pytest.approx(1.02 * at_rest[0], rel=1e-4)
     assert now[2] == pytest.approx(0.99 * at_rest[2], rel=1e-4)
 
 
-def candidates(manifest: Manifest, priors: FleetPriors, *effects: Effect) -> dict[str, Candidate]:
+def candidates(manifest: Manifest, priors: FleetPriors, *effects: Effect) -> dict[str, CandidateEffect]:
     library = with_priors(scaled_library(effects, manifest), priors, Criteria().selection)
     return {candidate.name: candidate for candidate in library}
 
@@ -108,13 +108,13 @@ def test_a_prior_stands_where_the_fleet_has_it_and_odds_go_to_the_evidence(clean
     found = candidates(clean.manifest, priors, DeadTime(), DeviceDrop())
     there = found["dead_time"].absent().moved("voltage_v", 9.0)
     assert there.values["voltage_v"] == pytest.approx(0.9)
-    assert there.off_prior("voltage_v") == pytest.approx(1.0)
-    assert found["dead_time"].head_start == pytest.approx(1.386, abs=0.01)  # from one in five to one in two
-    assert not found["dead_time"].is_expected
-    assert found["device_drop"].head_start == pytest.approx(-2.55, abs=0.01)  # none of fifty
+    assert there.prior_residual("voltage_v") == pytest.approx(1.0)
+    assert found["dead_time"].prior_log_odds == pytest.approx(1.386, abs=0.01)  # from one in five to one in two
+    assert not found["dead_time"].included_a_priori
+    assert found["device_drop"].prior_log_odds == pytest.approx(-2.55, abs=0.01)  # none of fifty
     assert candidates(clean.manifest, expecting("dead_time", {"voltage_v": (0.8, 0.1, "V")}), DeadTime())[
         "dead_time"
-    ].is_expected
+    ].included_a_priori
 
 
 def test_what_is_strong_when_small_has_its_inverses_prior(clean: Recording) -> None:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 
-from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.budget import Budget
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 
 
 def test_moves_on_a_part_and_on_the_whole_are_one_sequence() -> None:
-    effort = Effort()
-    whole = SearchRecorder(effort, samples=100)
+    budget = Budget()
+    whole = SearchRecorder(budget, samples=100)
     part = whole.of_part()
     part.record("screen", ["dead_time"], measure="chi2", score=50.0, threshold=32.0)
-    effort.spent = 250.0
+    budget.spent = 250.0
     whole.record("add", ["dead_time"], taken=True)
     part.record("remove", ["dead_time"], taken=False, note="it is needed")
     assert [(e.step, e.data, e.decision) for e in whole.events] == [

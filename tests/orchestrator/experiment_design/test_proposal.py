@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.selection.workflow import first_steps
@@ -31,13 +31,13 @@ def setup(with_dead_time: Recording) -> DiagnosisSetup:
 
 
 @pytest.fixture(scope="module")
-def library(setup: DiagnosisSetup) -> dict[str, Candidate]:
+def library(setup: DiagnosisSetup) -> dict[str, CandidateEffect]:
     effects: list[Effect] = [DeadTime(), DeviceDrop(), CurrentOffset()]
     return {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
 
 
 @pytest.fixture(scope="module")
-def fit(setup: DiagnosisSetup, library: dict[str, Candidate]) -> Fit:
+def fit(setup: DiagnosisSetup, library: dict[str, CandidateEffect]) -> Fit:
     return with_effect(setup.fitter, first_steps(setup, "saturated", library)[-1].fit, library["dead_time"])
 
 
@@ -50,7 +50,7 @@ def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]
 
 @pytest.mark.slow
 def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_one_does_not(
-    setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
+    setup: DiagnosisSetup, fit: Fit, library: dict[str, CandidateEffect]
 ) -> None:
     pair = confounded_pair(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
@@ -61,14 +61,14 @@ def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_on
 
 
 def test_what_is_already_told_apart_gains_little_by_reading_gates_off(
-    setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
+    setup: DiagnosisSetup, fit: Fit, library: dict[str, CandidateEffect]
 ) -> None:
     pair = confounded_pair(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     assert separation(setup, pair, {"kind": "gates_off", "duration_s": 2.0}) < 1.0
 
 
-def test_more_time_separates_more(setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]) -> None:
+def test_more_time_separates_more(setup: DiagnosisSetup, fit: Fit, library: dict[str, CandidateEffect]) -> None:
     pair = confounded_pair(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     _, stage = holds(catalogue(setup))
@@ -76,7 +76,7 @@ def test_more_time_separates_more(setup: DiagnosisSetup, fit: Fit, library: dict
 
 
 def test_the_best_a_minute_is_proposed_within_a_second(
-    setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
+    setup: DiagnosisSetup, fit: Fit, library: dict[str, CandidateEffect]
 ) -> None:
     began = time.process_time()
     proposal = next_experiment(setup, fit, list(library.values()), "dead_time", "device_drop")
@@ -87,7 +87,7 @@ def test_the_best_a_minute_is_proposed_within_a_second(
 
 
 def test_an_effect_that_is_not_in_the_model_is_told_apart_as_large_as_it_would_be(
-    setup: DiagnosisSetup, library: dict[str, Candidate]
+    setup: DiagnosisSetup, library: dict[str, CandidateEffect]
 ) -> None:
     bare = first_steps(setup, "saturated", library)[-1].fit
     proposal = next_experiment(setup, bare, list(library.values()), "device_drop", "dead_time")
@@ -98,7 +98,7 @@ def test_an_effect_that_is_not_in_the_model_is_told_apart_as_large_as_it_would_b
 
 @pytest.mark.slow
 def test_what_no_stage_separates_is_what_both_effects_need(setup: DiagnosisSetup, fit: Fit) -> None:
-    def needing(*contrasts: Contrast) -> list[Candidate]:
+    def needing(*contrasts: Contrast) -> list[CandidateEffect]:
         class First(CurrentOffset):
             name: ClassVar[str] = "first"
             needs: ClassVar[tuple[Contrast, ...]] = contrasts

@@ -39,8 +39,8 @@ def test_what_is_wrong_is_named_however_it_was_measured(laboratory: Laboratory, 
     reported = "; ".join(laboratory.outcome(brought, fault).reported)
     assert all(word in reported for word in TOLD.get(fault, ()))
     if fault == "drop":
-        assert "device drop" in line
-        assert "dead time" in line
+        assert "device drop" in reported
+        assert "dead time" in reported
 
 
 @pytest.mark.slow

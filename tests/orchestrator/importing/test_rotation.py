@@ -1,4 +1,4 @@
-"""A machine that runs is distinguished from a locked one by its waveforms; a current that pulsates along an axis is not."""
+"""A machine that runs differs from a locked one in its waveforms; a current that pulsates along an axis does not."""
 
 from __future__ import annotations
 

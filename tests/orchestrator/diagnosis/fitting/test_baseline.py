@@ -13,16 +13,16 @@ from orchestrator.diagnosis.fitting import baseline
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
     baseline_model,
-    earns_its_sharpness,
     finer_map,
-    fitted_baseline,
-    freed_further,
+    fit_baseline,
     given_model,
-    is_sharp,
+    has_fine_grid,
+    keep_fine_grid,
     map_space,
-    on_usual_map,
-    with_detail,
-    within_reach,
+    on_usual_grid,
+    widened_map,
+    with_finest_map,
+    with_freed_map,
 )
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -82,8 +82,8 @@ def test_a_rotor_that_hardly_twists_does_not_set_the_magnet_free(setup: Diagnosi
 
 def test_each_rung_of_the_map_holds_the_one_before(setup: DiagnosisSetup) -> None:
     held = baseline_model(setup, Nameplate())
-    axes = freed_further(setup, held, Nameplate(freed=("saturation",)))
-    free = freed_further(setup, axes, Nameplate(freed=("saturation", "cross_saturation")))
+    axes = with_freed_map(setup, held, Nameplate(freed=("saturation",)))
+    free = with_freed_map(setup, axes, Nameplate(freed=("saturation", "cross_saturation")))
     counts = [model.space.directions.shape[1] for model in (held, axes, free)]
     assert counts[0] == 0
     assert counts[0] < counts[1] < counts[2] == free.space.grid.size
@@ -95,7 +95,7 @@ def test_each_rung_of_the_map_holds_the_one_before(setup: DiagnosisSetup) -> Non
 
 
 def test_a_map_with_saturation_alone_has_no_cross_saturation(setup: DiagnosisSetup) -> None:
-    axes = freed_further(setup, baseline_model(setup, Nameplate()), Nameplate(freed=("saturation",)))
+    axes = with_freed_map(setup, baseline_model(setup, Nameplate()), Nameplate(freed=("saturation",)))
     rng = np.random.default_rng(1)
     coefficients = axes.space.directions @ rng.normal(size=axes.space.directions.shape[1])
     at = rng.uniform(-2.0, 2.0, (50, 2))
@@ -110,7 +110,7 @@ def test_a_given_map_is_kept_as_it_is(setup: DiagnosisSetup) -> None:
     expected = at * np.array([L_D, L_Q]) - 5e-4 * at**3
     np.testing.assert_allclose(psi - psi[2], expected, atol=2e-4 * L_Q * 2.5)
     assert model.space.directions.shape[1] == 0
-    assert not is_sharp(setup.fitter.fit(model))
+    assert not has_fine_grid(setup.fitter.fit(model))
     assert model.r_s == R_S
 
 
@@ -124,10 +124,10 @@ def test_a_map_is_made_as_wide_as_the_currents_where_the_rotor_lies(setup: Diagn
     effect = RotorMisalignment()
     library = scaled_library([effect], setup.prepared.manifest, ())
     fit = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=0)
-    assert within_reach(setup, setup.fitter, fit) is fit
+    assert widened_map(setup, setup.fitter, fit) is fit
     turned = library[0].absent().moved("angle_rad", 4.0)
     seen = setup.fitter.evaluate(fit.model.with_active([turned]), setup.fitter.frame(fit.model.with_active([turned])))
-    wider = within_reach(setup, setup.fitter, seen).model.space.grid
+    wider = widened_map(setup, setup.fitter, seen).model.space.grid
     own = fit.model.space.grid
     angle = turned.values["angle_rad"]
     currents = np.concatenate([to_dq(p.signals.i_ab, p.segment.rotor_angle_rad + angle) for p in setup.prepared.pieces])
@@ -139,7 +139,7 @@ def test_a_map_is_made_as_wide_as_the_currents_where_the_rotor_lies(setup: Diagn
 
 
 def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup) -> None:
-    fit = fitted_baseline(setup)
+    fit = fit_baseline(setup)
     coarsest = setup.criteria.intervals[0]
     assert fit.model.space.grid.cells == (coarsest, coarsest)
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=0.3)
@@ -158,7 +158,7 @@ def test_a_finer_map_is_asked_though_one_between_is_not_worth_its_freedom(
         return finest if cells == (setup.criteria.intervals[-1],) * 2 else None
 
     monkeypatch.setattr(baseline, "finer_map", at_the_finest)
-    assert with_detail(setup, setup.fitter, fit) is finest
+    assert with_finest_map(setup, setup.fitter, fit) is finest
 
 
 SWEEPS: list[dict[str, Any]] = [
@@ -194,7 +194,7 @@ def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_com
     """A frame in which they have moved far is of before; where they rest it is as good as one made anew."""
     bare = sharp.fitter.fit(baseline_model(sharp, Saturated()), renewals=0)
     lag = scaled_library([CurrentFilter()], sharp.prepared.manifest)[0].absent()
-    lag = lag.moved("time_constant_s", lag.coordinate("time_constant_s") + 20.0)
+    lag = lag.moved("time_constant_s", lag.standardised_value("time_constant_s") + 20.0)
     moved = bare.model.with_active([lag if not rests else replace(lag, free=())])
     fit = sharp.fitter.fit(moved, renewals=2) if rests else sharp.fitter.evaluate(moved, bare.frame)
     cells = (fit.model.space.grid.cells[0], 12)
@@ -205,32 +205,32 @@ def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_com
 
 
 def test_iron_that_saturates_sharply_gets_a_finer_map_along_that_axis_alone(sharp: DiagnosisSetup) -> None:
-    fit = fitted_baseline(sharp)
+    fit = fit_baseline(sharp)
     d, q = fit.model.space.grid.cells
     assert q >= 20
     assert d < q
     finest = sharp.criteria.intervals[-1]
     usual = sharp.fitter.fit(on_the_grid(sharp, fit, (finest, finest)), renewals=0)
     assert usual.chi2_per_dof > 3.0
-    assert is_sharp(fit)
-    assert not is_sharp(usual)
+    assert has_fine_grid(fit)
+    assert not has_fine_grid(usual)
     assert fit.chi2_per_dof - 1.0 < 0.15 * (usual.chi2_per_dof - 1.0)
 
 
 def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
     sharp: DiagnosisSetup, setup: DiagnosisSetup
 ) -> None:
-    fit = fitted_baseline(sharp)
-    usual = sharp.fitter.fit(on_usual_map(sharp, fit), renewals=0)
-    assert not is_sharp(usual)
-    assert earns_its_sharpness(fit, usual)
-    linear = fitted_baseline(setup)
+    fit = fit_baseline(sharp)
+    usual = sharp.fitter.fit(on_usual_grid(sharp, fit), renewals=0)
+    assert not has_fine_grid(usual)
+    assert keep_fine_grid(fit, usual)
+    linear = fit_baseline(setup)
     rough = replace(
         linear.model, space=replace(linear.model.space, roughness=9.0, prior=linear.model.space.prior / 9.0)
     )
     needless = setup.fitter.fit(rough, renewals=0)
-    assert is_sharp(needless)
-    assert not earns_its_sharpness(needless, setup.fitter.fit(on_usual_map(setup, needless), renewals=0))
+    assert has_fine_grid(needless)
+    assert not keep_fine_grid(needless, setup.fitter.fit(on_usual_grid(setup, needless), renewals=0))
 
 
 def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Model:
@@ -240,7 +240,7 @@ def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Mode
 
 
 def test_a_map_that_was_let_be_rough_is_as_rough_when_it_is_read_back(sharp: DiagnosisSetup) -> None:
-    fit = fitted_baseline(sharp)
+    fit = fit_baseline(sharp)
     kept = kept_model(sharp, fit, Saturated(), (), [rung(Step(None, fit))])
     again = restored(sharp, MotorModel.model_validate_json(kept.model_dump_json()), Saturated(), {})
     np.testing.assert_allclose(again.space.prior, fit.model.space.prior)
@@ -258,4 +258,4 @@ def test_what_a_sharper_map_takes_little_of_is_not_the_maps(
         trials = iter([None, None, better, None, None, ended, *[None] * 12])
         monkeypatch.setattr(baseline, "finer_map", lambda *_, trials=trials: next(trials))
         monkeypatch.setattr(baseline, "_sharpened", lambda *_: [((10, 14), 1.0)])
-        assert (with_detail(setup, setup.fitter, off) is not off) is taken
+        assert (with_finest_map(setup, setup.fitter, off) is not off) is taken

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import coordinate_of, scaled_library, typical_coordinate, value_at
+from orchestrator.diagnosis.fitting.candidates import scaled_library, standardised, typical_standardised_value, value_at
 from plugins.effects.inverter import DeadTime
 from plugins.effects.iron import EddyCurrents
 from plugins.effects.resistance import WindingHeating
@@ -21,7 +21,7 @@ AMPLITUDES = [p for p in PARAMETERS if p.role is ParameterRole.AMPLITUDE]
 def test_coordinate_and_value_are_each_others_inverse(p: EffectParameter) -> None:
     for part in (0.3, 0.6, 0.9):
         value = p.neutral + part * (p.typical - p.neutral) if p.role is ParameterRole.AMPLITUDE else p.typical
-        assert value_at(p, coordinate_of(p, value)) == pytest.approx(value, rel=1e-9)
+        assert value_at(p, standardised(p, value)) == pytest.approx(value, rel=1e-9)
 
 
 @pytest.mark.parametrize("p", PARAMETERS)
@@ -32,8 +32,8 @@ def test_no_coordinate_leaves_the_bounds(p: EffectParameter) -> None:
 
 @pytest.mark.parametrize("p", AMPLITUDES)
 def test_absence_is_the_origin_of_an_amplitude(p: EffectParameter) -> None:
-    assert coordinate_of(p, p.neutral) == 0.0
-    assert abs(typical_coordinate(p)) > 0.0
+    assert standardised(p, p.neutral) == 0.0
+    assert abs(typical_standardised_value(p)) > 0.0
 
 
 def test_an_effect_of_typical_size_has_the_relative_size_one() -> None:
@@ -41,7 +41,7 @@ def test_an_effect_of_typical_size_has_the_relative_size_one() -> None:
         active = candidate.absent()
         assert active.is_absent
         for name in candidate.amplitudes:
-            active = active.moved(name, typical_coordinate(candidate.named(name)))
+            active = active.moved(name, typical_standardised_value(candidate.named(name)))
         assert active.relative_size == pytest.approx(1.0)
         assert not active.is_absent
 
@@ -52,21 +52,21 @@ def test_what_is_left_out_of_the_library_is_not_there() -> None:
 
 def test_what_rests_is_neutral_and_not_free_and_all_else_is_as_it_was() -> None:
     (candidate,) = scaled_library([DeadTime()], MANIFEST)
-    bent = candidate.absent().moved("voltage_v", 1.0).freeing("softness", "wide").moved("softness", -1.0)
-    resting = bent.resting("softness")
+    bent = candidate.absent().moved("voltage_v", 1.0).release("softness", "wide").moved("softness", -1.0)
+    resting = bent.fix("softness")
     assert resting.values == {**bent.values, "softness": candidate.named("softness").neutral}
-    assert bent.bent_by == ("softness", "wide")
-    assert resting.bent_by == ("wide",)
+    assert bent.free_refinements == ("softness", "wide")
+    assert resting.free_refinements == ("wide",)
     assert resting.free == tuple(name for name in bent.free if name != "softness")
 
 
 def test_a_second_form_begins_at_rest_and_with_what_the_first_was_bent_by() -> None:
     (dead_time,) = scaled_library([DeadTime()], MANIFEST)
     plain = dead_time.absent()
-    bent = plain.freeing("leg_a_longer").moved("leg_a_longer", 3.0)
-    (only,) = plain.other_forms()
-    resting, keeping = bent.other_forms()
+    bent = plain.release("leg_a_longer").moved("leg_a_longer", 3.0)
+    (only,) = plain.alternative_forms()
+    resting, keeping = bent.alternative_forms()
     assert only.values["switched"] == resting.values["switched"] == keeping.values["switched"] == 1.0
     assert only.values["leg_a_longer"] == resting.values["leg_a_longer"] == 0.0
     assert keeping.values["leg_a_longer"] == bent.values["leg_a_longer"]
-    assert keeping.other_forms() == []
+    assert keeping.alternative_forms() == []

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.cascade import SECANT_STEP, Cascade, step_of
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from plugins.effects.frame import RotorMisalignment
@@ -39,7 +39,8 @@ EFFECTS = (
     SlotHarmonics(),
 )
 ACTIVE = tuple(
-    Active(c, {**c.absent().values, **SIZES[c.name]}, c.amplitudes) for c in scaled_library(EFFECTS, PREPARED.manifest)
+    EffectTerm(c, {**c.absent().values, **SIZES[c.name]}, c.amplitudes)
+    for c in scaled_library(EFFECTS, PREPARED.manifest)
 )
 ARRAYS = ("i_ab", "v_ab", "theta_rad", "resistance_ohm", "i_m_ab")
 
@@ -53,7 +54,7 @@ def signals() -> SignalBatch:
 def test_a_change_is_that_of_all_effects_applied_anew(place: int) -> None:
     one = ACTIVE[place]
     name = one.free[0]
-    moved = one.moved(name, one.coordinate(name) + step_of(one, name))
+    moved = one.moved(name, one.standardised_value(name) + step_of(one, name))
     cascade = Cascade.of(signals(), ACTIVE)
     change, _ = cascade.change_by(moved)
     anew = apply_effects(signals(), [*ACTIVE[:place], moved, *ACTIVE[place + 1 :]]).signals
@@ -78,7 +79,7 @@ def test_an_effect_that_is_absent_changes_what_it_would_in_its_layer(place: int)
 
 def test_a_change_without_an_answer_passes_as_it_is() -> None:
     dead_time = next(a for a in ACTIVE if a.name == "dead_time")
-    moved = dead_time.moved("voltage_v", 1.1 * dead_time.coordinate("voltage_v"))
+    moved = dead_time.moved("voltage_v", 1.1 * dead_time.standardised_value("voltage_v"))
     cascade = Cascade.of(signals(), ACTIVE)
     whole, answers = cascade.change_by(moved)
     unasked, silent = cascade.change_by(moved, frozenset())
@@ -91,7 +92,7 @@ def test_a_change_without_an_answer_passes_as_it_is() -> None:
 
 def test_what_effects_answer_is_all_that_passing_unasked_leaves_out() -> None:
     offset = next(a for a in ACTIVE if a.name == "current_offset")
-    moved = offset.moved("offset_a_a", 2.0 * offset.coordinate("offset_a_a"))
+    moved = offset.moved("offset_a_a", 2.0 * offset.standardised_value("offset_a_a"))
     cascade = Cascade.of(signals(), ACTIVE)
     whole, answers = cascade.change_by(moved)
     unasked, _ = cascade.change_by(moved, frozenset())
@@ -105,6 +106,6 @@ def test_what_effects_answer_is_all_that_passing_unasked_leaves_out() -> None:
 def test_a_secant_is_over_the_step_that_was_taken(switched: float) -> None:
     dead_time = next(a for a in ACTIVE if a.name == "dead_time")
     one = replace(dead_time, values={**dead_time.values, "switched": switched})
-    x, step = one.coordinate("switched"), step_of(one, "switched")
-    assert one.moved("switched", x + step).coordinate("switched") - x == pytest.approx(step, rel=1e-6)
+    x, step = one.standardised_value("switched"), step_of(one, "switched")
+    assert one.moved("switched", x + step).standardised_value("switched") - x == pytest.approx(step, rel=1e-6)
     assert abs(step) >= SECANT_STEP

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.chords import fit_along_chords
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from plugins.effects.inverter import VoltageBias
@@ -26,7 +26,7 @@ def maker() -> Fitter:
 def test_both_descents_end_in_the_same_place(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
     anew = maker.fit(model, steps=8, renewals=3, tolerance=1e-6)
-    kept = fit_along_chords(maker, model, rounds=10, tolerance=1e-6)
+    kept = fit_with_frozen_jacobian(maker, model, rounds=10, tolerance=1e-6)
     assert kept.objective == pytest.approx(anew.objective, rel=1e-3)
     for name in ("bias_a_v", "bias_b_v"):
         assert kept.model.active[0].values[name] == pytest.approx(anew.model.active[0].values[name], rel=0.01)
@@ -34,22 +34,22 @@ def test_both_descents_end_in_the_same_place(maker: Fitter) -> None:
 
 def test_more_rounds_do_not_climb(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
-    ends = [fit_along_chords(maker, model, rounds=rounds, tolerance=1e-4).objective for rounds in (0, 1, 3)]
+    ends = [fit_with_frozen_jacobian(maker, model, rounds=rounds, tolerance=1e-4).objective for rounds in (0, 1, 3)]
     assert all(after <= before for before, after in itertools.pairwise(ends))
     assert ends[-1] < 0.01 * ends[0]
 
 
 def test_a_model_without_effects_is_evaluated(maker: Fitter) -> None:
-    fit = fit_along_chords(maker, free_model(), rounds=3, tolerance=1e-4)
+    fit = fit_with_frozen_jacobian(maker, free_model(), rounds=3, tolerance=1e-4)
     assert fit.objective == pytest.approx(maker.evaluate(free_model(), maker.frame(free_model())).objective)
 
 
 def test_what_is_taken_from_an_earlier_fit_leads_to_the_same_place(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
-    first = fit_along_chords(maker, model, rounds=1, tolerance=1e-6)
+    first = fit_with_frozen_jacobian(maker, model, rounds=1, tolerance=1e-6)
     away = model.with_active([model.active[0].moved("bias_a_v", 5.0)])
-    known = fit_along_chords(maker, away, rounds=10, tolerance=1e-6, known=first)
-    anew = fit_along_chords(maker, away, rounds=10, tolerance=1e-6)
+    known = fit_with_frozen_jacobian(maker, away, rounds=10, tolerance=1e-6, known=first)
+    anew = fit_with_frozen_jacobian(maker, away, rounds=10, tolerance=1e-6)
     assert known.objective == pytest.approx(anew.objective, rel=1e-3)
 
 
@@ -73,7 +73,7 @@ class BentBias:
 def test_an_amplitude_that_is_no_multiple_of_its_secant_is_reached() -> None:
     maker = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.15, 0.0])))
     begun = with_free(free_model(), maker, BentBias())
-    reached = fit_along_chords(maker, begun, rounds=10, tolerance=1e-4)
+    reached = fit_with_frozen_jacobian(maker, begun, rounds=10, tolerance=1e-4)
     assert 0.5 * np.tanh(10.0 * reached.model.active[0].values["size"]) == pytest.approx(0.15, rel=0.02)
 
 
@@ -88,6 +88,6 @@ def test_steps_that_a_new_frame_undoes_are_not_made_again_and_again(maker: Fitte
             return replace(made, objective=made.objective + (1e9 if len(tried) > 1 else 0.0))
 
     undoing = Undoing(maker.prepared, maker.noise, maker.pm_flux_wb)
-    fit = fit_along_chords(undoing, with_free(free_model(), maker, VoltageBias()), rounds=20, tolerance=1e-4)
+    fit = fit_with_frozen_jacobian(undoing, with_free(free_model(), maker, VoltageBias()), rounds=20, tolerance=1e-4)
     assert fit.model.active[0].values["bias_a_v"] == 0.0
     assert 1 < len(tried) < 8

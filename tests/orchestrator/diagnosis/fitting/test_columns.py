@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.columns import (
     LEAST_RESPONSE,
     MAX_COLUMN_CHANGE,
     MAX_GROWTH_BEFORE_PROBE,
     ColumnProbe,
-    answers_so_far,
     column_plan,
-    probed_segments,
+    known_answers,
+    probe_segments,
 )
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
@@ -38,7 +38,7 @@ def all_effects(maker: Fitter, times: float = 1.0) -> Model:
     active = []
     for candidate in scaled_library(EFFECTS, maker.prepared.manifest):
         values = {name: times * value for name, value in SIZES[candidate.name].items()}
-        active.append(Active(candidate, {**candidate.absent().values, **values}, candidate.amplitudes))
+        active.append(EffectTerm(candidate, {**candidate.absent().values, **values}, candidate.amplitudes))
     return free_model().with_active(active)
 
 
@@ -78,7 +78,7 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
     far = distance(training(maker, kept), whole(maker, model, kept))
     assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
     last = next(k for k in reversed(range(len(kept.columns))) if not maker.prepared.pieces[k].held_out)
-    assert last not in probed_segments(maker.prepared.pieces)
+    assert last not in probe_segments(maker.prepared.pieces)
     same = [np.array_equal(a, b) for a, b in zip(kept.columns[last].T, known.columns[last].T, strict=True)]
     assert any(same)
 
@@ -87,11 +87,11 @@ def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_gr
     first = all_effects(maker)
     known = maker.evaluate(first, maker.frame(first))
     assert set(known.answers.of) == set(known.parameters)
-    assert answers_so_far(all_effects(maker, 1.05), known) is known.answers
-    grown = answers_so_far(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known)
+    assert known_answers(all_effects(maker, 1.05), known) is known.answers
+    grown = known_answers(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known)
     assert not grown.of
     assert set(grown.sizes) == {candidate.name for candidate in scaled_library(EFFECTS, maker.prepared.manifest)}
-    assert not answers_so_far(first, None).of
+    assert not known_answers(first, None).of
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_a_wholly_different_model_keeps_no_column_that_moved(maker: Fitter) -> N
 
 def test_segments_of_every_stage_are_probed_and_none_that_is_held_out(maker: Fitter) -> None:
     pieces = maker.prepared.pieces
-    probed = probed_segments(pieces)
+    probed = probe_segments(pieces)
     assert {pieces[k].stage for k in probed} == {p.stage for p in pieces}
     assert not any(pieces[k].held_out for k in probed)
     assert len(probed) < len(pieces) / 2

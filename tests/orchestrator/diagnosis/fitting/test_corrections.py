@@ -9,7 +9,7 @@ from typing import Any, ClassVar, cast
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.corrections import apply_effects, random_directions_of
 from orchestrator.testing._signals import exciting_signals
 from plugins.effects.frame import RotorMisalignment
@@ -29,9 +29,9 @@ from protocols import (
 )
 
 
-def active(effect: Effect, **values: float) -> Active:
-    absent = Candidate(effect, effect.Parameters.declared()).absent()
-    return Active(absent.candidate, {**absent.values, **values}, ())
+def active(effect: Effect, **values: float) -> EffectTerm:
+    absent = CandidateEffect(effect, effect.Parameters.declared()).absent()
+    return EffectTerm(absent.candidate, {**absent.values, **values}, ())
 
 
 def one_segment(**changed: Any) -> SignalBatch:

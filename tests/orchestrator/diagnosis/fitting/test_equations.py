@@ -53,7 +53,7 @@ def test_gradient_of_the_objective_is_that_of_finite_differences(
     (name, _), *_ = values.items()
     fit = biased.evaluate(model := with_free(free_model(), biased, effect, **values), biased.frame(model))
     k = [n for _, n in model.free].index(name)
-    x, h = model.active[0].coordinate(name), 1e-2 * abs(model.active[0].coordinate(name))
+    x, h = model.active[0].standardised_value(name), 1e-2 * abs(model.active[0].standardised_value(name))
 
     def objective(at: float) -> float:
         return biased.evaluate(model.with_active([model.active[0].moved(name, at)]), fit.frame).objective

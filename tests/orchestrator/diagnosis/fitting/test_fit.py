@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.fit import COLUMNS_PER_EVALUATION, OBJECTIVE_SLACK, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.frames import from_two_phases, to_phases
@@ -39,7 +39,7 @@ def _bent(signals: Signals, square: float) -> Signals:
 def with_free(model: Model, maker: Fitter, effect: Effect, **values: float) -> Model:
     (candidate,) = scaled_library([effect], maker.prepared.manifest)
     active = candidate.absent()
-    return model.with_active([Active(candidate, {**active.values, **values}, active.free)])
+    return model.with_active([EffectTerm(candidate, {**active.values, **values}, active.free)])
 
 
 @pytest.fixture(scope="module")
@@ -90,20 +90,20 @@ def test_a_step_that_left_a_curved_valley_is_led_back_to_it() -> None:
     maker = fitter(with_voltage(made, {p.segment.id: _lost(p.signals, **true) for p in made.pieces}))
     model = with_free(free_model(), maker, DeadTime(), voltage_v=0.5)
     (rigid,) = model.active
-    fit = maker.fit(model.with_active([rigid.freeing("threshold_a", "softness")]))
+    fit = maker.fit(model.with_active([rigid.release("threshold_a", "softness")]))
     (active,) = fit.model.active
-    ahead = active.moved("threshold_a", active.coordinate("threshold_a") + 1.0)
+    ahead = active.moved("threshold_a", active.standardised_value("threshold_a") + 1.0)
     trial = maker.evaluate(fit.model.with_active([ahead]), fit.frame)
     wanted = 0.5 * (trial.objective + fit.objective)
-    back = maker._led_back(trial, wanted)
+    back = maker.correct_step(trial, wanted)
     assert back.objective < wanted < trial.objective
-    assert maker._led_back(fit, fit.objective + 1.0) is fit
+    assert maker.correct_step(fit, fit.objective + 1.0) is fit
     # What no step promises is not tried again and again.
-    spent = maker.effort.spent
-    hopeless = maker._led_back(fit, fit.objective - 1e6)
+    spent = maker.budget.spent
+    hopeless = maker.correct_step(fit, fit.objective - 1e6)
     assert hopeless.objective <= fit.objective + OBJECTIVE_SLACK
     once = (len(fit.model.free) + COLUMNS_PER_EVALUATION) * _samples(maker)
-    assert maker.effort.spent - spent <= once
+    assert maker.budget.spent - spent <= once
 
 
 def _samples(maker: Fitter) -> int:
@@ -134,7 +134,7 @@ def test_effort_counts_samples_and_columns_and_what_poll_raises_ends_the_fit() -
     samples = sum(len(p.signals.v_dc) for p in made.pieces)
     maker = fitter(made)
     maker.evaluate(model := free_model(), maker.frame(model))
-    assert maker.effort.spent == samples * COLUMNS_PER_EVALUATION
+    assert maker.budget.spent == samples * COLUMNS_PER_EVALUATION
 
     def stop() -> None:
         raise KeyboardInterrupt

@@ -47,7 +47,7 @@ def test_a_parameter_at_its_bound_stays_and_the_others_move_as_if_it_were_fixed(
     right[1] = 1e9  # drawn beyond the bound
     move, _ = newton_step(fit, (own, right), 0.0)
     assert move[1] == 0.0
-    alone = -(right[0] + at_bound.coordinate("bias_a_v")) / (own[0, 0] + 1.0)
+    alone = -(right[0] + at_bound.standardised_value("bias_a_v")) / (own[0, 0] + 1.0)
     assert move[0] == pytest.approx(alone)
 
 
@@ -58,8 +58,8 @@ def test_no_step_leaves_the_bounds(maker: Fitter, size: float) -> None:
     for name in moved.free:
         p = moved.candidate.named(name)
         assert p.low <= moved.values[name] <= p.high
-        assert is_stuck(moved, name, moved.coordinate(name) + np.sign(size))
-        assert not is_stuck(moved, name, moved.coordinate(name) - np.sign(size))
+        assert is_stuck(moved, name, moved.standardised_value(name) + np.sign(size))
+        assert not is_stuck(moved, name, moved.standardised_value(name) - np.sign(size))
 
 
 def test_a_bounded_step_without_shapes_is_the_whole_step(maker: Fitter) -> None:
@@ -73,7 +73,7 @@ def test_a_bounded_step_without_shapes_is_the_whole_step(maker: Fitter) -> None:
 
 def test_no_shape_moves_further_than_the_radius_and_less_is_promised(maker: Fitter) -> None:
     (active,) = with_free(free_model(), maker, DeadTime(), voltage_v=1.0).active
-    model = free_model().with_active([active.freeing("threshold_a")])
+    model = free_model().with_active([active.release("threshold_a")])
     fit = maker.evaluate(model, maker.frame(model))
     promises = []
     for radius in (0.01, 0.1, 1.0):
@@ -89,14 +89,14 @@ def test_a_bounded_step_ends_at_the_bounds(maker: Fitter) -> None:
     own, right = fit.projected()
     move, _ = bounded_step(fit, (own, right + 1e12), 1.0)
     low, _ = reach(active, "bias_a_v")
-    assert active.coordinate("bias_a_v") + move[0] == pytest.approx(low)
+    assert active.standardised_value("bias_a_v") + move[0] == pytest.approx(low)
 
 
 def test_an_amplitude_that_goes_along_with_its_shape_keeps_to_the_valley_of_their_quotient(maker: Fitter) -> None:
     """As winding heat on a recording shorter than its time constant."""
     (active,) = with_free(free_model(), maker, WindingHeating(), rise_per_watt=1e-3, time_constant_s=200.0).active
     model = free_model().with_active([replace(active, free=("rise_per_watt", "time_constant_s"))])
-    x, at = active.coordinate("rise_per_watt"), active.coordinate("time_constant_s")
+    x, at = active.standardised_value("rise_per_watt"), active.standardised_value("time_constant_s")
     for step in (-1.0, 0.7):
         folds = np.log(active.moved("time_constant_s", at + step).values["time_constant_s"] / 200.0)
         (moved,) = moved_by(model, np.array([folds * x, step])).active
@@ -108,7 +108,7 @@ def test_an_amplitude_that_goes_along_with_its_shape_keeps_to_the_valley_of_thei
 def test_an_amplitude_that_does_not_go_along_with_a_shape_moves_by_its_step(maker: Fitter) -> None:
     (active,) = with_free(free_model(), maker, WindingHeating(), rise_per_watt=1e-3, time_constant_s=200.0).active
     model = free_model().with_active([replace(active, free=("rise_per_watt", "time_constant_s"))])
-    x = active.coordinate("rise_per_watt")
+    x = active.standardised_value("rise_per_watt")
     for by, step in ((0.5, -0.5), (0.5, 0.1), (0.5, 0.0), (0.0, 1.0)):
         (moved,) = moved_by(model, np.array([by * x, step])).active
         assert moved.values["rise_per_watt"] == pytest.approx((1.0 + by) * 1e-3)

@@ -15,8 +15,8 @@ import pytest
 
 from orchestrator.diagnosis.fitting.batch_evaluation import RecordingBatches
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.fitting.chords import fit_along_chords
-from orchestrator.diagnosis.fitting.columns import probed_segments
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.columns import probe_segments
 from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.fitting.workers import MAX_WORKERS, Executor, executor_of, workers_here
@@ -171,7 +171,7 @@ def test_there_are_no_more_workers_than_cores_and_no_more_than_gain_anything(mon
 def alone() -> Fitter:
     """In batches so small that there are some for each thread."""
     made = with_voltage(prepared(plan()), np.array([0.3, -0.2]))
-    first = probed_segments(made.pieces)
+    first = probe_segments(made.pieces)
     batches = RecordingBatches(made.pieces, *in_batches(made.pieces, first, 2500))
     assert len(batches.all) > 6
     return replace(fitter(made), batches=batches)
@@ -203,7 +203,7 @@ def assert_same(one: Fit, other: Fit) -> None:
     for here, there in zip(one.frame.pieces, other.frame.pieces, strict=True):
         np.testing.assert_array_equal(here.white_basis, there.white_basis)
         np.testing.assert_array_equal(here.whitener.factor, there.whitener.factor)
-        assert here.carried_by == there.carried_by
+        assert here.noise_parameters == there.noise_parameters
     for first, second in zip(one.frame.batches, other.frame.batches, strict=True):
         for name in ("i_ab", "v_ab", "resistance_ohm", "heat_j", "psi_ab", "psi_smooth_ab", "inductance_ab"):
             np.testing.assert_array_equal(getattr(first.base, name), getattr(second.base, name))
@@ -217,7 +217,7 @@ def test_a_fit_by_two_threads_is_the_fit_by_one(alone: Fitter, joined: Fitter) -
 def test_so_is_one_of_all_effects_whose_columns_are_kept_and_probed(alone: Fitter, joined: Fitter) -> None:
     model = with_all(alone)
     assert len(model.free) > FEW_COLUMNS
-    fits = [fit_along_chords(maker, model, rounds=2, tolerance=1e-4) for maker in (joined, alone)]
+    fits = [fit_with_frozen_jacobian(maker, model, rounds=2, tolerance=1e-4) for maker in (joined, alone)]
     assert_same(*fits)
     assert_same(joined.hold(fits[0].model), alone.hold(fits[1].model))
 

@@ -42,7 +42,7 @@ def test_what_moves_the_map_may_stand_in_while_something_unknown_remains(fit: Fi
 def test_a_form_that_no_such_effect_has_may_stand_in_while_something_unknown_remains(fit: Fit) -> None:
     (heating,) = scaled_library([WindingHeating()], fit.prepared.manifest)
     for off, codes in ((3.0, []), (5.0, ["strained_form"])):
-        active = heating.absent().freeing("time_constant_s").moved("time_constant_s", off)
+        active = heating.absent().release("time_constant_s").moved("time_constant_s", off)
         bent = replace(fit, model=fit.model.with_active([active]))
         assert _codes(bent, "unknown_remains") == codes
         assert _codes(bent, "explained") == []
@@ -53,7 +53,7 @@ def test_three_large_effects_at_once_may_be_another_that_acts_like_them(fit: Fit
     effects = (CurrentGainMismatch(), ThirdCurrentSensor(), PhaseResistanceImbalance())
     library = scaled_library(effects, fit.prepared.manifest)
     for off, codes in ((1.2, []), (1.8, ["rare_together"])):
-        active = [one.absent().freeing(*one.amplitudes).moved(one.amplitudes[0], off) for one in library]
+        active = [one.absent().release(*one.amplitudes).moved(one.amplitudes[0], off) for one in library]
         assert _codes(replace(fit, model=fit.model.with_active(active)), "explained") == codes
         assert _codes(replace(fit, model=fit.model.with_active(active[:2])), "explained") == []
 

@@ -7,12 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects, said_by_effects
-from plugins.effects.inverter import VoltageBias
+from orchestrator.diagnosis.reporting.findings import (
+    above_residual,
+    derived_quantities,
+    effect_remarks,
+    found_effects,
+    map_effects,
+)
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.iron import SlotHarmonics
-from protocols import FoundEffect, PluginError, Remark
+from protocols import DriveRecord, Effect, FoundEffect, ParameterValue, PluginError, Remark
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_voltage
 
@@ -66,15 +72,15 @@ def _by(effect: VoltageBias) -> Fit:
 
 
 def test_an_effect_that_is_named_says_what_its_parameters_mean() -> None:
-    (said,) = said_by_effects(_by(Talkative()), {"voltage_bias"})
+    (said,) = effect_remarks(_by(Talkative()), {"voltage_bias"})
     assert (said.code, said.text) == ("voltage_bias.in_a", "voltage_bias: 0.3 V in a")
-    assert said_by_effects(_by(Talkative()), set()) == []
-    assert said_by_effects(_by(VoltageBias()), {"voltage_bias"}) == []
+    assert effect_remarks(_by(Talkative()), set()) == []
+    assert effect_remarks(_by(VoltageBias()), {"voltage_bias"}) == []
 
 
 def test_an_effect_that_fails_to_say_it_is_named() -> None:
     with pytest.raises(PluginError, match=r"voltage_bias.*remarks: KeyError"):
-        said_by_effects(_by(Faulty()), {"voltage_bias"})
+        effect_remarks(_by(Faulty()), {"voltage_bias"})
 
 
 def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
@@ -82,8 +88,8 @@ def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
         FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
         for name, share in (("a", 0.5), ("b", 0.02))
     ]
-    assert [effect.name for effect in beyond_the_rest(some, 0.42, 3.0)] == ["a"]
-    assert [effect.name for effect in beyond_the_rest(some, 0.0, 3.0)] == ["a", "b"]
+    assert [effect.name for effect in above_residual(some, 0.42, 3.0)] == ["a"]
+    assert [effect.name for effect in above_residual(some, 0.0, 3.0)] == ["a", "b"]
 
 
 @pytest.mark.parametrize(("left", "listed"), [(0.1, ["a"]), (0.0, ["a", "b"])])
@@ -94,4 +100,47 @@ def test_what_takes_away_many_times_the_error_while_something_is_left_is_not_lis
         FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
         for name, share in (("a", 0.5), ("b", 30.0))
     ]
-    assert [effect.name for effect in beyond_the_rest(some, left, 3.0)] == listed
+    assert [effect.name for effect in above_residual(some, left, 3.0)] == listed
+
+
+MANIFEST = prepared(plan()).manifest
+DRIVE = DriveRecord(name="bench", sampling_frequency_hz=1e4, pwm_frequency_hz=1e4, dc_bus_voltage_v=500.0)
+WITHIN_2_PERCENT = {"voltage_v": ParameterValue(value=1.0, low=0.98, high=1.02, unit="V")}
+
+
+def active(effect: Effect, **values: float) -> EffectTerm:
+    (candidate,) = scaled_library([effect], MANIFEST)
+    absent = candidate.absent()
+    return EffectTerm(candidate, {**absent.values, **values}, absent.free)
+
+
+def test_a_dead_time_is_its_voltage_over_frequency_and_bus_voltage() -> None:
+    found = derived_quantities(active(DeadTime(), voltage_v=1.0), WITHIN_2_PERCENT, DRIVE)
+    assert set(found) == {"dead_time"}
+    told = found["dead_time"]
+    assert told.unit == "s"
+    assert (told.value, told.low, told.high) == pytest.approx((200e-9, 196e-9, 204e-9))
+
+
+def test_the_charge_of_a_swing_is_told_where_the_form_shows_it() -> None:
+    found = derived_quantities(active(DeadTime(), voltage_v=1.0, threshold_a=0.1, charged=1.0), {}, DRIVE)
+    assert found["charge_of_a_swing"].value == pytest.approx(0.1 * 200e-9)
+
+
+def test_without_a_pwm_frequency_no_dead_time_is_told() -> None:
+    drive = DRIVE.model_copy(update={"pwm_frequency_hz": None})
+    assert derived_quantities(active(DeadTime(), voltage_v=1.0), {}, drive) == {}
+
+
+def test_a_drop_has_its_forward_voltage_and_other_effects_have_nothing() -> None:
+    assert derived_quantities(active(DeviceDrop(), voltage_v=0.9), {}, DRIVE)["forward_voltage"].value == 0.9
+    assert derived_quantities(active(VoltageBias()), {}, DRIVE) == {}
+
+
+def test_an_effect_whose_code_fails_is_named() -> None:
+    class Broken(DeadTime):
+        def derived(self, p: DeadTime.Parameters, drive: DriveRecord) -> dict[str, tuple[float, str]]:
+            raise ZeroDivisionError
+
+    with pytest.raises(PluginError, match="dead_time: derived: ZeroDivisionError"):
+        derived_quantities(active(Broken(), voltage_v=1.0), {}, DRIVE)

@@ -8,10 +8,13 @@ import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separable, separating_contrasts
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.recording import Recording
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
+from plugins.effects.sensors import CurrentOffset
 from protocols import Contrast, SegmentStage
+from tests.orchestrator.diagnosis.pieces import plan, prepared
 
 
 @pytest.fixture(scope="module")
@@ -45,3 +48,20 @@ def test_two_angles_are_recognised(setup: DiagnosisSetup) -> None:
     before = bare(setup.prepared)
     turned = replace(before.pieces[0], segment=before.pieces[0].segment.model_copy(update={"rotor_angle_rad": 1.05}))
     assert holds(only(before, *before.pieces, turned), Contrast.SECOND_ANGLE)
+
+
+WHOLE = prepared(plan(sparse=True))
+BRIDGE_ON = replace(WHOLE, pieces=tuple(p for p in WHOLE.pieces if p.stage is not SegmentStage.GATES_OFF))
+
+
+def test_what_parts_two_effects_is_what_both_need() -> None:
+    assert separating_contrasts(VoltageBias(), CurrentOffset()) == (Contrast.GATES_OFF,)
+    assert separating_contrasts(DeadTime(), DeviceDrop()) == (Contrast.SECOND_PWM_FREQUENCY,)
+    assert separating_contrasts(DeadTime(), CurrentOffset()) == ()
+
+
+def test_a_recording_parts_what_it_holds_the_contrast_for() -> None:
+    assert separable(WHOLE, VoltageBias(), CurrentOffset())
+    assert not separable(BRIDGE_ON, VoltageBias(), CurrentOffset())
+    assert not separable(WHOLE, DeadTime(), DeviceDrop())
+    assert separable(BRIDGE_ON, DeadTime(), CurrentOffset())

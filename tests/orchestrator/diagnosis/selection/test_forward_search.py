@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection import forward_search as forward_search_module
 from orchestrator.diagnosis.selection.forward_search import Step, forward
-from orchestrator.diagnosis.selection.refining import flexible
+from orchestrator.diagnosis.selection.refining import extend_newest
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.timing import VoltageDelay
 from protocols import Signals
@@ -38,7 +38,7 @@ def test_noise_alone_is_given_no_name() -> None:
     library = scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], maker.prepared.manifest)
     search = forward(maker, [Step(None, maker.fit(free_model()))], library)
     assert [step.added for step in search.steps] == [None]
-    assert search.traces == []
+    assert search.detected_not_named == []
     (screen,) = maker.trace.events
     assert (screen.move, screen.decision) == ("screen", "refused")
     assert screen.score is not None
@@ -78,24 +78,24 @@ def test_an_effect_that_explains_more_is_let_in_before_the_newest_one_is_bent(mo
 
     def noted(maker: Fitter, fit: Fit, inflation: float) -> Fit:
         bent.append(fit.model.names)
-        return flexible(maker, fit, inflation)
+        return extend_newest(maker, fit, inflation)
 
-    monkeypatch.setattr(forward_search_module, "flexible", noted)
+    monkeypatch.setattr(forward_search_module, "extend_newest", noted)
     search = forward(maker, [Step(None, maker.fit(free_model()))], library)
     assert set(search.fit.model.names) == {"dead_time", "voltage_bias"}
     assert search.fit.chi2_per_dof == pytest.approx(1.0, abs=0.2)
     # What came first was bent with the other one there, not alone.
     assert all(len(names) == 2 for names in bent)
-    assert not search.unbent
+    assert not search.has_deferred_refinements
 
 
 def test_what_waited_for_another_effect_is_bent_where_none_comes(biased: Fitter) -> None:
     library = scaled_library([VoltageBias()], biased.prepared.manifest)
     bare = biased.fit(free_model())
     search = forward(biased, [Step(None, bare)], library)
-    search.unbent = True
-    assert forward_search_module._bent_after_all(biased, search)
-    assert not forward_search_module._bent_after_all(biased, search)
+    search.has_deferred_refinements = True
+    assert forward_search_module._free_deferred(biased, search)
+    assert not forward_search_module._free_deferred(biased, search)
 
 
 def _knee_and_bias(signals: Signals) -> Array:

@@ -65,10 +65,10 @@ def test_an_answer_is_told_when_it_changes_and_not_again(fits: tuple[Fit, Fit]) 
     recorder = InterimRecorder(told.append)
     first = [Step(None, bare)]
     search = Search([Step(None, bare), Step("voltage_bias", biased, 100.0)])
-    recorder.reached(setup, first, Search(list(first)), is_part=True)
+    recorder.record(setup, first, Search(list(first)), is_part=True)
     for _ in range(2):
-        recorder.reached(setup, first, search, is_part=True)
-    recorder.reached(setup, first, search, is_part=False)
+        recorder.record(setup, first, search, is_part=True)
+    recorder.record(setup, first, search, is_part=False)
     assert [(one.effects, one.is_part) for one in told] == [
         ((), True),
         (("voltage_bias",), True),
@@ -83,12 +83,12 @@ def test_what_is_remembered_does_not_change_as_the_search_goes_on(fits: tuple[Fi
     bare, biased = fits
     recorder = InterimRecorder()
     search = Search([Step(None, bare)])
-    recorder.reached(setup_of(fitter(bare.prepared)), search.steps, search, is_part=True)
+    recorder.record(setup_of(fitter(bare.prepared)), search.steps, search, is_part=True)
     search.steps.append(Step("voltage_bias", biased, 100.0))
-    search.traces.append("voltage_delay")
+    search.detected_not_named.append("voltage_delay")
     assert recorder.checkpoint is not None
     assert recorder.checkpoint.search.fit is bare
-    assert recorder.checkpoint.search.traces == []
+    assert recorder.checkpoint.search.detected_not_named == []
 
 
 def test_of_effects_that_are_fitted_together_those_are_named_that_the_data_ask_for(fits: tuple[Fit, Fit]) -> None:
@@ -98,5 +98,5 @@ def test_of_effects_that_are_fitted_together_those_are_named_that_the_data_ask_f
     both = maker.fit(bare.model.with_active([c.absent() for c in library]))
     told: list[InterimResult] = []
     quick = Search([Step(None, bare)])
-    InterimRecorder(told.append).reached_together(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
+    InterimRecorder(told.append).record_joint(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
     assert [one.effects for one in told] == [("voltage_bias",)]

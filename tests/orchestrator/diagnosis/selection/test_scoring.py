@@ -10,13 +10,13 @@ import pytest
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection.scoring import (
-    does_as_well,
+    fits_as_well,
     linear_view,
     log_evidence,
     loss_without,
     score,
-    worth_bending,
-    worth_freeing,
+    select_columns,
+    select_terms,
 )
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.timing import VoltageDelay
@@ -53,12 +53,12 @@ def test_a_rival_does_as_well_by_what_it_leaves_and_not_by_how_many_parameters_i
     bare = biased.fit(free_model())
     (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
     full = biased.fit(bare.model.with_active([candidate.absent()]), bare.frame, renewals=0)
-    assert does_as_well(full, bare)
-    assert not does_as_well(bare, full)
+    assert fits_as_well(full, bare)
+    assert not fits_as_well(bare, full)
     least = 2.0 * bare.criteria.selection.tie * max(full.chi2_per_dof, 1.0)
     near, far = (replace(bare, chi2=full.chi2, objective=full.objective + part * least) for part in (0.9, 1.1))
-    assert does_as_well(near, full)
-    assert not does_as_well(far, full)
+    assert fits_as_well(near, full)
+    assert not fits_as_well(far, full)
 
 
 def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> None:
@@ -75,21 +75,21 @@ def test_of_two_that_do_the_same_one_is_worth_freeing() -> None:
     base = rng.normal(size=(400, 3))
     rows = np.column_stack([base, base[:, 1] + 1e-3 * rng.normal(size=400)])
     normal, right = rows.T @ rows, rows.T @ -base[:, 1]
-    kept = worth_freeing(normal, right, 1, [1, 2, 3], spare=6.0)
+    kept = select_columns(normal, right, 1, [1, 2, 3], spare=6.0)
     assert kept in ([1], [3])
     # Nothing is, where all that there is may be spared; everything, where nothing may.
-    assert worth_freeing(normal, right, 1, [1, 2, 3], spare=1e9) == []
-    assert worth_freeing(normal, right, 1, [1, 2, 3], spare=-1.0) == [1, 2, 3]
-    assert worth_freeing(normal, right, 1, [], spare=6.0) == []
+    assert select_columns(normal, right, 1, [1, 2, 3], spare=1e9) == []
+    assert select_columns(normal, right, 1, [1, 2, 3], spare=-1.0) == [1, 2, 3]
+    assert select_columns(normal, right, 1, [], spare=6.0) == []
 
 
 def test_details_are_worth_bending_only_where_what_is_asked_first_brings_nothing() -> None:
     rng = np.random.default_rng(2)
     rows = rng.normal(size=(400, 3))
     view = rows.T @ rows, rows.T @ -(rows[:, 1] + 0.2 * rows[:, 2])
-    assert worth_bending(view, 1, [([1], 6.0), ([2], 6.0)]) == [1]
-    assert worth_bending(view, 1, [([], 6.0), ([2], 6.0)]) == [2]
-    assert worth_bending(view, 1, [([], 6.0), ([2], 1e9)]) == []
+    assert select_terms(view, 1, [([1], 6.0), ([2], 6.0)]) == [1]
+    assert select_terms(view, 1, [([], 6.0), ([2], 6.0)]) == [2]
+    assert select_terms(view, 1, [([], 6.0), ([2], 1e9)]) == []
     # Of two together what brings most, where the rest may come later.
-    assert worth_bending(view, 1, [([1, 2], 6.0)]) == [1, 2]
-    assert worth_bending(view, 1, [([1, 2], 6.0)], later=0.3) == [1]
+    assert select_terms(view, 1, [([1, 2], 6.0)]) == [1, 2]
+    assert select_terms(view, 1, [([1, 2], 6.0)], later=0.3) == [1]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.selection import sufficiency
-from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
+from orchestrator.diagnosis.selection.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import NotMeasuredError, SegmentStage
@@ -69,8 +69,8 @@ def test_a_rate_with_too_few_samples_between_windows_is_refused(monkeypatch: pyt
 )
 def test_what_was_not_measured_is_said(without: SegmentStage, code: str) -> None:
     kept = _only(*(stage for stage in SegmentStage if stage is not without))
-    assert code in {remark.code for remark in what_is_missing(kept)}
-    assert code not in {remark.code for remark in what_is_missing(ENOUGH)}
+    assert code in {remark.code for remark in missing_contrasts(kept)}
+    assert code not in {remark.code for remark in missing_contrasts(ENOUGH)}
 
 
 def test_a_segment_that_holds_many_sweeps_shows_as_many_places() -> None:

@@ -9,8 +9,8 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.contributions import excitation_v, left_of_excitation
 from orchestrator.diagnosis.selection.judge import judge
-from orchestrator.diagnosis.selection.shares import excitation_v, left_of_excitation
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction, verdict_record
 from plugins.effects.inverter import DeadTime
 from protocols import SegmentStage, Verdict
@@ -58,7 +58,7 @@ def test_a_form_bent_further_than_such_effects_are_stands_in_for_another_where_s
     fit: Fit, widths: float, chi2: float, verdict: str
 ) -> None:
     (dead_time,) = scaled_library([DeadTime()], fit.prepared.manifest)
-    bent = dead_time.absent().freeing("leg_a_longer").moved("leg_a_longer", widths)
+    bent = dead_time.absent().release("leg_a_longer").moved("leg_a_longer", widths)
     strained = replace(fit, model=fit.model.with_active([*fit.model.active, bent]))
     assert verdict_of(_with_chi2(strained, 900.0), _with_chi2(strained, chi2), 1) == verdict
 

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.baseline import is_sharp
+from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection import workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.workflow import (
-    no_sharper_than_asked,
-    pruned,
+    coarsen_map,
+    prune,
     search_effects,
-    with_its_scatter,
+    with_estimated_scatter,
 )
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
@@ -55,7 +55,7 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
     maker, steps = _biased(of_resistance)
     assert steps[0].fit.chi2_per_dof > 1e5 > 1e4 * steps[-1].fit.chi2_per_dof
     setup = setup_of(maker)
-    assert pruned(setup, Search(steps))[1] == spared
+    assert prune(setup, Search(steps))[1] == spared
 
 
 def test_voltages_that_differ_by_chance_are_noise() -> None:
@@ -63,7 +63,7 @@ def test_voltages_that_differ_by_chance_are_noise() -> None:
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     setup = setup_of(fitter(with_voltage(made, by_chance)))
     fit = setup.fitter.fit(free_model())
-    noisy = with_its_scatter(setup, fit, [])
+    noisy = with_estimated_scatter(setup, fit, [])
     assert noisy is not None
     assert noisy.fitter.noise.of_model.scatters
     assert noisy.fitter.fit(free_model()).chi2_per_dof < 1.2
@@ -79,23 +79,27 @@ def test_a_map_that_was_made_sharp_for_an_effect_s_form_is_a_usual_one(
     space = replace(first.model.space, roughness=9.0, prior=first.model.space.prior / 9.0)
     usual, sharp = maker.fit(biased), maker.fit(replace(biased, space=space))
     if earned:
-        monkeypatch.setattr(workflow, "earns_its_sharpness", lambda *_: True)
+        monkeypatch.setattr(workflow, "keep_fine_grid", lambda *_: True)
     search = Search([Step(None, first), Step("voltage_bias", sharp, 20.0)])
-    after = no_sharper_than_asked(setup_of(maker), search)
-    assert is_sharp(sharp)
-    assert is_sharp(after.fit) == earned
+    after = coarsen_map(setup_of(maker), search)
+    assert has_fine_grid(sharp)
+    assert has_fine_grid(after.fit) == earned
     assert after.fit.model.names == ("voltage_bias",)
     asked_nothing = Search([Step(None, first), Step("voltage_bias", usual, 20.0)])
-    assert no_sharper_than_asked(setup_of(maker), asked_nothing) is asked_nothing
+    assert coarsen_map(setup_of(maker), asked_nothing) is asked_nothing
 
 
 def test_a_timer_that_leaves_more_than_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = setup_of(fitter(with_voltage(prepared(plan(), noise_a=0.002), np.array([0.05, 0.0]))))
     steps = [Step(None, setup.fitter.fit(free_model()))]
     assert steps[0].fit.chi2_per_dof > 1.08
-    monkeypatch.setattr(workflow, "with_its_timer", lambda given, *_: given.with_timer(timer(2e-6, 0.3, 0.6)))
+    monkeypatch.setattr(
+        workflow, "with_detected_quantiser", lambda given, *_: given.with_quantiser(timer(2e-6, 0.3, 0.6))
+    )
     timed, _ = search_effects(setup, steps, [], InterimRecorder())
-    assert timed.prepared.timer is None
-    monkeypatch.setattr(workflow, "with_its_timer", lambda given, *_: given.with_timer(timer(1e-12, 0.3, 0.6)))
+    assert timed.prepared.quantiser is None
+    monkeypatch.setattr(
+        workflow, "with_detected_quantiser", lambda given, *_: given.with_quantiser(timer(1e-12, 0.3, 0.6))
+    )
     timed, _ = search_effects(setup, steps, [], InterimRecorder())
-    assert timed.prepared.timer is not None
+    assert timed.prepared.quantiser is not None

@@ -9,26 +9,32 @@ import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import fitted_baseline
+from orchestrator.diagnosis.fitting.baseline import fit_baseline
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.uncertainty.intervals import (
+    BLOCKS,
     FORM_STD,
     RIPPLE_FORM_STD,
-    coordinate_spread,
-    following,
-    nothing_is_sure,
-    perhaps_absent,
+    block_scatter,
+    block_scatter_ratio,
+    certainty,
+    is_none_significant,
+    possibly_absent,
+    projected_rows,
     ripple_share,
+    standardised_std,
 )
 from orchestrator.recording import Recording, open_recording, write_manifest
-from plugins.effects.inverter import DeadTime
+from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from plugins.effects.timing import VoltageDelay
 from protocols import Effect
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import CRITERIA, fitter, free_model, plan, prepared, with_voltage
 
 LATE_SAMPLES = 0.1
 
@@ -38,7 +44,7 @@ DOUBT = Criteria().uncertainty
 def fitted(recording: Recording, effect: Effect) -> tuple[Fitter, Fit]:
     setup = open_for_diagnosis(recording)
     (candidate,) = scaled_library([effect], setup.prepared.manifest)
-    return setup.fitter, with_effect(setup.fitter, fitted_baseline(setup), candidate)
+    return setup.fitter, with_effect(setup.fitter, fit_baseline(setup), candidate)
 
 
 @pytest.fixture(scope="module")
@@ -53,16 +59,16 @@ def delayed(clean: Recording, tmp_path_factory: pytest.TempPathFactory) -> tuple
 
 def test_a_model_without_effects_has_none_that_might_be_absent(clean: Recording) -> None:
     setup = open_for_diagnosis(clean)
-    assert perhaps_absent(setup.fitter, fitted_baseline(setup)) == []
+    assert possibly_absent(setup.fitter, fit_baseline(setup)) == []
 
 
 def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(clean: Recording) -> None:
     setup = open_for_diagnosis(clean)
-    fit = fitted_baseline(setup)
+    fit = fit_baseline(setup)
     library = scaled_library([VoltageDelay(), EddyCurrents(), CurrentOffset(), CurrentGainMismatch()], clean.manifest)
     columns = absent_columns(library)
     loose = setup.fitter.evaluate(fit.model, fit.frame, columns)
-    share = ripple_share([(piece, rows) for piece, _, rows in following(loose)])
+    share = ripple_share([(piece, rows) for piece, _, rows in projected_rows(loose)])
     by_name = {active.name: float(s) for (active, _), s in zip(columns, share, strict=True)}
     assert by_name["voltage_delay"] > 0.98
     assert by_name["eddy_currents"] > 0.9
@@ -72,7 +78,7 @@ def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(cl
 
 def test_what_the_columns_keep_is_what_the_map_cannot_follow(delayed: tuple[Fitter, Fit]) -> None:
     _, fit = delayed
-    kept = sum(float(rows[:, 0] @ rows[:, 0]) for _, _, rows in following(fit))
+    kept = sum(float(rows[:, 0] @ rows[:, 0]) for _, _, rows in projected_rows(fit))
     known = float(fit.projected()[0][0, 0])
     # The map's prior holds it back a little from following, which counts as knowledge too.
     assert 0.97 * known < kept <= known * (1.0 + 1e-9)
@@ -80,8 +86,8 @@ def test_what_the_columns_keep_is_what_the_map_cannot_follow(delayed: tuple[Fitt
 
 def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[Fitter, Fit]) -> None:
     fitter, fit = delayed
-    x = fit.model.active[0].coordinate("delay_s")
-    (spread,) = coordinate_spread(fitter, fit)
+    x = fit.model.active[0].standardised_value("delay_s")
+    (spread,) = standardised_std(fitter, fit)
     assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * RIPPLE_FORM_STD * abs(x)
     assert 0.98 * RIPPLE_FORM_STD * abs(x) < spread < 2.0 * RIPPLE_FORM_STD * abs(x)
 
@@ -92,8 +98,8 @@ def test_what_is_there_is_surely_there_and_what_is_not_may_be_absent(delayed: tu
     (offset,) = scaled_library([CurrentOffset()], fit.prepared.manifest)
     model = fit.model.with_active([late, offset.absent().moved("offset_a_a", 1e-6)])
     both = fitter.evaluate(model, fit.frame)
-    assert perhaps_absent(fitter, both) == ["current_offset"]
-    assert not nothing_is_sure(fitter, both)
+    assert possibly_absent(fitter, both) == ["current_offset"]
+    assert not is_none_significant(fitter, both)
 
 
 class OtherDelay(VoltageDelay):
@@ -105,11 +111,11 @@ def test_two_that_stand_in_for_each_other_may_each_be_absent_and_not_both(delaye
     (late,) = fit.model.active
     (other,) = scaled_library([OtherDelay()], fit.prepared.manifest)
     for part, sure in ((0.5, True), (1e-6, False)):
-        each = part * late.coordinate("delay_s")
+        each = part * late.standardised_value("delay_s")
         twins = [one.absent().moved("delay_s", each) for one in (late.candidate, other)]
         both = fitter.evaluate(fit.model.with_active(twins), fit.frame)
-        assert perhaps_absent(fitter, both) == list(both.model.names)
-        assert nothing_is_sure(fitter, both) != sure
+        assert possibly_absent(fitter, both) == list(both.model.names)
+        assert is_none_significant(fitter, both) != sure
 
 
 @pytest.mark.slow
@@ -117,6 +123,40 @@ def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Rec
     fitter, fit = fitted(with_dead_time, DeadTime())
     active, name = fit.model.free[0]
     assert name == "voltage_v"
-    spread = float(coordinate_spread(fitter, fit)[0])
-    assert FORM_STD * active.coordinate(name) < spread < 0.2 * RIPPLE_FORM_STD * active.coordinate(name)
+    spread = float(standardised_std(fitter, fit)[0])
+    assert FORM_STD * active.standardised_value(name) < spread < 0.2 * RIPPLE_FORM_STD * active.standardised_value(name)
     assert float(np.sqrt(fit.covariance()[0, 0])) < spread
+
+
+DOUBT = CRITERIA.uncertainty
+
+
+def test_an_effect_that_is_the_same_all_through_does_not_scatter_and_one_that_grows_does() -> None:
+    made = prepared(plan())
+    steady = with_voltage(made, np.array([0.2, 0.0]))
+    last = made.pieces[-1].segment.start_s
+    growing = {p.segment.id: np.array([0.4 * p.segment.start_s / last, 0.0]) for p in made.pieces}
+    sizes = []
+    for recording in (steady, with_voltage(made, growing)):
+        maker = fitter(recording)
+        fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
+        sizes.append(block_scatter_ratio(fit)["voltage_bias"])
+        spread = standardised_std(maker, fit)
+        assert (spread >= np.sqrt(np.diag(fit.covariance()))).all()
+        assert certainty(fit)["voltage_bias"] > BLOCKS
+    assert sizes[0] < 0.05
+    assert sizes[1] > 0.2
+
+
+def test_what_the_blocks_want_of_noise_alone_is_nothing() -> None:
+    beyond = []
+    for seed in range(4):
+        maker = fitter(with_voltage(prepared(plan(), seed=seed), np.array([0.2, 0.0])))
+        fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
+        beyond.append(scatter_beyond_noise(fit))
+    assert float(np.mean(beyond)) < 2.0
+
+
+def scatter_beyond_noise(fit: Fit) -> float:
+    """Scatter between blocks over what noise makes of a block's own estimate."""
+    return float(np.max(block_scatter(fit) / np.sqrt(BLOCKS * np.diag(fit.covariance()))))

@@ -53,7 +53,7 @@ def test_an_effect_that_was_left_out_lies_within_what_it_might_do() -> None:
     maker = fitter(prepared(plan()))
     (candidate,) = scaled_library([delay], maker.prepared.manifest)
     truth = with_free(free_model(), maker, delay, delay_s=4e-6)
-    back = [a.moved("delay_s", -a.coordinate("delay_s")) for a in truth.active]
+    back = [a.moved("delay_s", -a.standardised_value("delay_s")) for a in truth.active]
     late = fitter(with_effects(maker.prepared, back))
     without = late.fit(free_model())
     (unseen,) = MapUncertainty.of(late, without, [candidate]).unseen

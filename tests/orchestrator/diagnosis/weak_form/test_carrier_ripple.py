@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.carrier_ripple import LEAST, taken_of_ripple
+from orchestrator.diagnosis.weak_form.carrier_ripple import LEAST_INDUCTANCE_RATIO, carrier_ripple_voltage
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.frames import to_dq, to_phases
 from protocols import SegmentStage
@@ -74,20 +74,20 @@ def test_it_is_what_the_line_between_readings_misses(magnetics: Magnetics, i_dq:
     n = len(one.signals.v_dc)
     arrays = {"v_ab": np.tile(v_dq, (n, 1)), "i_ab": np.tile(i, (n, 1)), "v_dc": np.full(n, BUS_V)}
     signals = one.signals.replaced({**arrays, "resistance_ohm": np.full(n, OHM)})
-    taken = taken_of_ripple(one, signals, magnetics)[0]
+    taken = carrier_ripple_voltage(one, signals, magnetics)[0]
     assert np.linalg.norm(off + taken / FS) < 0.02 * np.linalg.norm(off)
 
 
 def test_its_direction_is_the_stators_whatever_the_rotors_angle() -> None:
     plain, turned = (piece(Plan(SegmentStage.RESISTANCE, hold(2.0, 0.0)), angle=x) for x in (0.0, 2.0 * np.pi / 3.0))
     # A third of a turn is another phase, to which the pulses do alike.
-    a, b = (taken_of_ripple(one, one.signals, TRUE_MAP) for one in (plain, turned))
+    a, b = (carrier_ripple_voltage(one, one.signals, TRUE_MAP) for one in (plain, turned))
     np.testing.assert_allclose(to_dq(b, 2.0 * np.pi / 3.0), a, rtol=1e-6, atol=1e-12 * np.abs(a).max())
 
 
 def test_with_the_bridge_off_there_is_none() -> None:
     one = piece(Plan(SegmentStage.GATES_OFF, np.zeros((600, 2))))
-    assert not taken_of_ripple(one, one.signals, TRUE_MAP).any()
+    assert not carrier_ripple_voltage(one, one.signals, TRUE_MAP).any()
 
 
 @pytest.mark.parametrize("scale", [0.0, -0.5, 1e-3])
@@ -96,9 +96,9 @@ def test_a_map_that_is_none_yet_makes_no_voltage_without_bounds(scale: float) ->
     one = piece(Plan(SegmentStage.RESISTANCE, hold(2.0, -1.0)))
     signals = one.signals.replaced({"resistance_ohm": np.full(len(one.signals.v_dc), OHM)})
     rough = np.random.default_rng(2).normal(0.0, 1.0, GRID.size)
-    right = taken_of_ripple(one, signals, TRUE_MAP)
-    flat = taken_of_ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients))
-    wrong = taken_of_ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients + rough))
+    right = carrier_ripple_voltage(one, signals, TRUE_MAP)
+    flat = carrier_ripple_voltage(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients))
+    wrong = carrier_ripple_voltage(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients + rough))
     np.testing.assert_allclose(flat, right, rtol=1e-9, atol=1e-12 * np.abs(right).max())
     # Not more than what a ripple at the least inductance drops across the resistance.
-    assert np.abs(wrong).max() < OHM * BUS_V / FS / (LEAST * L_D)
+    assert np.abs(wrong).max() < OHM * BUS_V / FS / (LEAST_INDUCTANCE_RATIO * L_D)

@@ -31,7 +31,9 @@ def _one_by_one(i_dq: Array, windows: Windows, turn: Array | float) -> Array:
     c, s = np.broadcast_arrays(np.cos(turn), np.sin(turn), np.zeros(len(i_dq)))[:2]
     steps = -np.diff(np.einsum("xyn,nyk->nxk", np.array([[c, -s], [s, c]]), slopes), axis=0)
     sums = [
-        sum_intervals(np.ascontiguousarray(steps[:, :, k]), windows.step, windows.hats, windows.bins, windows.n_bins)
+        sum_intervals(
+            np.ascontiguousarray(steps[:, :, k]), windows.step, windows.test_functions, windows.bins, windows.n_bins
+        )
         for k in range(GRID.size)
     ]
     return np.stack(sums, axis=-1)
@@ -43,7 +45,9 @@ def test_sums_from_moments_are_sums_over_samples(windows: Windows, turn: Array |
     i_dq = _current(2000)
     delta = np.full(2000, turn) if np.any(turn) else np.zeros(0)
     numbers, counts = GRID.layout
-    sums = sum_basis(i_dq, delta, windows.step, windows.hats, windows.bins, windows.n_bins, numbers, counts, CARDINAL)
+    sums = sum_basis(
+        i_dq, delta, windows.step, windows.test_functions, windows.bins, windows.n_bins, numbers, counts, CARDINAL
+    )
     expected = _one_by_one(i_dq, windows, turn)
     np.testing.assert_allclose(sums, expected, atol=2.2 * OVERLAP**4 * _largest_slope())
 
@@ -52,7 +56,17 @@ def test_without_overlap_hardly_anything_is_left() -> None:
     i_dq, windows = _current(1000), plain_windows(999, 100.0)
     assert windows is not None
     numbers, counts = GRID.layout
-    args = (i_dq, np.zeros(0), windows.step, windows.hats, windows.bins, windows.n_bins, numbers, counts, CARDINAL)
+    args = (
+        i_dq,
+        np.zeros(0),
+        windows.step,
+        windows.test_functions,
+        windows.bins,
+        windows.n_bins,
+        numbers,
+        counts,
+        CARDINAL,
+    )
     expected = _one_by_one(i_dq, windows, 0.0)
     # All but the half of an interval that ends in the next cell.
     np.testing.assert_allclose(sum_basis(*args, 0.0), expected, atol=2e-6 * _largest_slope())
@@ -69,9 +83,17 @@ def test_beyond_the_map_the_sums_follow_its_slopes_that_go_on_linearly() -> None
         i_dq = np.array(centre) + 0.5 * np.concatenate([np.sin(6.0 * t), np.cos(9.0 * t)], axis=1) * [1.0, 0.3]
         i_dq = i_dq if centre[0] != 0.5 else i_dq[:, ::-1] + [-2.7, 2.7]
         steps = np.ascontiguousarray(-np.diff(derivatives(i_dq, GRID.patches(c), numbers)[0], axis=0))
-        expected = sum_intervals(steps, windows.step, windows.hats, windows.bins, windows.n_bins)
+        expected = sum_intervals(steps, windows.step, windows.test_functions, windows.bins, windows.n_bins)
         sums = sum_basis(
-            i_dq, np.zeros(0), windows.step, windows.hats, windows.bins, windows.n_bins, numbers, counts, CARDINAL
+            i_dq,
+            np.zeros(0),
+            windows.step,
+            windows.test_functions,
+            windows.bins,
+            windows.n_bins,
+            numbers,
+            counts,
+            CARDINAL,
         )
         atol = 2.2 * OVERLAP**4 * _largest_slope() * float(np.abs(c).sum())
         np.testing.assert_allclose(sums @ c, expected, atol=atol)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.logged import clarke_of_three, since_the_start, what_is_logged
+from orchestrator.diagnosis.weak_form.logged import clarke_of_three, logged_fields, since_the_start
 from protocols import Capture, SegmentStage
 from tests.orchestrator.diagnosis.pieces import Array, Plan, hold, piece
 
@@ -59,11 +59,11 @@ def test_means_are_taken_of_what_is_logged_as_of_the_vectors() -> None:
         i_abc=phases,
         temperature_c=warmth,
     )
-    found = what_is_logged(capture, 90, 10)
+    found = logged_fields(capture, 90, 10)
     assert found["i_abc"] == pytest.approx(phases.reshape(90, 10, 3).mean(axis=1))
     assert found["temperature_c"] == pytest.approx(warmth.reshape(90, 10).mean(axis=1))
     assert found["clarke_of_three"] is True
-    assert what_is_logged(capture, n, 1)["i_abc"].base is phases
+    assert logged_fields(capture, n, 1)["i_abc"].base is phases
 
 
 def test_temperatures_count_from_the_first_that_was_logged() -> None:

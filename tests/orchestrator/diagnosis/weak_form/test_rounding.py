@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.rounding import of_rounding
+from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
@@ -42,23 +42,23 @@ def a_sweep() -> SegmentSignals:
 def test_voltages_that_were_logged_in_large_steps_are_told(frame: str) -> None:
     one = a_sweep()
     rounded = replace(one, command_ab=ROUNDINGS[frame](one.command_ab, 0.5))
-    (said,) = of_rounding([rounded], NOISE)
+    (said,) = rounding_remarks([rounded], NOISE)
     assert said.code == "rounded_voltages"
     assert said.values["step_v"] == pytest.approx(0.5)
 
 
 def test_steps_that_do_not_show_and_none_at_all_are_not_spoken_of() -> None:
     one = a_sweep()
-    assert of_rounding([one], NOISE) == []
-    assert of_rounding([replace(one, command_ab=to(1e-3)(one.command_ab))], NOISE) == []
-    assert of_rounding([replace(one, current_ab=to(NOISE_A)(one.current_ab))], NOISE) == []
-    assert of_rounding([], NOISE) == []
+    assert rounding_remarks([one], NOISE) == []
+    assert rounding_remarks([replace(one, command_ab=to(1e-3)(one.command_ab))], NOISE) == []
+    assert rounding_remarks([replace(one, current_ab=to(NOISE_A)(one.current_ab))], NOISE) == []
+    assert rounding_remarks([], NOISE) == []
 
 
 @pytest.mark.parametrize("frame", ROUNDINGS)
 def test_currents_that_were_logged_in_steps_beyond_their_noise_are_told(frame: str) -> None:
     one = a_sweep()
     rounded = replace(one, current_ab=ROUNDINGS[frame](one.current_ab, 5.0 * NOISE_A))
-    (said,) = of_rounding([rounded], NOISE)
+    (said,) = rounding_remarks([rounded], NOISE)
     assert said.code == "rounded_currents"
     assert said.values["step_a"] == pytest.approx(5.0 * NOISE_A)

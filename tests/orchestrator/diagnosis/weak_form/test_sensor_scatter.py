@@ -39,13 +39,13 @@ def test_how_alike_successive_readings_are_is_seen_under_a_ramp_and_better_at_re
     noise = lfilter([math.sqrt(1.0 - rho**2)], [1.0, -rho], _noise(n + 200), axis=0)[200:]
     ramp = noise + 50.0 * np.linspace(0.0, 1.0, n)[:, None]
     assert scatter_of(ramp, None).correlation == pytest.approx(rho, abs=0.12)
-    assert scatter_of(noise, None, rests=True).correlation == pytest.approx(rho, abs=0.025)
+    assert scatter_of(noise, None, steady=True).correlation == pytest.approx(rho, abs=0.025)
     late = noise + np.exp(-np.arange(n) / 50.0)[:, None]
-    assert scatter_of(late, None, rests=True).correlation == pytest.approx(rho, abs=0.025)
+    assert scatter_of(late, None, steady=True).correlation == pytest.approx(rho, abs=0.025)
 
 
 def test_readings_that_never_change_do_not_tell_how_alike_they_are() -> None:
-    assert math.isnan(scatter_of(np.zeros((100, 2)), None, rests=True).correlation)
+    assert math.isnan(scatter_of(np.zeros((100, 2)), None, steady=True).correlation)
 
 
 def test_a_ripple_that_repeats_cancels_between_its_periods() -> None:
@@ -92,7 +92,7 @@ def test_a_ripple_that_turns_into_another_scatters_as_its_readings_do() -> None:
 def test_a_current_that_decays_all_along_makes_no_readings_alike() -> None:
     n = 6000
     decaying = _noise(n) + np.exp(-np.arange(n) / 1500.0)[:, None] * np.array([8.0, -3.0])
-    scatter = scatter_of(decaying, None, rests=True)
+    scatter = scatter_of(decaying, None, steady=True)
     assert scatter.correlation == pytest.approx(0.0, abs=0.1)
     np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.15, atol=1e-7)
 

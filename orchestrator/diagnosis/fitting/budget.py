@@ -10,14 +10,14 @@ from statistics import median
 
 
 @dataclass
-class Effort:
+class Budget:
     """How much was computed, in samples times columns: the same on every machine, unlike time.
 
     How long it may take still is what such work usually comes to, in the time that the first model's fit took for its
     own.
     """
 
-    most: float = math.inf
+    limit: float = math.inf
     spent: float = 0.0
     clock: Callable[[], float] = time.monotonic
     """Seconds, of any origin; for the words of who waits alone."""
@@ -28,14 +28,14 @@ class Effort:
     _ends_s: float = field(init=False, default=-math.inf)
 
     @property
-    def exhausted(self) -> bool:
-        return self.spent > self.most
+    def is_spent(self) -> bool:
+        return self.spent > self.limit
 
-    def spend(self, effort: float) -> None:
+    def spend(self, cost: float) -> None:
         """An evaluation of so much effort begins."""
-        self.spent += effort
-        if self._cost_s is None and effort > 0.0:
-            self._calls.append((self.clock(), effort))
+        self.spent += cost
+        if self._cost_s is None and cost > 0.0:
+            self._calls.append((self.clock(), cost))
 
     def calibrate(self) -> None:
         """Take what has been computed so far for what effort costs on this machine: the median of the evaluations.
@@ -43,14 +43,14 @@ class Effort:
         The first ones of a process take longer than all others.
         """
         ends = [begin for begin, _ in self._calls[1:]]
-        costs = [(end - begin) / effort for (begin, effort), end in zip(self._calls, ends, strict=False)]
+        costs = [(end - begin) / cost for (begin, cost), end in zip(self._calls, ends, strict=False)]
         self._cost_s = median(costs) if costs else None
         self._calls.clear()
 
-    def expect(self, effort: float) -> None:
+    def expect(self, cost: float) -> None:
         """From here on so much of the calibrating work's kind is left to the diagnosis' end."""
         if self._cost_s is not None:
-            self._ends_s = self.clock() + self._cost_s * effort
+            self._ends_s = self.clock() + self._cost_s * cost
 
     @property
     def left(self) -> str:

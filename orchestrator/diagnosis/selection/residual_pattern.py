@@ -11,7 +11,7 @@ from typing import get_args
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.frames import from_phases, to_ab, to_dq, to_phases
@@ -59,17 +59,17 @@ class _Shape:
     layer: EffectLayer = EffectLayer.INVERTER
 
     @property
-    def columns(self) -> list[tuple[Active, str]]:
+    def columns(self) -> list[tuple[EffectTerm, str]]:
         """Each signal's amount, as `Fitter.evaluate` takes it."""
         parameters = _Addition.Parameters.declared()
         additions = [
             _Addition(self.name, self.quantity, field, self.current_a, self.size, self.layer) for field in self.fields
         ]
         # The fit reads no more of an effect than an addition has.
-        return absent_columns([Candidate(addition, parameters) for addition in additions])  # type: ignore[arg-type]
+        return absent_columns([CandidateEffect(addition, parameters) for addition in additions])  # type: ignore[arg-type]
 
 
-def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[ShapeGroup, float]]:
+def residual_pattern(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[ShapeGroup, float]]:
     """Shares of the leftover chi2 (above the noise), largest first; they add up to one.
 
     Parameters
@@ -81,7 +81,7 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
     if excess <= 0.0:
         return []
     shapes = _shapes(current_a, max(fit.model.r_s, 1e-3))
-    wanted: list[tuple[Active, str]] = []
+    wanted: list[tuple[EffectTerm, str]] = []
     index: dict[str, list[int]] = {}
     for shape in shapes:
         index[shape.name] = list(range(len(wanted), len(wanted) + len(shape.fields)))
@@ -249,7 +249,7 @@ def _hum(frequency: float, axis: int) -> Field:
     return field
 
 
-def map_breaks(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[float, float], float]:
+def map_asymmetry(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[float, float], float]:
     """How far the data want the map to break its symmetries.
 
     Returns

@@ -1,7 +1,7 @@
-"""A modulator's timer told more sharply, by what currents at rest say of the voltages that hold them.
+"""A refined estimate of the modulator's quantiser, from the voltages that hold constant currents.
 
 Readings tell a step to a ten-thousandth of itself, and its phases to some hundredths; a hold's mean voltage is known to
-microvolts where the forms of all effects are. Timer and what still scatters are told in turn, each in the light of the
+microvolts where the forms of all effects are. Quantiser and remaining scatter are estimated in turn, each given the
 other.
 """
 
@@ -14,28 +14,28 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.diagnosis.uncertainty.scatter import Likelihood, as_much
-from orchestrator.diagnosis.uncertainty.timer_counting import CountingTimer, counting
-from orchestrator.diagnosis.weak_form.rests import rests
+from orchestrator.diagnosis.uncertainty.quantiser_counter import CounterModel, counter_models
+from orchestrator.diagnosis.uncertainty.scatter import Likelihood, is_same_scatter
+from orchestrator.diagnosis.weak_form.dwells import dwells
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, rounded_by
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, rounded_by
 from orchestrator.numerics.types import Array, Indices
 from protocols import ModelNoise, ModulatorTimer
 
-NEAR = 0.1
+SIMPLEX_STEP_CHANGE = 0.1
 """Of a step: by how much the largest command may miss it where a search begins."""
-PARTS = 12
+PHASES_TRIED = 12
 """Of a step, of either edge, that are tried before the descent."""
-PHASE = 0.04
+SIMPLEX_PHASE = 0.04
 """Of a step, by which a phase may be off where a search begins."""
-MOST_COMMANDS = 400
+MAX_COMMANDS_PER_DWELL = 400
 """Of each rest: they tremble alike all through."""
-SHARPENINGS = 6
-"""How often timer and scatter are told, each in the light of the other."""
+MAX_ALTERNATIONS = 6
+"""How often quantiser and scatter are estimated, each given the other."""
 
 
-def timer_near(
-    prepared: PreparedRecording, likelihood: Likelihood, scatter: ModelNoise, borne: Sequence[BorneTimer]
+def quantiser_of_dwells(
+    prepared: PreparedRecording, likelihood: Likelihood, scatter: ModelNoise, estimate: Sequence[QuantiserEstimate]
 ) -> tuple[ModulatorTimer, ModelNoise]:
     """The likeliest timer in the neighbourhood of those that the readings bear, and what scatters beside it.
 
@@ -46,49 +46,50 @@ def timer_near(
     likelihood : Likelihood
         Of the same recording with its voltages as they were commanded.
     scatter : ModelNoise
-        Beside a timer. In holds alone it may be told as the readings' as well as as the voltages'.
-    borne : sequence of BorneTimer
+        Beside a timer. Holds alone do not separate the readings' scatter from the voltages'.
+    estimate : sequence of QuantiserEstimate
         One or more.
     """
-    if not likelihood.rests:
-        return borne[0].timer, scatter
-    told, counted = list[_Sharpened](), list[_Sharpened]()
-    for one in borne:
+    if not likelihood.dwells:
+        return estimate[0].timer, scatter
+    free, constrained = list[_JointEstimate](), list[_JointEstimate]()
+    for one in estimate:
         held = _HeldCommands.of(prepared, one.timer.centred)
         known = one.at(np.unique(held.pwm_hz).tolist())
-        told.append(_sharpened(likelihood, held, known, scatter))
-        counted += [
-            _sharpened(likelihood, held, known, scatter, family) for family in counting(known, known.to(known.timer))
+        free.append(_alternate(likelihood, held, known, scatter))
+        constrained += [
+            _alternate(likelihood, held, known, scatter, family)
+            for family in counter_models(known, known.to(known.timer))
         ]
-    best = min(told, key=lambda one: one.cost)
+    best = min(free, key=lambda one: one.cost)
     # That a timer counts from the carrier's turns needs no evidence, that it does not does.
     evidence = 2.0 * prepared.criteria.selection.log_evidence
-    best = min([one for one in counted if one.cost < best.cost + evidence], key=lambda one: one.cost, default=best)
+    best = min([one for one in constrained if one.cost < best.cost + evidence], key=lambda one: one.cost, default=best)
     return best.timer, best.scatter
 
 
-def _sharpened(
+def _alternate(
     likelihood: Likelihood,
     held: _HeldCommands,
-    borne: BorneTimer,
+    estimate: QuantiserEstimate,
     scatter: ModelNoise,
-    family: CountingTimer | None = None,
-) -> _Sharpened:
-    """The likeliest timer near one, or of a family, and the scatter beside it, each told in the light of the other."""
+    family: CounterModel | None = None,
+) -> _JointEstimate:
+    """The most likely timer near an estimate, or of a family, and the scatter, each estimated given the other."""
     doubt = 0.0
-    x = _with_phases(held, borne, *likelihood.held_volts(scatter)) if family is None else family.at(0.0)
-    for _ in range(SHARPENINGS):
+    x = _scan_phases(held, estimate, *likelihood.held_volts(scatter)) if family is None else family.at(0.0)
+    for _ in range(MAX_ALTERNATIONS):
         normal, pull = likelihood.held_volts(scatter)
         if family is None:
-            x = _near(held, borne, x, normal, pull)
+            x = _minimise(held, estimate, x, normal, pull)
         else:
-            x = family.likeliest(partial(_cost, held, borne, normal=normal, pull=pull))
-        with_it = likelihood.with_volts(held.rounded_by(borne.moved(x)))
-        doubt = float(x @ borne.curvature @ x) - 2.0 * borne.gain
-        before, scatter = scatter, with_it.likeliest((True, True), dithered=False, near=scatter)
-        if as_much(before, scatter):
+            x = family.likeliest(partial(_cost, held, estimate, normal=normal, pull=pull))
+        with_it = likelihood.with_volts(held.rounded_by(estimate.moved(x)))
+        doubt = float(x @ estimate.curvature @ x) - 2.0 * estimate.gain
+        before, scatter = scatter, with_it.most_likely((True, True), dithered=False, near=scatter)
+        if is_same_scatter(before, scatter):
             break
-    return _Sharpened(borne.moved(x), scatter, with_it.cost(scatter) + doubt)
+    return _JointEstimate(estimate.moved(x), scatter, with_it.cost(scatter) + doubt)
 
 
 @dataclass(frozen=True)
@@ -111,9 +112,9 @@ class _HeldCommands:
         for piece in prepared.pieces:
             if piece.held_out:
                 continue
-            for rest in rests(piece):
-                held: Array = piece.command_ab[rest.start * piece.averaged : rest.stop * piece.averaged]
-                held = held[:: max(1, len(held) // MOST_COMMANDS)].copy()
+            for dwell in dwells(piece):
+                held: Array = piece.command_ab[dwell.start * piece.averaged : dwell.stop * piece.averaged]
+                held = held[:: max(1, len(held) // MAX_COMMANDS_PER_DWELL)].copy()
                 commands.append(held)
                 mean.append(legs_of(held, centred).mean(axis=0))
                 pwm.append(piece.signals.pwm_frequency_hz)
@@ -146,7 +147,7 @@ class _HeldCommands:
 
 
 @dataclass(frozen=True)
-class _Sharpened:
+class _JointEstimate:
     """A timer, what scatters beside it, and minus twice the log likelihood of both."""
 
     timer: ModulatorTimer
@@ -154,42 +155,44 @@ class _Sharpened:
     cost: float
 
 
-def _gained(volts: Array, normal: Array, pull: Array) -> float:
+def _log_likelihood_gain(volts: Array, normal: Array, pull: Array) -> float:
     """What volts in the rests gain in log likelihood, everything else following."""
     return -float(volts @ pull + 0.5 * volts @ normal @ volts)
 
 
-def _with_phases(held: _HeldCommands, borne: BorneTimer, normal: Array, pull: Array) -> Array:
+def _scan_phases(held: _HeldCommands, estimate: QuantiserEstimate, normal: Array, pull: Array) -> Array:
     """The likeliest phases of those that are tried, for one PWM frequency after the other, twice."""
-    x = np.zeros(len(borne.curvature))
-    offs = (np.arange(PARTS) / PARTS + 0.5) % 1.0 - 0.5
+    x = np.zeros(len(estimate.curvature))
+    offs = (np.arange(PHASES_TRIED) / PHASES_TRIED + 0.5) % 1.0 - 0.5
     for at in [*range(1, len(x), 2)] * 2:
-        tried = [_placed(x, at, rise, fall) for rise in offs for fall in offs]
-        x = min(tried, key=lambda one: _cost(held, borne, one, normal, pull))
+        tried = [_with_phase(x, at, rise, fall) for rise in offs for fall in offs]
+        x = min(tried, key=lambda one: _cost(held, estimate, one, normal, pull))
     return x
 
 
-def _placed(x: Array, at: int, rise: float, fall: float) -> Array:
+def _with_phase(x: Array, at: int, rise: float, fall: float) -> Array:
     placed = x.copy()
     placed[at : at + 2] = rise, fall
     return placed
 
 
-def _cost(held: _HeldCommands, borne: BorneTimer, x: Array, normal: Array, pull: Array) -> float:
+def _cost(held: _HeldCommands, estimate: QuantiserEstimate, x: Array, normal: Array, pull: Array) -> float:
     """Minus the log likelihood of a timer that differs so from the readings' own."""
-    return 0.5 * float(x @ borne.curvature @ x) - _gained(held.rounded_by(borne.moved(x)), normal, pull)
+    return 0.5 * float(x @ estimate.curvature @ x) - _log_likelihood_gain(
+        held.rounded_by(estimate.moved(x)), normal, pull
+    )
 
 
-def _near(held: _HeldCommands, borne: BorneTimer, start: Array, normal: Array, pull: Array) -> Array:
+def _minimise(held: _HeldCommands, estimate: QuantiserEstimate, start: Array, normal: Array, pull: Array) -> Array:
     """How the likeliest timer near `start` differs from the readings', which have their say."""
     from scipy.optimize import minimize
 
     # Across the simplex the largest command moves by no more than a part of a step.
-    size = np.array([NEAR * held.finest(borne.timer.step_s), *[PHASE] * (len(start) - 1)])
+    size = np.array([SIMPLEX_STEP_CHANGE * held.finest(estimate.timer.step_s), *[SIMPLEX_PHASE] * (len(start) - 1)])
     simplex = np.concatenate([start[None], start + np.diag(size)])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 0.05, "maxfev": 100 * len(start)}
 
     def cost(x: Array) -> float:
-        return _cost(held, borne, x, normal, pull)
+        return _cost(held, estimate, x, normal, pull)
 
     return np.asarray(minimize(cost, start, method="Nelder-Mead", options=options).x, dtype=np.float64)

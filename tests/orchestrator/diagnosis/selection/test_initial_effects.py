@@ -9,7 +9,7 @@ from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.selection.measured import with_measured
+from orchestrator.diagnosis.selection.initial_effects import include_measured
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from protocols import Effect, PluginError, Signals
@@ -38,7 +38,7 @@ def _setup(bias_v: float) -> DiagnosisSetup:
 def _steps(bias_v: float, effect: Effect) -> list[Step]:
     setup = _setup(bias_v)
     bare = Step(None, setup.fitter.fit(free_model()))
-    return with_measured(setup, [bare], scaled_library([effect], setup.prepared.manifest))
+    return include_measured(setup, [bare], scaled_library([effect], setup.prepared.manifest))
 
 
 def test_what_was_measured_is_in_the_model_and_fitted_from_there() -> None:

@@ -21,20 +21,20 @@ from itertools import product
 
 import numpy as np
 
-from orchestrator.diagnosis.weak_form.timer import BorneTimer
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate
 from orchestrator.numerics.types import Array
 from protocols import TimerPhases
 
-WHOLE_OR_HALF = (0.0, 0.5)
-UNLIKE = 0.1
+ROUNDING_OFFSETS = (0.0, 0.5)
+MAX_PHASE_MISMATCH = 0.1
 """Of a step: by how much what two edges say of n may differ, each with a comparison of its own."""
-UNLIKE_AT_ONE = 0.25
+MAX_PHASE_MISMATCH_OF_ONE_COMPARISON = 0.25
 """The same at one comparison: readings hardly tell two phases that are the same from two about them."""
-NEAR = 0.12
+SCAN_HALF_WIDTH_STEPS = 0.12
 """Of a step: how far about what they say on the mean n is looked for."""
-APART = 0.02
+SCAN_SPACING_STEPS = 0.02
 """Of a step, from one that is tried to the next, before a descent: commands jump."""
-SHARP = 1e-4
+TOLERANCE_STEPS = 1e-4
 """Of a step."""
 TWO_COMPARISONS = (-1, 1)
 ONE_COMPARISON = (-1, -1), (1, 1)
@@ -42,12 +42,12 @@ ONE_COMPARISON = (-1, -1), (1, 1)
 
 
 @dataclass(frozen=True)
-class CountingTimer:
+class CounterModel:
     """Timers that count alike, by how many steps there are in a quarter of the carrier's period.
 
     Attributes
     ----------
-    borne : BorneTimer
+    estimate : QuantiserEstimate
         From which differences are taken.
     pwm_hz : float
         Of that carrier.
@@ -59,7 +59,7 @@ class CountingTimer:
         The sign of n in either phase.
     """
 
-    borne: BorneTimer
+    estimate: QuantiserEstimate
     pwm_hz: float
     count: float
     rise: float
@@ -67,11 +67,11 @@ class CountingTimer:
     ways: tuple[int, int] = TWO_COMPARISONS
 
     def at(self, more: float) -> Array:
-        """With so many steps more than the phases tell: what `BorneTimer.moved` takes."""
+        """With so many steps more than the phases tell: what `QuantiserEstimate.moved` takes."""
         step_s = 1.0 / (4.0 * self.pwm_hz * (self.count + more))
-        timer = self.borne.timer
+        timer = self.estimate.timer
         phases = tuple(self._phases(p.pwm_frequency_hz, step_s) for p in timer.phases)
-        return self.borne.to(timer.model_copy(update={"step_s": step_s, "phases": phases}))
+        return self.estimate.to(timer.model_copy(update={"step_s": step_s, "phases": phases}))
 
     def likeliest(self, cost: Callable[[Array], float]) -> Array:
         """Where a cost is least, near what the phases tell."""
@@ -80,9 +80,14 @@ class CountingTimer:
         def there(more: float) -> float:
             return cost(self.at(more))
 
-        best = min(np.arange(-NEAR, NEAR + 0.5 * APART, APART).tolist(), key=there)
-        bounds = (best - APART, best + APART)
-        found = minimize_scalar(there, bounds=bounds, method="bounded", options={"xatol": SHARP})
+        best = min(
+            np.arange(
+                -SCAN_HALF_WIDTH_STEPS, SCAN_HALF_WIDTH_STEPS + 0.5 * SCAN_SPACING_STEPS, SCAN_SPACING_STEPS
+            ).tolist(),
+            key=there,
+        )
+        bounds = (best - SCAN_SPACING_STEPS, best + SCAN_SPACING_STEPS)
+        found = minimize_scalar(there, bounds=bounds, method="bounded", options={"xatol": TOLERANCE_STEPS})
         return self.at(float(found.x) if found.fun < there(best) else best)
 
     def _phases(self, pwm_hz: float, step_s: float) -> TimerPhases:
@@ -91,24 +96,28 @@ class CountingTimer:
         return TimerPhases(pwm_frequency_hz=pwm_hz, rise=rise, fall=fall)
 
 
-def counting(borne: BorneTimer, x: Array) -> list[CountingTimer]:
+def counter_models(estimate: QuantiserEstimate, x: Array) -> list[CounterModel]:
     """The timers that count, and have about the phases of the one at `x` where the readings tell them best.
 
-    At a single PWM frequency only those of one comparison: the phases of two are told as well without.
+    At a single PWM frequency only those of one comparison: for two, the phases are as well known without.
     """
-    timer = borne.moved(x)
-    best = timer.phases[int(np.argmax(np.diag(borne.curvature)[1:].reshape(-1, 2).sum(axis=1)))]
+    timer = estimate.moved(x)
+    best = timer.phases[int(np.argmax(np.diag(estimate.curvature)[1:].reshape(-1, 2).sum(axis=1)))]
     roughly = 1.0 / (4.0 * best.pwm_frequency_hz * timer.step_s)
-    kinds = [(part, part, ways, UNLIKE_AT_ONE) for part in WHOLE_OR_HALF for ways in ONE_COMPARISON]
+    kinds = [
+        (part, part, ways, MAX_PHASE_MISMATCH_OF_ONE_COMPARISON) for part in ROUNDING_OFFSETS for ways in ONE_COMPARISON
+    ]
     if len(timer.phases) > 1:
-        kinds += [(rise, fall, TWO_COMPARISONS, UNLIKE) for rise, fall in product(WHOLE_OR_HALF, repeat=2)]
+        kinds += [
+            (rise, fall, TWO_COMPARISONS, MAX_PHASE_MISMATCH) for rise, fall in product(ROUNDING_OFFSETS, repeat=2)
+        ]
     found = []
     for rise, fall, ways, unlike in kinds:
         by_rise, by_fall = ways[0] * (best.rise - rise), ways[1] * (best.fall - fall)
         apart = _nearest(by_rise - by_fall)
         if abs(apart) <= unlike:
             count = roughly + _nearest(by_fall + 0.5 * apart - roughly)
-            found.append(CountingTimer(borne, best.pwm_frequency_hz, count, rise, fall, ways))
+            found.append(CounterModel(estimate, best.pwm_frequency_hz, count, rise, fall, ways))
     return found
 
 

@@ -19,30 +19,30 @@ from protocols import SegmentStage
 
 
 @dataclass(frozen=True)
-class Share:
+class Contribution:
     """What one effect does where R_s and the map follow.
 
     Attributes
     ----------
-    of_error : float
+    relative_to_error : float
         Its rms over the rms of the first model's whole error, largest over holds, sweeps, the means under injection and
         the ripple.
-    of_excitation : float
+    relative_to_excitation : float
         The same over the rms voltage there.
-    of_flux : float
+    relative_to_flux : float
         Its rms in the map where currents were, over the rated flux.
     """
 
-    of_error: float
-    of_excitation: float
-    of_flux: float
+    relative_to_error: float
+    relative_to_excitation: float
+    relative_to_flux: float
 
 
-def shares(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Share]:
+def contributions(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Contribution]:
     """The share of each active effect of the last fit, in the error of the first."""
     fitter, errors = setup.fitter, _by_kind(first, first.volts)
     volts = _by_kind(last, _voltages(last))
-    rated, points = rated_flux_wb(setup), visited(last)
+    rated, points = rated_flux_wb(setup), mean_currents(last)
     flux = last.model.magnetics.flux_and_inductance(points)[0]
     found = {}
     for name in last.model.names:
@@ -50,18 +50,18 @@ def shares(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Share]:
         change = [b - a for a, b in zip(last.volts, without.volts, strict=True)]
         sizes = _by_kind(last, change)
         moved = without.model.magnetics.flux_and_inductance(points)[0] - flux
-        found[name] = Share(
-            of_error=max((sizes[kind] / errors[kind] for kind in sizes if errors[kind] > 0.0), default=0.0),
-            of_excitation=max((sizes[kind] / volts[kind] for kind in sizes if volts[kind] > 0.0), default=0.0),
-            of_flux=float(np.sqrt(np.mean(np.sum((moved - moved.mean(axis=0)) ** 2, axis=1)))) / rated,
+        found[name] = Contribution(
+            relative_to_error=max((sizes[kind] / errors[kind] for kind in sizes if errors[kind] > 0.0), default=0.0),
+            relative_to_excitation=max((sizes[kind] / volts[kind] for kind in sizes if volts[kind] > 0.0), default=0.0),
+            relative_to_flux=float(np.sqrt(np.mean(np.sum((moved - moved.mean(axis=0)) ** 2, axis=1)))) / rated,
         )
     return found
 
 
-def is_material(share: Share, fit: Fit) -> bool:
+def is_material(share: Contribution, fit: Fit) -> bool:
     """Whether an effect counts in an engineer's units, whatever the noise lets see."""
     limits = fit.criteria.materiality
-    return share.of_flux > limits.material_flux or share.of_excitation > limits.material_voltage
+    return share.relative_to_flux > limits.material_flux or share.relative_to_excitation > limits.material_voltage
 
 
 def excitation_v(fit: Fit) -> float:
@@ -114,7 +114,7 @@ def gates_off_error(fit: Fit) -> GatesOffError | None:
 def unexplained_at_rest_v(fit: Fit) -> float:
     """What a reading without current says against the model, as the voltage of that current [V]; 0 where nothing.
 
-    Its few equations hardly count among thousands, so it is asked by itself: whether chance makes so much of it, and
+    Its few equations hardly count among thousands, so it is tested by itself: whether it exceeds chance, and
     whether it is material beside the excitation, as an effect would be.
     """
     error, limits = gates_off_error(fit), fit.criteria
@@ -127,7 +127,7 @@ def _without_current(piece: SegmentSignals) -> bool:
     return piece.stage is SegmentStage.GATES_OFF
 
 
-def visited(fit: Fit) -> Array:
+def mean_currents(fit: Fit) -> Array:
     """Mean current of every segment in the true rotor frame, shape (segments, 2)."""
     return np.stack([i_dq.mean(axis=0) for i_dq in fit.true_currents()])
 
@@ -143,7 +143,7 @@ def _by_kind(fit: Fit, values: Sequence[Array]) -> dict[str, float]:
     for piece, rows in zip(fit.prepared.pieces, values, strict=True):
         if piece.stage is SegmentStage.GATES_OFF:
             continue
-        carried = rows.reshape(-1, len(piece.windows.carriers), 2)
+        carried = rows.reshape(-1, len(piece.windows.modes), 2)
         parts.setdefault(piece.stage.value, []).append(carried[:, 0].ravel())
         if carried.shape[1] > 1:
             parts.setdefault("ripple", []).append(carried[:, 1:].ravel())
@@ -155,6 +155,6 @@ def _voltages(fit: Fit) -> list[Array]:
     rows = []
     for piece in fit.prepared.pieces:
         w = piece.windows
-        sums = sum_intervals(np.ascontiguousarray(piece.signals.v_ab[:-1]), w.step, w.hats, w.bins, w.n_bins)
+        sums = sum_intervals(np.ascontiguousarray(piece.signals.v_ab[:-1]), w.step, w.test_functions, w.bins, w.n_bins)
         rows.append(w.combine(sums) / w.absolute_weight)
     return rows

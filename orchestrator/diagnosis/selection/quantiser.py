@@ -1,4 +1,4 @@
-"""When a modulator's timer is asked for, and beside which fit: at first, and again as forms become right."""
+"""When a PWM quantiser is estimated, and given which fit: at first, and again as the effects' forms improve."""
 
 from __future__ import annotations
 
@@ -6,72 +6,72 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.joint_search import briefly_refitted
+from orchestrator.diagnosis.selection.joint_search import refit_briefly
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
+from orchestrator.diagnosis.uncertainty.quantiser_in_dwells import quantiser_of_dwells
+from orchestrator.diagnosis.uncertainty.quantiser_search import detect_quantisation
 from orchestrator.diagnosis.uncertainty.scatter import likelihood_of
 from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
-from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
-from orchestrator.diagnosis.uncertainty.timer_search import timers_in
 
-TIMER_ROUNDS: int = 4
+MAX_QUANTISER_ROUNDS: int = 4
 """How often timer and fit are estimated, each given the other."""
 
 
-def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
+def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]) -> DiagnosisSetup:
     """The setup with the voltages that the modulator's timer lets through, where the readings bear one.
 
-    Where currents only rest at a PWM frequency, the phases there are told beside a fit, all effects following.
+    Where currents only rest at a PWM frequency, the phases there are estimated given a fit, all effects following.
     """
     prepared = setup.prepared
     setup.fitter.tell("is a command rounded? A modulator's timer")
     resistance_ohm = prepared.manifest.motor.stator_resistance_ohm or 1.0
     traces = command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm)
     bus_v = prepared.manifest.drive.dc_bus_voltage_v
-    timers = timers_in(traces, bus_v, prepared.criteria.selection.log_evidence)
-    if not timers:
+    quantisers = detect_quantisation(traces, bus_v, prepared.criteria.selection.log_evidence)
+    if not quantisers:
         return setup
     likelihood = likelihood_of(setup.coarse_fitter, fit, library)
-    scatter = likelihood.likeliest((True, True), dithered=False)
-    timer, _ = timer_near(setup.coarse_fitter.prepared, likelihood, scatter, timers)
-    return replace(setup.with_timer(timer), timers=timers)
+    scatter = likelihood.most_likely((True, True), dithered=False)
+    timer, _ = quantiser_of_dwells(setup.coarse_fitter.prepared, likelihood, scatter, quantisers)
+    return replace(setup.with_quantiser(timer), quantisers=quantisers)
 
 
-def with_sharper_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
+def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]) -> DiagnosisSetup:
     """The setup with the modulator's timer as the dwells show it beside a fit; as it was, where there is none."""
-    if not setup.timers:
+    if not setup.quantisers:
         return setup
     setup.fitter.tell("the modulator's timer, by the voltages that hold the currents")
-    likelihood = likelihood_of(setup.bare.coarse_fitter, fit, library)
-    scatter = likelihood.likeliest((True, True), dithered=False)
-    timer, _ = timer_near(setup.coarse_fitter.prepared, likelihood, scatter, setup.timers)
+    likelihood = likelihood_of(setup.without_quantiser.coarse_fitter, fit, library)
+    scatter = likelihood.most_likely((True, True), dithered=False)
+    timer, _ = quantiser_of_dwells(setup.coarse_fitter.prepared, likelihood, scatter, setup.quantisers)
     setup.coarse_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
-    return setup.with_timer(timer)
+    return setup.with_quantiser(timer)
 
 
-def with_timer_of_fit(
-    setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
+def refine_quantiser_by_fit(
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]
 ) -> tuple[DiagnosisSetup, Fit] | None:
     """The setup with the timer as every equation of a part's fit shows it, and the fit so.
 
     None where there is no timer, where nothing is left, or where another is hardly likelier.
     """
     limits = fit.criteria.selection
-    if not setup.timers or fit.chi2_per_dof <= limits.detected_chi2:
+    if not setup.quantisers or fit.chi2_per_dof <= limits.detected_chi2:
         return None
     # No descent leads over a command's jump, which a phase estimated beside wrong forms may lie beyond; dwells do.
-    beside = with_sharper_timer(setup, fit, library)
+    beside = with_quantiser_of_dwells(setup, fit, library)
     starts = (setup, fit), (beside, beside.coarse_fitter.renewed(fit.model))
     timed, sharper = min(starts, key=lambda start: start[1].objective)
     gained = fit.objective - sharper.objective
-    for turn in range(TIMER_ROUNDS):
+    for turn in range(MAX_QUANTISER_ROUNDS):
         timed.fitter.tell("the modulator's timer, by all that the effects leave")
-        timer, gain = timer_beside(sharper, timed.timers, timed.fitter.pm_flux_wb)
+        timer, gain = timer_beside(sharper, timed.quantisers, timed.fitter.pm_flux_wb)
         gained += gain if turn == 0 else 0.0
-        timed = timed.with_timer(timer)
-        sharper = briefly_refitted(timed.coarse_fitter, sharper.model, sharper)
+        timed = timed.with_quantiser(timer)
+        sharper = refit_briefly(timed.coarse_fitter, sharper.model, sharper)
         if gain < LEAST_JOINT_GAIN:
             break
     return None if gained < 2.0 * limits.log_evidence * fit.chi2_per_dof else (timed, sharper)

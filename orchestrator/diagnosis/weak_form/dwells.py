@@ -16,7 +16,7 @@ from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
 
-def rests(piece: SegmentSignals, *, still: float = 0.02, certain: float = 4.0, least: int = 3) -> tuple[slice, ...]:
+def dwells(piece: SegmentSignals, *, still: float = 0.02, certain: float = 4.0, least: int = 3) -> tuple[slice, ...]:
     """Samples of each stretch in which a segment's current stands still: all of a hold, the ends of a sweep's ramps.
 
     Parameters
@@ -43,7 +43,7 @@ def rests(piece: SegmentSignals, *, still: float = 0.02, certain: float = 4.0, l
 
 
 @dataclass(frozen=True)
-class TimerScatter:
+class QuantiserScatter:
     """What a modulator's timer does to a segment's held voltages, in units of what it does at its own PWM frequency.
 
     Attributes
@@ -58,30 +58,30 @@ class TimerScatter:
     trembling_v: Array
 
     @classmethod
-    def of(cls, piece: SegmentSignals) -> TimerScatter:
+    def of(cls, piece: SegmentSignals) -> QuantiserScatter:
         """Of the rests of a segment."""
-        s, found = piece.signals, rests(piece)
+        s, found = piece.signals, dwells(piece)
         own = (s.drive.pwm_frequency_hz if s.drive is not None else None) or s.pwm_frequency_hz
-        trembling = [math.sqrt(0.5 * float(s.v_ab[rest].var(axis=0).sum())) for rest in found]
+        trembling = [math.sqrt(0.5 * float(s.v_ab[dwell].var(axis=0).sum())) for dwell in found]
         return cls(np.full(len(found), s.pwm_frequency_hz / own), np.array(trembling))
 
     def sizes(self, voltage_v: float, *, dithered: bool) -> Array:
         """Standard deviation of each rest's voltage on either axis [V], where nothing trembles `voltage_v` at one step.
 
-        Noise dithers, if asked: of the error's saw-tooth, the harmonic m keeps exp(-2 (pi m sigma / q)^2) of itself,
+        Noise dithers, if `dithered`: harmonic m of the error's sawtooth keeps exp(-2 (pi m sigma / q)^2) of itself,
         q the step of a leg's voltage (B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661).
         """
         if voltage_v == 0.0 or not dithered:
             return voltage_v * self.steps
         q = leg_step_v(voltage_v) * self.steps
-        m = np.arange(1.0, 1.0 + HARMONICS)
+        m = np.arange(1.0, 1.0 + SAWTOOTH_HARMONICS)
         # What trembles by more than a step keeps nothing, by however much.
         trembling = np.minimum(self.trembling_v / q, 10.0)
         kept = np.exp(-((2.0 * np.pi * m * trembling[:, None]) ** 2)) / m**2
         return np.asarray(voltage_v * self.steps * np.sqrt(kept.sum(axis=1) / (1.0 / m**2).sum()))
 
 
-HARMONICS = 20
+SAWTOOTH_HARMONICS = 20
 """Of a saw-tooth, of whose variance they are 97 %."""
 
 

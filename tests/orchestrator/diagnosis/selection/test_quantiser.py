@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.selection.modulator_timer import with_its_timer, with_timer_of_fit
-from orchestrator.diagnosis.weak_form.timer import BorneTimer
+from orchestrator.diagnosis.selection.quantiser import refine_quantiser_by_fit, with_detected_quantiser
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     NOISE_A,
@@ -28,27 +28,27 @@ def test_voltages_that_differ_by_chance_are_no_timer_s() -> None:
     made, rng = prepared(many_holds()), np.random.default_rng(6)
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     setup = setup_of(fitter(with_voltage(made, by_chance)))
-    assert with_its_timer(setup, setup.fitter.fit(free_model()), []) is setup
+    assert with_detected_quantiser(setup, setup.fitter.fit(free_model()), []) is setup
 
 
 def test_a_timer_is_told_again_where_a_fit_with_it_leaves_something() -> None:
     true, off = timer(21.7e-9, 0.35, 0.62), timer(21.7e-9, 0.40, 0.58)
     felt = felt_through(true, plan(), noise_a=0.002)
-    given = replace(setup_of(fitter(felt)), timers=(BorneTimer(off, 9.0, np.zeros((3, 3))),))
-    setup = given.with_timer(off)
+    given = replace(setup_of(fitter(felt)), quantisers=(QuantiserEstimate(off, 9.0, np.zeros((3, 3))),))
+    setup = given.with_quantiser(off)
     fit = setup.coarse_fitter.fit(free_model())
     assert fit.chi2_per_dof > 1.08
-    timer_and_fit = with_timer_of_fit(setup, fit, [])
+    timer_and_fit = refine_quantiser_by_fit(setup, fit, [])
     assert timer_and_fit is not None
     timed, beside = timer_and_fit
     assert beside.chi2_per_dof < 1.08
-    assert timed.prepared.timer == beside.prepared.timer
-    assert timed.prepared.timer is not None
-    (at,) = timed.prepared.timer.phases
+    assert timed.prepared.quantiser == beside.prepared.quantiser
+    assert timed.prepared.quantiser is not None
+    (at,) = timed.prepared.quantiser.phases
     # Which of the two edges is which, mean voltages do not say.
     assert sorted((at.rise, at.fall)) == pytest.approx((0.35, 0.62), abs=0.01)
     # Nothing is left beside the right one.
-    assert with_timer_of_fit(timed, beside, []) is None
+    assert refine_quantiser_by_fit(timed, beside, []) is None
 
 
 @pytest.mark.parametrize("rounding", [0, 3, 4, 7])
@@ -56,14 +56,14 @@ def test_where_a_descent_meets_a_command_s_jump_it_goes_on_beyond(rounding: int)
     """Which way a descent goes between jumps is decided by the last digits: all have to lead to the timer."""
     off = timer(21.7e-9, 0.40, 0.58)
     felt = felt_through(timer(21.7e-9, 0.35, 0.62), plan(), noise_a=NOISE_A * (1.0 + 1e-9 * rounding))
-    given = replace(setup_of(fitter(felt)), timers=(BorneTimer(off, 9.0, np.zeros((3, 3))),))
-    setup = given.with_timer(off)
-    timer_and_fit = with_timer_of_fit(setup, setup.coarse_fitter.fit(free_model()), [])
+    given = replace(setup_of(fitter(felt)), quantisers=(QuantiserEstimate(off, 9.0, np.zeros((3, 3))),))
+    setup = given.with_quantiser(off)
+    timer_and_fit = refine_quantiser_by_fit(setup, setup.coarse_fitter.fit(free_model()), [])
     assert timer_and_fit is not None
     timed, beside = timer_and_fit
     assert beside.chi2_per_dof < 1.06
-    assert timed.prepared.timer is not None
-    (at,) = timed.prepared.timer.phases
+    assert timed.prepared.quantiser is not None
+    (at,) = timed.prepared.quantiser.phases
     assert sorted((at.rise, at.fall)) == pytest.approx((0.35, 0.62), abs=0.035)
 
 
@@ -80,12 +80,12 @@ def test_a_timer_is_taken_out_of_every_voltage() -> None:
     rounded = felt_through(timer(21.7e-9, 0.35, 0.35), trembling, noise_a=0.001)
     setup = setup_of(fitter(rounded))
     fit = setup.fitter.fit(free_model())
-    timed = with_its_timer(setup, fit, [])
-    assert timed.prepared.timer is not None
-    assert timed.prepared.timer.step_s == pytest.approx(21.7e-9, rel=1e-4)
-    assert timed.coarse_fitter.prepared.timer == timed.prepared.timer
+    timed = with_detected_quantiser(setup, fit, [])
+    assert timed.prepared.quantiser is not None
+    assert timed.prepared.quantiser.step_s == pytest.approx(21.7e-9, rel=1e-4)
+    assert timed.coarse_fitter.prepared.quantiser == timed.prepared.quantiser
     with_it = timed.fitter.fit(free_model())
     assert with_it.chi2_per_dof - 1.0 < 0.1 * (fit.chi2_per_dof - 1.0)
     # As commanded again, the timer is not in the voltages.
-    for piece, first in zip(timed.bare.prepared.pieces, rounded.pieces, strict=True):
+    for piece, first in zip(timed.without_quantiser.prepared.pieces, rounded.pieces, strict=True):
         np.testing.assert_array_equal(piece.signals.v_ab, first.signals.v_ab)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
-from orchestrator.diagnosis.uncertainty.timer_search import BIASED, timers_in
+from orchestrator.diagnosis.uncertainty.quantiser_search import PHASE_BIAS_STD, detect_quantisation
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_rounded_by
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_rounded_by
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     CRITERIA,
@@ -46,20 +46,20 @@ def _recording(step_s: float, centred: bool) -> PreparedRecording:
     return felt_through(timer(step_s, *PHASES, centred=centred), _moving(), noise_a=0.001)
 
 
-def _found(made: PreparedRecording) -> tuple[BorneTimer, ...]:
+def _found(made: PreparedRecording) -> tuple[QuantiserEstimate, ...]:
     traces = command_traces(made, (L_D, L_Q), R_S)
-    return timers_in(traces, 540.0, CRITERIA.selection.log_evidence)
+    return detect_quantisation(traces, 540.0, CRITERIA.selection.log_evidence)
 
 
 @pytest.mark.parametrize(("step_s", "centred"), [(21.7e-9, True), pytest.param(13.3e-9, False, marks=pytest.mark.slow)])
 def test_a_timer_is_found_with_its_step_and_phases(step_s: float, centred: bool) -> None:
     found = _found(_recording(step_s, centred))
     assert found
-    told = found[0].timer
-    assert told.step_s == pytest.approx(step_s, rel=3e-4)
-    assert told.centred is centred
+    information = found[0].timer
+    assert information.step_s == pytest.approx(step_s, rel=3e-4)
+    assert information.centred is centred
     # To some hundredths of a step: what rests tells the rest.
-    (at,) = told.phases
+    (at,) = information.phases
     for part, true in zip(sorted((at.rise, at.fall)), PHASES, strict=True):
         assert abs(part - true) < 0.08
 
@@ -69,8 +69,8 @@ def test_how_well_a_step_is_known_is_what_it_is_off_by() -> None:
     deviation = np.sqrt(np.diag(np.linalg.inv(found.curvature)))
     assert abs(found.timer.step_s / 21.7e-9 - 1.0) < 4.0 * deviation[0] < 1e-3
     # No phase is known better than readings may be wrong, and chance adds little.
-    assert (deviation[1:] >= BIASED).all()
-    assert (deviation[1:] < 1.1 * BIASED).all()
+    assert (deviation[1:] >= PHASE_BIAS_STD).all()
+    assert (deviation[1:] < 1.1 * PHASE_BIAS_STD).all()
 
 
 def test_a_timer_that_acts_a_sample_late_is_found_as_well() -> None:
@@ -110,8 +110,8 @@ def test_what_one_leg_alone_bears_is_no_timer() -> None:
     step_v, plans = leg_step_of(21.7e-9, FS, 540.0), _moving()
     alone = [2.0 / 3.0 * legs_rounded_by(p.v_dq, step_v, *PHASES, False)[:, :1] * [1.0, 0.0] for p in plans]
     made = prepared([replace(p, v_dq=p.v_dq + off) for p, off in zip(plans, alone, strict=True)], noise_a=0.001)
-    asked = tuple(replace(piece, command_ab=p.v_dq) for piece, p in zip(made.pieces, plans, strict=True))
-    assert _found(replace(made, pieces=asked)) == ()
+    threshold = tuple(replace(piece, command_ab=p.v_dq) for piece, p in zip(made.pieces, plans, strict=True))
+    assert _found(replace(made, pieces=threshold)) == ()
 
 
 def test_commands_that_only_rest_tell_nothing_and_are_not_asked() -> None:

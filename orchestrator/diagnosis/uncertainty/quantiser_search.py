@@ -4,7 +4,7 @@ Over a tenth of a second a machine at rest is linear: the next reading is a comb
 commands, whatever it saturates, heats or loses. What such a combination, fitted block by block, leaves of the current
 is noise, and what the rounding of the last commands moved. Rounding is a function of the command alone: gathered by
 command, what is left has a line in its Fourier transform where the frequency is one over the timer's step, and of that
-line's harmonics the two phases are told. Every part of a recording and every leg has to bear it: a pattern that one
+line's harmonics give the two phases. Every part of a recording and every leg has to show it: a pattern that one
 sweep, injection or phase happens to make is none.
 """
 
@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from orchestrator.diagnosis.uncertainty.command_traces import LEAST_TIMER_STEP_S, STRAIGHT, CommandTrace
-from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, legs_rounded_by
+from orchestrator.diagnosis.uncertainty.command_traces import LEAST_TIMER_STEP_S, LINEAR_STRETCH_READINGS, CommandTrace
+from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, legs_rounded_by
 from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
 from protocols import ModulatorTimer, TimerPhases
@@ -30,32 +30,32 @@ MAX_TIMER_STEP_S: float = 3.5e-8
 """Step of a modulator's timer that scatters held voltages and counts as noise [s]: timers of drives run at 30 MHz and
 more."""
 
-APART = 0.1
+FREQUENCY_SPACING_LINEWIDTHS = 0.1
 """Of a line's width, from one step that is tried to the next."""
-FINER = 8
+ZERO_PADDING_FACTOR = 8
 """Lines in a Fourier transform, over those of the commands' own span."""
-SOME = 10
-"""Commands of which one is asked how much they move."""
-BACKGROUND = 400
+COMMAND_STRIDE = 10
+"""Every so many-th command shows how much commands move."""
+BACKGROUND_HALF_WIDTH = 400
 """Steps on either side of one that tell what chance, and everything that is no timer, comes to there."""
-BEST = 4
-"""Lines that are told by the saw itself."""
-HARMONICS = 4
+PEAKS_REFINED = 4
+"""Lines that are refined with the sawtooth itself."""
+SAWTOOTH_HARMONICS = 4
 """Of the saw: sixteen parts in seventeen of its power."""
-PARTS = 32
-"""Of a step, that either phase is told in."""
-ALIKE = 0.5
+PHASES_PER_STEP = 32
+"""Phases within a step that are tried for either edge."""
+LEAST_GAIN_RATIO_TO_BEST = 0.5
 """Of what the likeliest gains: what gains less is no rival."""
-SAME = 1e-3
+SAME_STEP_TOLERANCE = 1e-3
 """Of a step: what differs by less is one."""
-BIASED = 0.06
+PHASE_BIAS_STD = 0.06
 """Of a step: by how much readings may tell phases wrongly beside chance. On a practice recording of another plant one
-phase of both edges was told as two, 0.02 below and 0.14 above it, where chance is below 0.01."""
-WITNESS = 300
+phase of both edges was estimated as two, 0.02 below and 0.14 above it, where chance is below 0.01."""
+BLOCK_READINGS = 300
 """Readings that are one witness: longer than a machine remembers a command."""
 
 
-def timers_in(traces: Sequence[CommandTrace], bus_v: float, least: float) -> tuple[BorneTimer, ...]:
+def detect_quantisation(traces: Sequence[CommandTrace], bus_v: float, least: float) -> tuple[QuantiserEstimate, ...]:
     """The timer that readings bear, and those that round much like it, the likeliest first; none where they bear none.
 
     Parameters
@@ -64,48 +64,48 @@ def timers_in(traces: Sequence[CommandTrace], bus_v: float, least: float) -> tup
     bus_v : float
         The nominal bus voltage that pulses are made for [V].
     least : float
-        Evidence that is asked for one step, by the line and by those who witness it; that of all steps that are tried
+        Evidence required of one step, by the line and by the blocks; that of all steps that are tried
         comes on top for the line [nat].
     """
     if not traces:
         return ()
-    found = list[tuple[float, BorneTimer]]()
+    found = list[tuple[float, QuantiserEstimate]]()
     for centred in (True, False):
-        combs = _combs(traces, centred, bus_v)
+        combs = _harmonic_sums(traces, centred, bus_v)
         frequency, gain = _spectrum(combs)
         chance = np.maximum(_background(gain, len(combs)), 1.0)
-        asked = least + math.log(2 * len(frequency))
+        threshold = least + math.log(2 * len(frequency))
         for k in _highest(gain / chance):
             # Where the two phases are half a step apart, the first harmonic is none.
             for tried in (frequency[k], 0.5 * frequency[k]):
                 if tried < frequency[0]:
                     continue
-                timer, likelier = _told(combs, centred, float(tried), float(frequency[1] - frequency[0]))
-                if likelier > asked * chance[k] and (witnessed := _witnessed(traces, timer, bus_v)) > least:
-                    borne = _borne(combs, timer, likelier, min(likelier / float(chance[k]), witnessed))
-                    found.append((likelier, borne))
-    return _rivals(found)
+                timer, likelier = _refine_line(combs, centred, float(tried), float(frequency[1] - frequency[0]))
+                if likelier > threshold * chance[k] and (witnessed := _block_consistency(traces, timer, bus_v)) > least:
+                    estimate = _refine_estimate(combs, timer, likelier, min(likelier / float(chance[k]), witnessed))
+                    found.append((likelier, estimate))
+    return _most_certain(found)
 
 
-def _rivals(found: Sequence[tuple[float, BorneTimer]]) -> tuple[BorneTimer, ...]:
+def _most_certain(found: Sequence[tuple[float, QuantiserEstimate]]) -> tuple[QuantiserEstimate, ...]:
     """The likeliest of those that are about as certain, and what comes near it, each once.
 
     Witnesses are few: they tell that there is a timer, and hardly which; the readings' likelihood tells that.
     """
-    certain = max((borne.gain for _, borne in found), default=0.0)
-    best = list[BorneTimer]()
+    certain = max((estimate.gain for _, estimate in found), default=0.0)
+    best = list[QuantiserEstimate]()
     for _, one in sorted(found, key=lambda one: -one[0]):
-        if one.gain > ALIKE * certain and not any(_same(one.timer, other.timer) for other in best):
+        if one.gain > LEAST_GAIN_RATIO_TO_BEST * certain and not any(_same(one.timer, other.timer) for other in best):
             best.append(one)
     return tuple(best)
 
 
 def _same(one: ModulatorTimer, other: ModulatorTimer) -> bool:
-    return one.centred == other.centred and math.isclose(one.step_s, other.step_s, rel_tol=SAME)
+    return one.centred == other.centred and math.isclose(one.step_s, other.step_s, rel_tol=SAME_STEP_TOLERANCE)
 
 
 @dataclass(frozen=True)
-class _Comb:
+class _HarmonicSums:
     """What the readings at one PWM frequency say of the legs' volts, by the legs' commands.
 
     Attributes
@@ -162,21 +162,21 @@ class _Comb:
         return np.asarray(sum(w * lines[first + k] for k, w in enumerate(weights)))
 
     def informed(self, step_s: float) -> Array:
-        """About each harmonic of a step's saw (HARMONICS,); a command that stands still for a while tells nothing."""
-        told, some = np.zeros(HARMONICS), STRAIGHT // SOME
+        """About each harmonic of a step's sawtooth; a command that stands still carries no information."""
+        total, some = np.zeros(SAWTOOTH_HARMONICS), LINEAR_STRETCH_READINGS // COMMAND_STRIDE
         for width_s, information in zip(self.widths_s, self.information, strict=True):
-            asked = width_s[::SOME]
-            parts = asked[: len(asked) // some * some].reshape(-1, some, 3)
+            threshold = width_s[::COMMAND_STRIDE]
+            parts = threshold[: len(threshold) // some * some].reshape(-1, some, 3)
             turn = np.exp(2j * np.pi / step_s * parts)
             turned = np.ones_like(turn)
-            for m in range(HARMONICS):
+            for m in range(SAWTOOTH_HARMONICS):
                 turned *= turn
-                told[m] += information * (1.0 - float((np.abs(turned.mean(axis=1)) ** 2).mean()))
-        return told
+                total[m] += information * (1.0 - float((np.abs(turned.mean(axis=1)) ** 2).mean()))
+        return total
 
     def rounding(self, step_s: float, rise: Array, fall: Array, informed: Array) -> tuple[Array, Array]:
         """What speaks for the rounding of a step with these phases, and the information about its size."""
-        m = np.arange(1, 1 + HARMONICS)
+        m = np.arange(1, 1 + SAWTOOTH_HARMONICS)
         turns = np.exp(-2j * np.pi * rise[..., None] * m) + np.exp(-2j * np.pi * fall[..., None] * m)
         scale = 0.5 * step_s * self.volts_per_s / np.pi
         towards = scale * ((np.conj(self._at(m / step_s)) * turns).imag / m).sum(axis=-1)
@@ -185,35 +185,35 @@ class _Comb:
 
     def phases(self, step_s: float, informed: Array) -> tuple[TimerPhases, float, float]:
         """The likeliest phases of a step, what speaks for its rounding, and the information about its size."""
-        parts = np.arange(PARTS) / PARTS
+        parts = np.arange(PHASES_PER_STEP) / PHASES_PER_STEP
         towards, size = self.rounding(step_s, parts[:, None], parts[None], informed)
         gain = np.where(towards > 0.0, towards**2 / size, 0.0)
         rise, fall = np.unravel_index(int(np.argmax(gain)), gain.shape)
-        told = TimerPhases(pwm_frequency_hz=self.pwm_hz, rise=parts[rise], fall=parts[fall])
-        return told, float(towards[rise, fall]), float(size[rise, fall])
+        found = TimerPhases(pwm_frequency_hz=self.pwm_hz, rise=parts[rise], fall=parts[fall])
+        return found, float(towards[rise, fall]), float(size[rise, fall])
 
 
-def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float) -> list[_Comb]:
+def _harmonic_sums(traces: Sequence[CommandTrace], centred: bool, bus_v: float) -> list[_HarmonicSums]:
     combs = []
     for pwm_hz in sorted({trace.pwm_hz for trace in traces}):
         there = [trace for trace in traces if trace.pwm_hz == pwm_hz]
         volts_per_s = leg_step_of(1.0, pwm_hz, bus_v)
         widths_s = [legs_of(trace.command_ab, centred) / volts_per_s for trace in there]
         # To a quarter of the finest saw's last harmonic.
-        apart_s = LEAST_TIMER_STEP_S / (4.0 * HARMONICS)
+        apart_s = LEAST_TIMER_STEP_S / (4.0 * SAWTOOTH_HARMONICS)
         place = np.round(np.concatenate(widths_s) / apart_s).astype(np.int64)
-        count = FINER * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
+        count = ZERO_PADDING_FACTOR * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
         # Of the three legs' volts the machine feels the two-axis vector: the transpose of `from_phases`.
         pull_legs = 2.0 / 3.0 * to_phases(np.concatenate([trace.pull_ab for trace in there]))
         pull = np.bincount(np.mod(place, count).ravel(), weights=pull_legs.ravel(), minlength=count).astype(np.float64)
         information = 4.0 / 3.0 * np.array([trace.information for trace in there])
-        combs.append(_Comb(pull, apart_s, widths_s, information, volts_per_s, pwm_hz))
+        combs.append(_HarmonicSums(pull, apart_s, widths_s, information, volts_per_s, pwm_hz))
     return combs
 
 
-def _spectrum(combs: Sequence[_Comb]) -> tuple[Array, Array]:
+def _spectrum(combs: Sequence[_HarmonicSums]) -> tuple[Array, Array]:
     """Frequencies of the steps that are tried, and what a line of each gains in log likelihood."""
-    apart = APART / max(comb.reach_s for comb in combs)
+    apart = FREQUENCY_SPACING_LINEWIDTHS / max(comb.reach_s for comb in combs)
     frequency = np.arange(1.0 / MAX_TIMER_STEP_S, 1.0 / LEAST_TIMER_STEP_S, apart)
     gains = [comb.gains(frequency) for comb in combs]
     return frequency, np.sum(gains, axis=0)
@@ -223,7 +223,7 @@ def _background(gain: Array, frequencies: int) -> Array:
     """By how many times chance alone the median is, around each line."""
     from scipy.stats import gamma
 
-    reach = min(BACKGROUND, len(gain) - 1)
+    reach = min(BACKGROUND_HALF_WIDTH, len(gain) - 1)
     around = sliding_window_view(np.pad(gain, reach, mode="reflect"), 2 * reach + 1)
     places = np.arange(0, len(gain), max(1, reach // 4))
     medians = np.median(around[places], axis=1) / float(gamma.median(frequencies))
@@ -233,17 +233,19 @@ def _background(gain: Array, frequencies: int) -> Array:
 def _highest(gains: Array) -> list[int]:
     """Where the highest peaks are."""
     beside = np.maximum(np.append(gains[1:], -np.inf), np.append(-np.inf, gains[:-1]))
-    return [int(k) for k in np.argsort(np.where(gains >= beside, gains, -np.inf))[: -1 - BEST : -1]]
+    return [int(k) for k in np.argsort(np.where(gains >= beside, gains, -np.inf))[: -1 - PEAKS_REFINED : -1]]
 
 
-def _told(combs: Sequence[_Comb], centred: bool, frequency: float, within: float) -> tuple[ModulatorTimer, float]:
+def _refine_line(
+    combs: Sequence[_HarmonicSums], centred: bool, frequency: float, within: float
+) -> tuple[ModulatorTimer, float]:
     """The likeliest timer whose line is there, and what its rounding gains in log likelihood, at its best size."""
     from scipy.optimize import minimize_scalar
 
     informed = [comb.informed(1.0 / frequency) for comb in combs]
 
     def there(at: float) -> tuple[ModulatorTimer, float]:
-        parts = [comb.phases(1.0 / at, told) for comb, told in zip(combs, informed, strict=True)]
+        parts = [comb.phases(1.0 / at, known) for comb, known in zip(combs, informed, strict=True)]
         towards, size = sum(part[1] for part in parts), sum(part[2] for part in parts)
         timer = ModulatorTimer(step_s=1.0 / at, centred=centred, phases=tuple(part[0] for part in parts))
         return timer, 0.5 * towards**2 / size if size > 0.0 else 0.0
@@ -253,31 +255,33 @@ def _told(combs: Sequence[_Comb], centred: bool, frequency: float, within: float
     return there(float(best.x))
 
 
-def _witnessed(traces: Sequence[CommandTrace], timer: ModulatorTimer, bus_v: float) -> float:
+def _block_consistency(traces: Sequence[CommandTrace], timer: ModulatorTimer, bus_v: float) -> float:
     """How well all parts of the readings agree that the rounding is there, as a log likelihood.
 
     Each is as uncertain as they differ: where few of them speak for it, it is theirs and no timer's. All three legs
     have the same timer, and any two of them two thirds of the say: a current control moves a leg in steps of its
     converters' least current, and what that does by chance is one leg's.
     """
-    phases, said = {p.pwm_frequency_hz: p for p in timer.phases}, list[Array]()
+    phases, scores = {p.pwm_frequency_hz: p for p in timer.phases}, list[Array]()
     for trace in traces:
         at, step_v = phases[trace.pwm_hz], leg_step_of(timer.step_s, trace.pwm_hz, bus_v)
         off = legs_rounded_by(trace.command_ab, step_v, at.rise, at.fall, timer.centred)
         each = 2.0 / 3.0 * to_phases(trace.pull_ab) * (off - off.mean(axis=0))
-        said.append(np.add.reduceat(each, np.arange(0, len(each), WITNESS), axis=0))
-    legs = np.concatenate(said)
-    two = min(_agreed(np.delete(legs, leg, axis=1).sum(axis=1)) for leg in range(3))
-    return min(_agreed(legs.sum(axis=1)), 1.5 * two)
+        scores.append(np.add.reduceat(each, np.arange(0, len(each), BLOCK_READINGS), axis=0))
+    legs = np.concatenate(scores)
+    two = min(_mean_evidence(np.delete(legs, leg, axis=1).sum(axis=1)) for leg in range(3))
+    return min(_mean_evidence(legs.sum(axis=1)), 1.5 * two)
 
 
-def _agreed(witnesses: Array) -> float:
+def _mean_evidence(witnesses: Array) -> float:
     """Log likelihood of a mean above zero, of witnesses that are as uncertain as they differ."""
     squares = float(witnesses @ witnesses)
     return 0.5 * max(float(witnesses.sum()), 0.0) ** 2 / squares if squares > 0.0 else 0.0
 
 
-def _borne(combs: Sequence[_Comb], timer: ModulatorTimer, likelier: float, certain: float) -> BorneTimer:
+def _refine_estimate(
+    combs: Sequence[_HarmonicSums], timer: ModulatorTimer, likelier: float, certain: float
+) -> QuantiserEstimate:
     """The likeliest timer near one, its phases between the parts that are tried, and how well it is known.
 
     Parameters
@@ -290,29 +294,29 @@ def _borne(combs: Sequence[_Comb], timer: ModulatorTimer, likelier: float, certa
     from scipy.optimize import minimize
 
     informed = [comb.informed(timer.step_s) for comb in combs]
-    start = BorneTimer(timer, certain, np.eye(1 + 2 * len(combs)))
+    start = QuantiserEstimate(timer, certain, np.eye(1 + 2 * len(combs)))
 
     def cost(x: Array) -> float:
         there = start.moved(x)
-        told = [
+        parts = [
             comb.rounding(there.step_s, np.array(p.rise), np.array(p.fall), about)
             for comb, p, about in zip(combs, there.phases, informed, strict=True)
         ]
-        towards, size = (float(np.sum([one[k] for one in told])) for k in (0, 1))
+        towards, size = (float(np.sum([one[k] for one in parts])) for k in (0, 1))
         return -0.5 * towards**2 / size * certain / likelier
 
     # Across the simplex the widest pulse moves by a tenth of a step.
     reach = max(comb.reach_s for comb in combs) / timer.step_s
-    sizes = np.array([0.1 / reach, *[0.5 / PARTS] * (2 * len(combs))])
+    sizes = np.array([0.1 / reach, *[0.5 / PHASES_PER_STEP] * (2 * len(combs))])
     simplex = np.concatenate([np.zeros((1, len(sizes))), np.diag(sizes)])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 0.01, "maxfev": 60 * len(sizes)}
     best = np.asarray(minimize(cost, np.zeros(len(sizes)), method="Nelder-Mead", options=options).x, dtype=np.float64)
-    return BorneTimer(start.moved(best), -cost(best), _biased(_curvature(cost, best, sizes)))
+    return QuantiserEstimate(start.moved(best), -cost(best), _with_phase_bias(_curvature(cost, best, sizes)))
 
 
-def _biased(curvature: Array) -> Array:
+def _with_phase_bias(curvature: Array) -> Array:
     """The curvature where phases may be wrong beside chance."""
-    variance = np.diag([0.0, *[BIASED**2] * (len(curvature) - 1)])
+    variance = np.diag([0.0, *[PHASE_BIAS_STD**2] * (len(curvature) - 1)])
     return np.asarray(curvature @ np.linalg.inv(np.eye(len(curvature)) + variance @ curvature), dtype=np.float64)
 
 

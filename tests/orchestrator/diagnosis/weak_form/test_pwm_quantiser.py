@@ -8,8 +8,14 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
+from orchestrator.diagnosis.weak_form.pwm_quantiser import (
+    QuantiserEstimate,
+    leg_step_of,
+    own_leg_step_of,
+    rounded_by,
+    with_quantiser,
+)
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
-from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, own_leg_step_of, rounded_by, with_timer
 from orchestrator.numerics.frames import from_phases, to_phases
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import FS, Array, plan, prepared, timer
@@ -59,8 +65,8 @@ def _campaign() -> PreparedRecording:
 
 def test_a_recording_gets_the_voltages_that_its_timer_lets_through_once() -> None:
     made = _campaign()
-    once = with_timer(made, timer(STEP_S, 0.3, 0.6))
-    twice = with_timer(once, timer(STEP_S, 0.3, 0.6))
+    once = with_quantiser(made, timer(STEP_S, 0.3, 0.6))
+    twice = with_quantiser(once, timer(STEP_S, 0.3, 0.6))
     step_v = own_leg_step_of(STEP_S, made.manifest.drive)
     for before, after, again in zip(made.pieces, once.pieces, twice.pieces, strict=True):
         np.testing.assert_array_equal(after.signals.v_ab, again.signals.v_ab)
@@ -69,13 +75,13 @@ def test_a_recording_gets_the_voltages_that_its_timer_lets_through_once() -> Non
             assert moved == 0.0
         else:
             assert 0.0 < moved <= step_v
-    assert once.timer == timer(STEP_S, 0.3, 0.6)
+    assert once.quantiser == timer(STEP_S, 0.3, 0.6)
 
 
 def test_where_the_phases_are_not_known_nothing_is_moved() -> None:
     made = _campaign()
     for before, after in zip(
-        made.pieces, with_timer(made, timer(STEP_S, 0.3, 0.6, pwm_hz=2.0 * FS)).pieces, strict=True
+        made.pieces, with_quantiser(made, timer(STEP_S, 0.3, 0.6, pwm_hz=2.0 * FS)).pieces, strict=True
     ):
         assert after.signals.v_ab is before.signals.v_ab
 
@@ -88,7 +94,7 @@ def test_it_is_the_single_commands_that_are_rounded_not_their_means() -> None:
     piece = next(p for p in _campaign().pieces if p.stage is SegmentStage.RESISTANCE)
     slow = _averaged(piece, command, width=10)
     made = replace(_campaign(), pieces=(slow,))
-    after = with_timer(made, timer(STEP_S, 0.3, 0.3))
+    after = with_quantiser(made, timer(STEP_S, 0.3, 0.3))
     timed = command + rounded_by(command, leg_step_of(STEP_S, FS, 540.0), 0.3, 0.3, centred=True)
     np.testing.assert_allclose(after.pieces[0].signals.v_ab, mean_between(timed, 10, 0.0), atol=1e-12)
     # What trembles over several steps is dithered: of the mean nothing is off.
@@ -105,11 +111,11 @@ def _averaged(piece: SegmentSignals, command: Array, width: int) -> SegmentSigna
 
 @given(step=st.floats(-0.01, 0.01), phases=st.lists(st.floats(-0.49, 0.49), min_size=2, max_size=2), rise=PART)
 def test_what_leads_from_one_timer_to_another_is_told(step: float, phases: list[float], rise: float) -> None:
-    borne, x = BorneTimer(timer(STEP_S, rise, 0.4), 0.0, np.eye(3)), np.array([step, *phases])
+    borne, x = QuantiserEstimate(timer(STEP_S, rise, 0.4), 0.0, np.eye(3)), np.array([step, *phases])
     np.testing.assert_allclose(borne.to(borne.moved(x)), x, atol=1e-9)
 
 
 def test_a_timer_may_meet_commands_anywhere_at_a_frequency_of_which_readings_tell_nothing() -> None:
-    borne = BorneTimer(timer(STEP_S, 0.2, 0.4), 1.0, np.eye(3)).at([FS, 2.0 * FS])
+    borne = QuantiserEstimate(timer(STEP_S, 0.2, 0.4), 1.0, np.eye(3)).at([FS, 2.0 * FS])
     assert [p.pwm_frequency_hz for p in borne.timer.phases] == [FS, 2.0 * FS]
     np.testing.assert_array_equal(borne.curvature, np.diag([1.0, 1.0, 1.0, 0.0, 0.0]))

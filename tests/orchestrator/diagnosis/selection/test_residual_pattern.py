@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.selection.leftover import leftover_shape, map_breaks
+from orchestrator.diagnosis.selection.residual_pattern import map_asymmetry, residual_pattern
 from tests.orchestrator.diagnosis.pieces import (
     Array,
     fitter,
@@ -21,7 +21,7 @@ CURRENT_A = 2.5
 
 def _shapes(voltage: dict[str, Array] | Array) -> dict[str, float]:
     maker = fitter(with_voltage(MADE, voltage))
-    return dict(leftover_shape(maker, maker.fit(free_model()), CURRENT_A))
+    return dict(residual_pattern(maker, maker.fit(free_model()), CURRENT_A))
 
 
 def test_noise_has_no_shape_that_explains_it() -> None:
@@ -51,7 +51,7 @@ def test_a_voltage_that_grows_with_the_square_of_the_current_is_even_in_it() -> 
 
 def test_a_map_that_is_even_and_reciprocal_breaks_neither() -> None:
     maker = fitter(MADE)
-    parity, reciprocity = map_breaks(maker, maker.fit(free_model()), CURRENT_A)
+    parity, reciprocity = map_asymmetry(maker, maker.fit(free_model()), CURRENT_A)
     rated_wb = 0.07 * CURRENT_A
     assert max(parity) < 0.01 * rated_wb
     assert reciprocity < 0.01

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.budget import Budget
 
 
 def test_effort_is_exhausted_beyond_its_most() -> None:
-    assert not Effort(most=2.0, spent=2.0).exhausted
-    assert Effort(most=2.0, spent=2.1).exhausted
+    assert not Budget(limit=2.0, spent=2.0).is_spent
+    assert Budget(limit=2.0, spent=2.1).is_spent
 
 
 @pytest.mark.parametrize(
@@ -25,26 +25,26 @@ def test_what_is_left_takes_as_long_as_most_evaluations_in_proportion(
     expected: float, later_s: float, left: str
 ) -> None:
     now = [100.0]
-    effort = Effort(clock=lambda: now[0])
+    budget = Budget(clock=lambda: now[0])
     # The first one loads libraries, and one of them waits for another process.
     for took_s in (70.0, 20.0, 20.0, 90.0, 18.0):
-        effort.spend(10.0)
+        budget.spend(10.0)
         now[0] += took_s
-    effort.spend(10.0)
-    effort.calibrate()
-    assert effort.left == ""
-    effort.expect(expected)
+    budget.spend(10.0)
+    budget.calibrate()
+    assert budget.left == ""
+    budget.expect(expected)
     now[0] += later_s
-    assert effort.left == left
+    assert budget.left == left
 
 
 def test_nothing_is_told_before_anything_was_computed() -> None:
     now = [100.0]
-    effort = Effort(clock=lambda: now[0])
-    effort.expect(50.0)
-    assert effort.left == ""
+    budget = Budget(clock=lambda: now[0])
+    budget.expect(50.0)
+    assert budget.left == ""
     now[0] += 5.0
-    effort.spend(0.0)
-    effort.calibrate()
-    effort.expect(50.0)
-    assert effort.left == ""
+    budget.spend(0.0)
+    budget.calibrate()
+    budget.expect(50.0)
+    assert budget.left == ""

@@ -30,7 +30,7 @@ Numbers = TypeVar("Numbers", float, Array)
 
 
 @dataclass(frozen=True)
-class BorneTimer:
+class QuantiserEstimate:
     """A timer as readings bear it.
 
     Attributes
@@ -55,7 +55,7 @@ class BorneTimer:
         )
         return timer.model_copy(update={"step_s": timer.step_s * (1.0 + float(x[0])), "phases": phases})
 
-    def at(self, pwm_hz: Sequence[float]) -> BorneTimer:
+    def at(self, pwm_hz: Sequence[float]) -> QuantiserEstimate:
         """The timer with phases at those PWM frequencies too at which the readings tell none: any may be."""
         there = {p.pwm_frequency_hz for p in self.timer.phases}
         unknown = [TimerPhases(pwm_frequency_hz=f, rise=0.0, fall=0.0) for f in pwm_hz if f not in there]
@@ -70,14 +70,14 @@ class BorneTimer:
         return np.array([timer.step_s / self.timer.step_s - 1.0, *((np.array(off) + 0.5) % 1.0 - 0.5)])
 
 
-def with_timer(prepared: PreparedRecording, timer: ModulatorTimer | None) -> PreparedRecording:
+def with_quantiser(prepared: PreparedRecording, timer: ModulatorTimer | None) -> PreparedRecording:
     """The recording with the voltages that the timer lets through, where its phases are known at the PWM frequency.
 
     As commanded, where there is no timer.
     """
     bus_v = prepared.manifest.drive.dc_bus_voltage_v
     pieces = tuple(_impressed(p, timer, bus_v) for p in prepared.pieces)
-    return replace(prepared, pieces=pieces, timer=timer)
+    return replace(prepared, pieces=pieces, quantiser=timer)
 
 
 def leg_step_of(step_s: float, pwm_frequency_hz: Numbers, bus_v: float) -> Numbers:

@@ -1,0 +1,88 @@
+"""Effects that are in the model before the search: those that the readings alone measure, and those of the fleet.
+
+A search takes first what explains most by itself; one effect may then explain the error of two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
+from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.selection.refining import refit_newest
+from orchestrator.diagnosis.selection.scoring import log_evidence
+from protocols import ParameterRole, PluginError, Signals, hook_of
+
+
+def include_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect]) -> list[Step]:
+    """The ladder with each effect that the fleet includes a priori; the end of the search tests it."""
+    given, steps = len(steps), list(steps)
+    for candidate in library:
+        before = steps[-1].fit
+        if not candidate.included_a_priori or candidate.name in before.model.names:
+            continue
+        active = candidate.absent().release(*candidate.of_role(ParameterRole.SHAPE))
+        for name, x in candidate.centres.items():
+            active = active.moved(name, x)
+        fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]), before.frame, renewals=0)
+        inflation = max(1.0, min(before.chi2_per_dof, fit.chi2_per_dof))
+        gain = log_evidence(fit, inflation) - log_evidence(before, inflation)
+        named, note = [candidate.name], "the fleet has it nearly always"
+        setup.fitter.trace.record(
+            "add", named, before=before, after=fit, measure="log_evidence", score=gain, taken=True, note=note
+        )
+        steps.append(Step(candidate.name, fit, gain))
+    if len(steps) > given:
+        # Refinements are released once all of these effects are present: a missing one would distort them.
+        last = steps[-1]
+        fit = refit_newest(setup.fitter, last.fit, max(1.0, last.fit.chi2_per_dof))
+        steps[-1] = replace(last, fit=fit)
+    return steps
+
+
+def include_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect]) -> list[Step]:
+    """The ladder gone on with each effect that says how large it is, as far as it is worth its name.
+
+    Raises
+    ------
+    PluginError
+        Where an effect fails to say.
+    """
+    signals, steps = [piece.signals for piece in setup.prepared.pieces], list(steps)
+    for candidate in library:
+        before = steps[-1].fit
+        active = None if candidate.name in before.model.names else _from_readings(candidate, signals)
+        if active is None:
+            continue
+        fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]))
+        gain = 0.5 * (before.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
+        least = fit.criteria.selection.log_evidence
+        setup.fitter.trace.record(
+            "add",
+            [candidate.name],
+            before=before,
+            after=fit,
+            measure="log_evidence",
+            score=gain,
+            threshold=least,
+            taken=gain > least,
+            note="its size was measured by the readings alone",
+        )
+        if gain > least:
+            steps.append(Step(candidate.name, fit, gain))
+    return steps
+
+
+def _from_readings(candidate: CandidateEffect, signals: Sequence[Signals]) -> EffectTerm | None:
+    measured = hook_of(candidate.effect, "measured")
+    try:
+        found = None if measured is None else measured(signals)
+        values = {} if found is None else {name: float(getattr(found, name)) for name in candidate.amplitudes}
+    except Exception as error:  # somebody else's code may raise anything
+        raise PluginError("effects", candidate.name, f"measured: {type(error).__name__}: {error}") from error
+    active = candidate.absent()
+    for name, value in values.items():
+        active = active.moved(name, standardised(candidate.named(name), value))
+    return None if active.is_absent else active
