@@ -1,7 +1,7 @@
 """`python -m tests.orchestrator.importing.bring`: strangers' logs of the blind plant, from import to diagnosis.
 
 Each shape of `shapes` is written four times: of a plant with nothing wrong, and with a lag, a sensor's gain or an
-inverter's drop. The first says how good the map is that `estimate` makes of it, the others what is reported of the fault.
+inverter's drop. The first says how good the map is that `estimate` makes of it, the others what the report names.
 """
 
 from __future__ import annotations

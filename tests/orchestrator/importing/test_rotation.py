@@ -1,4 +1,4 @@
-"""A machine that runs is distinguished from a locked one by its waveforms; a current that pulsates along an axis is not."""
+"""The check distinguishes a running machine from a locked one; a current that pulsates along an axis is no rotation."""
 
 from __future__ import annotations
 
