@@ -1,7 +1,7 @@
 """Pure computation on recordings: frames, demodulation, sweeps, integration, flux maps and their checks.
 
-Knows waveforms and currents; drives, plugins and the engine it has never heard of. scipy, numba and xarray are
-imported where they are used.
+Depends on waveforms and currents only, and on no drive, plugin or engine. Functions import scipy, numba and xarray
+where they use them.
 """
 
 from orchestrator.analysis._between import steep_steps

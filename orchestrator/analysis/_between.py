@@ -1,4 +1,4 @@
-"""Where points of an injection lie too far apart: an inductance differs much between two that follow each other."""
+"""Find steps between neighbouring injection points over which an inductance changes too much."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from protocols import Point
 def steep_steps(
     current: Array, inductance: Array, *, steepest: float, narrowest_wb: float, where: str
 ) -> list[tuple[float, Point]]:
-    """Steps along d, along q and around the rim in which an inductance changes too much, the steepest first.
+    """Steps along d, along q and along the hull over which an inductance changes too much, the steepest first.
 
     Parameters
     ----------
     current : array, shape (n, 2)
-        What was asked for [A]: points of a line have one coordinate in common, exactly.
+        Commanded currents [A]: points of a line have exactly one coordinate in common.
     inductance : array, shape (n, 2, 2)
         L = dpsi/di there [H].
     steepest : float
-        Ratio of L_dd, or of L_qq, at a step's two ends that is not yet too much.
+        Largest acceptable ratio of L_dd, or of L_qq, between a step's two ends.
     narrowest_wb : float
-        A step that takes less flux is left as it is: the ripple itself reaches across.
+        Steps with less flux are accepted: the ripple itself spans them.
     where : str
         The recording, for the error.
 
     Returns
     -------
     list of (ratio, (i_d, i_q))
-        By how much they differ, and the middle of the step [A].
+        Ratio of the inductances, and the middle of the step [A].
 
     Raises
     ------
@@ -39,7 +39,7 @@ def steep_steps(
         Where the points do not span an area of currents.
     """
     start, end = np.unique(np.sort(np.concatenate([*_lines(current), _rim(current, where)]), axis=1), axis=0).T
-    diagonal = np.abs(np.einsum("nii->ni", inductance))  # a point gone wrong may have any sign
+    diagonal = np.abs(np.einsum("nii->ni", inductance))  # a faulty point may have any sign
     ratio = np.exp(np.abs(np.log(diagonal[end] / diagonal[start])).max(axis=1))
     step = current[end] - current[start]
     taken_wb = np.linalg.norm(0.5 * (diagonal[start] + diagonal[end]) * step, axis=1)
@@ -59,5 +59,5 @@ def _lines(current: Array) -> list[NDArray[np.intp]]:
 
 
 def _rim(current: Array, where: str) -> NDArray[np.intp]:
-    """Pairs of neighbours on the hull, shape (e, 2): outside of it nothing is delivered."""
+    """Pairs of neighbours on the hull, shape (e, 2)."""
     return np.asarray(triangulate(current, where).convex_hull, dtype=np.intp)

@@ -1,6 +1,6 @@
-"""The one pass over the waveforms that a sweep needs: current and running integrals, averaged over short blocks.
+"""One pass over a sweep's waveforms: current and running integrals, averaged over short blocks.
 
-Stays in the stator frame, and knows nothing of what is swept.
+All results are in the stator frame.
 """
 
 from __future__ import annotations

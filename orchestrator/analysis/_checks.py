@@ -1,7 +1,7 @@
-"""How far a flux map agrees with physics, with itself and with another map; needs no truth.
+"""Consistency of a flux map with physics, with itself and with another map, without a reference map.
 
 Percentages refer to |psi(rated i_q) - psi(0, 0)|, or to the flux at the edge of a map that does not reach the rated
-current; what a map does not allow is None.
+current; a quantity outside the map's range is None.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ def edge_flux_wb(flux_map: FluxMap) -> float | None:
 
 
 def reference_flux_wb(flux_map: FluxMap, motor: Motor) -> float | None:
-    """The flux that a map's errors are told in percent of [Wb].
+    """Reference flux for a map's errors in percent [Wb].
 
-    That of the rated current, as far as the map reaches it; else that at the map's own edge, or at last the magnet's.
+    The flux of the rated current where the map contains it; else that at the map's edge, or finally the magnet's.
     """
     return rated_flux_wb(flux_map, motor.rated_current_a) or edge_flux_wb(flux_map) or motor.pm_flux_wb
 
@@ -114,9 +114,9 @@ def difference_percent(one: FluxMap, other: FluxMap, rated_wb: float | None) -> 
 
 
 def flux_ratio(one: FluxMap, other: FluxMap) -> tuple[float, float] | None:
-    """Factor by which `one`'s flux is larger than `other`'s, less its own psi(0, 0), and its standard deviation.
+    """Ratio of `one`'s flux to `other`'s, each less its own psi(0, 0), and the ratio's standard deviation.
 
-    The errors of a map are taken to be alike all over it. None where the maps do not overlap.
+    The errors of a map count as fully correlated over it. None where the maps do not overlap.
     """
     axes = (one.i_d.astype(np.float64), one.i_q.astype(np.float64))
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)

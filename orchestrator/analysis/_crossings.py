@@ -1,4 +1,4 @@
-"""Paths in the current plane put together where they cross; how far they disagree there is a check."""
+"""Join flux paths in the current plane where they cross; the misfit at the crossings checks them."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Network:
-    """Paths with their constants chosen so that they agree best where they cross.
+    """Paths with constants that minimise the misfit at their crossings.
 
     Attributes
     ----------
     paths : tuple of FluxPath
-        The largest set that hangs together, moved by its constants (one vector stays free for all).
+        The largest connected set, offset by its constants (one common vector stays undetermined).
     members : tuple of int
-        Which of the paths handed in these are.
+        Indices of these among the given paths.
     misfit : array, shape (c, 2), or None
-        Flux difference left at each crossing [Wb]; None where crossings only just tie the paths together.
+        Residual flux difference at each crossing [Wb]; None without redundant crossings.
     """
 
     paths: tuple[FluxPath, ...]
@@ -37,7 +37,7 @@ class Crossings:
     Attributes
     ----------
     pairs : tuple of (int, int)
-        Which two.
+        Indices of the two paths.
     apart, psi : array, shape (c, 2)
         psi of the first less psi of the second, and the mean of both [Wb].
     """
@@ -67,7 +67,7 @@ def join_paths(paths: list[FluxPath]) -> Network:
 
 
 def crossings_of(paths: Sequence[FluxPath]) -> Crossings:
-    """Where any two paths cross, and how far they disagree there; their constants are left as they are."""
+    """Crossings of any two paths with their flux differences; leaves the paths' constants unchanged."""
     pairs, apart, psi = [], [], []
     for a in range(len(paths)):
         for b in range(a + 1, len(paths)):
@@ -89,7 +89,7 @@ def _flux_at_crossing(a: FluxPath, b: FluxPath) -> tuple[Array, Array] | None:
     gap = q - p
     t = (gap[..., 0] * s[..., 1] - gap[..., 1] * s[..., 0]) / safe
     u = (gap[..., 0] * r[..., 1] - gap[..., 1] * r[..., 0]) / safe
-    # Paths that end on one another miss by what the control is off: a hundredth of their length is granted.
+    # Paths that end on one another miss by the control error; the tolerance is a hundredth of their length.
     slack_t, slack_u = (0.01 * np.linalg.norm(np.ptp(x.current, axis=0)) for x in (a, b))
     beyond_t = np.maximum(np.abs(t - 0.5) - 0.5, 0.0) * np.linalg.norm(r, axis=-1)
     beyond_u = np.maximum(np.abs(u - 0.5) - 0.5, 0.0) * np.linalg.norm(s, axis=-1)

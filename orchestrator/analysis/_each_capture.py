@@ -1,4 +1,4 @@
-"""One pass over segments of a recording, several at once; what is computed of each is the caller's business."""
+"""One pass over segments of a recording, several in parallel, with a function of the caller."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ def each_capture(
 ) -> list[T]:
     """`evaluate` of each segment and its waveforms, in the order of the segments.
 
-    Decoding and kernels run outside the interpreter's lock, so as many segments as there are processors are worked
-    on at once; only these are in memory. The threads end with the call. What one segment raises is raised, and no
-    further segment is begun.
+    Decoding and kernels release the interpreter's lock, so one thread per processor evaluates a segment each; only
+    these segments are in memory. The threads end with the call. An exception of one segment ends the pass.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""One co-energy for all that was measured: psi = grad W(i), L = Hess W(i), so that both agree and are reciprocal.
+"""Fit one co-energy to all measurements: psi = grad W(i), L = Hess W(i), so flux and inductances are consistent.
 
 W is a tensor spline, even in i_q in the rotor's frame, which may be turned by a small angle from the believed one.
 Inductances with their slopes and the flux along swept paths are fitted together, each weighted by its own errors,
-whose sizes are estimated as well; a point or a path that nothing else confirms counts for less. How smooth W is the
-data say (see `numerics.reml`); the posterior covariance then holds the error of interpolating between points, too.
+whose sizes are estimated as well; outlying points and paths get a lower weight. Restricted maximum likelihood gives the
+smoothness of W (see `numerics.reml`), so the posterior covariance includes the error of interpolation.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from orchestrator.analysis._flux_errors import WAVES, directions, sizes, told_apart, waves
+from orchestrator.analysis._flux_errors import WAVES, directions, sizes, waves, whitening
 from orchestrator.analysis._inductance_errors import GAIN_STD, error_modes
 from orchestrator.analysis._integration import Inductances
 from orchestrator.analysis._sweep import FluxPath
@@ -24,12 +24,12 @@ from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 
 COARSE = (12, 12)
-"""Intervals of a spline, along d and over the whole of q."""
+"""Intervals of the coarse spline, along d and over the whole range of q."""
 
 
 @dataclass(frozen=True)
 class EnergyFit:
-    """The co-energy found.
+    """The fitted co-energy.
 
     Attributes
     ----------
@@ -39,20 +39,20 @@ class EnergyFit:
     coefficients : array, shape (k,)
     covariance : array, shape (k, k)
     scales : array, shape (4,)
-        How much larger the scatter of inductances, of their slopes, and of the flux along and across the swept
-        direction is than their stated errors.
+        Ratios of scatter to stated error: of inductances, of their slopes, and of the flux along and across the swept
+        direction.
     stiffening_per_h : float
-        What hysteresis added to the Hessian that the ripple saw [1/H]; taken out.
+        Contribution of hysteresis to the ripple's Hessian [1/H]; removed from the energy.
     correlation : float
-        Of neighbouring inductances' residuals; near zero where nothing is left to be explained.
+        Correlation of neighbouring inductances' residuals; near zero for an adequate model.
     inverter_step : float
-        Relative size of what dead time does to inductances where a phase current passes zero; taken out.
+        Relative effect of dead time on inductances where a phase current passes zero; removed from the energy.
     taken_out : array, shape (n, 7)
-        Of the inductances and their slopes, before all else: a common gain, and dead time.
+        Correction of the inductances and their slopes for a common gain and dead time.
     taken_out_std : array, shape (n, 7)
         Its standard deviation.
     trust : array, shape (n,)
-        By what each point's information counts; less than one where nothing else confirms it.
+        Weight of each point's information; less than one for outliers.
     """
 
     spline: EvenSpline
@@ -84,7 +84,7 @@ class EnergyFit:
 
 
 def energy_rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Array:
-    """All derivatives of one order in the believed frame, those of more d first; shape (n, order + 1, size)."""
+    """All derivatives of one order in the believed frame, in falling order of d; shape (n, order + 1, size)."""
     c, s = np.cos(angle), np.sin(angle)
     at = to_dq(at, angle)
     own = np.stack([spline.rows(at, order - k, k) for k in range(order + 1)], axis=1)
@@ -101,16 +101,16 @@ def energy_rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Arra
 
 @dataclass(frozen=True)
 class Errors:
-    """What is believed of the measurements' errors.
+    """Assumed sizes of the measurement errors.
 
     Attributes
     ----------
     scales : (float, float, float, float)
         Of inductances, of their slopes, and of the flux along and across the swept direction, in stated errors.
     points, paths : array, shapes (n,), (p,), or None
-        By what the information of each is reduced; None: by nothing.
+        Factors that reduce the information of each; None: no reduction.
     inverter_step : float
-        Size of what dead time does to inductances where a phase current passes zero, relative; 0: nothing.
+        Relative effect of dead time on inductances where a phase current passes zero; 0: none.
     """
 
     scales: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
@@ -121,7 +121,7 @@ class Errors:
 
 @dataclass(frozen=True)
 class EnergyProblem:
-    """What is to be fitted, and how; the rows are made once for all errors. Attributes as of `EnergyFit`."""
+    """The least-squares problem; its rows are computed once for all errors. Attributes as in `EnergyFit`."""
 
     spline: EvenSpline
     points: Inductances | None
@@ -133,18 +133,18 @@ class EnergyProblem:
 
     @property
     def free(self) -> int:
-        """How many modes come first that are free, or have an own size."""
-        # Nothing sees the energy's constant, nor the flux of the magnet.
+        """Number of leading modes that are unpenalised or have their own prior."""
+        # The energy's constant and the magnet's flux are unobservable.
         return self.spline.smooth - 2 + self.wrong
 
     @cached_property
     def wrong(self) -> int:
-        """How many of them are the measurements' and not the energy's; they are the last of the free ones."""
+        """Number of measurement-error modes; they are the last of the free ones."""
         return 0 if self.points is None else self._wrong.shape[2]
 
     @cached_property
     def modes(self) -> Array:
-        """Coefficients of each mode's spline, shape (size, modes); none for those of the measurements."""
+        """Coefficients of each mode's spline, shape (size, modes); zero for measurement-error modes."""
         own = self.spline.modes[:, 2:]
         return np.insert(own, [self.free - self.wrong] * self.wrong, 0.0, axis=1)
 
@@ -164,7 +164,7 @@ class EnergyProblem:
 
     @cached_property
     def _path_rows(self) -> Array:
-        """Waves of what each mode's flux does, along each path's direction and across, shape (p, 2, waves, modes)."""
+        """Cosine waves of each mode's flux, along each path's direction and across, shape (p, 2, waves, modes)."""
         each = [
             np.einsum(
                 "wm,mck,xc->xwk", waves(len(path.psi)), energy_rows(self.spline, path.current, self.angle_rad, 1), way
@@ -176,7 +176,7 @@ class EnergyProblem:
     def varied(
         self, *, errors: Errors | None = None, angle_rad: float | None = None, stiffening_per_h: float | None = None
     ) -> EnergyProblem:
-        """The same with other errors, angle or stiffening; rows that do not depend on it stay."""
+        """The problem with other errors, angle or stiffening; keeps the rows that do not change."""
         other = replace(
             self,
             errors=self.errors if errors is None else errors,
@@ -190,7 +190,7 @@ class EnergyProblem:
         return other
 
     def taken_out(self, solution: Solution) -> tuple[Array, Array]:
-        """What the measurements' own modes are of the inductances and their slopes, and its std, shape (n, 7) each."""
+        """Fitted measurement errors of inductances and slopes, and their std, shape (n, 7) each."""
         if self.points is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
         own = slice(self.free - self.wrong, self.free)
@@ -206,7 +206,7 @@ class EnergyProblem:
         )
         grown = np.repeat(self.errors.scales[:2], (3, 4))
         covariance = self.points.covariance * np.outer(grown, grown)
-        # Slopes that were not told carry no information, not perfect information; and nothing is better than 1e-4.
+        # Undetermined slopes carry no information instead of perfect information; no error is below 1e-4.
         least = 1e-4 * float(np.abs(m).mean()) * np.repeat([1.0, 10.0 / float(np.ptp(self.points.current))], (3, 4))
         own = np.where(np.einsum("nii->ni", covariance) > 0.0, least**2, 1e12)
         root = np.linalg.cholesky(covariance + own[:, :, None] * np.eye(7))
@@ -214,7 +214,7 @@ class EnergyProblem:
         return white @ self._inductance_rows, np.einsum("nij,nj->ni", white, target)
 
     def _softened(self, points: Inductances) -> tuple[Array, Array]:
-        """L and dL/di along the map: (L^-1 - s)^-1, the third derivatives of the energy staying what they are."""
+        """L and dL/di without hysteresis: (L^-1 - s)^-1, with unchanged third derivatives of the energy."""
         grown = np.linalg.inv(np.eye(2) - self.stiffening_per_h * points.matrix)
         slope = np.einsum("nai,nbj,nck,nijk->nabc", grown, grown, grown, points.slope)
         return np.asarray(points.matrix @ grown), slope
@@ -222,7 +222,7 @@ class EnergyProblem:
     def fluxes(self) -> tuple[Array, Array]:
         """Rows (p, 2 waves, modes) and right-hand sides (p, 2 waves) of the flux along all paths.
 
-        What is wrong with an integral is a random walk: independent waves, the k-th falling as 1/k.
+        The error of an integral is a random walk: independent waves, the k-th falling as 1/k.
         """
         if not self.paths:
             return np.zeros((0, 2 * WAVES, self.modes.shape[1])), np.zeros((0, 2 * WAVES))
@@ -233,10 +233,10 @@ class EnergyProblem:
         return (self._path_rows / size[..., None]).reshape(count, 2 * WAVES, -1), (psi / size).reshape(count, -1)
 
     def prior(self) -> tuple[Array, float]:
-        """Rows that say how large the measurements' own modes may be, and twice the logarithm of their sizes."""
+        """Prior rows of the measurement-error modes, and twice the logarithm of their sizes."""
         if self.points is None:
             return np.zeros((0, self.modes.shape[1])), 0.0
-        # What is not there has to have some size, for it is the same modes all the time.
+        # Absent effects get a small size, since the set of modes is fixed.
         size = np.append(GAIN_STD, np.full(self.wrong - 1, max(self.errors.inverter_step, 1e-7)))
         return np.eye(self.modes.shape[1])[self.free - self.wrong : self.free] / size[:, None], 2.0 * float(
             np.log(size).sum()
@@ -254,40 +254,40 @@ class EnergyProblem:
 
 def smoothed(problem: EnergyProblem) -> Solution:
     """Least squares at the most likely smoothness."""
-    (points, told, sure), (paths, flux, known) = problem.blocks()
+    (points, observed, sure), (paths, flux, known) = problem.blocks()
     paths, flux = paths * known[:, None, None], flux * known[:, None]
     if len(paths):
-        along, apart = slice(0, WAVES), told_apart(problem.paths)
+        along, apart = slice(0, WAVES), whitening(problem.paths)
         paths[:, along], flux[:, along] = np.tensordot(apart, paths[:, along], (1, 0)), apart @ flux[:, along]
     prior, size = problem.prior()
     rows = np.concatenate(
         [(points * sure[:, None, None]).reshape(-1, points.shape[2]), paths.reshape(-1, points.shape[2]), prior]
     )
-    target = np.concatenate([(told * sure[:, None]).ravel(), flux.ravel(), np.zeros(len(prior))])
+    target = np.concatenate([(observed * sure[:, None]).ravel(), flux.ravel(), np.zeros(len(prior))])
     solution = most_likely(rows, target, problem.free)
     return replace(solution, cost=solution.cost + size)
 
 
 def evidence(problem: EnergyProblem, solution: Solution) -> float:
-    """Minus twice the logarithm of the likelihood, the errors' sizes and outliers counted; of like data only."""
+    """-2 log likelihood including the errors' sizes and outliers; comparable for the same data only."""
     total = solution.cost
     kinds = ((problem.errors.scales[:2], (3, 4)), (problem.errors.scales[2:], (WAVES, WAVES)))
     for (_, _, root), (scales, counts) in zip(problem.blocks(), kinds, strict=True):
         total += 2.0 * len(root) * float(np.log(scales) @ counts)
-        # An outlier costs the logarithm of how far it is off, where others cost the square.
+        # An outlier costs the logarithm of its residual, other data cost the square.
         total -= 2.0 * _limit(sum(counts)) * float(np.log(root).sum())
     return total
 
 
 def _limit(count: int, usual: float = 0.99) -> float:
-    """Sum of squares of so many normal deviates beyond which they are doubted: all but this share is within it."""
+    """Outlier threshold: the quantile of chi-squared with this many degrees of freedom."""
     from scipy.special import chdtri
 
     return float(chdtri(count, 1.0 - usual))
 
 
 def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tuple[EnergyProblem, Solution]:
-    """The sizes of the errors found from their own scatter, to within `change` of them, and the solution with them."""
+    """Iterated error sizes from the residuals' scatter, to a relative `change`, and the solution with them."""
     solution = smoothed(problem)
     for _ in range(rounds):
         before = np.array(problem.errors.scales)
@@ -299,9 +299,9 @@ def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tu
 
 
 def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) -> Errors:
-    """Errors such that each kind's residuals are as large as they say, and outliers count for less.
+    """Errors that match the scatter of each kind's residuals, with reduced weights for outliers.
 
-    What was stated of them beforehand is worth `stated` data.
+    The prior of their sizes counts as `stated` data.
     """
     weights: list[Array] = []
     growth: list[float] = []
@@ -326,7 +326,7 @@ def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) ->
 
 
 def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
-    """The fit, its covariance widened where neighbours err alike: then there are fewer data than points."""
+    """The fit; correlated residuals of neighbours widen its covariance, as the data are effectively fewer."""
     correlation = _neighbour_correlation(problem, solution)
     count = 0 if problem.points is None else len(problem.points.current)
     sure = np.clip(correlation - 2.0 / np.sqrt(max(3 * count, 1)), 0.0, 0.95)
@@ -367,10 +367,10 @@ def pose(
     rotor_angle_rad: Array | float = 0.0,
     cells: tuple[int, int] = COARSE,
 ) -> EnergyProblem:
-    """The problem of fitting these, with a spline that covers them."""
+    """The least-squares problem of these data, with a spline that covers them."""
     current = np.concatenate([*([] if points is None else [points.current]), *(path.current for path in paths)])
     low, high = current.min(axis=0), current.max(axis=0)
-    # As much round the currents as keeps the spline from ending where they do.
+    # A margin keeps the ends of the spline away from the measured currents.
     margin = 0.06 * (high - low)
     reach = float(np.abs(current[:, 1]).max() + margin[1])
     spline = EvenSpline(float(low[0] - margin[0]), float(high[0] + margin[0]), reach, cells)

@@ -1,4 +1,4 @@
-"""The polynomial energy of the flux, as the paper's authors write it, fitted to inductances and swept flux together.
+"""Fit the paper's polynomial energy of the flux to inductances and swept flux jointly.
 
     H(x, y) = x^2 / 2 L_d + y^2 / 2 L_q + sum of alpha_mn x^m y^n,    x = psi_d - psi_M, y = psi_q, n even,
 
@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from orchestrator.analysis._energy_fit import EnergyFit
-from orchestrator.analysis._flux_errors import directions, sizes, told_apart, waves
+from orchestrator.analysis._flux_errors import directions, sizes, waves, whitening
 from orchestrator.analysis._inductance_errors import GAIN_STD
 from orchestrator.analysis._integration import Inductances
 from orchestrator.analysis._sweep import FluxPath
@@ -30,7 +30,7 @@ Term = tuple[int, int]
 _State = tuple[Array, Array, Array, Array]
 
 DEGREES = (2, 3, 4, 5, 6)
-"""Of the polynomials that are tried."""
+"""Degrees of the candidate polynomials."""
 
 
 def terms_of(degree: int) -> tuple[Term, ...]:
@@ -40,7 +40,7 @@ def terms_of(degree: int) -> tuple[Term, ...]:
 
 @dataclass(frozen=True)
 class PolynomialFit:
-    """The polynomial found.
+    """The fitted polynomial.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class PolynomialFit:
     angle_rad : float
         Of the axis about which H is even, from the believed d axis.
     misfit_percent : float
-        What it leaves of the inductances, rms, relative to their mean.
+        Residual of the inductances, rms, relative to their mean.
     misfit_wb : float
-        What it leaves of the flux along the sweeps, rms; NaN without.
+        Residual of the flux along the sweeps, rms; NaN without sweeps.
     criteria : dict
-        Bayesian information criterion by degree, of those that are possible.
+        Bayesian information criterion by degree, of the feasible degrees.
     """
 
     terms: tuple[Term, ...]
@@ -92,7 +92,7 @@ class PolynomialFit:
 
 @dataclass(frozen=True)
 class _Model:
-    """Flux (n, 2) and inductance (n, 2, 2) at currents, and what each coefficient does to them (.., k)."""
+    """Flux (n, 2) and inductance (n, 2, 2) at currents, and their derivatives by each coefficient (.., k)."""
 
     psi: Array
     inductance: Array
@@ -130,7 +130,7 @@ def _powers_of(psi: Array, highest: int) -> tuple[Array, Array]:
 
 
 class _Derivatives:
-    """grad H and Hess H of one polynomial at many fluxes: what Newton's method asks for at each of its steps."""
+    """grad H and Hess H of one polynomial at many fluxes, for the steps of Newton's method."""
 
     def __init__(self, terms: Sequence[Term], coefficients: Array) -> None:
         self._highest = max(map(max, terms))
@@ -160,13 +160,13 @@ _PAIRS = np.array([[0, 1], [1, 2]])
 _TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
 
 
-@np.errstate(over="ignore", invalid="ignore")  # what runs away is lost, and found to be
+@np.errstate(over="ignore", invalid="ignore")  # a later check finds values that diverge
 def _inverted(
     terms: Sequence[Term], coefficients: Array, current: Array, most_steps: int = 60, close: float = 1e-10
 ) -> Array:
     """psi with grad H(psi) = i, by Newton's method with its step halved as needed; NaN where there is none.
 
-    It ends where all currents are met to `close` times the largest, near what doubles resolve.
+    It stops when all currents match within `close` times the largest, near double precision.
     """
     size = float(np.abs(current).max())
     unsaturated = 2.0 * coefficients[:2]
@@ -177,7 +177,7 @@ def _inverted(
         if np.abs(off).max() < close * size:
             break
         xx, xy, yy = of.hessian(psi).T
-        # Away from the answer H need not be convex: the step is then that of the unsaturated motor.
+        # Away from the solution H may be non-convex; the step is then that of the unsaturated motor.
         convex = (xx > 0.0) & (xx * yy > xy * xy)
         xx, xy, yy = np.where(convex, (xx, xy, yy), np.array([unsaturated[0], 0.0, unsaturated[1]])[:, None])
         step = np.stack([yy * off[:, 0] - xy * off[:, 1], xx * off[:, 1] - xy * off[:, 0]], axis=1)
@@ -238,7 +238,7 @@ def fit_polynomial(
     criteria = {fit.degree: criterion for fit, criterion in found}
     best = min(found, key=lambda one: one[1])
     significant = np.abs(best[0].coefficients) > 2.0 * best[0].std
-    # The paper's own terms, to the fourth degree, stay, that fits may be compared; of the others those of two sigma.
+    # The paper's terms up to degree four always stay, so that fits are comparable; others stay above two sigma.
     terms = tuple(t for t, sure in zip(best[0].terms, significant, strict=True) if sure or sum(t) <= 4)
     fewer = _fitted(data, terms, energy) if len(terms) < len(significant) else None
     if fewer is not None and fewer[1] < best[1]:
@@ -248,7 +248,7 @@ def fit_polynomial(
 
 @dataclass(frozen=True)
 class _Data:
-    """What is fitted, in the frame of the axis of symmetry: inductances and waves of flux, with their weights."""
+    """The data in the frame of the axis of symmetry: inductances and waves of flux, with their weights."""
 
     current: Array
     inductance: Array
@@ -271,7 +271,7 @@ class _Data:
         matrix = turn.T @ softened @ turn
         mixing = _entries(np.einsum("ax,nxyk,yb->nabk", turn.T, _units(len(matrix)), turn))
         covariance = mixing @ points.covariance[:, :3, :3] @ mixing.transpose(0, 2, 1)
-        # No polynomial describes iron to better than a thousandth.
+        # Polynomials describe iron to a thousandth at best.
         least = (1e-3 * float(np.einsum("nii->n", matrix).mean()) / 2.0) ** 2
         root = np.linalg.cholesky(covariance + least * np.eye(3))
         white = np.linalg.inv(root) * np.sqrt(energy.trust)[:, None, None]
@@ -291,7 +291,7 @@ class _Data:
 
     @cached_property
     def _apart(self) -> Array:
-        return told_apart(self.paths)
+        return whitening(self.paths)
 
     def residual(self, terms: Sequence[Term], coefficients: Array) -> _State | None:
         """Residuals and their rows of inductances (n, 3) and flux (p, 2 waves); None where H cannot be inverted."""
@@ -311,8 +311,8 @@ class _Data:
             by.append(np.tensordot(way, np.tensordot(take, model.psi_by[here], (1, 0)), (1, 1)))
         flux = np.stack(left) / size
         effect = np.stack(by) / size[..., None]
-        for told in (flux, effect):
-            told[:, 0] = np.tensordot(apart, told[:, 0], (1, 0))
+        for values in (flux, effect):
+            values[:, 0] = np.tensordot(apart, values[:, 0], (1, 0))
         return off, rows, flux.reshape(len(self.paths), -1), effect.reshape(len(self.paths), -1, k)
 
 
@@ -324,11 +324,11 @@ def _units(count: int) -> Array:
 
 
 def _fitted(data: _Data, terms: tuple[Term, ...], energy: EnergyFit) -> tuple[PolynomialFit, float] | None:
-    """Gauss-Newton steps from where a regression on the flexible energy's flux starts; with its criterion."""
+    """Gauss-Newton fit from a regression on the spline energy's flux, and its information criterion."""
     coefficients = _start(data, terms, energy)
     state = data.residual(terms, coefficients)
     weights = (1.0, 1.0)
-    for _ in range(4):  # by then the sizes of the errors stand
+    for _ in range(4):  # the sizes of the errors converge by then
         if state is None:
             return None
         coefficients, state = _descended(data, terms, coefficients, state, weights)
@@ -352,7 +352,7 @@ def _descended(
     most_steps: int = 25,
     little: float = 1e-6,
 ) -> tuple[Array, _State]:
-    """Steps of Gauss and Newton, each halved until it is one to the better, until little of the squares goes."""
+    """Gauss-Newton iteration with step halving, until the sum of squares hardly falls."""
     for _ in range(most_steps):
         rows, off = _weighted(state, weights)
         size, squares = np.linalg.norm(rows, axis=0), float(off @ off)
@@ -371,7 +371,7 @@ def _descended(
 
 
 def _start(data: _Data, terms: tuple[Term, ...], energy: EnergyFit) -> Array:
-    """i = grad H(psi) is linear in the coefficients where psi is known already."""
+    """Regression of i = grad H(psi), which is linear in the coefficients for known psi."""
     at = data.region
     turn = rotation(energy.angle_rad)
     psi = energy.flux(at @ turn.T)[0] @ turn
@@ -390,7 +390,7 @@ def _weighted(state: _State, weights: tuple[float, float]) -> tuple[Array, Array
 
 
 def _scales(state: _State, terms: int) -> tuple[float, float]:
-    """By how much the residuals of either kind are larger than their stated errors."""
+    """Ratios of the residuals to their stated errors, by kind."""
     out = []
     for off in (state[0], state[2]):
         free = max(off.size - terms / 2.0, 0.2 * off.size, 1.0)
@@ -423,7 +423,7 @@ def _described(
 
 
 def _neighbours_alike(current: Array, off: Array) -> float:
-    """Correlation of the residuals of nearest neighbours: what a polynomial cannot follow errs alike there."""
+    """Correlation of the residuals of nearest neighbours, which the polynomial's misfit causes."""
     from scipy.spatial import cKDTree
 
     if len(current) < 3:

@@ -1,4 +1,4 @@
-"""What the energy fit has to know beforehand: axis of symmetry, kind of iron, dead time, and how fine a spline.
+"""Search the nonlinear parameters of the energy fit: axis of symmetry, hysteresis, dead time, spline intervals.
 
 A rotor that is not where it is believed breaks the evenness in i_q; the angle that restores it is the one of the
 largest likelihood. With hysteresis a small ripple moves the flux reversibly, by less than a sweep does: i = grad H(psi)
@@ -36,14 +36,14 @@ Settled = tuple[EnergyProblem, Solution]
 
 @dataclass(frozen=True)
 class Criteria:
-    """What is looked for, and when it is believed; judged by what came out for simulated motors.
+    """Search ranges and acceptance thresholds, calibrated on simulated motors.
 
     Attributes
     ----------
     points : int
-        Of the injection that are enough to search with: with more only the search takes longer.
+        Number of injection points for the search; more points only take longer.
     sure : float
-        Standard deviations from zero of an angle or a stiffening that is believed.
+        Standard deviations from zero above which an angle or a stiffening is accepted.
     evidence : float
         By how much twice the logarithm of the likelihood has to grow for dead time or a finer spline to be used: a
         factor of twenty in the likelihood, "strong" evidence (doi:10.1080/01621459.1995.10476572).
@@ -104,13 +104,13 @@ def fit_energy(
 
 
 def _widened(fit: EnergyFit, problem: EnergyProblem, other: EnergyProblem) -> EnergyFit:
-    """The fit, not known better than by what it differs from another one."""
+    """The fit, with its difference from another fit added to the covariance."""
     aside = problem.modes @ smoothed(other).modes - fit.coefficients
     return replace(fit, covariance=fit.covariance + np.outer(aside, aside))
 
 
 def behind_dead_time(problem: EnergyProblem) -> Settled:
-    """With dead time's share in the ripple taken out where the data ask for it."""
+    """The problem with dead time removed from the ripple, where the data support it."""
     plain = settled(problem)
     if problem.points is None:
         return plain
@@ -119,7 +119,7 @@ def behind_dead_time(problem: EnergyProblem) -> Settled:
 
 
 def _finest(coarse: Settled) -> Settled:
-    """With as many intervals on each axis as the data ask for."""
+    """The problem with the number of intervals per axis that the data support."""
     best, cells = coarse, COARSE
     grows = True
     while grows:
@@ -162,7 +162,7 @@ def _angle(points: Inductances | None, paths: Sequence[FluxPath]) -> tuple[float
     std = float(max(turned[0].errors.scales) * np.sqrt(2.0 / max(curvature, 1e-300)))
     if abs(angle) <= max(CRITERIA.sure * std, CRITERIA.least_rad):
         return 0.0, std
-    # Errors as large as they turn out to be have the last word.
+    # The final angle uses the estimated sizes of the errors.
     return (angle, std) if evidence(*turned) < evidence(*settled(problem)) - CRITERIA.sure**2 else (0.0, std)
 
 
@@ -174,7 +174,7 @@ def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) ->
     scales = (*ripple.errors.scales[:2], *swept.errors.scales[2:])
     errors = Errors(scales, ripple.errors.points, swept.errors.paths)
     softest = 1.0 / float(np.linalg.eigvalsh(points.matrix).max())
-    both.blocks()  # made here once, its rows are those of all that are tried
+    both.blocks()  # computes once the rows that all trials share
     ripple.blocks()
 
     def tried(share: float) -> EnergyProblem:
@@ -188,7 +188,7 @@ def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) ->
 
     share, curvature = _least(cost, (-0.1, CRITERIA.stiffest), 5, 1e-3)
     std = np.sqrt(2.0 / max(curvature, 1e-300))
-    # A ripple that moves more than a sweep is no hysteresis, and neither is what this does not put right.
+    # With hysteresis a ripple moves the flux by less than a sweep, and the correction reconciles both.
     if share <= max(CRITERIA.sure * std, CRITERIA.least_stiffening):
         return 0.0
     reconciled, _ = settled(tried(share))
@@ -198,10 +198,10 @@ def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) ->
 def _least(
     cost: Callable[[float], float], bounds: tuple[float, float], coarse: int, step: float
 ) -> tuple[float, float]:
-    """Place of the least cost, and the second derivative there."""
+    """Minimiser of the cost, and the second derivative there."""
     from scipy.optimize import minimize_scalar
 
-    # Twice on a grid: far from the answer the likelihood need not have one maximum only.
+    # Two grid passes: far from the solution the likelihood may have several maxima.
     low, high = bounds
     for _ in range(2):
         places = np.linspace(low, high, coarse)

@@ -1,4 +1,4 @@
-"""What is wrong with a flux that was integrated along a path: a random walk, some of it alike on paths swept alike.
+"""Error model of a flux integrated along a path: a random walk, partly common to paths of one direction.
 
 Along a path it is a sum of independent waves cos(k pi s), the k-th falling as 1/k. Along the direction that is swept,
 heat makes paths err together, for R_s moves within each sweep as within the next.
@@ -14,7 +14,7 @@ from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.types import Array
 
 WAVES = 6
-"""Of each path that are told apart: the sixth is as small as what does not fall with their number."""
+"""Number of waves per path: the sixth is as small as the white part of the error."""
 
 
 def sizes(paths: Sequence[FluxPath], white: float = 0.2, perfect: float = 1e-4) -> Array:
@@ -47,10 +47,10 @@ def waves(count: int) -> Array:
     return np.asarray(2.0 / count * np.cos(np.pi * np.outer(np.arange(1, WAVES + 1), place)))
 
 
-def told_apart(paths: Sequence[FluxPath]) -> Array:
-    """What makes the errors of paths independent that are swept in one direction, shape (p, p).
+def whitening(paths: Sequence[FluxPath]) -> Array:
+    """Whitening matrix for the errors of paths that are swept in one direction, shape (p, p).
 
-    These have as much variance in common as each has alone.
+    Their common variance equals each path's own.
     """
     out = np.zeros((len(paths), len(paths)))
     way = directions(paths)[:, 0]

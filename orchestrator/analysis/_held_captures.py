@@ -1,4 +1,4 @@
-"""A recording whose waveforms are kept once they were read, as far as they take little memory. Computes nothing."""
+"""A recording that caches its waveforms within a memory limit. Computes nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is wrong with inductances that a ripple showed, as far as it is alike at many points: a gain, and dead time.
+"""Errors of ripple inductances that many points have in common: a gain, and dead time.
 
 Where a phase current passes zero within the ripple, what the inverter keeps from that phase follows the ripple: some
 of it acts like a smaller injected voltage along the phase's axis n, and the inductance looks too large along it,
@@ -6,7 +6,7 @@ of it acts like a smaller injected voltage along the phase's axis n, and the ind
     dL = f(|i_phase| n' L n) (n' L n) n n'.
 
 f is unknown, one for all phases, straight between knots. The gain holds what timing and the sums of samples leave.
-How much of f there is the data say; nothing here knows what a waveform is.
+The data determine the size of f.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The resistance that is known before anything is measured: the nameplate's, with how far it is believed."""
+"""Prior of the stator resistance from the nameplate, with its standard deviation."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from protocols import Motor
 
 UNSTATED = 0.1
-"""Relative standard deviation of a nameplate that says none: copper that is 25 K off the data sheet's."""
+"""Relative standard deviation of a nameplate without one: copper 25 K from the data sheet's temperature."""
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,18 @@ class KnownResistance:
     is_measured: bool
 
     def with_measured(self, value_ohm: float, std_ohm: float) -> tuple[float, float]:
-        """Mean and standard deviation of this and a measurement of its own, weighted by what each knows."""
+        """Mean and standard deviation of the prior and a measurement, weighted by their inverse variances."""
         information = self.std_ohm**-2 + std_ohm**-2
         mean = (self.value_ohm / self.std_ohm**2 + value_ohm / std_ohm**2) / information
         return mean, information**-0.5
 
     def apart(self, value_ohm: float, std_ohm: float) -> float:
-        """By how many standard deviations of their difference a measurement is off it."""
+        """Distance of a measurement from the prior, in standard deviations of their difference."""
         return float(abs(value_ohm - self.value_ohm) / (self.std_ohm**2 + std_ohm**2) ** 0.5)
 
 
 def known_resistance(motor: Motor) -> KnownResistance | None:
-    """What nameplate or data sheet say; None where they say nothing."""
+    """The nameplate's resistance; None where it states none."""
     if motor.stator_resistance_ohm is None:
         return None
     stated = motor.stator_resistance_std_ohm

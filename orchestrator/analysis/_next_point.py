@@ -1,6 +1,6 @@
-"""Which injection tells most about the flux map in a second of motor time: I-optimal, one point after another.
+"""Choose the injection point with the most information about the flux map per second: sequential I-optimal design.
 
-The energy is linear in its modes, so what a point will do to the map's covariance is known before it is measured
+The energy is linear in its modes, so a point's effect on the map's covariance is known before the measurement
 (V. V. Fedorov, "Theory of Optimal Experiments", Academic Press 1972). With S the covariance of the modes, A what they
 do to a point's inductances, in standard deviations, and N what they do to the flux at the nodes of a plane of currents,
 
@@ -27,16 +27,16 @@ from protocols import Capture, NotMeasuredError, RecordingReader, Segment
 
 _NORMAL_95 = 1.96
 _CELLS = (8, 8)
-"""Of the spline while measuring: as fine as a band needs, and quick."""
+"""Intervals of the spline during the measurement: fine enough for the error band, and fast."""
 _RINGS = 5
-"""Of the nodes of a plane."""
+"""Number of rings of nodes in the current plane."""
 _LEAST_POINTS = 6
-"""Fewer tell nothing of how smooth the energy is."""
+"""Smallest number of points that determines the energy's smoothness."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """An injection that might be next.
+    """A candidate injection point.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class KnownMap:
-    """What the injections so far tell of the map.
+    """Knowledge of the map from the injections so far.
 
     Attributes
     ----------
@@ -144,15 +144,15 @@ def injected_points(
             return None
         return found, len(capture) / capture.sampling_frequency_hz
 
-    told = [one for one in each_capture(recording, segments, ripple) if one is not None]
-    if len(told) < _LEAST_POINTS:
-        problem = f"{len(told)} of {len(segments)} points show an injection's ripple, {_LEAST_POINTS} are needed"
+    results = [one for one in each_capture(recording, segments, ripple) if one is not None]
+    if len(results) < _LEAST_POINTS:
+        problem = f"{len(results)} of {len(segments)} points show an injection's ripple, {_LEAST_POINTS} are needed"
         raise NotMeasuredError(recording.manifest.name, "segments", problem)
-    return invert([found for found, _ in told]), np.array([seconds for _, seconds in told])
+    return invert([found for found, _ in results]), np.array([seconds for _, seconds in results])
 
 
 def known_map(points: Inductances, capture_s: Array, rotor_angle_rad: float, reach_a: float) -> KnownMap:
-    """Fit the energy to what was injected so far.
+    """Fit the energy to the injections so far.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What an inverter takes from each phase as a function of its current: one odd shape, straight between knots."""
+"""Inverter voltage error per phase as a function of its current: odd, and linear between knots."""
 
 from __future__ import annotations
 

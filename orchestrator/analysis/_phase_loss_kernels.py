@@ -1,4 +1,4 @@
-"""What an inverter takes from each phase, over waveforms: integrals of its shape, and the voltage that is left.
+"""Inverter voltage error per phase over waveforms: integrals of its shape, and the remaining voltage.
 
 The shape is odd, straight between knots and constant beyond the last, so whatever dead times, drops and the clamping
 at zero current make of it, it is linear in the values at the knots. Nothing is fitted here.

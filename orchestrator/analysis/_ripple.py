@@ -1,4 +1,4 @@
-"""What a rotating injection tells about one operating point; from waveforms alone, one capture at a time.
+"""Inductances at one operating point from the ripple of a rotating injection, for one capture at a time.
 
 While the rotor stands still, dpsi/dt = v - R_s i and i = grad H(psi). Around the centre of the ripple
 
@@ -10,7 +10,7 @@ regressed on P, on Q and on the products of psi~, over windows of whole injectio
 constant and a ramp are free. R in the products is what the coefficient of Q says, and they are taken about the mean
 flux of all windows: behind dead time the mean current moves as the ripple turns. Both are found in a first pass where
 they matter. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
-the curvature that a finite ripple sees is told apart from the Hessian. H3 comes as a by-product: it is the
+the regression separates the curvature over a finite ripple from the Hessian. H3 is a by-product: it is the
 slope of the inductances, and half of it shifts the mean current away from the current at the mean flux.
 Where the voltage rotates at its own frequency, P and Q are a quarter of a period apart on both axes at once: Q then is
 multiplied by a resistance that is known. Where R exceeds omega L, Q is made of the current that the fit itself
@@ -40,15 +40,15 @@ if TYPE_CHECKING:
 
 MODEL_PASSES = 5
 """Of the regression on the model's own current: the second is within 1 % already, from 20 % off."""
-ONE_WAY = 0.05
+MIN_POWER_RATIO = 0.05
 """Power of a ripple across its axis over that along it, below which it shows nothing there; an eighth of a turn makes
 0.05."""
-ANSWERED = 0.3
+MAX_CROSS_AXIS_RATIO = 0.3
 """The same, that a current controller's answer may make of a wave along one axis where one axis hears the other:
 0.13 at most on simulated machines."""
-TURNS_RAD = 0.2
+MIN_TURN_RAD = 0.2
 """From the first third of a capture to its last, by which a wave turns that is none along one axis."""
-ONE_LINE = 0.01
+MIN_LINE_POWER_RATIO = 0.01
 """Power of the weaker of a wave's two lines over the stronger's, below which there is but one: the vector rotates."""
 
 
@@ -94,9 +94,9 @@ def one_way_rad(v_ab: NDArray[np.floating]) -> float | None:
     """The angle of the axis along which a voltage ripples, in the frame that it is in; None where it turns."""
     third = len(v_ab) // 3
     parts = [_axis_of(part) for part in (v_ab[:third], v_ab[-third:], v_ab)] if third > 1 else []
-    if not parts or parts[-1][1] > ANSWERED:
+    if not parts or parts[-1][1] > MAX_CROSS_AXIS_RATIO:
         return None
-    return None if axes_apart_rad(parts[0][0], parts[1][0]) > TURNS_RAD else parts[-1][0]
+    return None if axes_apart_rad(parts[0][0], parts[1][0]) > MIN_TURN_RAD else parts[-1][0]
 
 
 def axes_apart_rad(one_rad: float, other_rad: float) -> float:
@@ -135,7 +135,7 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
     # The second half begins with the line at minus one bin.
     (ahead, power_ahead), (behind, power_behind) = (_peak(x) for x in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
     (weaker, line), (stronger, other) = sorted([(power_ahead, ahead), (power_behind, behind + 1.0)])
-    cycles = other if weaker < ONE_LINE * stronger else 0.5 * (line + other)
+    cycles = other if weaker < MIN_LINE_POWER_RATIO * stronger else 0.5 * (line + other)
     return cycles * sampling_frequency_hz / n
 
 
@@ -188,8 +188,8 @@ def demodulate(
     beside : sequence of Capture
         Of the same point and injected frequency, along other axes: a wave that does not turn shows but its own.
     resistance_ohm : float, optional
-        Known beforehand; asked for where the voltage rotates at its own frequency, which tells no resistance beside
-        inductances.
+        Known resistance; required where the voltage rotates at its own frequency, as resistance and inductances are
+        then not separable.
     where : str
         Name of the segment, for errors.
 
@@ -222,7 +222,7 @@ def _demodulated(
     resistance_ohm: float | None,
     where: str,
 ) -> Ripple:
-    # numba stays out of an import that only wants the names
+    # numba is imported on use, which keeps the import of this module fast
     from orchestrator.analysis._ripple_moments import pooled, ripple_moments
 
     rate = captures[0].sampling_frequency_hz
@@ -255,7 +255,7 @@ def _demodulated(
             ]
         )
         across, along = np.linalg.eigvalsh(moments.normal[:2, :2])
-        if across < ONE_WAY * along:
+        if across < MIN_POWER_RATIO * along:
             raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
         freedom = moments.samples - 2 * moments.windows
         fit = symmetric_regression(moments.normal, freedom, 1.0 / rate, where, resistance_ohm)
@@ -277,7 +277,7 @@ def _demodulated(
         drop_ohm = np.zeros((2, 2)) if slow else inductance @ fit.decay_per_s
         centre = moments.mean_i
     if np.linalg.norm(fit.decay_per_s, 2) > 2.0 * math.pi * frequency:
-        # R exceeds omega L: Q is nearly P / R, and its little difference is not to be told from its own noise.
+        # R exceeds omega L: Q is nearly P / R, and the small difference is buried in its noise.
         measured, model = (moments, fit), fit
         for _ in range(MODEL_PASSES):
             if np.linalg.eigvals(model.decay_per_s).real.min() <= 0.0:  # a voltage of other rows: no winding's current

@@ -18,12 +18,12 @@ _HESSIAN, _THIRD, _FREE, _FOURTH = slice(0, 3), slice(3, 7), slice(7, 11), slice
 _P, _Q = slice(0, 2), slice(2, 4)
 _FEATURES_OF_ORDER = {1: 4, 2: 7, 3: 11}
 _UNKNOWNS_OF_ORDER = {1: [0, 1, 2, 7, 8, 9, 10], 2: list(range(11)), 3: list(range(16))}
-APART = 0.05
+MIN_UNEXPLAINED_SHARE = 0.05
 """Part of Q that P does not explain, below which both tell the same: 0.24 and more where a wave's axis turns, 0.003 at
 most of a vector that rotates at the wave's own frequency."""
-DEPENDENT = "both currents are the same signal: the readings tell one axis only"
+DEPENDENT = "both currents are the same signal: the readings cover one axis only"
 ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
-TOGETHER = "a voltage that rotates at its own frequency tells inductances beside a known R_s only, and none is known"
+NO_RESISTANCE = "the voltage rotates at its own frequency: inductances need a known R_s, and none is known"
 
 
 def _design() -> Array:
@@ -45,7 +45,7 @@ _DESIGN = _design()
 
 @dataclass(frozen=True)
 class SymmetricFit:
-    """Derivatives of the energy with the covariance of the first seven; zero what could not be told.
+    """Derivatives of the energy with the covariance of the first seven; undetermined ones are zero.
 
     `decay_per_s`, shape (2, 2), is the matrix H R of a transient's decay.
     """
@@ -70,7 +70,7 @@ def symmetric_regression(
     sampling_s : float
         Time between the samples, whose trapezoids make Q.
     resistance_ohm : float, optional
-        Known beforehand: what Q is multiplied by where it cannot be told beside P.
+        Known resistance: the coefficient of Q where Q is not separable from P.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def symmetric_regression(
     known_ohm = None
     if not _are_apart(normal):
         if resistance_ohm is None:
-            raise NotMeasuredError(where, "v_alpha, v_beta", TOGETHER)
+            raise NotMeasuredError(where, "v_alpha, v_beta", NO_RESISTANCE)
         known_ohm = resistance_ohm
         normal = normal.copy()
         for lines in (normal, normal.T):
@@ -109,13 +109,13 @@ def symmetric_regression(
 
 
 def _are_apart(normal: Array) -> bool:
-    """Whether Q tells more than P does: a resistance beside inductances."""
+    """Whether Q adds information to P, so that a resistance is determined besides inductances."""
     own, across, other = normal[_P, _P], normal[_P, _Q], normal[_Q, _Q]
     size = np.sqrt(np.diag(other))
     if not (size > 0.0).all() or np.linalg.matrix_rank(own, hermitian=True) < 2:
         return True
     left = other - across.T @ np.linalg.solve(own, across)
-    return bool(np.linalg.eigvalsh(left / np.outer(size, size))[0] > APART)
+    return bool(np.linalg.eigvalsh(left / np.outer(size, size))[0] > MIN_UNEXPLAINED_SHARE)
 
 
 def _solved(

@@ -1,4 +1,4 @@
-"""Whether a rotor goes where the current points and comes back, as one does whose brake does not hold.
+"""Detect a rotor that follows the current and returns, because its brake does not hold.
 
 The current at rest lies on the d axis, so it brings back a rotor that is free. Friction that lets the torque turn the
 rotor, and yet lets that weaker current bring it back to within the tolerance, is so small that under torque the rotor's
@@ -22,8 +22,8 @@ from orchestrator.analysis._ripple import Ripple
 from orchestrator.analysis._rotor_direction import anisotropy, saliency_direction, saturation_direction, slope
 from orchestrator.numerics.types import Array
 
-SIGMAS = 3.0
-HALFWAY = 0.5
+MIN_SIGMAS = 3.0
+FOLLOWING_SHARE = 0.5
 """Between what a held rotor shows and what one shows that follows."""
 
 
@@ -47,7 +47,7 @@ def follows(rest: Ripple, torques: Sequence[Ripple], tolerance_rad: float) -> bo
     if seen and len(seen) == len(suspects) and min(low for low, _ in seen) > eighth:
         return False
     # Beside a current at rest the magnet's share is an extrapolation: good enough to acquit, not to convict.
-    if not _carries_current(rest, suspects) and seen and max(high for _, high in seen) < HALFWAY * eighth:
+    if not _carries_current(rest, suspects) and seen and max(high for _, high in seen) < FOLLOWING_SHARE * eighth:
         return True
     return True if any(_falls(rest, ripple) for ripple in suspects) else None
 
@@ -58,7 +58,7 @@ def _may_lie_on_current(rest: Ripple, ripple: Ripple, tolerance_rad: float) -> b
     now, scatter = anisotropy(ripple)
     along, across = _beside_current(ripple, now)
     # What is across at rest, where the d axis is known to lie, is the sensors' unequal gain or the brake's turn.
-    unknown = abs(float(before[1])) + SIGMAS * math.sqrt(float(np.linalg.eigvalsh(scatter + scatter_before)[-1]))
+    unknown = abs(float(before[1])) + MIN_SIGMAS * math.sqrt(float(np.linalg.eigvalsh(scatter + scatter_before)[-1]))
     if abs(across) > unknown + 2.0 * tolerance_rad * float(np.linalg.norm(now)):
         return False
     growth = float(np.trace(ripple.hessian) - np.trace(rest.hessian))
@@ -98,11 +98,11 @@ def _magnet_share(rest: Ripple, ripple: Ripple) -> tuple[float, float] | None:
     weight = normal + np.array([0.0, lever])
     size = float(before @ weight) - lever * float(now[1])
     size_variance = float(weight @ scatter_before @ weight) + lever**2 * float(scatter[1, 1])
-    if abs(size) <= SIGMAS * math.sqrt(size_variance):
+    if abs(size) <= MIN_SIGMAS * math.sqrt(size_variance):
         return None
     share = float(now @ normal) / size
     std = math.sqrt(float(normal @ scatter @ normal) + share**2 * size_variance) / abs(size)
-    return share - SIGMAS * std, share + SIGMAS * std
+    return share - MIN_SIGMAS * std, share + MIN_SIGMAS * std
 
 
 def _falls(rest: Ripple, ripple: Ripple) -> bool:
@@ -112,5 +112,5 @@ def _falls(rest: Ripple, ripple: Ripple) -> bool:
     saliency = abs(float(anisotropy(rest)[0][0]))
     change = ripple.hessian - rest.hessian
     std = np.sqrt(np.diag(ripple.covariance + rest.covariance)[[0, 2]])
-    fall = float(np.max(-np.diag(change) - SIGMAS * std))
-    return fall > HALFWAY * math.sin(_angle(ripple)) ** 2 * saliency
+    fall = float(np.max(-np.diag(change) - MIN_SIGMAS * std))
+    return fall > FOLLOWING_SHARE * math.sin(_angle(ripple)) ** 2 * saliency

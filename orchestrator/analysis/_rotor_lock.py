@@ -1,4 +1,4 @@
-"""Whether the rotor is really locked, judged from the angle of its saliency at rest and under torque.
+"""Check that the rotor is locked, by the angle of its saliency at rest and under torque.
 
 The principal axes of the Hessian turn with the rotor. Injection at rest, under positive torque, at rest, under negative
 torque and at rest shows by how much the rotor has turned between the rests (it slipped in its brake, or was never
@@ -31,11 +31,11 @@ from orchestrator.analysis._rotor_follows import follows
 from orchestrator.numerics.frames import to_dq
 from protocols import Capture, LockChecked, NotMeasuredError, Segment
 
-SURE_OF_LOCK = 0.95
+MIN_LOCK_PROBABILITY = 0.95
 """Probability of a rotation within the tolerance from which on a rotor counts as locked."""
 NAMEPLATE_SHARE = 0.9
 """Of a current that follows from the nameplate's flux and inductances, which hold to some percent."""
-SURE_OF_MOVEMENT_SIGMAS = 3.0
+MOVEMENT_SIGMAS = 3.0
 """Standard deviations of a rotation beyond the tolerance from which on the rotor counts as moved."""
 
 
@@ -97,7 +97,7 @@ def judge_lock(
     free = follows(first, torques, tolerance_rad)
     most_a = max(float(np.linalg.norm(ripple.mean_current_dq)) for ripple in torques)
     if free is False and most_a > NAMEPLATE_SHARE * aligning_current_a and abs(_lean(first, torques)) > tolerance_rad:
-        # By symmetry it cannot be told then; where the current at rest brings a rotor back, nothing else tells.
+        # Symmetry then hides the rotation, and a rotor that the current at rest brings back shows no other sign.
         free = None if float(np.linalg.norm(first.mean_current_dq)) > 0.1 * most_a else free
     by_saliency = [direction for direction in salient if direction is not None]
     if len(by_saliency) == len(rests) and _turns_with_rotor(gain := saliency_gain(ripples)):
@@ -114,20 +114,20 @@ def judge_lock(
 
 def _turns_with_rotor(gain: tuple[float, float]) -> bool:
     """Whether a direction is the rotor's, and not that of the current which saturates the iron."""
-    return abs(gain[0]) > SURE_OF_MOVEMENT_SIGMAS * gain[1]
+    return abs(gain[0]) > MOVEMENT_SIGMAS * gain[1]
 
 
 def _off_target(segment: Segment, capture: Capture) -> str:
-    """Which current flows, where that is not the one asked for by far; the settings of an import may have none."""
+    """A remark where the current deviates far from its set point; imported settings may have no set point."""
     target = [segment.settings.get(f"target_{axis}_a") for axis in "dq"]
     if not all(isinstance(value, int | float) for value in target):
         return ""
-    asked = np.array(target, dtype=np.float64)
+    commanded = np.array(target, dtype=np.float64)
     mean = to_dq(capture.i_ab, segment.rotor_angle_rad).mean(axis=0)
-    if np.linalg.norm(mean - asked) <= 0.1 * np.linalg.norm(asked):
+    if np.linalg.norm(mean - commanded) <= 0.1 * np.linalg.norm(commanded):
         return ""
     return (
-        f"; ({mean[0]:.3g}, {mean[1]:.3g}) A flow where ({asked[0]:.3g}, {asked[1]:.3g}) A were asked for: a longer "
+        f"; ({mean[0]:.3g}, {mean[1]:.3g}) A flow instead of ({commanded[0]:.3g}, {commanded[1]:.3g}) A: a longer "
         "settle_s lets the current control overcome the inverter's dead time"
     )
 
@@ -186,8 +186,8 @@ def _verdict(
     turns = [rotation(rest, rests[0], gain) for rest in rests[1:]]
     moved, std, by_inverter = max(turns, key=lambda turn: abs(turn[0]))
     confidence = min(_within(turn, sigma, tolerance_rad) for turn, sigma, _ in turns)
-    has_moved = any(abs(turn) > max(tolerance_rad, SURE_OF_MOVEMENT_SIGMAS * sigma) for turn, sigma, _ in turns)
-    locked: bool | None = confidence >= SURE_OF_LOCK
+    has_moved = any(abs(turn) > max(tolerance_rad, MOVEMENT_SIGMAS * sigma) for turn, sigma, _ in turns)
+    locked: bool | None = confidence >= MIN_LOCK_PROBABILITY
     words = "locked"
     if free:
         words = "the saliency follows the current vector: the rotor is free"
@@ -200,7 +200,7 @@ def _verdict(
             words += f": {inverter.describe(by_inverter)}"
         else:
             # noise falls with the root of the time; a third of the tolerance is enough for both answers
-            longer = max(2.0, (SURE_OF_MOVEMENT_SIGMAS * std / tolerance_rad) ** 2)
+            longer = max(2.0, (MOVEMENT_SIGMAS * std / tolerance_rad) ** 2)
             words += f": a duration_s {longer:.2g} times as long would tell"
     elif free is None:
         words = (

@@ -5,8 +5,8 @@
 in means over whole turns at a steady current, J being a quarter turn ahead. A voltage that is held over a sample while
 the rotor turns is shorter by sin(x)/x, x = w Ts / 2, and acts where the rotor is in the middle of it. W is even in i_q
 about the true d axis; e is a phase's loss, by the sign of its current as it was measured, ripple and all, with a knee
-that may be anywhere: about 4/pi of it along the current. R_s rises evenly in time as the winding warms. All is told at
-once, R_s and e from several speeds, or by what is known of R_s beforehand; how smooth W is the data say.
+that may be anywhere: about 4/pi of it along the current. R_s rises linearly in time as the winding warms. One fit gives
+all; R_s and e need several speeds or a prior of R_s. The data determine the smoothness of W.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError, Segment
 
 CELLS = (6, 6)
-LITTLE = 0.02
-"""Part of the largest current below which it is none."""
-KNEES = (0.0, 0.04, 0.15)
+MIN_CURRENT_SHARE = 0.02
+"""Share of the largest current below which the current counts as zero."""
+KNEE_SHARES = (0.0, 0.04, 0.15)
 """Currents (of the largest) at which a phase's loss has its knee: it is a mixture of these."""
 LOSS_SHARE, IRON_SHARE, TURN_RAD, WARM_SHARE = 0.02, 0.2, 0.2, 0.05
 """Standard deviations of what is believed: a phase's loss (of the largest voltage), the iron's current (of the largest
@@ -98,7 +98,7 @@ def spun_points(
     smooth = np.convolve(speed, np.ones(5) / 5.0, mode="same") if len(speed) > 10 else speed
     smooth[:2], smooth[-2:] = speed[2], speed[-3]
     i, v = to_dq(capture.i_ab, angle), to_dq(capture.v_ab, angle)
-    lost = np.zeros((len(i), len(KNEES), 2))
+    lost = np.zeros((len(i), len(KNEE_SHARES), 2))
     if delay is not None:
         lost = _lost(capture, angle + 0.5 * step * smooth, scale_a)
         v = to_dq(capture.v_ab, angle + smooth * step * (delay + 0.5)) * np.sinc(0.5 * smooth * step / np.pi)[:, None]
@@ -115,7 +115,7 @@ def spun_points(
         raise NotMeasuredError(where, "i_alpha, i_beta", "current and speed are steady over no two turns")
     means_i, means_v, means_lost, speeds, times = (np.array(x) for x in zip(*kept, strict=True))
     # A current that is noise has no direction.
-    flows = np.linalg.norm(means_i, axis=1) > LITTLE * scale_a
+    flows = np.linalg.norm(means_i, axis=1) > MIN_CURRENT_SHARE * scale_a
     return SpunPoints(means_i, means_v, speeds, means_lost * flows[:, None, None], times)
 
 
@@ -123,7 +123,7 @@ def _lost(capture: Capture, theta_rad: Array, scale_a: float) -> Array:
     """T tanh(i_abc / knee) in the rotor's frame, from sample to sample, shape (n, knees, 2)."""
     i = to_phases(np.asarray(capture.i_ab, dtype=np.float64))
     middle = 0.5 * (i + np.concatenate([i[1:], i[-1:]]))
-    shapes = [np.tanh(middle / (knee * scale_a)) if knee else np.sign(middle) for knee in KNEES]
+    shapes = [np.tanh(middle / (knee * scale_a)) if knee else np.sign(middle) for knee in KNEE_SHARES]
     return np.stack([to_dq(from_phases(shape), theta_rad) for shape in shapes], axis=1)
 
 
@@ -172,7 +172,7 @@ def require_emf_turns_with(segment: Segment, capture: Capture) -> None:
 
 @dataclass(frozen=True)
 class SpinFit:
-    """What a turning rotor says; each number with its standard deviation.
+    """Results from a turning rotor; each number with its standard deviation.
 
     Attributes
     ----------
@@ -187,7 +187,7 @@ class SpinFit:
     loss_v : (float, float)
         What each phase loses.
     left_wb : array, shape (n, 2)
-        What is left of each point's flux.
+        Residual flux at each point.
     """
 
     energy: EnergyFit
@@ -260,7 +260,7 @@ class _System:
     @property
     def own(self) -> slice:
         """The unknowns that are no modes of the energy."""
-        return slice(self.free, self.free + _LOSS + len(KNEES))
+        return slice(self.free, self.free + _LOSS + len(KNEE_SHARES))
 
     def shape(self, at: Array, order: int = 1) -> Array:
         """Derivatives of the energy's modes at believed currents, shape (n, order + 1, modes)."""
@@ -275,12 +275,12 @@ class _System:
     def _own(self) -> Array:
         """Columns of R_s, of its rise, of the iron's conductance, of a turn of the axis, and of a loss by its knees."""
         p = self.points
-        out = np.zeros((len(p.i), 2, _LOSS + len(KNEES)))
+        out = np.zeros((len(p.i), 2, _LOSS + len(KNEE_SHARES)))
         over = 1.0 / p.speed[:, None]
         out[:, :, _OHM] = _behind(p.i) * over
         late = p.time_s - p.time_s.mean()
         out[:, :, _WARMER] = out[:, :, _OHM] * (late / max(float(np.ptp(late)), 1e-9))[:, None]
-        for number in range(len(KNEES)):
+        for number in range(len(KNEE_SHARES)):
             out[:, :, _LOSS + number] = _behind(p.lost[:, number]) * over
         if self.flux is not None:
             psi, inductance = self.flux
@@ -297,7 +297,7 @@ class _System:
         emf = float(np.linalg.norm(p.v, axis=1).max())
         iron = IRON_SHARE * float(np.abs(p.i).max()) / emf
         warmer = WARM_SHARE * self.known[0]
-        return np.array([self.known[1], warmer, iron, TURN_RAD, *[LOSS_SHARE * emf] * len(KNEES)])
+        return np.array([self.known[1], warmer, iron, TURN_RAD, *[LOSS_SHARE * emf] * len(KNEE_SHARES)])
 
     def solved(self, size: Array) -> Solution:
         """What is most likely where so much is left of each axis, shape (2,)."""

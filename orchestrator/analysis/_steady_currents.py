@@ -1,4 +1,4 @@
-"""Stretches of constant current in a capture: what resistance is told from, and where a sweep rests."""
+"""Stretches of constant current in a capture, such as holds for the resistance and dwells of a sweep."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One energy from voltage steps whose current never rests: map, resistance, inverter and lag by one least squares.
+"""Fit map, resistance, inverter error and lag to voltage steps by one least-squares problem.
 
     psi(i_k) = psi_0 + integral of (v(t - T_d) - R_s i - T e(i_abc) - v_0) dt,      psi = grad W(i)
 
@@ -30,7 +30,7 @@ CELLS = (12, 12)
 
 @dataclass(frozen=True)
 class StepsFit:
-    """What voltage steps say.
+    """Results from voltage steps.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class StepsFit:
 
 @dataclass(frozen=True)
 class Beliefs:
-    """What is known beforehand, as standard deviations about zero but for R_s.
+    """Priors, as standard deviations about zero except for R_s.
 
     Attributes
     ----------
@@ -320,7 +320,7 @@ def _unknowns(traces: Sequence[StepTrace]) -> Array:
 
 
 def _turning(current: Array, psi: Array, inductance: Array) -> Array:
-    """What a radian does to the flux, J psi - L J i, shape (n, 2)."""
+    """Derivative of the flux by the axis' angle, J psi - L J i, shape (n, 2)."""
     aside = np.column_stack([-current[:, 1], current[:, 0]])
     turned = np.column_stack([-psi[:, 1], psi[:, 0]])
     matrix = inductance[:, [0, 1, 1, 2]].reshape(-1, 2, 2)

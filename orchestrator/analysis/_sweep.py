@@ -124,7 +124,7 @@ def evaluate_sweep(
     delay : float
         n, where v[k] acts from t_k + n Ts.
     resistance_ohm : float, optional
-        Without it, R_s is told from the rests of this capture.
+        Without it, R_s is estimated from the dwells of this capture.
     where : str
         Name of the segment, for errors.
 

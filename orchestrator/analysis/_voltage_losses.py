@@ -1,4 +1,4 @@
-"""The voltage that never reaches the windings, told from swept currents alone: the flux has to come back.
+"""Voltage errors from swept currents alone: at equal currents, all branches of a sweep have equal flux.
 
 Along a sweep psi is a function of the current, so at the same current all branches must agree:
 
@@ -28,7 +28,7 @@ KNOTS: Array = np.array([0.004, 0.01, 0.02, 0.03, 0.045, 0.07, 0.12, 0.25])
 
 @dataclass(frozen=True)
 class VoltageLosses:
-    """What the loops say of the voltage.
+    """Voltage errors estimated from the loops.
 
     Attributes
     ----------
@@ -79,8 +79,8 @@ def close_loops(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
     losses = _closed(traces, knots_a)
     rise = _rise(traces, losses)
     if rise:
-        told = [replace(trace, impulse=trace.impulse - rise * _resistive_heat(trace)) for trace in traces]
-        losses = replace(_closed(told, knots_a), rise=rise)
+        cooled = [replace(trace, impulse=trace.impulse - rise * _resistive_heat(trace)) for trace in traces]
+        losses = replace(_closed(cooled, knots_a), rise=rise)
     return losses
 
 

@@ -72,7 +72,7 @@ def describe(message: Message) -> EventText | None:
             mood = OUTCOME_MOODS.get(message.target, "info")
             return EventText(plain(message.target), message.reason, "bad" if mood == "warning" else mood)
         case OperatorAsked():
-            return EventText("asked", message.prompt)
+            return EventText("question", message.prompt)
         case OperatorAnswered():
             words = f': "{message.words}"' if message.words else ""
             through = f", through the {message.through}" if message.through else ""

@@ -1,6 +1,6 @@
-"""What stages are made from, and how they are found: entries parsed, scaling from the nameplate, patterns of points.
+"""Building blocks of stages: parsing of entries, scaling from the nameplate, patterns of points.
 
-For authors of stages: `Scaling` fills in what a procedure leaves out, and the patterns lay out points in the
+For authors of stages: `Scaling` computes the settings that a procedure omits, and the patterns give points in the
 current plane. The built-in stages in `plugins/stages` use nothing else.
 """
 
@@ -11,13 +11,13 @@ from orchestrator.stages._parsing import (
     proposing_stage,
     spelled_out,
 )
-from orchestrator.stages._patterns import MOST_POINTS, five_values, grid, largest_q_a, on_axis, paths, steps, within
+from orchestrator.stages._patterns import MAX_POINTS, five_values, grid, largest_q_a, on_axis, paths, steps, within
 from orchestrator.stages._ripple import flux_swing_wb, injection_voltage_v, ripple_a
 from orchestrator.stages._scaling import NOMINAL_SAMPLING_HZ, Scaling, ScalingRules, given, stiffest_hold_a, tidy
 from orchestrator.stages._schema import with_stages
 
 __all__ = [
-    "MOST_POINTS",
+    "MAX_POINTS",
     "NOMINAL_SAMPLING_HZ",
     "Scaling",
     "ScalingRules",

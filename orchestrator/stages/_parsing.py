@@ -1,4 +1,4 @@
-"""From a procedure's entries to stages: the plugin that an entry names validates its settings. Fills in nothing."""
+"""Parse a procedure's entries into stages; each entry's plugin validates its settings. Adds no values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from protocols import PluginError, Procedure, ProcedureError, ProposingStage, Se
 
 
 def parse_stages(procedure: Procedure, appended: Sequence[StageEntry] = ()) -> tuple[Stage, ...]:
-    """All stages of a procedure, and what was appended to it.
+    """All stages of a procedure and of the appended entries.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def parse_stages(procedure: Procedure, appended: Sequence[StageEntry] = ()) -> t
 
 
 def parse_stage(raw: Mapping[str, Any], where: str, field: str) -> Stage:
-    """The stage that one entry means; errors, as of `parse_stages`, name `where` it is from and the `field`."""
+    """The stage of one entry; errors, as in `parse_stages`, name its origin `where` and the `field`."""
     try:
         entry = StageEntry.model_validate(dict(raw))
     except ValidationError as error:
@@ -40,7 +40,7 @@ def parse_stage(raw: Mapping[str, Any], where: str, field: str) -> Stage:
 
 
 class _Plugins:
-    """The stages' plugins, looked for once and each loaded once."""
+    """The installed stage plugins; each is loaded once."""
 
     def __init__(self) -> None:
         self._installed = Installed(PluginKind.STAGES)
@@ -73,13 +73,13 @@ def installed_stages() -> list[type[Stage]]:
     stages = Installed(PluginKind.STAGES)
     found: list[type[Stage]] = []
     for info in stages.plugins:
-        with suppress(PluginError):  # said where somebody asks for it
+        with suppress(PluginError):  # reported when a procedure names the stage
             found.append(stages.load(info.name))
     return sorted(found, key=lambda p: (order.index(p.records_as) if p.records_as else len(order), p.name))
 
 
 def proposing_stage(stages: Iterable[Stage]) -> ProposingStage:
-    """The last of these stages that proposes experiments, else an installed one with its own defaults.
+    """The last of these stages that proposes experiments, or else an installed one with its defaults.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Where in the current plane the stages measure: paths, grids and steps, as plain points; no motor is known here."""
+"""Points of the stages in the current plane: paths, grids and steps, independent of the motor."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Literal
 
 from protocols import Excitation, Point, Spin, Stage, Trapezoid, VoltageSteps
 
-MOST_POINTS = 100_000
-"""More than anybody measures; a slip of the decimal point gives millions."""
+MAX_POINTS = 100_000
+"""Largest number of points; a misplaced decimal point gives millions."""
 
 
 def steps(half_range: float, step: float) -> list[float]:
@@ -63,7 +63,7 @@ def within(points: Sequence[Point], radius: float) -> list[Point]:
 
 
 def largest_q_a(stages: Iterable[Stage]) -> float:
-    """Largest current on the q axis that filled stages ask for [A]; 0 where they ask for none."""
+    """Largest q-axis current of stages with all settings [A]; 0 without one."""
     return max((_on_q(point.excitation) for stage in stages for point in stage.points()), default=0.0)
 
 
@@ -71,7 +71,7 @@ def _on_q(excitation: Excitation) -> float:
     if isinstance(excitation, VoltageSteps):
         return excitation.turn_q_a
     if isinstance(excitation, Spin):
-        return 0.0  # nothing holds the rotor then
+        return 0.0  # no current holds the rotor then
     if not isinstance(excitation, Trapezoid):
         return abs(excitation.start_dq_a[1])
     along = excitation.amplitude_a
@@ -83,5 +83,5 @@ def _back_and_forth(lines: Sequence[Sequence[Point]]) -> list[Point]:
 
 
 def _clean(value: float) -> float:
-    # Rounded to a nano-ampere, and no negative zero: these numbers are read by people.
+    # Rounding to a nano-ampere and removing negative zero keeps the numbers readable.
     return round(value, 9) + 0.0

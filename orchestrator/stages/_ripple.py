@@ -1,4 +1,4 @@
-"""The injection's amplitude, flux swing and current ripple, of each other. No drive and no setting is known here.
+"""Relations between the injection's amplitude, flux swing and current ripple, independent of drive and settings.
 
 A square wave of amplitude U and frequency f swings the flux by +-U/(4 f) about its mean, a sine by +-U/(2 pi f).
 """
@@ -21,16 +21,16 @@ def flux_swing_wb(amplitude_v: float, frequency_hz: float, waveform: Waveform = 
 def injection_voltage_v(
     current_a: float, inductance_h: float, frequency_hz: float, waveform: Waveform = "square", *, share: float = 0.2
 ) -> float:
-    """Amplitude [V] of an injection that swings the flux by a share of L i.
+    """Amplitude [V] of an injection with a flux swing of a share of L i.
 
     Parameters
     ----------
     current_a : float
-        The rated one [A peak].
+        Rated current [A peak].
     inductance_h : float
-        Of the d axis.
+        Inductance of the d axis.
     share : float
-        A fifth: well above the noise of the current sensors, and still a small signal on the flux map.
+        Share of L i, by default a fifth: well above the current sensors' noise, and still a small signal.
     """
     return share * current_a * inductance_h / flux_swing_wb(1.0, frequency_hz, waveform)
 

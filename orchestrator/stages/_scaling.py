@@ -1,4 +1,4 @@
-"""What a stage leaves out, derived from nameplate, limits and sampling frequency; no motor's numbers are in here.
+"""Derive omitted settings of a stage from nameplate, limits and sampling frequency.
 
 With I the rated current (peak), L and R the nameplate's, f_s the drive's sampling frequency:
 amplitudes are 1.25 I within 0.8 of the limit; injection is at f_s/20 with the voltage that
@@ -19,21 +19,21 @@ from protocols import CurrentControl, Motor, ProcedureError, StageContext
 T = TypeVar("T")
 
 NOMINAL_SAMPLING_HZ = 10_000.0
-"""Taken where no drive was asked."""
+"""Sampling frequency without a drive."""
 
 
 @dataclass(frozen=True)
 class ScalingRules:
-    """How large and how long, against what the nameplate and the limits say."""
+    """Amplitudes and durations relative to the nameplate and the limits."""
 
     over_rated: float = 1.25
-    """Amplitudes against the rated current: far enough into saturation for the map's rim."""
+    """Amplitudes relative to the rated current: far enough into saturation for the map's edge."""
     of_limit: float = 0.8
-    """Amplitudes against a limit: a drive trips on noise and overshoot as well."""
+    """Amplitudes relative to a limit: noise and overshoot can trip a drive as well."""
     headroom: float = 0.95
-    """Corners of what is swept, against limits.current_a."""
+    """Longest swept current vector relative to limits.current_a."""
     samples_per_period: int = 20
-    """Of the injection."""
+    """Samples in each period of the injection."""
     periods_per_turn: int = 250
     """Of the injection, while its direction turns once."""
     rows_per_turn: int = 60
@@ -41,7 +41,7 @@ class ScalingRules:
     turns: int = 2
     """Of the injection's direction at each point."""
     time_constants: float = 5.0
-    """After which a transient is gone (0.7 %)."""
+    """Time constants after which a transient has decayed (to 0.7 %)."""
     of_ripple: float = 3.0
     """A d-axis current that keeps phase currents from zero, against the ripple: two phases carry half of it, and a
     saturated motor has half as much ripple again."""
@@ -50,7 +50,7 @@ class ScalingRules:
 
 
 class Scaling:
-    """The rules, applied to one stage of a procedure; `setting` is always the stage's setting that is left out.
+    """The rules for one stage of a procedure; `setting` is the name of the omitted setting.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class Scaling:
     Raises
     ------
     ProcedureError
-        From all methods, where the nameplate lacks what a setting is scaled from; names both.
+        From all methods, where the nameplate lacks a value that a setting depends on; the error names both.
     """
 
     def __init__(self, context: StageContext, rules: ScalingRules | None = None) -> None:
@@ -76,7 +76,7 @@ class Scaling:
         return self._needed("rated_current_rms_a", self._motor.rated_current_a, setting)
 
     def amplitude_a(self, setting: str) -> float:
-        """How far a sweep goes on an axis [A]: a quarter more than the rated current, within the limit."""
+        """Amplitude of a sweep on an axis [A]: a quarter more than the rated current, within the limit."""
         return self.within_limit_a(self._rules.over_rated * self.rated_current_a(setting))
 
     def within_limit_a(self, current_a: float) -> float:
@@ -85,27 +85,27 @@ class Scaling:
 
     @property
     def stiffest_hold_a(self) -> float:
-        """Current on the d axis that holds a free rotor there most stiffly [A]; see the function of that name."""
+        """d-axis current with the largest holding stiffness for a free rotor [A]; see `stiffest_hold_a`."""
         return stiffest_hold_a(self._motor)
 
     @property
     def reach_a(self) -> float:
-        """Longest current vector of what is swept, ripple included [A]."""
+        """Longest swept current vector, ripple included [A]."""
         return self._rules.headroom * self._limits.current_a
 
     def beside_ripple_a(self, setting: str, ripple_a: float) -> float:
-        """Longest current that leaves room for an injection's ripple [A]; raises where there is none."""
+        """Longest current with a margin for an injection's ripple [A]; raises where there is none."""
         room = self.reach_a - ripple_a
         if room <= 0:
             limit, needed = self._limits.current_a, ripple_a / self._rules.headroom
-            told = f"the injection's ripple of {ripple_a:.3g} A leaves no room below limits.current_a of {limit:g} A"
-            raise self.error(setting, f"{told}: weaken the injection, or allow well above {needed:.3g} A")
+            problem = f"the injection's ripple of {ripple_a:.3g} A leaves no room below limits.current_a of {limit:g} A"
+            raise self.error(setting, f"{problem}: weaken the injection, or allow well above {needed:.3g} A")
         return room
 
     def clear_of_zero_a(self, setting: str, ripple_a: float) -> float:
-        """Current on the d axis beside which an injection takes no phase current through zero [A].
+        """d-axis current at which an injection takes no phase current through zero [A].
 
-        At most half of what the ripple leaves: the current under torque has to fit beside it.
+        At most half of the current without ripple, since the torque current adds to it.
         """
         return tidy(min(self._rules.of_ripple * ripple_a, 0.5 * self.beside_ripple_a(setting, ripple_a)))
 
@@ -116,7 +116,7 @@ class Scaling:
     def injection_v(self, setting: str, frequency_hz: float, waveform: Literal["square", "sine"] = "square") -> float:
         """Amplitude of an injection [V], within the room that R_s i leaves below limits.voltage_v."""
         inductance = self._needed("d_inductance_h", self._motor.d_inductance_h, setting)
-        # Where the limit is what keeps sweeps short, the ripple is as small against them as it is elsewhere.
+        # Where the limit shortens the sweeps, the ripple shrinks in proportion.
         swept = min(
             self.rated_current_a(setting), self._rules.of_limit / self._rules.over_rated * self._limits.current_a
         )
@@ -137,9 +137,9 @@ class Scaling:
         return ripple_a(flux_swing_wb(amplitude_v, frequency_hz, waveform), self._motor)
 
     def step_v(self, setting: str, axis: Literal["d", "q"], turn_a: float, swing_s: float, least_ohmic: float) -> float:
-        """Voltage that takes the current from one limit to the other in such a time, and beyond R_s i by a factor [V].
+        """Voltage that moves the current between its limits in the given time, and exceeds R_s i by a factor [V].
 
-        Within the limit, where it is the R_s i that is lower.
+        The voltage limit caps the result where R_s i allows it.
         """
         inductance = self._needed("d_inductance_h", self._inductance(axis), setting)
         wanted = 2.0 * turn_a * inductance / swing_s
@@ -154,7 +154,7 @@ class Scaling:
     def spin_rad_s(self, setting: str, current_a: float) -> float:
         """Electrical speed at which half of the voltage's limit turns the flux, half the rated speed at most.
 
-        A magnet that nobody knows has as much flux as the current makes.
+        An unknown magnet flux counts as the flux of the current.
         """
         motor, limits = self._motor, self._limits
         own = self._needed("q_inductance_h", self._inductance("q"), setting) * current_a
@@ -168,7 +168,7 @@ class Scaling:
         return min(0.6 * room / flux, fastest, rated or math.inf)
 
     def turns(self, rotation_hz: float | None, duration_s: float | None, frequency_hz: float) -> tuple[float, float]:
-        """Rotation and duration such that the duration holds whole turns, where either is free."""
+        """Rotation and duration with whole turns in the duration, where either is free."""
         usual = frequency_hz / self._rules.periods_per_turn
         if duration_s is None:
             rotation_hz = rotation_hz if rotation_hz is not None else usual
@@ -178,7 +178,7 @@ class Scaling:
         return rotation_hz, duration_s
 
     def settle_s(self, given: float | None, control: CurrentControl | None) -> float:
-        """How long an operating point settles."""
+        """Settling time of an operating point."""
         if given is not None:
             return given
         used = self.control(control)
@@ -186,18 +186,18 @@ class Scaling:
         return tidy(2 * self._rules.time_constants * (of_control + self._time_constant_s("settle_s")))
 
     def hold_s(self, given: float | None) -> float:
-        """How long a direct current is captured."""
+        """Capture time of a direct current."""
         if given is not None:
             return given
         settled = tidy(2 * self._rules.time_constants * self._time_constant_s("duration_s"))
         return max(self._rules.shortest_hold_s, settled)
 
     def note(self, text: str) -> None:
-        """Say what a person should know of how the stage was filled in."""
+        """Note a remark on the derived settings for the operator."""
         self._context.notes.append(f"stages.{self._context.index} {text}")
 
     def error(self, setting: str, problem: str) -> ProcedureError:
-        """A setting that cannot be used."""
+        """The error of an unusable setting."""
         return ProcedureError(self._context.procedure.name, f"stages.{self._context.index}.{setting}", problem)
 
     def _inductance(self, axis: Literal["d", "q"]) -> float | None:
@@ -218,7 +218,7 @@ class Scaling:
 
 
 def stiffest_hold_a(motor: Motor) -> float:
-    """Current on the d axis that holds a free rotor there most stiffly [A]; infinite where more always does.
+    """d-axis current with the largest holding stiffness for a free rotor [A]; infinite where stiffness always rises.
 
     The magnet draws the d axis onto the current, L_q - L_d draws the q axis onto it. By the torque
 
@@ -234,11 +234,11 @@ def stiffest_hold_a(motor: Motor) -> float:
 
 
 def given(setting: T | None) -> T:
-    """A setting in which `filled` has left nothing open."""
+    """A setting that has a value after `filled`."""
     assert setting is not None
     return setting
 
 
 def tidy(value: float) -> float:
-    """Rounded to two significant digits: these settings end up where people read them."""
+    """Rounded to two significant digits, for readable settings."""
     return float(f"{value:.2g}")

@@ -1,4 +1,4 @@
-"""JSON Schema of what a procedure's entries may be: one of the installed stages, each with its settings."""
+"""JSON Schema of a procedure's entries: one of the installed stages, each with its settings."""
 
 from __future__ import annotations
 

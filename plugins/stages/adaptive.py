@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import Field
 
-from orchestrator.stages import MOST_POINTS, Scaling, given
+from orchestrator.stages import MAX_POINTS, Scaling, given
 from protocols import (
     EnergisedStage,
     Excitation,
@@ -76,7 +76,7 @@ class AdaptiveStage(EnergisedStage):
             "control": scaling.control(self.control),
         }
         filled = self.model_copy(update=update)
-        if not len(filled._first) < filled._most <= MOST_POINTS:
+        if not len(filled._first) < filled._most <= MAX_POINTS:
             raise scaling.error("longest_s", f"{self.longest_s:g} s are the time of {filled._most} points")
         return filled
 

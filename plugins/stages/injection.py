@@ -10,7 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from orchestrator.stages import (
-    MOST_POINTS,
+    MAX_POINTS,
     Scaling,
     five_values,
     flux_swing_wb,
@@ -81,7 +81,7 @@ class InjectionStage(EnergisedStage):
     discard_s: NonNegative = 0.0
     duration_s: Positive | None = None
     anchor: bool = False
-    most_between: Annotated[int, Field(ge=0, le=MOST_POINTS)] = 0
+    most_between: Annotated[int, Field(ge=0, le=MAX_POINTS)] = 0
     """How many points may be added midway between others, of the weakest injection."""
     steepest: Annotated[float, Field(gt=1.0)] = 1.6
     """Ratio of L_dd, or of L_qq, at two points that follow each other, from which there is one between them."""
@@ -198,8 +198,8 @@ class InjectionStage(EnergisedStage):
         on_paths = self.pattern == "paths"
         step = self.step_a if self.step_a is not None else reach / _STEPS[self.pattern]
         lines = 2 * len(self.held_a or range(5)) + 1 if on_paths else 2 * reach / step + 1
-        if (2 * reach / step + 1) * lines > MOST_POINTS:
-            raise scaling.error("step_a", f"{step:g} A gives more than {MOST_POINTS} points")
+        if (2 * reach / step + 1) * lines > MAX_POINTS:
+            raise scaling.error("step_a", f"{step:g} A gives more than {MAX_POINTS} points")
         along = steps(reach, step)
         if on_paths:
             points = paths(self.axes, self.held_a or five_values(reach), along)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.analysis import FluxPath
-from orchestrator.analysis._flux_errors import WAVES, directions, sizes, told_apart, waves
+from orchestrator.analysis._flux_errors import WAVES, directions, sizes, waves, whitening
 from orchestrator.analysis._inductance_errors import error_modes
 from tests.orchestrator.analysis.test_energy_fit import paths
 from tests.orchestrator.analysis.test_integration import PLANE, exact
@@ -30,7 +30,7 @@ def test_waves_do_not_see_a_constant_and_tell_each_other_apart() -> None:
 
 def test_paths_swept_alike_tell_their_mean_less_well_than_their_differences() -> None:
     several = paths()
-    apart = told_apart(several)
+    apart = whitening(several)
     alike = np.abs(directions(several)[:, 0] @ directions(several)[:, 0].T) > 0.99
     assert (apart[~alike] == 0.0).all()
     covariance = np.linalg.inv(apart.T @ apart)

@@ -8,7 +8,7 @@ from tests.orchestrator.importing.bring import FAULTS, SHAPES, Brought, Laborato
 
 STEPS = next(brought for brought in SHAPES if "d axis alone" in brought.words)
 LOGGERS = next(brought for brought in SHAPES if "two loggers" in brought.words)
-TOLD = {"lag": ("estimate: 1 sample later", "diagnose: 1 sample later"), "gain": ("current gain mismatch",)}
+EXPECTED = {"lag": ("estimate: 1 sample later", "diagnose: 1 sample later"), "gain": ("current gain mismatch",)}
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def test_every_shape_becomes_the_map(laboratory: Laboratory, brought: Brought) -
 def test_what_is_wrong_is_named_however_it_was_measured(laboratory: Laboratory, measured: str, fault: str) -> None:
     brought = next(brought for brought in SHAPES if brought.measured == measured)
     reported = "; ".join(laboratory.outcome(brought, fault).reported)
-    assert all(word in reported for word in TOLD.get(fault, ()))
+    assert all(word in reported for word in EXPECTED.get(fault, ()))
     if fault == "drop":
         assert "device drop" in reported
         assert "dead time" in reported

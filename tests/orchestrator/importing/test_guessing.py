@@ -333,7 +333,7 @@ def flux_over_angles(path: Path) -> Path:
     ("name", "write"), [("m.csv", flux_table), ("m.mat", flux_arrays), ("angles.mat", flux_over_angles)]
 )
 def test_a_flux_map_is_known_and_audit_named(tmp_path: Path, name: str, write: Any) -> None:
-    with pytest.raises(InputError, match=f"looks like a flux map, not like waveforms: `fluxbench audit {name}`"):
+    with pytest.raises(InputError, match=f"holds a flux map instead of waveforms: `fluxbench audit {name}`"):
         guess_mapping(write(tmp_path / name))
 
 

@@ -241,7 +241,7 @@ def test_a_segment_larger_than_the_memory_is_refused_while_it_is_read(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 10_000)
-    with pytest.raises(InputError, match="400 rows in one segment take some 0"):
+    with pytest.raises(InputError, match="400 rows in one segment need some 0"):
         bench.run()
     assert not (bench.folder / "recording").exists()
 

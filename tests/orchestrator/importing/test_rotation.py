@@ -50,7 +50,7 @@ def test_a_running_motor_in_its_own_frame_is_told_by_its_back_emf(tmp_path: Path
     running(desk, "resistance", 50.0)
     desk.mapping += f"current: {IN_DQ % ('i', 'i', 'A')}voltage: {IN_DQ % ('v', 'v', 'V')}"
     desk.mapping += "accept: [polarity]\n"
-    with pytest.raises(InputError, match=r"v_d, v_q: 10\d V .* not the 4.25 ohm of the nameplate: back-EMF"):
+    with pytest.raises(InputError, match=r"v_d, v_q: 10\d V .* exceed the drop at the nameplate's 4.25 ohm: back-EMF"):
         desk.run()
 
 
