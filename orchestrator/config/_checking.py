@@ -47,7 +47,7 @@ class PlanSummary(Strict):
     bytes: int | None
     """About, on disk."""
     peak_current_a: float
-    """The longest vector asked for and the injection's ripple on it."""
+    """The longest set-point and the injection's ripple on it."""
     peak_voltage_v: float | None
     """R_s i, injection, ramps, and the current control's way from point to point, within the limit."""
     energy_j: float | None
@@ -65,7 +65,7 @@ def check_plan(plan: Plan, capabilities: Capabilities | None) -> PlanSummary:
     ----------
     plan : Plan
     capabilities : Capabilities, optional
-        What the drive said of itself; without it only the procedure's own limits are checked.
+        What the drive states of itself; without it only the procedure's own limits are checked.
 
     Raises
     ------

@@ -142,9 +142,9 @@ def _frequency_near(e: Injection, step_hz: float, sampling_hz: float) -> float |
 
 
 def _changes(before: Excitation, after: Excitation, names: Mapping[str, Any]) -> str:
-    def told(name: str) -> str:
+    def described(name: str) -> str:
         quantity, _, unit = name.rpartition("_")
         unit = {"hz": "Hz"}.get(unit, unit)
         return f"{quantity} {getattr(before, name):.6g} {unit} becomes {getattr(after, name):.6g} {unit}"
 
-    return ", ".join(map(told, names))
+    return ", ".join(map(described, names))

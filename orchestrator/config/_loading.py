@@ -54,9 +54,9 @@ class LoadedProcedure:
 
     @contextmanager
     def naming_its_places(self) -> Iterator[None]:
-        """Errors that know the procedure by its name alone are told with file and line of what they are about.
+        """Errors that know the procedure by its name alone are raised with file and line of their subject.
 
-        A plan is scaled by the nameplate: where that has a likely slip, it is asked for beside what is refused.
+        A plan is scaled by the nameplate: a likely slip there is named beside what is refused.
         """
         try:
             yield

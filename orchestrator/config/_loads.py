@@ -23,7 +23,7 @@ class Load:
     """What one point asks for; what would need a nameplate value that is not there is None."""
 
     longest_current_a: float
-    """Longest current vector of what was asked for [A]."""
+    """Longest current vector of the set-points [A]."""
     ripple_a: float
     """Peak of the injection's ripple on top of it, or by how much steps overshoot; 0 where no inductance is known."""
     current_square_a2_s: float
@@ -88,7 +88,7 @@ def _driving_voltage(excitation: Excitation, motor: Motor) -> float:
 
 
 def _proportional_gain(excitation: Excitation, motor: Motor) -> float:
-    """Of the PI control of an R-L axis with the bandwidth and damping asked for [V/A]."""
+    """Of the PI control of an R-L axis with the required bandwidth and damping [V/A]."""
     control = excitation.control
     gain = 2 * control.damping * 2 * math.pi * control.bandwidth_hz * _inductance(motor)
     return max(0.0, gain - (motor.stator_resistance_ohm or 0.0))

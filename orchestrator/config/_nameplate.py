@@ -80,7 +80,7 @@ class Relation:
         return off if off > 0.0 else self.steeper_below * off
 
     def describe(self, values: Values, derived: Collection[str] = ()) -> str:
-        """The numbers of both sides; a field that was `derived` from others is said to be."""
+        """The numbers of both sides; a field that was `derived` from others is marked so."""
         stated = self.reference_words
         for name in derived:
             stated = stated.replace(f"{name} is ", f"{name} by the others is ")
@@ -344,5 +344,5 @@ def mismatch(values: Values) -> float:
 
 def contradictions(motor: Motor) -> Iterator[str]:
     """Each relation that does not hold, as a sentence."""
-    for told in broken_relations(stated_values(motor)):
-        yield f"motor: {told}: these do not go together"
+    for relation in broken_relations(stated_values(motor)):
+        yield f"motor: {relation}: these do not go together"

@@ -37,12 +37,12 @@ class PlannedPoint:
     stage: SegmentStage
     excitation: Excitation
     settings: dict[str, Any]
-    """What was asked for, as the segment's settings."""
+    """The set-point, as the segment's settings."""
     spare: bool = False
     """Measured only where those before it show that it is wanted: what the plan tells, it tells without."""
 
     def run_as(self, excitation: Excitation) -> PlannedPoint:
-        """The point with another excitation of the same kind, and settings that say what is really asked for."""
+        """The point with another excitation of the same kind, and settings that state the set-point."""
         if excitation == self.excitation:
             return self
         now = excitation.model_dump()
@@ -92,7 +92,7 @@ def make_plan(procedure: Procedure, capabilities: Capabilities | None, appended:
     ----------
     procedure : Procedure
     capabilities : Capabilities, optional
-        What the drive said of itself; without it the sampling frequency is taken to be 10 kHz.
+        What the drive states of itself; without it the sampling frequency is taken to be 10 kHz.
     appended : sequence of StageEntry
         What a run goes on with after the procedure's last stage.
 
@@ -139,9 +139,9 @@ def _points(procedure: str, stages: Sequence[Stage], own_pwm_hz: float | None, f
         before = len(points)
         for point in stage.points():
             assert stage.records_as is not None
-            asked = point.excitation.model_copy(update={"rotor_angle_rad": angle})
-            for excitation in fitting.of(asked, stage, index):
-                settings = {**_asked_for(excitation, own_pwm_hz), **point.settings}
+            turned = point.excitation.model_copy(update={"rotor_angle_rad": angle})
+            for excitation in fitting.of(turned, stage, index):
+                settings = {**_set_point(excitation, own_pwm_hz), **point.settings}
                 identifier = f"{stage.name}-{counter[stage.name]:03d}"
                 counter[stage.name] += 1
                 points.append(PlannedPoint(identifier, index, stage.records_as, excitation, settings, point.spare))
@@ -150,17 +150,17 @@ def _points(procedure: str, stages: Sequence[Stage], own_pwm_hz: float | None, f
     return points
 
 
-def _asked_for(excitation: Excitation, own_pwm_hz: float | None) -> dict[str, Any]:
+def _set_point(excitation: Excitation, own_pwm_hz: float | None) -> dict[str, Any]:
     """An excitation's numbers as the recording format has them in a segment's settings."""
-    asked = excitation.model_dump(include=_ASKED_FOR[excitation.kind])
+    settings = excitation.model_dump(include=_SET_POINT_FIELDS[excitation.kind])
     if isinstance(excitation, Trapezoid) and excitation.swept_axis == "dq":
-        del asked["held_a"]
+        del settings["held_a"]
     if excitation.pwm_frequency_hz not in (None, own_pwm_hz):
-        asked["pwm_frequency_hz"] = excitation.pwm_frequency_hz
-    return asked
+        settings["pwm_frequency_hz"] = excitation.pwm_frequency_hz
+    return settings
 
 
-_ASKED_FOR: dict[ExcitationKind, set[str]] = {
+_SET_POINT_FIELDS: dict[ExcitationKind, set[str]] = {
     "gates_off": set(),
     "hold": {"current_d_a", "current_q_a"},
     "trapezoid": {"swept_axis", "held_a", "amplitude_a", "period_s", "periods"},

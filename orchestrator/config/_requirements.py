@@ -1,4 +1,4 @@
-"""What the limits and the drive allow, rule by rule; the first rule that is broken is said with its stage and field."""
+"""What the limits and the drive allow, rule by rule; the first broken rule is reported with its stage and field."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from protocols import Motor
 
 HABIT, COMMON, RARE = 0.04, 0.01, 0.001
 """Probability of a slip, over nameplates: another convention, as data sheets have it; a wrong unit or decimal point;
-and what hardly occurs. Where values are up to a quarter off, one in thirty is then asked about a slip that is none."""
+and what hardly occurs. Where values are up to a quarter off, one in thirty is then questioned without a slip."""
 BESIDE_THE_BEST = 2.0 * math.log(100.0)
 """How much more mismatch, prior included, a slip may leave than the best one and still be named: odds of 1 to 100."""
 MOST_NAMED = 2

@@ -105,7 +105,7 @@ def _digest(manifest: Manifest) -> str:
 def _recommended(
     own: EstimationReport, found: FluxMap, map_report: MapReport, model: DeliveredModel, motor: Motor
 ) -> EstimationReport:
-    """The report with the model's map in first place; what was said against the one before is said of that one.
+    """The report with the model's map in first place; objections to the one before stay with that one.
 
     Crossings stay: they are the recording's, whichever map is made of it.
     """
@@ -137,7 +137,7 @@ def _recommended(
 
 
 def _of_the_estimators(directory: Path, method: str) -> tuple[EstimationReport, dict[str, FluxMap]]:
-    """What the estimators alone found, and their maps by method; nothing where they have not been asked."""
+    """What the estimators alone found, and their maps by method; nothing where they did not run."""
     try:
         report = load_estimates(directory)
         own = EstimationReport(**{**_fields(report.estimators or report), "files": {}})

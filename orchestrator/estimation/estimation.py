@@ -62,7 +62,7 @@ def estimate_recording(
     ------
     NotMeasuredError
         Where nothing at all can be estimated, or currents and voltages cannot be a motor's; no file is written then.
-        What a wrong convention makes of them is said with it.
+        A remark states what a wrong convention makes of them.
     PluginError
         Where an estimator returns something else than it says that it produces, or estimators require each other.
     StorageError
@@ -91,7 +91,7 @@ def estimate_recording(
         if on_estimate is not None:
             on_estimate(estimate)
     if not made:
-        problem = "; ".join(remark.text for remark in missing) or "no estimator was asked"
+        problem = "; ".join(remark.text for remark in missing) or "no estimator was chosen"
         raise NotMeasuredError(recording.manifest.name, "", f"nothing can be estimated: {problem}")
     made.sort(key=lambda pair: -pair[0].rank)
     maps = {estimate.map.method: estimate for _, estimate in made if isinstance(estimate, FluxMapEstimate)}
@@ -107,7 +107,7 @@ def estimate_recording(
 
 
 def _is_concerned(estimator: Estimator, recording: RecordingReader) -> bool:
-    """Whether there is a segment of a stage that it `reads`; one that names none is asked in any case."""
+    """Whether there is a segment of a stage that it `reads`; one that names none is always tried."""
     stages: tuple[SegmentStage, ...] = getattr(estimator, "reads", ())
     return not stages or bool(recording.segments(*stages))
 

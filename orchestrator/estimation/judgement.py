@@ -1,4 +1,4 @@
-"""Which of the maps is recommended, and what is to be said beside its checks. Estimates nothing."""
+"""Which of the maps is recommended, and the remarks beside its checks. Estimates nothing."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) 
 def _other_resistances(
     chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]
 ) -> list[Remark]:
-    """The one with the narrowest interval is chosen; what the others say is told."""
+    """The one with the narrowest interval is chosen; a remark states the others' results."""
     text = "R_s = {value_ohm:.4g} ohm (95 %: {low:.4g} to {high:.4g}), a wider interval: not used"
     return [
         Remark.of("wider_interval", text, value_ohm=r.value_ohm, low=r.low, high=r.high).by(name)

@@ -1,4 +1,4 @@
-"""Estimates beside the nameplate: what is far from it is said, and a factor on all of them is an objection."""
+"""Estimates beside the nameplate: a remark on what is far from it; a factor on all of them is an objection."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], moto
     criteria = report.criteria
     pairs = {name: (found, stated) for name, found, stated in _pairs(report, maps, motor) if stated and found > 0.0}
     ratios = {name: found / stated for name, (found, stated) in pairs.items()}
-    told = [name for name, ratio in ratios.items() if abs(ratio - 1.0) > criteria.nameplate_apart]
-    far = [name for name in told if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
-    remarks = [_remark(name, *pairs[name], questioned=name in far) for name in told]
+    apart = [name for name, ratio in ratios.items() if abs(ratio - 1.0) > criteria.nameplate_apart]
+    far = [name for name in apart if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
+    remarks = [_remark(name, *pairs[name], questioned=name in far) for name in apart]
     signs = {ratios[name] > 1.0 for name in far}
     report = report.model_copy(update={"remarks": (*report.remarks, *remarks)})
     if len(far) == len(ratios) >= 2 and "R_s" in far and len(signs) == 1:

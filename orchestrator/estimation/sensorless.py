@@ -35,10 +35,10 @@ def _beside(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjection |
         return None
     own, of_map = ripple.inductance[known], slopes[known]
     d, q = (100.0 * float(np.mean(own[:, k] / of_map[:, k] - 1.0)) for k in (0, 2))
-    seen, told = principal(*own.T), principal(*of_map.T)
+    seen, large_signal = principal(*own.T), principal(*of_map.T)
     # Axes, not arrows: half a turn is none.
-    left = 0.5 * np.angle(np.exp(2j * (seen.angle_rad - told.angle_rad)))
-    (low, high), (map_low, map_high) = _range(seen), _range(told)
+    left = 0.5 * np.angle(np.exp(2j * (seen.angle_rad - large_signal.angle_rad)))
+    (low, high), (map_low, map_high) = _range(seen), _range(large_signal)
     return SeenByInjection(
         method=large.method,
         frequency_hz=ripple.frequency_hz,

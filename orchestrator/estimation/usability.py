@@ -371,7 +371,7 @@ def _worst(percent: AxisPercent | None) -> tuple[str, float | None]:
 def _within(
     name: str, value: float | None, limit: float, remark: Remark, *, failed: bool | None = None
 ) -> UsabilityCheck:
-    """A check with a number [%]; it fails beyond its limit where nothing else is said."""
+    """A check with a number [%]; it fails beyond its limit, unless stated otherwise."""
     bad = failed if failed is not None else value is None or value > limit
     outcome = CheckOutcome.FAILED if bad else CheckOutcome.PASSED
     return UsabilityCheck(name=name, outcome=outcome, required=True, value=value, limit=limit, unit="%", remark=remark)

@@ -98,7 +98,7 @@ class EstimatorConformance(Kit, ABC):
         self._estimate(Disguised(recording))
         assert digest(recording) == before, "the recording is not what it was before the estimate"
 
-    def test_recording_without_its_stages_is_told_as_not_measured(self) -> None:
+    def test_recording_without_its_stages_is_not_measured(self) -> None:
         with pytest.raises(NotMeasuredError) as refusal:
             self._estimate(Empty(self.recording().manifest))
         assert "\n" not in str(refusal.value).strip(), "the error is not one line"

@@ -126,7 +126,7 @@ def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
         for name, found in effect.derived.items()
         if not _is_parameter(effect, found)
     ]
-    twins = f", cannot be told from {listed(effect.twins)} here" if effect.twins else ""
+    twins = f", indistinguishable from {listed(effect.twins)} here" if effect.twins else ""
     return f"{effect.name} ({'; '.join(parts)}){twins}"
 
 

@@ -158,9 +158,9 @@ def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
             "no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure",
         )
     if SegmentStage.GATES_OFF not in stages:
-        add("no_gates_off", "no gates-off reading: a current offset and a voltage bias cannot be told apart")
+        add("no_gates_off", "no gates-off reading: a current offset and a voltage bias cannot be separated")
     if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
-        add("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be told apart")
+        add("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be separated")
     amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
     if not amplitudes and SegmentStage.STEPS in stages:
         pass  # the edges of steps show what a ripple would
@@ -169,7 +169,10 @@ def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
     elif max(amplitudes) < LEAST_AMPLITUDE_RATIO * min(amplitudes):
         add("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
-        add("no_magnet_flux", "no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
+        add(
+            "no_magnet_flux",
+            "no magnet flux on the nameplate: a yielding brake cannot be separated from q-axis inductance",
+        )
     return missing
 
 

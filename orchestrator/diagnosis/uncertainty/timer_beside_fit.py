@@ -1,6 +1,6 @@
-"""A modulator's timer told beside a whole model: by every equation, where all effects' forms are much as they are.
+"""A modulator's timer estimated beside a whole model: by every equation, where all effects' forms are much as they are.
 
-Rests tell it first, while forms are still wrong (`timer_in_rests`). Then all that holds, sweeps and ripples has its
+Dwells show it first, while forms are still wrong (`timer_in_rests`). Then all that holds, sweeps and ripples has its
 say: what a timer's rounding changes in the equations is known exactly, and R_s, the map and all free parameters follow
 to first order (variable projection; G. Golub, V. Pereyra, doi:10.1137/0710036). With g the change of the whitened
 residual e, X the columns of what follows, N their normal matrix and C the readings' own say of x,
@@ -31,7 +31,7 @@ APART = (0.02, 0.004)
 A hold's command that stands where it jumps by a step hides what lies beyond; far apart, differences see over it.
 """
 SCANNED = 96
-"""Phases that are tried at a PWM frequency at which the readings told none: a rest's command jumps that closely."""
+"""Phases that are tried at a PWM frequency at which the readings show none: a rest's command jumps that closely."""
 AROUND = 6
 """Of these, on either side of where a descent ended: beyond a command's jump it may be lower still."""
 STEPS = 12
@@ -61,7 +61,7 @@ def timer_beside(fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float
     """
     rounding = _Rounding.of(fit, borne, pm_flux_wb)
     x = rounding.start
-    for place in rounding.untold:
+    for place in rounding.unknown_places:
         x = rounding.scanned(x, place)
     for apart in APART:
         x = _descended(rounding, x, apart)
@@ -72,7 +72,7 @@ def timer_beside(fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float
 
 def _over_jumps(rounding: _Rounding, x: Array) -> Array:
     """Where descents from the likeliest phases around lead, at each PWM frequency where these are likelier."""
-    for place in rounding.told:
+    for place in rounding.known_places:
         moved = rounding.scanned(x, place, around=AROUND)
         x = x if moved is x else _descended(rounding, moved, APART[-1])
     return x
@@ -120,7 +120,7 @@ class _Segment:
     residual: Array
     added_ab: Array
     """By the fit's own timer [V]."""
-    heard: Indices
+    used: Indices
     """Which of a timer's numbers matter at its PWM frequency: the step, and two phases."""
 
     def added_by(self, timer: ModulatorTimer, bus_v: float) -> Array:
@@ -172,27 +172,27 @@ class _Rounding:
             added, pwm_hz = added_by(timer, piece, bus_v), piece.signals.pwm_frequency_hz
             if added is not None:
                 at = min(place, key=lambda known: abs(known - pwm_hz))
-                heard = np.array([0, place[at], place[at] + 1])
+                used = np.array([0, place[at], place[at] + 1])
                 batch, base = fit.frame.base_of(k)
                 local = local_map(batch, fit.corrected(k), fit.model.magnetics)
                 whitener = fit.frame.pieces[k].whitener
                 follows = np.column_stack([linear, columns])
-                segments.append(_Segment(piece, batch, base, whitener, local, follows, residual, added, heard))
+                segments.append(_Segment(piece, batch, base, whitener, local, follows, residual, added, used))
                 most = max(most, float(np.abs(piece.command_ab).max()) / leg_step_of(timer.step_s, pwm_hz, bus_v))
         start = nearest.to(timer)
         unit = np.array([1.0 / most, *[1.0] * (len(start) - 1)])
         return cls(segments, fit.system()[0], nearest, start, unit, bus_v, pm_flux_wb)
 
     @property
-    def untold(self) -> Sequence[int]:
-        """Where in x the phases begin of those PWM frequencies at which the readings told none."""
+    def unknown_places(self) -> Sequence[int]:
+        """Where in x the phases begin of those PWM frequencies at which the readings show none."""
         known = np.diag(self.borne.curvature) > 0.0
         return [k for k in range(1, len(known), 2) if known.any() and not known[k : k + 2].any()]
 
     @property
-    def told(self) -> Sequence[int]:
-        """Where in x the phases begin of those PWM frequencies at which a segment hears them."""
-        return sorted({int(k) for one in self.segments for k in one.heard[1:2]})
+    def known_places(self) -> Sequence[int]:
+        """Where in x the phases begin of those PWM frequencies at which a segment depends on them."""
+        return sorted({int(k) for one in self.segments for k in one.used[1:2]})
 
     def scanned(self, x: Array, place: int, around: int = SCANNED) -> Array:
         """x with the likeliest phases at one PWM frequency, all else following: of all, or of so many to either side.
@@ -214,7 +214,7 @@ class _Rounding:
         slope, curvature = np.zeros(count), np.zeros((count, count))
         cross = np.zeros((len(self.normal), count))
         for one in self.segments:
-            if place in one.heard:
+            if place in one.used:
                 changes = np.stack([self._change(one, timer) for timer in timers], axis=-1)
                 slope += changes.T @ one.residual
                 curvature += changes.T @ changes
@@ -246,10 +246,10 @@ class _Rounding:
         sides = [(self.borne.moved(x + step), self.borne.moved(x - step)) for step in steps]
         for one in self.segments:
             change = self._change(one, timer)
-            columns = np.stack([self._column(one, *sides[k]) / (2.0 * steps[k, k]) for k in one.heard], axis=-1)
-            squares[np.ix_(one.heard, one.heard)] += columns.T @ columns
-            cross[:, one.heard] += one.columns.T @ columns
-            slope[one.heard] += columns.T @ (one.residual + change)
+            columns = np.stack([self._column(one, *sides[k]) / (2.0 * steps[k, k]) for k in one.used], axis=-1)
+            squares[np.ix_(one.used, one.used)] += columns.T @ columns
+            cross[:, one.used] += one.columns.T @ columns
+            slope[one.used] += columns.T @ (one.residual + change)
             pull += one.columns.T @ change
         follow = np.linalg.solve(self.normal, cross)
         say = self.borne.curvature

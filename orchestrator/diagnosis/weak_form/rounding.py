@@ -30,14 +30,14 @@ def rounding_remarks(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> li
     ):
         text = (
             "voltages are logged in steps of {step_v:.3g} V: where the drive's own are finer, that rounding shows "
-            "beside the noise, and may be told as unknown; log more decimals"
+            "beside the noise, and may be reported as unknown; log more decimals"
         )
         remarks.append(Remark.of("rounded_voltages", text, step_v=volts))
     amperes = logged_step(used, lambda piece: piece.current_ab)
     if amperes is not None and amperes > 2.0 * math.sqrt(0.5 * float(np.trace(noise.covariance))):
         text = (
             "currents are logged in steps of {step_a:.3g} A, more than they scatter by: rounding that no noise dithers "
-            "is no noise, and may be told as unknown; log more decimals"
+            "is no noise, and may be reported as unknown; log more decimals"
         )
         remarks.append(Remark.of("rounded_currents", text, step_a=amperes))
     return remarks

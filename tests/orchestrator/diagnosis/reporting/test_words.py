@@ -84,7 +84,7 @@ def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: Search) 
 def test_twins_are_named_with_what_would_tell_them_apart(search: Search) -> None:
     words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     needed = CONTRASTS[Contrast.GATES_OFF].text
-    assert "cannot be told from current_offset here" in words.likely_cause
+    assert "indistinguishable from current_offset here" in words.likely_cause
     assert f"What would tell it from current_offset, {needed}, was not measured." in words.what_it_looks_like
     assert needed in words.to_decide
 
