@@ -257,5 +257,5 @@ def test_what_a_sharper_map_takes_little_of_is_not_the_maps(
         ended = replace(fit, chi2=fit.dof)
         trials = iter([None, None, better, None, None, ended, *[None] * 12])
         monkeypatch.setattr(baseline, "finer_map", lambda *_, trials=trials: next(trials))
-        monkeypatch.setattr(baseline, "_sharpened", lambda *_: [((10, 14), 1.0)])
+        monkeypatch.setattr(baseline, "_finer_grids", lambda *_: [((10, 14), 1.0)])
         assert (with_finest_map(setup, setup.fitter, off) is not off) is taken

@@ -13,13 +13,13 @@ from orchestrator.formatting.names import VERDICTS
 from protocols import NotMeasuredError
 from tests.orchestrator.estimation.made_up import Resistance, Ripples, Sweeps
 from tests.orchestrator.recording_checks.conftest import right
-from tests.support.rewriting import Rewritten, swap_step
+from tests.support.rewriting import Rewritten, exchanged
 
 __all__ = ["right"]
 
 
 def test_a_convention_is_the_verdict_and_no_effect_is_named(right: Rewritten) -> None:
-    wrong = right.phases("i_ab", swap_step("b", "c"))
+    wrong = right.phases("i_ab", exchanged("b", "c"))
     diagnosis = diagnose_recording(wrong, [])  # type: ignore[arg-type]
     report = diagnosis.report
     assert report.verdict == "convention"
@@ -62,4 +62,4 @@ def test_an_estimation_that_is_refused_says_what_the_readings_look_like(right: R
     with pytest.raises(NotMeasuredError, match=r"milliamperes.*multiply the currents by 0\.001"):
         estimate_recording(right.mapped("i_ab", 1e3 * np.eye(2)), [Resistance()], tmp_path)
     with pytest.raises(NotMeasuredError, match="swapped in phases b and c"):
-        estimate_recording(right.phases("i_ab", swap_step("b", "c")), [Resistance()], tmp_path)
+        estimate_recording(right.phases("i_ab", exchanged("b", "c")), [Resistance()], tmp_path)

@@ -164,7 +164,7 @@ def test_a_map_that_was_made_sharp_for_what_others_took_away_later_is_a_usual_on
     sharp = setup.fitter.fit(replace(whole.model, space=space))
     if earned:
         monkeypatch.setattr(joint_workflow, "keep_fine_grid", lambda *_: True)
-    after = joint_workflow.no_sharper_than_asked(setup, sharp)
+    after = joint_workflow.coarsen_joint_map(setup, sharp)
     assert has_fine_grid(sharp)
     assert (after is sharp) == earned
     assert has_fine_grid(after) == earned
@@ -173,4 +173,4 @@ def test_a_map_that_was_made_sharp_for_what_others_took_away_later_is_a_usual_on
 
 def test_a_usual_map_is_asked_nothing() -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    assert joint_workflow.no_sharper_than_asked(setup, whole) is whole
+    assert joint_workflow.coarsen_joint_map(setup, whole) is whole

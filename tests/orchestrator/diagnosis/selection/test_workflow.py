@@ -13,7 +13,7 @@ from orchestrator.diagnosis.selection import workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.workflow import (
-    no_sharper_than_asked,
+    coarsen_map,
     prune,
     search_effects,
     with_estimated_scatter,
@@ -81,12 +81,12 @@ def test_a_map_that_was_made_sharp_for_an_effect_s_form_is_a_usual_one(
     if earned:
         monkeypatch.setattr(workflow, "keep_fine_grid", lambda *_: True)
     search = Search([Step(None, first), Step("voltage_bias", sharp, 20.0)])
-    after = no_sharper_than_asked(setup_of(maker), search)
+    after = coarsen_map(setup_of(maker), search)
     assert has_fine_grid(sharp)
     assert has_fine_grid(after.fit) == earned
     assert after.fit.model.names == ("voltage_bias",)
     asked_nothing = Search([Step(None, first), Step("voltage_bias", usual, 20.0)])
-    assert no_sharper_than_asked(setup_of(maker), asked_nothing) is asked_nothing
+    assert coarsen_map(setup_of(maker), asked_nothing) is asked_nothing
 
 
 def test_a_timer_that_leaves_more_than_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:

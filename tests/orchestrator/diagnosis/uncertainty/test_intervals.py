@@ -21,9 +21,9 @@ from orchestrator.diagnosis.uncertainty.intervals import (
     block_scatter,
     block_scatter_ratio,
     certainty,
-    following,
     is_none_significant,
     possibly_absent,
+    projected_rows,
     ripple_share,
     standardised_std,
 )
@@ -68,7 +68,7 @@ def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(cl
     library = scaled_library([VoltageDelay(), EddyCurrents(), CurrentOffset(), CurrentGainMismatch()], clean.manifest)
     columns = absent_columns(library)
     loose = setup.fitter.evaluate(fit.model, fit.frame, columns)
-    share = ripple_share([(piece, rows) for piece, _, rows in following(loose)])
+    share = ripple_share([(piece, rows) for piece, _, rows in projected_rows(loose)])
     by_name = {active.name: float(s) for (active, _), s in zip(columns, share, strict=True)}
     assert by_name["voltage_delay"] > 0.98
     assert by_name["eddy_currents"] > 0.9
@@ -78,9 +78,9 @@ def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(cl
 
 def test_what_the_columns_keep_is_what_the_map_cannot_follow(delayed: tuple[Fitter, Fit]) -> None:
     _, fit = delayed
-    kept = sum(float(rows[:, 0] @ rows[:, 0]) for _, _, rows in following(fit))
+    kept = sum(float(rows[:, 0] @ rows[:, 0]) for _, _, rows in projected_rows(fit))
     known = float(fit.projected()[0][0, 0])
-    # The map's prior holds it back a little from following, which counts as knowledge too.
+    # The map's prior holds it back a little from projected_rows, which counts as knowledge too.
     assert 0.97 * known < kept <= known * (1.0 + 1e-9)
 
 
