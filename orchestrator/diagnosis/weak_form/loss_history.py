@@ -11,7 +11,7 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 from protocols import (
     LossHistory,
@@ -124,7 +124,7 @@ def _usual_settling_s(items: Sequence[SegmentHeat], longest_s: float) -> float:
     return float(np.median(gaps)) if gaps else longest_s
 
 
-def with_current_history(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
+def with_current_history(pieces: Sequence[SegmentData]) -> list[SegmentData]:
     """The pieces with where the current was on the way to each; none flows while a rotor is turned."""
     way, known = np.zeros((0, 2)), list(pieces[:1])
     for before, piece in pairwise(pieces):
@@ -134,7 +134,7 @@ def with_current_history(pieces: Sequence[SegmentSignals]) -> list[SegmentSignal
     return known
 
 
-def with_rotor_turn(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
+def with_rotor_turn(pieces: Sequence[SegmentData]) -> list[SegmentData]:
     """The pieces with how far the rotor was turned to each, from where it was for most of the recording."""
     samples = dict[float, int]()
     for piece in pieces:
@@ -145,7 +145,7 @@ def with_rotor_turn(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
     return [replace(p, signals=replace(p.signals, turned_rad=by_rad)) for p, by_rad in turned]
 
 
-def _current_history(piece: SegmentSignals) -> Array:
+def _current_history(piece: SegmentData) -> Array:
     """Where the current was in a piece, shape (points, 2): all along a sweep, else as it ended."""
     readings = piece.current_ab
     if not piece.signals.bridge_on:
@@ -158,8 +158,8 @@ def _current_history(piece: SegmentSignals) -> Array:
 
 
 def with_heat(
-    pieces: Sequence[SegmentSignals], unread: Sequence[SegmentHeat], manifest: Manifest
-) -> tuple[SegmentSignals, ...]:
+    pieces: Sequence[SegmentData], unread: Sequence[SegmentHeat], manifest: Manifest
+) -> tuple[SegmentData, ...]:
     """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
     last = pieces[-1].signals
     step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz)
@@ -171,7 +171,7 @@ def with_heat(
     )
 
 
-def _heated(piece: SegmentSignals, step_s: float, fs: float) -> SegmentHeat:
+def _heated(piece: SegmentData, step_s: float, fs: float) -> SegmentHeat:
     """Of one piece: as captured, and as at its end where the segment went on after what was read."""
     s = piece.signals
     square = np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
@@ -180,5 +180,5 @@ def _heated(piece: SegmentSignals, step_s: float, fs: float) -> SegmentHeat:
     return segment_heat(square, s.start_s, end, s.sampling_frequency_hz, step_s, before)
 
 
-def _heat_of(piece: SegmentSignals, losses: LossHistory, energy: Array) -> Array:
+def _heat_of(piece: SegmentData, losses: LossHistory, energy: Array) -> Array:
     return np.asarray(np.interp(piece.signals.time_s, losses.time_s, energy), dtype=np.float64)

@@ -19,7 +19,7 @@ from orchestrator.diagnosis.weak_form.loss_history import (
 from orchestrator.diagnosis.weak_form.segments import (
     LEAST_SEGMENT_SAMPLES,
     PreparedRecording,
-    SegmentSignals,
+    SegmentData,
     read_segment,
     windows_of,
 )
@@ -77,7 +77,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
     # Not of a grid's first row or column, where the map would have to extrapolate.
     held_out = set(injections[2::HELD_OUT_EVERY]) if len(injections) >= cutting.held_out_from else set()
-    pieces: list[SegmentSignals] = []
+    pieces: list[SegmentData] = []
     short: list[Segment] = []
     for segment in segments:
         piece = read_segment(recording, segment, segment.id in held_out, wanted.get(segment.id), cutting)
@@ -111,20 +111,20 @@ def coarse(prepared: PreparedRecording) -> PreparedRecording:
     return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
 
 
-def _held_out_among_fitted(pieces: list[SegmentSignals]) -> list[SegmentSignals]:
+def _held_out_among_fitted(pieces: list[SegmentData]) -> list[SegmentData]:
     """Held out is what lies among the currents that are fitted, and nothing where else nothing would move."""
     fitted = [_currents(p) for p in pieces if not p.held_out and p.stage in _EXCITED_STAGES]
     held = {p.segment.id for p in pieces if p.held_out and lies_among(_currents(p), fitted)}
     return [replace(p, held_out=p.segment.id in held) if p.held_out else p for p in pieces]
 
 
-def _currents(piece: SegmentSignals) -> Array:
+def _currents(piece: SegmentData) -> Array:
     """Some of its currents in the believed frame, (n, 2)."""
     every = len(piece.signals.i_ab) // 1000 + 1
     return to_dq(piece.signals.i_ab[::every], float(piece.segment.rotor_angle_rad))
 
 
-def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
+def _part(piece: SegmentData, criteria: WeakFormCriteria) -> SegmentData:
     s, settings = piece.signals, piece.segment.settings
     n, fs = len(s.v_dc), s.sampling_frequency_hz
     count = n

@@ -64,7 +64,7 @@ _ZERO_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
-class SegmentSignals:
+class SegmentData:
     """One segment.
 
     Attributes
@@ -110,7 +110,7 @@ class PreparedRecording:
     """A recording as the diagnosis works on it."""
 
     manifest: Manifest
-    pieces: tuple[SegmentSignals, ...]
+    pieces: tuple[SegmentData, ...]
     remarks: tuple[Remark, ...]
     criteria: Criteria
     fleet: FleetPriors | None = None
@@ -140,7 +140,7 @@ class PreparedRecording:
 
 def read_segment(
     recording: RecordingReader, segment: Segment, held_out: bool, samples: int | None, criteria: WeakFormCriteria
-) -> SegmentSignals | None:
+) -> SegmentData | None:
     """The signals and windows of a segment; None where it is too short for one."""
     drive = recording.manifest.drive
     capture = recording.load(segment)
@@ -185,7 +185,7 @@ def read_segment(
         **logged_fields(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab) == "dq"
-    return SegmentSignals(
+    return SegmentData(
         segment, held_out or diagonal, signals, windows, scatter, width, before, current_ab, command_ab, delay
     )
 
