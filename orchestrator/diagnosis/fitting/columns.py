@@ -123,12 +123,7 @@ def column_plan(
     return ColumnPlan({} if known is None else _kept(names, probes, power, known), answering)
 
 
-def _kept(
-    names: Sequence[ColumnName],
-    probes: Mapping[int, ColumnProbe],
-    power: Array,
-    known: Fit,
-) -> dict[int, int]:
+def _kept(names: Sequence[ColumnName], probes: Mapping[int, ColumnProbe], power: Array, known: Fit) -> dict[int, int]:
     places = {name: j for j, name in enumerate(known.parameters)}
     kept = {}
     for k, name in enumerate(names):

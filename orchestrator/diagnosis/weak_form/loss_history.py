@@ -13,13 +13,7 @@ import numpy as np
 
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
-from protocols import (
-    LossHistory,
-    Manifest,
-    RecordingReader,
-    Segment,
-    SegmentStage,
-)
+from protocols import LossHistory, Manifest, RecordingReader, Segment, SegmentStage
 
 ASSUMED_SETTLING_S: float = 1.0
 """How long before a capture its first current is assumed to have flowed, where nothing was captured [s]."""

@@ -25,13 +25,7 @@ from orchestrator.diagnosis.weak_form.segments import (
 )
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
-from protocols import (
-    NotMeasuredError,
-    RecordingReader,
-    Remark,
-    Segment,
-    SegmentStage,
-)
+from protocols import NotMeasuredError, RecordingReader, Remark, Segment, SegmentStage
 
 HELD_OUT_EVERY: int = 5
 """Every so many-th injection point is kept out of all fits and used to validate them."""

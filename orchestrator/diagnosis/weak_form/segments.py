@@ -21,16 +21,7 @@ from orchestrator.diagnosis.weak_form.sensor_scatter import (
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
-from protocols import (
-    Manifest,
-    ModulatorTimer,
-    RealArray,
-    RecordingReader,
-    Remark,
-    Segment,
-    SegmentStage,
-    Signals,
-)
+from protocols import Manifest, ModulatorTimer, RealArray, RecordingReader, Remark, Segment, SegmentStage, Signals
 from protocols.fleet_priors import FleetPriors
 
 LEAST_TEST_FUNCTIONS_PER_TRAPEZOID: int = 8
