@@ -22,7 +22,7 @@ from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.selection.residual_pattern import map_asymmetry
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model
 from protocols import (
@@ -113,7 +113,7 @@ def _benefit(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Rem
 
 
 def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:
-    def of_stage(piece: SegmentSignals) -> bool:
+    def of_stage(piece: SegmentData) -> bool:
         return piece.stage is stage
 
     return StageError(
@@ -124,7 +124,7 @@ def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:
     )
 
 
-def _worst(fit: Fit, pieces: Sequence[SegmentSignals]) -> tuple[WorstSegment, ...]:
+def _worst(fit: Fit, pieces: Sequence[SegmentData]) -> tuple[WorstSegment, ...]:
     rows = []
     for piece in pieces:
         i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)

@@ -185,17 +185,7 @@ def diagnose_recording(
     """
     with executor_of(workers) as executor:
         request = _Request(
-            effects,
-            model,
-            tuple(without),
-            out,
-            poll,
-            tell,
-            criteria,
-            propose,
-            executor,
-            on_interim,
-            report_early,
+            effects, model, tuple(without), out, poll, tell, criteria, propose, executor, on_interim, report_early
         )
         if priors is None:
             return _diagnose(recording, request, on_step)

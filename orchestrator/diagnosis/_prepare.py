@@ -17,8 +17,9 @@ from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
+from orchestrator.diagnosis.weak_form.preparation import coarse, prepare
 from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
 from orchestrator.recording_checks import check_recording

@@ -14,7 +14,7 @@ import numpy as np
 from orchestrator.config import Plan, make_plan
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, observable_effects, scaled_library
-from orchestrator.diagnosis.weak_form.segments import USABLE
+from orchestrator.diagnosis.weak_form.preparation import USABLE
 from orchestrator.experiment_design.additions import allowed_stages, extended_plan
 from orchestrator.experiment_design.contrasts import Stage
 from orchestrator.experiment_design.information import information

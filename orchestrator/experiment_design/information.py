@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, typical_standardised_value
-from orchestrator.diagnosis.fitting.model import BatchFrame
+from orchestrator.diagnosis.fitting.model import BatchLinearisation
 from orchestrator.experiment_design.rehearsal import Rehearsal
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole
@@ -147,7 +147,7 @@ def information(
 
 
 def batch_information(
-    rehearsal: Rehearsal, effects: Collection[EffectColumns], frame: BatchFrame
+    rehearsal: Rehearsal, effects: Collection[EffectColumns], frame: BatchLinearisation
 ) -> Iterator[tuple[int, Array]]:
     """Normal matrix of each segment of a batch, with its index among the rehearsed ones."""
     model, equations = rehearsal.model, rehearsal.setup.fitter.equations

@@ -22,12 +22,8 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_mod
 from orchestrator.diagnosis.fitting.model import Model
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import (
-    LEAST_PERIODS_PER_TEST_FUNCTION,
-    TEST_FUNCTIONS_PER_TURN,
-    THINNED_TURNS,
-    prepare,
-)
+from orchestrator.diagnosis.weak_form.preparation import THINNED_TURNS, prepare
+from orchestrator.diagnosis.weak_form.segments import LEAST_PERIODS_PER_TEST_FUNCTION, TEST_FUNCTIONS_PER_TURN
 from orchestrator.experiment_design.machine import Machine, current_of
 from orchestrator.experiment_design.separation import PLANNED_TURN_S
 from orchestrator.numerics.frames import from_two_phases, to_ab

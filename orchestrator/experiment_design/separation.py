@@ -24,7 +24,7 @@ from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Model
 from orchestrator.diagnosis.weak_form.batches import in_batches
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals, windows_of
+from orchestrator.diagnosis.weak_form.segments import SegmentData, windows_of
 from orchestrator.experiment_design.machine import Machine, current_of
 from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
@@ -115,7 +115,7 @@ def _part_of(setup: DiagnosisSetup) -> Fitter:
 def _normal(
     fitter: Fitter,
     pair: ConfoundedPair,
-    pieces: Sequence[SegmentSignals],
+    pieces: Sequence[SegmentData],
     more: Sequence[tuple[EffectTerm, str]] = (),
     *,
     with_prior: bool = True,
@@ -152,7 +152,7 @@ def _remaining_chi2(normal: Array, coordinates: Array) -> float:
     return float(coordinates @ rest @ coordinates)
 
 
-def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -> list[tuple[SegmentSignals, float]]:
+def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -> list[tuple[SegmentData, float]]:
     """The segments of a stage, each with the number of segments that it represents."""
     kind, lasting = SegmentStage(stage["kind"]), float(stage["duration_s"])
     fs = setup.prepared.manifest.drive.sampling_frequency_hz
@@ -160,7 +160,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
     if kind is SegmentStage.GATES_OFF:
         off = _piece(setup, model, kind, {}, still, still, lasting)
         return [] if off is None else [(off, lasting / PLANNED_HOLD_S)]
-    planned: list[tuple[SegmentSignals | None, float]] = []
+    planned: list[tuple[SegmentData | None, float]] = []
     machine = Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics)
     for point in stage["points_a"]:
         i_dq = np.array(point, dtype=np.float64)
@@ -197,7 +197,7 @@ def _piece(
     current: Array,
     voltage: Array,
     lasting_s: float,
-) -> SegmentSignals | None:
+) -> SegmentData | None:
     """A segment after the last one of the recording, in that one's frame, with the heat of the middle of its time.
 
     None where it has too few readings for a window.

@@ -16,7 +16,7 @@ from orchestrator.diagnosis.fitting.priors import inductances_at_rest
 from orchestrator.diagnosis.fitting.workers import Executor
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
 from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, with_quantiser
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -377,7 +377,7 @@ def _resistance(setup: DiagnosisSetup) -> float:
     return nominal if nominal is not None else _mean_resistance(setup.prepared.pieces)
 
 
-def _mean_resistance(pieces: Sequence[SegmentSignals]) -> float:
+def _mean_resistance(pieces: Sequence[SegmentData]) -> float:
     drop, square = 0.0, 1e-12
     for piece in pieces:
         if piece.stage is SegmentStage.RESISTANCE:

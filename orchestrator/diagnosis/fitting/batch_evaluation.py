@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.columns import ColumnProbe, probe_segments
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
-from orchestrator.diagnosis.fitting.model import BatchFrame, Model, SegmentRows
+from orchestrator.diagnosis.fitting.model import BatchLinearisation, Model, SegmentRows
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch, in_batches
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 
 Columns = Sequence[tuple[EffectTerm, str]]
 """Effects with one of their parameters each, by which derivatives are wanted."""
@@ -22,14 +22,14 @@ class RecordingBatches:
 
     Attributes
     ----------
-    pieces : tuple of SegmentSignals
+    pieces : tuple of SegmentData
         The recording's.
     probes : tuple of SegmentBatch
         A few segments of each stage, which are evaluated first and show what has changed.
     others : tuple of SegmentBatch
     """
 
-    pieces: tuple[SegmentSignals, ...]
+    pieces: tuple[SegmentData, ...]
     probes: tuple[SegmentBatch, ...]
     others: tuple[SegmentBatch, ...]
 
@@ -54,7 +54,7 @@ class BatchTask:
     Attributes
     ----------
     batch : SegmentBatch
-    frame : BatchFrame or None
+    frame : BatchLinearisation or None
         Of an earlier evaluation.
     renew : bool
         Whether the frame is renewed, as far as it changed since; else the model is evaluated in that one.
@@ -67,7 +67,7 @@ class BatchTask:
     """
 
     batch: SegmentBatch
-    frame: BatchFrame | None
+    frame: BatchLinearisation | None
     renew: bool
     columns: Columns | None
     answering: Sequence[frozenset[str] | None] | None = None
@@ -76,9 +76,9 @@ class BatchTask:
 
 @dataclass(frozen=True)
 class BatchResult:
-    """Frame, equations and probes of one batch, each segment's in the batch's order."""
+    """Linearisation, equations and probes of one batch, each segment's in the batch's order."""
 
-    frame: BatchFrame
+    frame: BatchLinearisation
     rows: Sequence[SegmentRows] = ()
     probes: Sequence[ColumnProbe] = ()
 

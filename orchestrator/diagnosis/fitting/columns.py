@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Answers, ColumnName, Fit, Model
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 
 PROBE_EVERY: int = 16
@@ -72,7 +72,7 @@ class ColumnPlan:
         return columns
 
 
-def probe_segments(pieces: Sequence[SegmentSignals]) -> tuple[int, ...]:
+def probe_segments(pieces: Sequence[SegmentData]) -> tuple[int, ...]:
     """The segments that columns are probed on: a few of each stage, spread evenly; none that is held out."""
     stages: dict[object, list[int]] = {}
     for k, piece in enumerate(pieces):
@@ -123,12 +123,7 @@ def column_plan(
     return ColumnPlan({} if known is None else _kept(names, probes, power, known), answering)
 
 
-def _kept(
-    names: Sequence[ColumnName],
-    probes: Mapping[int, ColumnProbe],
-    power: Array,
-    known: Fit,
-) -> dict[int, int]:
+def _kept(names: Sequence[ColumnName], probes: Mapping[int, ColumnProbe], power: Array, known: Fit) -> dict[int, int]:
     places = {name: j for j, name in enumerate(known.parameters)}
     kept = {}
     for k, name in enumerate(names):

@@ -13,7 +13,13 @@ from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.cascade import Cascade, Change, array_of, step_of
 from orchestrator.diagnosis.fitting.columns import ColumnProbe
 from orchestrator.diagnosis.fitting.corrections import apply_effects, has_random_directions
-from orchestrator.diagnosis.fitting.model import BatchFrame, ColumnName, Model, SegmentFrame, SegmentRows
+from orchestrator.diagnosis.fitting.model import (
+    BatchLinearisation,
+    ColumnName,
+    Model,
+    SegmentLinearisation,
+    SegmentRows,
+)
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.carrier_ripple import carrier_ripple_voltage
 from orchestrator.diagnosis.weak_form.dwells import QuantiserScatter, dwells
@@ -27,7 +33,7 @@ from orchestrator.diagnosis.weak_form.equations import (
 )
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rotation
 from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import EvenSpline
@@ -52,7 +58,7 @@ drift."""
 class BatchState:
     """A batch of segments where a model stands."""
 
-    frame: BatchFrame
+    frame: BatchLinearisation
     cascade: Cascade
     local: LocalMap
 
@@ -72,7 +78,7 @@ class WeakFormEquations:
     """Whether the resistance takes its part of a carrier's ripple (`weak_form.carrier_ripple`)."""
     _raw_basis: dict[int, tuple[SegmentBatch, EvenSpline, list[Array]]] = field(default_factory=dict)
 
-    def renewed(self, model: Model, batch: SegmentBatch, old: BatchFrame | None) -> BatchState:
+    def renewed(self, model: Model, batch: SegmentBatch, old: BatchLinearisation | None) -> BatchState:
         """A batch where the model stands, in a frame made anew as far as it changed since `old`.
 
         Its signals are led through the effects but once for both.
@@ -89,7 +95,7 @@ class WeakFormEquations:
         same = not cascade.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(batch, cascade.corrected, model.magnetics)
         raw = self._untouched_basis(batch, local, model) if same else basis(batch, local, model.magnetics)
-        state = BatchState(BatchFrame(batch, base, ()), cascade, local)
+        state = BatchState(BatchLinearisation(batch, base, ()), cascade, local)
         noises = self._noises(state, model, old)
         pieces = []
         for j, (whitener, mean, noise_parameters) in enumerate(noises):
@@ -98,15 +104,15 @@ class WeakFormEquations:
                 white = before.white_basis
             else:
                 white = whitener(raw[j] if model.space.is_free else raw[j] @ model.space.directions)
-            pieces.append(SegmentFrame(whitener, raw[j], white, mean, noise_parameters))
-        return BatchState(BatchFrame(batch, base, tuple(pieces)), cascade, local)
+            pieces.append(SegmentLinearisation(whitener, raw[j], white, mean, noise_parameters))
+        return BatchState(BatchLinearisation(batch, base, tuple(pieces)), cascade, local)
 
-    def at(self, model: Model, frame: BatchFrame) -> BatchState:
+    def at(self, model: Model, frame: BatchLinearisation) -> BatchState:
         """A batch where the model stands, in a frame of before."""
         cascade = Cascade.of(frame.base, model.active)
         return BatchState(frame, cascade, local_map(frame.batch, cascade.corrected, model.magnetics))
 
-    def common(self, model: Model, frame: BatchFrame) -> list[Array]:
+    def common(self, model: Model, frame: BatchLinearisation) -> list[Array]:
         """What each segment's readings may have in common, whitened: columns as of `_common_rows`."""
         state = self.at(model, frame)
         slopes = self._slopes(frame.batch, frame.base, model)
@@ -128,7 +134,7 @@ class WeakFormEquations:
         return base.replaced({"v_ab": base.v_ab + np.concatenate(taken)})
 
     def _noises(
-        self, state: BatchState, model: Model, old: BatchFrame | None
+        self, state: BatchState, model: Model, old: BatchLinearisation | None
     ) -> list[tuple[Whitener, Array, dict[ColumnName, float]]]:
         """Of each segment how its noise is whitened, and by what: as before, where that bears what has moved since."""
         batch, local, corrected = state.batch, state.local, state.cascade.corrected
@@ -200,7 +206,9 @@ class WeakFormEquations:
         directions = state.cascade.random_directions()
         return [change_of_rows(state.batch, at, change, state.local, magnet) for change in directions]
 
-    def _same_noise(self, inductances: Array, noise_parameters: dict[ColumnName, float], old: BatchFrame) -> list[bool]:
+    def _same_noise(
+        self, inductances: Array, noise_parameters: dict[ColumnName, float], old: BatchLinearisation
+    ) -> list[bool]:
         """Of each segment, whether its noise's covariance bears what has moved since an earlier frame."""
         is_same = dict[int, bool]()
         before = np.stack([kept.mean_inductance for kept in old.pieces])
@@ -398,7 +406,7 @@ def scatter_sizes(timer: QuantiserScatter, noise: ModelNoise) -> Array:
     return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])
 
 
-def _in_frame_of(piece: SegmentSignals, slopes: Array) -> Slopes:
+def _in_frame_of(piece: SegmentData, slopes: Array) -> Slopes:
     """Slopes in the frame of the rotor as it is believed to lie."""
     turn = rotation(-piece.segment.rotor_angle_rad)
     # As one product with a matrix of four by four: a product for each reading takes ten times as long.

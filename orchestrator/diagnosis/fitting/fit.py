@@ -2,7 +2,7 @@
 
 The equations are linear in R_s and the coefficients, so these are solved for exactly at every step (variable
 projection); the effects' parameters move by Gauss-Newton with unit normal priors. What changes little from step
-to step (the map's columns, the noise, the flux that effects see) is a `Frame`, renewed when the model has moved:
+to step (the map's columns, the noise, the flux effects see) is a `Linearisation`, renewed once the model has moved:
 the equations themselves are always evaluated where the model stands. Decides nothing.
 """
 
@@ -28,7 +28,15 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, column_plan, known_answers
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Answers, BatchFrame, Fit, Frame, MapSpace, Model, SegmentRows
+from orchestrator.diagnosis.fitting.model import (
+    Answers,
+    BatchLinearisation,
+    Fit,
+    Linearisation,
+    MapSpace,
+    Model,
+    SegmentRows,
+)
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.fitting.workers import Executor, SerialExecutor
 from orchestrator.diagnosis.search_recorder import SearchRecorder
@@ -125,13 +133,19 @@ class Fitter:
         return self.prepared.criteria.fitting
 
     def fit(
-        self, model: Model, frame: Frame | None = None, *, steps: int = 8, renewals: int = 2, tolerance: float = 1e-4
+        self,
+        model: Model,
+        frame: Linearisation | None = None,
+        *,
+        steps: int = 8,
+        renewals: int = 2,
+        tolerance: float = 1e-4,
     ) -> Fit:
         """Fit R_s, the map and every free parameter, from where the model stands.
 
         Parameters
         ----------
-        frame : Frame, optional
+        frame : Linearisation, optional
             Of an earlier fit: kept where it has the same map, else made anew as far as another map changes it.
         steps : int
             Most Gauss-Newton steps in one frame.
@@ -202,18 +216,18 @@ class Fitter:
             trial = again
         return trial
 
-    def frame(self, model: Model, old: Frame | None = None) -> Frame:
+    def frame(self, model: Model, old: Linearisation | None = None) -> Linearisation:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
         old = self._reusable(model, old)
         results = self._evaluate(
             model, [BatchTask(batch, before, True, None) for batch, before in self._with_frames(old)]
         )
-        return self._framed(model, [result.frame for result in results], old)
+        return self._linearisation_of(model, [result.frame for result in results], old)
 
     def renewed(
         self,
         model: Model,
-        old: Frame | None = None,
+        old: Linearisation | None = None,
         extra: Sequence[tuple[EffectTerm, str]] = (),
         *,
         held: bool = False,
@@ -230,14 +244,14 @@ class Fitter:
         wanted = [] if held else [*model.free, *extra]
         old = self._reusable(model, old)
         frames, rows, answers = self._rows(model, old, True, wanted, known)
-        frame = self._framed(model, frames, old)
+        frame = self._linearisation_of(model, frames, old)
         fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
         return replace(fit, answers=answers)
 
     def evaluate(
         self,
         model: Model,
-        frame: Frame,
+        frame: Linearisation,
         extra: Sequence[tuple[EffectTerm, str]] = (),
         *,
         known: Fit | None = None,
@@ -260,23 +274,25 @@ class Fitter:
             return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
         return replace(fit, answers=answers)
 
-    def _reusable(self, model: Model, old: Frame | None) -> Frame | None:
+    def _reusable(self, model: Model, old: Linearisation | None) -> Linearisation | None:
         """An earlier frame where what it keeps can be the model's: of the same noise, segments, and a map as free."""
         if old is None or old.noise is not self.noise or not _is_equally_free(old.space, model.space):
             return None
         return old if self._has_same_batches(old) else None
 
-    def _has_same_batches(self, frame: Frame) -> bool:
+    def _has_same_batches(self, frame: Linearisation) -> bool:
         ours = self.batches.all
         return len(ours) == len(frame.batches) and all(b.batch is a for a, b in zip(ours, frame.batches, strict=True))
 
-    def _with_frames(self, frame: Frame | None) -> list[tuple[SegmentBatch, BatchFrame | None]]:
+    def _with_frames(self, frame: Linearisation | None) -> list[tuple[SegmentBatch, BatchLinearisation | None]]:
         ours = self.batches.all
         return list(zip(ours, frame.batches if frame is not None else [None] * len(ours), strict=True))
 
-    def _framed(self, model: Model, frames: Sequence[BatchFrame], old: Frame | None) -> Frame:
+    def _linearisation_of(
+        self, model: Model, frames: Sequence[BatchLinearisation], old: Linearisation | None
+    ) -> Linearisation:
         """All batches' frames as one."""
-        frame = Frame(model.space, self.noise, tuple(frames), np.zeros((0, 0)))
+        frame = Linearisation(model.space, self.noise, tuple(frames), np.zeros((0, 0)))
         damped_reduction = zip(frame.pieces, old.pieces, strict=True) if old is not None else ()
         if old is not None and all(a.white_basis is b.white_basis for a, b in damped_reduction):
             return replace(frame, gram=old.gram)
@@ -291,8 +307,8 @@ class Fitter:
         return self.executor.map(partial(evaluate_batch, self.equations, model), tasks)
 
     def _rows(
-        self, model: Model, frame: Frame | None, renew: bool, wanted: Columns, known: Fit | None
-    ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
+        self, model: Model, frame: Linearisation | None, renew: bool, wanted: Columns, known: Fit | None
+    ) -> tuple[list[BatchLinearisation], list[SegmentRows], Answers]:
         """Every batch's frame, every segment's equations with columns where it is not held out, and what answers."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.budget.spend(samples * COLUMNS_PER_EVALUATION)
@@ -308,12 +324,12 @@ class Fitter:
     def _rows_by_plan(
         self,
         model: Model,
-        ours: Sequence[tuple[SegmentBatch, BatchFrame | None]],
+        ours: Sequence[tuple[SegmentBatch, BatchLinearisation | None]],
         renew: bool,
         wanted: Columns,
         known: Fit | None,
         samples: int,
-    ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
+    ) -> tuple[list[BatchLinearisation], list[SegmentRows], Answers]:
         """The same; columns that have not moved on a few segments, which are evaluated first, are the known fit's."""
         names = [(a.name, n) for a, n in wanted]
         before = known_answers(model, known)

@@ -15,7 +15,7 @@ from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch
@@ -75,7 +75,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class SegmentFrame:
+class SegmentLinearisation:
     """What is kept of one piece between steps, beside its signals."""
 
     whitener: Whitener
@@ -89,28 +89,28 @@ class SegmentFrame:
 
 
 @dataclass(frozen=True)
-class BatchFrame:
+class BatchLinearisation:
     """What is kept of a batch of segments between steps."""
 
     batch: SegmentBatch
     base: SignalBatch
     """As measured, with the model's resistance and flux."""
-    pieces: tuple[SegmentFrame, ...]
+    pieces: tuple[SegmentLinearisation, ...]
     """In the batch's order."""
 
 
 @dataclass(frozen=True)
-class Frame:
+class Linearisation:
     """What is kept of a recording between steps."""
 
     space: MapSpace
     noise: SensorNoise
-    batches: tuple[BatchFrame, ...]
+    batches: tuple[BatchLinearisation, ...]
     gram: Array
     """white_basis^T white_basis over the training pieces."""
 
     @cached_property
-    def pieces(self) -> tuple[SegmentFrame, ...]:
+    def pieces(self) -> tuple[SegmentLinearisation, ...]:
         """In the recording's order."""
         ordered = {k: one for b in self.batches for k, one in zip(b.batch.places, b.pieces, strict=True)}
         return tuple(ordered[k] for k in sorted(ordered))
@@ -159,7 +159,7 @@ class Fit:
     """A model fitted, and how well."""
 
     model: Model
-    frame: Frame
+    frame: Linearisation
     prepared: PreparedRecording
     chi2: float
     """Sum of squares of the whitened training residual."""
@@ -204,12 +204,12 @@ class Fit:
             seen |= {k: i_dq[frame.base.slice_of(j)] for j, k in enumerate(frame.batch.places)}
         return [seen[k] for k in sorted(seen)]
 
-    def chi2_of(self, use: Callable[[SegmentSignals], bool]) -> float | None:
+    def chi2_of(self, use: Callable[[SegmentData], bool]) -> float | None:
         """Mean square of the whitened residual of some pieces; None where there are none."""
         parts = [e for p, e in zip(self.prepared.pieces, self.residual, strict=True) if use(p)]
         return float(np.mean(np.concatenate(parts) ** 2)) if parts else None
 
-    def rms_v(self, use: Callable[[SegmentSignals], bool]) -> float | None:
+    def rms_v(self, use: Callable[[SegmentData], bool]) -> float | None:
         """rms of some pieces' residual in volts; None where there are none."""
         parts = [e for p, e in zip(self.prepared.pieces, self.volts, strict=True) if use(p)]
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None

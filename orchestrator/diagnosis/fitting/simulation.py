@@ -10,7 +10,7 @@ from numba import njit
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.equations import local_map
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.tensor_spline import derivatives_at
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -63,7 +63,7 @@ def parts_of(decay: float) -> int:
     return max(1, math.ceil(decay / STEP_OF_DECAY))
 
 
-def current_rms(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True) -> float | None:
+def current_rms(fit: Fit, use: Callable[[SegmentData], bool] = lambda _: True) -> float | None:
     """rms of predicted minus measured current over some pieces [A]; None where there are none."""
     total, count = 0.0, 0
     for index, piece in enumerate(fit.prepared.pieces):

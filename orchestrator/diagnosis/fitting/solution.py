@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from orchestrator.analysis import known_resistance
-from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Frame, MapSpace, Model, SegmentRows
+from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Linearisation, MapSpace, Model, SegmentRows
 from orchestrator.diagnosis.fitting.priors import known_by
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -18,7 +18,7 @@ from orchestrator.numerics.types import Array
 def solved(
     prepared: PreparedRecording,
     model: Model,
-    frame: Frame,
+    frame: Linearisation,
     rows: Sequence[SegmentRows],
     parameters: Sequence[ColumnName],
     held: bool,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v, training
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import quantity
 from orchestrator.formatting.sentences import listed
@@ -78,7 +78,7 @@ def _number(value: float | str | None) -> float | None:
     return value if isinstance(value, float) else None
 
 
-def _evaluated_rows(fit: Fit) -> Callable[[SegmentSignals], bool]:
+def _evaluated_rows(fit: Fit) -> Callable[[SegmentData], bool]:
     return held_out if any(map(held_out, fit.prepared.pieces)) else training
 
 

@@ -15,7 +15,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO
 from orchestrator.diagnosis.weak_form.equations import true_frame
-from orchestrator.diagnosis.weak_form.segments import AXES, Axis, SegmentSignals, swept_axis
+from orchestrator.diagnosis.weak_form.segments import AXES, Axis, SegmentData, swept_axis
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import CurrentExcerpt, FluxLoop, SegmentStage, SignalBatch
@@ -50,7 +50,7 @@ def flux_loops(fit: Fit) -> tuple[FluxLoop, ...]:
     return tuple(_loop(fit, best[axis][1], axis) for axis in AXES if axis in best)
 
 
-def ripple_pair(pieces: Sequence[SegmentSignals], ratio: float) -> tuple[int, ...]:
+def ripple_pair(pieces: Sequence[SegmentData], ratio: float) -> tuple[int, ...]:
     """Two injection segments at one point with amplitudes apart by a ratio, the smaller first; else one; else none."""
     points = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.INJECTION]
     if not points:
@@ -69,11 +69,11 @@ def ripple_pair(pieces: Sequence[SegmentSignals], ratio: float) -> tuple[int, ..
     return points[int(small)], points[int(large)]
 
 
-def _mean_current(piece: SegmentSignals) -> Array:
+def _mean_current(piece: SegmentData) -> Array:
     return np.asarray(to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0))
 
 
-def _amplitude(piece: SegmentSignals) -> float:
+def _amplitude(piece: SegmentData) -> float:
     """Of the injected voltage [V]: the set point, else the rms of its vector about the mean."""
     requested = piece.segment.settings.get("amplitude_v")
     if isinstance(requested, int | float) and requested > 0:
@@ -107,7 +107,7 @@ def _push(v: Array, half: int, shown: int) -> int:
     return int(np.argmax(2.0 * total[k + half] - total[k] - total[k + 2 * half]))
 
 
-def _trapezoid(pieces: Sequence[SegmentSignals]) -> Iterator[int]:
+def _trapezoid(pieces: Sequence[SegmentData]) -> Iterator[int]:
     """A held-out sweep, where there is one, as the most honest; else the first."""
     sweeps = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.CLASSICAL]
     yield from sorted(sweeps, key=lambda k: (not pieces[k].held_out, k))[:1]
@@ -124,7 +124,7 @@ def _trapezoid_excerpt(fit: Fit, index: int) -> CurrentExcerpt:
 
 
 def _excerpt(
-    piece: SegmentSignals, measured: Array, predicted: Array, stride: int, amplitude: float | None
+    piece: SegmentData, measured: Array, predicted: Array, stride: int, amplitude: float | None
 ) -> CurrentExcerpt:
     i_d, i_q = measured.mean(axis=0)
     return CurrentExcerpt(
@@ -182,7 +182,7 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     )
 
 
-def _magnet_wb(piece: SegmentSignals) -> float:
+def _magnet_wb(piece: SegmentData) -> float:
     """The magnet's flux by the nameplate, 0 where unknown [Wb]."""
     motor = piece.signals.motor
     return (motor.pm_flux_wb if motor is not None else None) or 0.0
@@ -195,20 +195,20 @@ def _integral(signals: SignalBatch, factor: float, part: slice, ts: float) -> Ar
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def _swept(piece: SegmentSignals) -> tuple[Axis, float]:
+def _swept(piece: SegmentData) -> tuple[Axis, float]:
     """The axis that a sweep moves, and the size of the current that it holds on the other."""
     axis = swept_axis(piece.segment, piece.signals.i_ab)
     i_d, i_q = np.abs(_mean_current(piece))
     return axis, {"d": float(i_q), "q": float(i_d), "dq": 0.0}[axis]
 
 
-def _period(piece: SegmentSignals) -> int:
+def _period(piece: SegmentData) -> int:
     """Samples in a period of a sweep; all of them where it does not say."""
     period = piece.segment.settings.get("period_s")
     requested = float(period) if isinstance(period, int | float) and period > 0 else math.inf
     return _samples(piece, requested)
 
 
-def _samples(piece: SegmentSignals, seconds: float) -> int:
+def _samples(piece: SegmentData, seconds: float) -> int:
     n = len(piece.signals.v_dc)
     return n if math.isinf(seconds) else min(n, round(seconds * piece.signals.sampling_frequency_hz) + 1)

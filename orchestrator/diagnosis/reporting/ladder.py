@@ -10,26 +10,26 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 from protocols import Rung
 
 
-def training(piece: SegmentSignals) -> bool:
+def training(piece: SegmentData) -> bool:
     return not piece.held_out
 
 
-def held_out(piece: SegmentSignals) -> bool:
+def held_out(piece: SegmentData) -> bool:
     return piece.held_out
 
 
-def mean_rms_v(fit: Fit, use: Callable[[SegmentSignals], bool]) -> float | None:
+def mean_rms_v(fit: Fit, use: Callable[[SegmentData], bool]) -> float | None:
     """rms of y_m / sum_k(w_mk Ts) over the windows that are means, carriers of the ripple aside [V]."""
     parts = [_means(p, e) for p, e in zip(fit.prepared.pieces, fit.volts, strict=True) if use(p)]
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
 
 
-def noise_rms_v(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True) -> float | None:
+def noise_rms_v(fit: Fit, use: Callable[[SegmentData], bool] = lambda _: True) -> float | None:
     """The same figure if only the sensors' noise were left [V]."""
     parts = []
     for piece, segment_frame in zip(fit.prepared.pieces, fit.frame.pieces, strict=True):
@@ -39,7 +39,7 @@ def noise_rms_v(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True
     return float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else None
 
 
-def _means(piece: SegmentSignals, rows: Array) -> Array:
+def _means(piece: SegmentData, rows: Array) -> Array:
     modes = len(piece.windows.modes)
     return rows.reshape(-1, modes, 2)[:, 0].ravel()
 

@@ -10,7 +10,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, map_space
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array, Mask
@@ -76,7 +76,7 @@ def _kept_effect(active: EffectTerm, found: FoundEffect) -> ModelEffect:
     )
 
 
-def measured_hull(pieces: Sequence[SegmentSignals], samples: int = 200) -> tuple[tuple[float, float], ...]:
+def measured_hull(pieces: Sequence[SegmentData], samples: int = 200) -> tuple[tuple[float, float], ...]:
     """Convex hull of the currents that were measured and of their mirror images in i_q [A], counterclockwise.
 
     Some 200 `samples` of each segment show how far it went: a sweep or a turn of the injection has fewer corners.

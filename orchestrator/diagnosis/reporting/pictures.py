@@ -18,7 +18,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
@@ -108,7 +108,7 @@ class _Rows:
     index: int
 
     @property
-    def piece(self) -> SegmentSignals:
+    def piece(self) -> SegmentData:
         return self.fit.prepared.pieces[self.index]
 
     @property

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from protocols import Contrast, Effect, SegmentStage
@@ -46,7 +46,7 @@ def holds(prepared: PreparedRecording, contrast: Contrast) -> bool:
     return CONTRASTS[contrast].holds(prepared)
 
 
-def _of(prepared: PreparedRecording, stage: SegmentStage) -> list[SegmentSignals]:
+def _of(prepared: PreparedRecording, stage: SegmentStage) -> list[SegmentData]:
     return [p for p in prepared.pieces if p.stage is stage]
 
 
@@ -78,7 +78,7 @@ def _all_around(prepared: PreparedRecording) -> bool:
     return len(held) > DIRECTIONS / 2
 
 
-def _seconds(piece: SegmentSignals) -> float:
+def _seconds(piece: SegmentData) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 

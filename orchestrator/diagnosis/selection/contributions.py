@@ -12,7 +12,7 @@ from scipy.special import chdtrc
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import without_effect
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -123,7 +123,7 @@ def unexplained_at_rest_v(fit: Fit) -> float:
     return error.rms_v if error.rms_v > limits.materiality.material_voltage * error.least_excitation_v else 0.0
 
 
-def _without_current(piece: SegmentSignals) -> bool:
+def _without_current(piece: SegmentData) -> bool:
     return piece.stage is SegmentStage.GATES_OFF
 
 

@@ -12,11 +12,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.diagnosis.selection.scoring import (
-    log_evidence,
-    loss_without,
-    select_terms,
-)
+from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without, select_terms
 from protocols import ParameterRole
 
 MAX_DEFERRED_FORM_GAIN: float = 0.3

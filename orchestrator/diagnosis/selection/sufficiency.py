@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO, SAME_CURRENT
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import LEAST_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import LEAST_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentData
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
@@ -98,7 +98,7 @@ def _operating_points(prepared: PreparedRecording) -> int:
     return sum(OPERATING_POINTS_PER_SWEEP * _sweeps(p, apart) or 1 for p in _distinct_segments(covered, apart))
 
 
-def _sweeps(piece: SegmentSignals, apart_a: float) -> int:
+def _sweeps(piece: SegmentData, apart_a: float) -> int:
     """How many sweeps a segment holds beside each other; 0 of any other stage."""
     if piece.stage not in _SWEEPS:
         return 0
@@ -107,11 +107,11 @@ def _sweeps(piece: SegmentSignals, apart_a: float) -> int:
     return 1 + int(across / apart_a)
 
 
-def _seconds(piece: SegmentSignals) -> float:
+def _seconds(piece: SegmentData) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 
-def _is_informative(piece: SegmentSignals, apart_a: float) -> bool:
+def _is_informative(piece: SegmentData, apart_a: float) -> bool:
     """Whether a segment is long enough, and a hold has settled too."""
     if piece.stage is not SegmentStage.RESISTANCE:
         return piece.windows.rows >= LEAST_EQUATIONS
@@ -121,9 +121,9 @@ def _is_informative(piece: SegmentSignals, apart_a: float) -> bool:
     return _seconds(piece) >= LEAST_HOLD_S and float(np.abs(moved).max()) < apart_a
 
 
-def _distinct_segments(pieces: Sequence[SegmentSignals], apart_a: float) -> list[SegmentSignals]:
+def _distinct_segments(pieces: Sequence[SegmentData], apart_a: float) -> list[SegmentData]:
     """Those whose currents are not those of one before: another mean, or another swing."""
-    different: list[SegmentSignals] = []
+    different: list[SegmentData] = []
     marks: list[Array] = []
     for piece in pieces:
         i = piece.signals.i_ab
@@ -176,5 +176,5 @@ def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
     return missing
 
 
-def _swing(piece: SegmentSignals) -> float:
+def _swing(piece: SegmentData) -> float:
     return float(np.linalg.norm(np.std(piece.signals.v_ab, axis=0)))

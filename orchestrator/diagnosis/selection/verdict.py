@@ -20,8 +20,7 @@ from protocols import Verdict, VerdictLimits, VerdictRecord
 def verdict_limits(criteria: Criteria) -> VerdictLimits:
     """The limits of a verdict among the criteria of a diagnosis."""
     return VerdictLimits(
-        **criteria.verdict.model_dump(exclude={"widest_band_percent"}),
-        **criteria.materiality.model_dump(),
+        **criteria.verdict.model_dump(exclude={"widest_band_percent"}), **criteria.materiality.model_dump()
     )
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from orchestrator.diagnosis.weak_form.pwm_quantiser import leg_step_of
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, delayed
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, delayed
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -94,7 +94,7 @@ def _command_rms(command_ab: Array) -> float:
     return float(command_ab.std(axis=0).max())
 
 
-def _trace(piece: SegmentSignals, there: slice, per_volt_dq: Array, decay_dq: Array) -> CommandTrace:
+def _trace(piece: SegmentData, there: slice, per_volt_dq: Array, decay_dq: Array) -> CommandTrace:
     i_ab, command_ab = piece.current_ab[there], piece.command_ab[there]
     turn = rotation(piece.segment.rotor_angle_rad)
     per_volt, decay = (turn @ np.diag(x) @ turn.T for x in (per_volt_dq, decay_dq))

@@ -10,7 +10,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SegmentStage
 
@@ -93,12 +93,12 @@ def is_none_significant(fitter: Fitter, fit: Fit) -> bool:
     return float(x @ np.linalg.solve(covariance, x)) <= float(least)
 
 
-def form_std(fit: Fit, rows: Sequence[tuple[SegmentSignals, Array]]) -> Array:
+def form_std(fit: Fit, rows: Sequence[tuple[SegmentData, Array]]) -> Array:
     """What the effects' forms leave out, as a standard deviation of each free coordinate, shape (free,).
 
     Parameters
     ----------
-    rows : sequence of (SegmentSignals, array)
+    rows : sequence of (SegmentData, array)
         Of each training segment what it tells of each coordinate, shape (rows, free).
     """
     extent = np.array([_extent(a, n) for a, n in fit.model.free])
@@ -111,7 +111,7 @@ def _two_sided_refinements(active: EffectTerm) -> list[str]:
     return [n for n in names if n not in active.free and active.values[n] > active.candidate.named(n).low]
 
 
-def projected_rows(fit: Fit) -> list[tuple[SegmentSignals, Array, Array]]:
+def projected_rows(fit: Fit) -> list[tuple[SegmentData, Array, Array]]:
     """Of each training segment: residual (rows,) and columns (rows, columns), R_s and the map following the columns."""
     width, count = fit.normal.shape[0], len(fit.parameters)
     cross = np.zeros((width, count))
@@ -124,7 +124,7 @@ def projected_rows(fit: Fit) -> list[tuple[SegmentSignals, Array, Array]]:
     return [(p, e, d - np.outer(r, follow[0]) - f.white_basis @ follow[1:]) for p, f, d, r, e in parts]
 
 
-def ripple_share(rows: Sequence[tuple[SegmentSignals, Array]]) -> Array:
+def ripple_share(rows: Sequence[tuple[SegmentData, Array]]) -> Array:
     """What the ripple tells of each column, over what it and the means at rest tell together; shape (columns,)."""
     ripple, rest = np.zeros(rows[0][1].shape[1]), np.zeros(rows[0][1].shape[1])
     for piece, columns in rows:

@@ -21,7 +21,7 @@ from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import LocalMap, change_of_rows, local_map
 from orchestrator.diagnosis.weak_form.noise import Whitener
 from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, added_by, leg_step_of
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals, mean_between
+from orchestrator.diagnosis.weak_form.segments import SegmentData, mean_between
 from orchestrator.numerics.types import Array, Indices
 from protocols import ModulatorTimer, SignalBatch
 
@@ -110,7 +110,7 @@ def _descended(rounding: _Rounding, x: Array, apart: float) -> Array:
 class _Segment:
     """A training segment: what its rows are made of, and the whitened columns of all that follows."""
 
-    piece: SegmentSignals
+    piece: SegmentData
     batch: SegmentBatch
     """The segment alone."""
     base: SignalBatch

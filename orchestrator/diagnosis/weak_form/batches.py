@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.windows import Windows
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch
@@ -75,17 +75,17 @@ class SegmentBatch:
     ----------
     places : tuple of int
         Which of the recording's they are.
-    pieces : tuple of SegmentSignals
+    pieces : tuple of SegmentData
     signals : SignalBatch
         Theirs, as measured and commanded.
     """
 
     places: tuple[int, ...]
-    pieces: tuple[SegmentSignals, ...]
+    pieces: tuple[SegmentData, ...]
     signals: SignalBatch
 
     @classmethod
-    def of(cls, pieces: Sequence[SegmentSignals], places: Iterable[int] | None = None) -> SegmentBatch:
+    def of(cls, pieces: Sequence[SegmentData], places: Iterable[int] | None = None) -> SegmentBatch:
         """All of some segments, or those at some places among them."""
         at = tuple(range(len(pieces)) if places is None else places)
         chosen = tuple(pieces[k] for k in at)
@@ -151,7 +151,7 @@ MAX_BATCH_SAMPLES = 20_000
 
 
 def in_batches(
-    pieces: Sequence[SegmentSignals], first: Iterable[int] = (), samples: int = MAX_BATCH_SAMPLES
+    pieces: Sequence[SegmentData], first: Iterable[int] = (), samples: int = MAX_BATCH_SAMPLES
 ) -> tuple[tuple[SegmentBatch, ...], tuple[SegmentBatch, ...]]:
     """A recording's segments in batches of at most so many samples, those that come first apart from the others.
 
@@ -168,7 +168,7 @@ def in_batches(
     return tuple(early), tuple(late)
 
 
-def _split(pieces: Sequence[SegmentSignals], places: Sequence[int], samples: int) -> list[list[int]]:
+def _split(pieces: Sequence[SegmentData], places: Sequence[int], samples: int) -> list[list[int]]:
     """Places dealt out so that each part has much the same number of samples, the longest segments first."""
     lengths = {k: len(pieces[k].signals.v_dc) for k in places}
     count = max(1, -(-sum(lengths.values()) // samples))

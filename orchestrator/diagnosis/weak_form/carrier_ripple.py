@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
@@ -29,7 +29,7 @@ LEAST_INDUCTANCE_RATIO = 0.1
 """Of the nameplate's inductance, that saturation leaves at least: iron that is full still leaves the slots' leakage."""
 
 
-def carrier_ripple_voltage(piece: SegmentSignals, signals: Signals, magnetics: Magnetics) -> Array:
+def carrier_ripple_voltage(piece: SegmentData, signals: Signals, magnetics: Magnetics) -> Array:
     """The voltage that is to be added to a segment's, so that the line between readings is right.
 
     Parameters

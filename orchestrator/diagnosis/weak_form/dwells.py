@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals, block_means
+from orchestrator.diagnosis.weak_form.segments import SegmentData, block_means
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
 
-def dwells(piece: SegmentSignals, *, still: float = 0.02, certain: float = 4.0, least: int = 3) -> tuple[slice, ...]:
+def dwells(piece: SegmentData, *, still: float = 0.02, certain: float = 4.0, least: int = 3) -> tuple[slice, ...]:
     """Samples of each stretch in which a segment's current stands still: all of a hold, the ends of a sweep's ramps.
 
     Parameters
@@ -58,7 +58,7 @@ class QuantiserScatter:
     trembling_v: Array
 
     @classmethod
-    def of(cls, piece: SegmentSignals) -> QuantiserScatter:
+    def of(cls, piece: SegmentData) -> QuantiserScatter:
         """Of the rests of a segment."""
         s, found = piece.signals, dwells(piece)
         own = (s.drive.pwm_frequency_hz if s.drive is not None else None) or s.pwm_frequency_hz

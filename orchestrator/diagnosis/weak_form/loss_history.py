@@ -1,15 +1,26 @@
-"""The copper loss over the whole experiment: measured where it was captured, taken from what follows where not."""
+"""Where the current and the rotor were before each segment, and the copper loss over the whole experiment.
+
+The loss is measured where it was captured, and taken from the next segment where it was not.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import accumulate
+from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
-from protocols import LossHistory, RecordingReader, Segment, SegmentStage
+from protocols import LossHistory, Manifest, RecordingReader, Segment, SegmentStage
+
+ASSUMED_SETTLING_S: float = 1.0
+"""How long before a capture its first current is assumed to have flowed, where nothing was captured [s]."""
+_FINAL_READINGS = 20
+"""Whose mean is where a current was as a segment ended."""
+_MAX_HISTORY_POINTS = 24
+"""Of the way to a segment that are kept: a sweep's last period, or the last holds; what was before is wiped out."""
 
 LOSS_STEP_S: float = 0.05
 """Step of the history of losses [s]: short beside a winding's thermal time constant."""
@@ -105,3 +116,63 @@ def _usual_settling_s(items: Sequence[SegmentHeat], longest_s: float) -> float:
     ends = accumulate((item.end_s for item in items), max, initial=0.0)
     gaps = [gap for item, end in zip(items, ends, strict=False) if 0.0 < (gap := item.start_s - end) <= longest_s]
     return float(np.median(gaps)) if gaps else longest_s
+
+
+def with_current_history(pieces: Sequence[SegmentData]) -> list[SegmentData]:
+    """The pieces with where the current was on the way to each; none flows while a rotor is turned."""
+    way, known = np.zeros((0, 2)), list(pieces[:1])
+    for before, piece in pairwise(pieces):
+        turned = before.segment.rotor_angle_rad != piece.segment.rotor_angle_rad
+        way = np.zeros((1, 2)) if turned else np.concatenate([way, _current_history(before)])[-_MAX_HISTORY_POINTS:]
+        known.append(replace(piece, signals=replace(piece.signals, came_from_ab=way)))
+    return known
+
+
+def with_rotor_turn(pieces: Sequence[SegmentData]) -> list[SegmentData]:
+    """The pieces with how far the rotor was turned to each, from where it was for most of the recording."""
+    samples = dict[float, int]()
+    for piece in pieces:
+        angle = piece.segment.rotor_angle_rad
+        samples[angle] = samples.get(angle, 0) + piece.segment.samples
+    usual = max(samples, key=lambda angle: samples[angle], default=0.0)
+    turned = ((piece, piece.segment.rotor_angle_rad - usual) for piece in pieces)
+    return [replace(p, signals=replace(p.signals, turned_rad=by_rad)) for p, by_rad in turned]
+
+
+def _current_history(piece: SegmentData) -> Array:
+    """Where the current was in a piece, shape (points, 2): all along a sweep, else as it ended."""
+    readings = piece.current_ab
+    if not piece.signals.bridge_on:
+        return np.zeros((1, 2))
+    # An injected ripple's mean is where the drive holds the current.
+    parts = [readings if piece.stage is SegmentStage.INJECTION else readings[-_FINAL_READINGS:]]
+    if piece.stage is SegmentStage.CLASSICAL:
+        parts = [*np.array_split(readings[len(readings) // 2 :], _MAX_HISTORY_POINTS - 1), *parts]
+    return np.array([part.mean(axis=0) for part in parts if len(part)])
+
+
+def with_heat(
+    pieces: Sequence[SegmentData], unread: Sequence[SegmentHeat], manifest: Manifest
+) -> tuple[SegmentData, ...]:
+    """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
+    last = pieces[-1].signals
+    step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz)
+    items = [*unread, *(_heated(p, step_s, manifest.drive.sampling_frequency_hz) for p in pieces)]
+    losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0, ASSUMED_SETTLING_S)
+    energy = np.concatenate([np.zeros(1), np.cumsum(losses.power_w[:-1] * np.diff(losses.time_s))])
+    return tuple(
+        replace(p, signals=replace(p.signals, heat_j=_heat_of(p, losses, energy), losses=losses)) for p in pieces
+    )
+
+
+def _heated(piece: SegmentData, step_s: float, fs: float) -> SegmentHeat:
+    """Of one piece: as captured, and as at its end where the segment went on after what was read."""
+    s = piece.signals
+    square = np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
+    end = max(s.start_s + len(square) / s.sampling_frequency_hz, piece.segment.start_s + piece.segment.samples / fs)
+    before = float(piece.before_ab @ piece.before_ab) if s.bridge_on else 0.0
+    return segment_heat(square, s.start_s, end, s.sampling_frequency_hz, step_s, before)
+
+
+def _heat_of(piece: SegmentData, losses: LossHistory, energy: Array) -> Array:
+    return np.asarray(np.interp(piece.signals.time_s, losses.time_s, energy), dtype=np.float64)

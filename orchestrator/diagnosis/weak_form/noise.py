@@ -20,7 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.equations import LocalMap
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
 from orchestrator.diagnosis.weak_form.spectral_lines import SpectralLine, added_noise, find_lines
 from orchestrator.diagnosis.weak_form.windows import function_weights
@@ -64,12 +64,12 @@ class SensorNoise:
     lines: tuple[SpectralLine, ...] = ()
     of_model: ModelNoise = field(default_factory=ModelNoise)
 
-    def of(self, piece: SegmentSignals) -> Array:
+    def of(self, piece: SegmentData) -> Array:
         """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
         covariance = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
         return np.asarray(covariance / piece.averaged)
 
-    def with_quiet_current(self, piece: SegmentSignals) -> SegmentSignals:
+    def with_quiet_current(self, piece: SegmentData) -> SegmentData:
         """A hold that has its current without noise beside the measured one; any other piece as it is.
 
         A hold's window is so long that the noise in it is that of the mean, which stays. In a sweep's short windows the
@@ -80,7 +80,7 @@ class SensorNoise:
         quiet = quieted(np.asarray(piece.signals.i_ab, dtype=np.float64), np.sqrt(np.diag(self.of(piece))))
         return replace(piece, signals=replace(piece.signals, i_quiet_ab=quiet))
 
-    def colour(self, piece: SegmentSignals) -> Array:
+    def colour(self, piece: SegmentData) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
         w, rho = piece.windows, self.correlation
         if len(w.modes) == 1 and self.lines:
@@ -90,7 +90,7 @@ class SensorNoise:
         turn = 2.0 * np.pi * np.array(w.orders) / max(w.period, 1.0)
         return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
 
-    def _steady(self, piece: SegmentSignals) -> float:
+    def _steady(self, piece: SegmentData) -> float:
         """Of a hat: correlation, and switching ripple."""
         rho, s = self.correlation, piece.signals
         motor, variance = s.motor, 0.5 * float(np.trace(self.of(piece)))
@@ -101,7 +101,7 @@ class SensorNoise:
         return (1.0 + rho) / (1.0 - rho) + sum(more)
 
 
-def sensor_noise(pieces: Sequence[SegmentSignals]) -> SensorNoise:
+def sensor_noise(pieces: Sequence[SegmentData]) -> SensorNoise:
     """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
 
     From holds and gates-off readings; where there are none, from trapezoids, then from steps or the injection itself.
@@ -172,7 +172,7 @@ class Slopes:
 
 
 def banded_covariance(
-    piece: SegmentSignals, local: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
+    piece: SegmentData, local: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
 ) -> Array:
     """Covariance of a piece's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
 

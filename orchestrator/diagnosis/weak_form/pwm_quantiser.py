@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 from numba import njit
 
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, mean_between
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from protocols import DriveRecord, ModulatorTimer, RealArray, TimerPhases
@@ -90,7 +90,7 @@ def own_leg_step_of(step_s: float, drive: DriveRecord) -> float:
     return leg_step_of(step_s, drive.pwm_frequency_hz or drive.sampling_frequency_hz, drive.dc_bus_voltage_v)
 
 
-def _impressed(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float) -> SegmentSignals:
+def _impressed(piece: SegmentData, timer: ModulatorTimer | None, bus_v: float) -> SegmentData:
     impressed = piece.command_ab
     if timer is not None:
         added = added_by(timer, piece, bus_v)
@@ -101,7 +101,7 @@ def _impressed(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float
     return replace(piece, signals=replace(piece.signals, v_ab=v_ab))
 
 
-def added_by(timer: ModulatorTimer, piece: SegmentSignals, bus_v: float) -> Array | None:
+def added_by(timer: ModulatorTimer, piece: SegmentData, bus_v: float) -> Array | None:
     """What the timer adds to each command of a piece (readings, 2) [V]; None where its phases are unknown there."""
     pwm_hz = piece.signals.pwm_frequency_hz
     phases = next((p for p in timer.phases if math.isclose(p.pwm_frequency_hz, pwm_hz)), None)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_dq, to_phases
 from orchestrator.numerics.lattice import step_of
 from orchestrator.numerics.types import Array
@@ -20,7 +20,7 @@ LEAST_ROUNDING_VARIANCE_RATIO = 0.1
 """Of the noise's variance in an equation, from which on a rounding is spoken of."""
 
 
-def rounding_remarks(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> list[Remark]:
+def rounding_remarks(pieces: Sequence[SegmentData], noise: SensorNoise) -> list[Remark]:
     """Remarks on voltages and currents that were logged in steps too large for a diagnosis."""
     remarks, used = [], [p for p in pieces if p.stage is not SegmentStage.GATES_OFF]
     volts = logged_step(used, lambda piece: piece.command_ab)
@@ -43,13 +43,13 @@ def rounding_remarks(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> li
     return remarks
 
 
-def logged_step(pieces: Sequence[SegmentSignals], read: Callable[[SegmentSignals], Array]) -> float | None:
+def logged_step(pieces: Sequence[SegmentData], read: Callable[[SegmentData], Array]) -> float | None:
     """The step of what was logged, as (alpha, beta), in the rotor's frame or as phases; None where it has none.
 
     Differences of two phases keep the step of the phases, whether a vector was made of two readings or of three; the
     phases themselves have lost what three have in common, and are multiples of a third of it.
     """
-    frames: tuple[Callable[[SegmentSignals], Array], ...] = (
+    frames: tuple[Callable[[SegmentData], Array], ...] = (
         read,
         lambda piece: to_dq(read(piece), piece.segment.rotor_angle_rad),
         lambda piece: _between_phases(read(piece)),
@@ -74,7 +74,7 @@ def _between_phases(x_ab: Array) -> Array:
     return np.asarray(phases - np.roll(phases, 1, axis=1))
 
 
-def _rounding_variance_ratio(piece: SegmentSignals, noise: SensorNoise, step_v: float) -> float:
+def _rounding_variance_ratio(piece: SegmentData, noise: SensorNoise, step_v: float) -> float:
     """Variance that a step's rounding makes in an equation of a hat, over that of the readings' noise."""
     signals, width = piece.signals, piece.windows.step
     ts, variance = 1.0 / signals.sampling_frequency_hz, 0.5 * float(np.trace(noise.of(piece)))

@@ -1,27 +1,16 @@
-"""A recording, read once: each usable segment as float64 signals with its windows. Judges nothing."""
+"""A segment as float64 signals with its windows and the scatter of its readings. Judges nothing."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
 from orchestrator.analysis import turns_of
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
-from orchestrator.diagnosis.weak_form.logged import logged_fields, since_the_start
-from orchestrator.diagnosis.weak_form.loss_history import (
-    LOSS_STEP_S,
-    SegmentHeat,
-    heat_of_unread,
-    loss_history,
-    segment_heat,
-    step_of,
-)
-from orchestrator.diagnosis.weak_form.reach import lies_among
+from orchestrator.diagnosis.weak_form.logged import logged_fields
 from orchestrator.diagnosis.weak_form.sensor_scatter import (
     Scatter,
     repeats,
@@ -33,18 +22,7 @@ from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, 
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.kernels import delayed_means
 from orchestrator.numerics.types import Array
-from protocols import (
-    LossHistory,
-    Manifest,
-    ModulatorTimer,
-    NotMeasuredError,
-    RealArray,
-    RecordingReader,
-    Remark,
-    Segment,
-    SegmentStage,
-    Signals,
-)
+from protocols import Manifest, ModulatorTimer, RealArray, RecordingReader, Remark, Segment, SegmentStage, Signals
 from protocols.fleet_priors import FleetPriors
 
 LEAST_TEST_FUNCTIONS_PER_TRAPEZOID: int = 8
@@ -67,49 +45,18 @@ LEAST_SEGMENT_SAMPLES: int = 17
 """Readings below which a segment is not used: a test function takes eight on either side."""
 INITIAL_READINGS: int = 5
 """Readings whose mean is the current that flowed until a segment began."""
-HELD_OUT_EVERY: int = 5
-"""Every so many-th injection point is kept out of all fits and used to validate them."""
 LEAST_SWING_RATIO_OF_DIAGONAL: float = 0.5
 """Swing of one axis over the other's from which a sweep is of both axes; a sweep of one hardly moves the other."""
-THINNED_TURNS: float = 1.25
-"""Turns of the injected direction that a thinned point keeps: a whole one, whatever its windows lose at the ends."""
-LEAST_THINNED_SAMPLES: int = 1000
-"""Samples that a thinned point keeps at least."""
-COARSE_POINTS: int = 16
-"""Injection points in the part of a recording that is searched first."""
-COARSE_TURNS: float = 0.75
-"""Part of a turn of each injection point that the first search uses."""
-LEAST_COARSE_SAMPLES: int = 100
-"""Samples below which a segment is not shortened for the first search."""
 LEAST_AVERAGED_SAMPLES: int = 200
 """Averaged samples that a segment keeps at least."""
-ASSUMED_SETTLING_S: float = 1.0
-"""How long before a capture its first current is assumed to have flowed, where nothing was captured [s]."""
-
 Axis = Literal["d", "q", "dq"]
 AXES: tuple[Axis, ...] = ("d", "q", "dq")
-USABLE = (
-    SegmentStage.GATES_OFF,
-    SegmentStage.RESISTANCE,
-    SegmentStage.CLASSICAL,
-    SegmentStage.INJECTION,
-    SegmentStage.STEPS,
-)
-_EXCITED_STAGES = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
 _ZERO_TOLERANCE = 1e-6
 """Of the other axis: single precision turned from frame to frame makes a tenth of it."""
-_FINAL_READINGS = 20
-"""Whose mean is where a current was as a segment ended."""
-_MAX_HISTORY_POINTS = 24
-"""Of the way to a segment that are kept: a sweep's last period, or the last holds; what was before is wiped out."""
-_SAMPLED = (
-    *("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j"),
-    *("i_quiet_ab", "i_abc", "temperature_c"),
-)
 
 
 @dataclass(frozen=True)
-class SegmentSignals:
+class SegmentData:
     """One segment.
 
     Attributes
@@ -155,7 +102,7 @@ class PreparedRecording:
     """A recording as the diagnosis works on it."""
 
     manifest: Manifest
-    pieces: tuple[SegmentSignals, ...]
+    pieces: tuple[SegmentData, ...]
     remarks: tuple[Remark, ...]
     criteria: Criteria
     fleet: FleetPriors | None = None
@@ -183,129 +130,10 @@ class PreparedRecording:
         return low, high, q
 
 
-def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording:
-    """Read every usable segment of a recording.
-
-    Raises
-    ------
-    RecordingError
-        Where a capture is not what the manifest says.
-    NotMeasuredError
-        Where there is no segment with current in it.
-    """
-    manifest = recording.manifest
-    remarks: list[Remark] = []
-    segments = [s for s in recording.segments() if s.stage in USABLE]
-    cutting = criteria.weak_form
-    segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, cutting, remarks)
-    injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
-    # Not of a grid's first row or column, where the map would have to extrapolate.
-    held_out = set(injections[2::HELD_OUT_EVERY]) if len(injections) >= cutting.held_out_from else set()
-    pieces: list[SegmentSignals] = []
-    short: list[Segment] = []
-    for segment in segments:
-        piece = _piece(recording, segment, segment.id in held_out, wanted.get(segment.id), cutting)
-        if piece is None:
-            short.append(segment)
-        else:
-            pieces.append(piece)
-    remarks += _too_short(short)
-    if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
-        raise NotMeasuredError(manifest.name, "segments", _nothing_long_enough(short))
-    pieces = _held_out_among_fitted(pieces)
-    pieces.sort(key=lambda p: p.segment.start_s)
-    pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
-    pieces = _with_rotor_turn(_with_current_history(pieces))
-    read = {p.segment.id for p in pieces}
-    # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
-    unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], LOSS_STEP_S)
-    return PreparedRecording(manifest, _with_heat(pieces, unread, manifest), tuple(remarks), criteria)
-
-
-def coarse(prepared: PreparedRecording) -> PreparedRecording:
-    """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points.
-
-    What is held out is for the whole to be judged by, and is not in it.
-    """
-    cutting = prepared.criteria.weak_form
-    points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
-    most = min(COARSE_POINTS, len(points))
-    spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
-    pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
-    return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
-
-
-def _held_out_among_fitted(pieces: list[SegmentSignals]) -> list[SegmentSignals]:
-    """Held out is what lies among the currents that are fitted, and nothing where else nothing would move."""
-    fitted = [_currents(p) for p in pieces if not p.held_out and p.stage in _EXCITED_STAGES]
-    held = {p.segment.id for p in pieces if p.held_out and lies_among(_currents(p), fitted)}
-    return [replace(p, held_out=p.segment.id in held) if p.held_out else p for p in pieces]
-
-
-def _currents(piece: SegmentSignals) -> Array:
-    """Some of its currents in the believed frame, (n, 2)."""
-    every = len(piece.signals.i_ab) // 1000 + 1
-    return to_dq(piece.signals.i_ab[::every], float(piece.segment.rotor_angle_rad))
-
-
-def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
-    s, settings = piece.signals, piece.segment.settings
-    n, fs = len(s.v_dc), s.sampling_frequency_hz
-    count = n
-    if piece.stage is SegmentStage.CLASSICAL and settings.get("period_s"):
-        count = round(float(settings["period_s"]) * fs)
-    elif piece.stage is SegmentStage.INJECTION and settings.get("rotation_hz"):
-        count = round(COARSE_TURNS * fs / float(settings["rotation_hz"]))
-    stop = count + 1
-    if stop >= n or count < LEAST_COARSE_SAMPLES:
-        return piece
-    cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
-    signals = replace(s, **{**cut, "i_m_ab": cut["i_ab"]})
-    windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
-    if windows is None:
-        return piece
-    windows = replace(windows, unread=piece.windows.unread)
-    read = {name: getattr(piece, name)[: stop * piece.averaged] for name in ("current_ab", "command_ab")}
-    return replace(piece, signals=signals, windows=windows, **read)
-
-
-def _nothing_long_enough(short: Sequence[Segment]) -> str:
-    kinds = ", ".join(dict.fromkeys(segment.stage.value for segment in short)) or "none but readings without current"
-    least = LEAST_SEGMENT_SAMPLES
-    needed = f"a segment needs {least} samples, and several periods where one is injected"
-    return f"nothing with current in it that is long enough to be used ({kinds}): {needed}"
-
-
-def _too_short(segments: Sequence[Segment]) -> list[Remark]:
-    """One remark for all segments of a stage that tell nothing."""
-    by_stage: dict[SegmentStage, list[str]] = {}
-    for segment in segments:
-        by_stage.setdefault(segment.stage, []).append(segment.id)
-    text = "{segment}: too short to be used"
-    names = (ids[0] if len(ids) == 1 else f"{ids[0]} to {ids[-1]} ({len(ids)})" for ids in by_stage.values())
-    return [Remark.of("too_short", text, segment=name) for name in names]
-
-
-def _thinned(
-    segments: Sequence[Segment], fs: float, criteria: WeakFormCriteria, remarks: list[Remark]
-) -> tuple[list[Segment], dict[str, int]]:
-    """The segments to be read, and how many samples of each injection point."""
-    points = [s for s in segments if s.stage is SegmentStage.INJECTION]
-    wanted = {s.id: s.samples for s in points}
-    if sum(wanted.values()) <= criteria.most_samples:
-        return list(segments), wanted
-    turns = {s.id: THINNED_TURNS * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
-    wanted = {s.id: min(s.samples, max(round(turns[s.id]), LEAST_THINNED_SAMPLES)) for s in points}
-    stride = max(1.0, sum(wanted.values()) / criteria.most_samples)
-    spread = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
-    text = "{used} of {points} injection points are used, evenly spread, and one turn of each"
-    remarks.append(Remark.of("thinned", text, used=len(spread), points=len(points)))
-    return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in spread], wanted
-
-
-def _piece(
+def read_segment(
     recording: RecordingReader, segment: Segment, held_out: bool, samples: int | None, criteria: WeakFormCriteria
-) -> SegmentSignals | None:
+) -> SegmentData | None:
+    """The signals and windows of a segment; None where it is too short for one."""
     drive = recording.manifest.drive
     capture = recording.load(segment)
     fs = drive.sampling_frequency_hz
@@ -349,7 +177,7 @@ def _piece(
         **logged_fields(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab) == "dq"
-    return SegmentSignals(
+    return SegmentData(
         segment, held_out or diagonal, signals, windows, scatter, width, before, current_ab, command_ab, delay
     )
 
@@ -479,63 +307,3 @@ def late_beside(v_ab: Array, samples: float) -> Array | None:
 
 def _late(v_ab: Array, rows: int) -> Array:
     return v_ab[np.maximum(np.arange(len(v_ab)) - rows, 0)]
-
-
-def _with_current_history(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
-    """The pieces with where the current was on the way to each; none flows while a rotor is turned."""
-    way, known = np.zeros((0, 2)), list(pieces[:1])
-    for before, piece in pairwise(pieces):
-        turned = before.segment.rotor_angle_rad != piece.segment.rotor_angle_rad
-        way = np.zeros((1, 2)) if turned else np.concatenate([way, _current_history(before)])[-_MAX_HISTORY_POINTS:]
-        known.append(replace(piece, signals=replace(piece.signals, came_from_ab=way)))
-    return known
-
-
-def _with_rotor_turn(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
-    """The pieces with how far the rotor was turned to each, from where it was for most of the recording."""
-    samples = dict[float, int]()
-    for piece in pieces:
-        angle = piece.segment.rotor_angle_rad
-        samples[angle] = samples.get(angle, 0) + piece.segment.samples
-    usual = max(samples, key=lambda angle: samples[angle], default=0.0)
-    turned = ((piece, piece.segment.rotor_angle_rad - usual) for piece in pieces)
-    return [replace(p, signals=replace(p.signals, turned_rad=by_rad)) for p, by_rad in turned]
-
-
-def _current_history(piece: SegmentSignals) -> Array:
-    """Where the current was in a piece, shape (points, 2): all along a sweep, else as it ended."""
-    readings = piece.current_ab
-    if not piece.signals.bridge_on:
-        return np.zeros((1, 2))
-    # An injected ripple's mean is where the drive holds the current.
-    parts = [readings if piece.stage is SegmentStage.INJECTION else readings[-_FINAL_READINGS:]]
-    if piece.stage is SegmentStage.CLASSICAL:
-        parts = [*np.array_split(readings[len(readings) // 2 :], _MAX_HISTORY_POINTS - 1), *parts]
-    return np.array([part.mean(axis=0) for part in parts if len(part)])
-
-
-def _with_heat(
-    pieces: Sequence[SegmentSignals], unread: Sequence[SegmentHeat], manifest: Manifest
-) -> tuple[SegmentSignals, ...]:
-    """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
-    last = pieces[-1].signals
-    step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz)
-    items = [*unread, *(_heated(p, step_s, manifest.drive.sampling_frequency_hz) for p in pieces)]
-    losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0, ASSUMED_SETTLING_S)
-    energy = np.concatenate([np.zeros(1), np.cumsum(losses.power_w[:-1] * np.diff(losses.time_s))])
-    return tuple(
-        replace(p, signals=replace(p.signals, heat_j=_heat_of(p, losses, energy), losses=losses)) for p in pieces
-    )
-
-
-def _heated(piece: SegmentSignals, step_s: float, fs: float) -> SegmentHeat:
-    """Of one piece: as captured, and as at its end where the segment went on after what was read."""
-    s = piece.signals
-    square = np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
-    end = max(s.start_s + len(square) / s.sampling_frequency_hz, piece.segment.start_s + piece.segment.samples / fs)
-    before = float(piece.before_ab @ piece.before_ab) if s.bridge_on else 0.0
-    return segment_heat(square, s.start_s, end, s.sampling_frequency_hz, step_s, before)
-
-
-def _heat_of(piece: SegmentSignals, losses: LossHistory, energy: Array) -> Array:
-    return np.asarray(np.interp(piece.signals.time_s, losses.time_s, energy), dtype=np.float64)

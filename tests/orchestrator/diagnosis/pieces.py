@@ -22,7 +22,7 @@ from orchestrator.diagnosis.fitting.model import MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.diagnosis.weak_form.pwm_quantiser import leg_step_of, rounded_by
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, injection_period, windows_of
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, injection_period, windows_of
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
 from orchestrator.numerics.tensor_spline import EvenSpline
 from protocols import (
@@ -122,7 +122,7 @@ def many_holds() -> list[Plan]:
     ]
 
 
-def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array | None = None) -> SegmentSignals:
+def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array | None = None) -> SegmentData:
     """A segment as the diagnosis has it; `noise` (n, 2) is added to the readings in the stator frame."""
     c, s = math.cos(angle), math.sin(angle)
     to_stator = np.array([[c, s], [-s, c]])
@@ -157,9 +157,7 @@ def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array
     windows = windows_of(segment, FS, i_ab, v_ab, cutting)
     assert windows is not None
     period = injection_period(segment, FS, v_ab) if asked.stage is SegmentStage.INJECTION else None
-    return SegmentSignals(
-        segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], i_ab, v_ab, 0.0
-    )
+    return SegmentData(segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], i_ab, v_ab, 0.0)
 
 
 def prepared(

@@ -11,7 +11,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from orchestrator.diagnosis.selection.contrasts import holds
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.experiment_design.contrasts import STAGES, Bench, minutes, round_for_people
 from orchestrator.experiment_design.separation import planned_pieces
 from protocols import Contrast, Saturated
@@ -32,7 +32,7 @@ def test_what_its_stages_measure_brings_a_contrast_about(setup: DiagnosisSetup, 
     model = baseline_model(setup, Saturated())
 
     @cache
-    def planned(number: int) -> tuple[SegmentSignals, ...]:
+    def planned(number: int) -> tuple[SegmentData, ...]:
         stage = STAGES[contrast](Bench.of(setup))[number]
         return tuple(piece for piece, _ in planned_pieces(setup, model, stage))
 

@@ -9,7 +9,7 @@ import pytest
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separable, separating_contrasts
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.sensors import CurrentOffset
@@ -22,7 +22,7 @@ def setup(clean: Recording) -> DiagnosisSetup:
     return open_for_diagnosis(clean)
 
 
-def only(prepared: PreparedRecording, *pieces: SegmentSignals) -> PreparedRecording:
+def only(prepared: PreparedRecording, *pieces: SegmentData) -> PreparedRecording:
     return replace(prepared, pieces=pieces)
 
 

@@ -80,7 +80,7 @@ def test_what_the_columns_keep_is_what_the_map_cannot_follow(delayed: tuple[Fitt
     _, fit = delayed
     kept = sum(float(rows[:, 0] @ rows[:, 0]) for _, _, rows in projected_rows(fit))
     known = float(fit.projected()[0][0, 0])
-    # The map's prior holds it back a little from following, which counts as knowledge too.
+    # The map's prior holds it back a little from projected_rows, which counts as knowledge too.
     assert 0.97 * known < kept <= known * (1.0 + 1e-9)
 
 

@@ -12,7 +12,8 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS
 from orchestrator.diagnosis.uncertainty.scatter import scatter_of
 from orchestrator.diagnosis.weak_form.dwells import leg_step_v
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse
+from orchestrator.diagnosis.weak_form.preparation import coarse
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.frames import from_two_phases
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import SkinEffect

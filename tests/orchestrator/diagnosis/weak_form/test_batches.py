@@ -20,7 +20,7 @@ from orchestrator.diagnosis.weak_form.equations import (
 )
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.kernels import unit_vectors
 from protocols import SegmentStage, SignalBatch
 from tests.orchestrator.diagnosis.pieces import (
@@ -48,7 +48,7 @@ def _ripple(samples: int, period: int) -> Plan:
     return Plan(SegmentStage.INJECTION, ripple(1.0, 0.5, 40.0, samples, period), settings=settings)
 
 
-def _pieces() -> list[SegmentSignals]:
+def _pieces() -> list[SegmentData]:
     """A hold, two sweeps and two injections, of different lengths, sampling rates and angles; one axis not logged."""
     rng = np.random.default_rng(RNG_SEED)
     plans = [

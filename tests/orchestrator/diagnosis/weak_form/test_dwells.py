@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.weak_form.dwells import QuantiserScatter, dwells, leg_step_v
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import NOISE_A, R_S, Array, Plan, hold, piece, ripple, sweep
 
 
-def _made(stage: SegmentStage, v_dq: Array, noise_a: float = NOISE_A) -> SegmentSignals:
+def _made(stage: SegmentStage, v_dq: Array, noise_a: float = NOISE_A) -> SegmentData:
     noise = np.random.default_rng(1).normal(0.0, noise_a, v_dq.shape)
     return piece(Plan(stage, v_dq, settings={"frequency_hz": 500.0, "rotation_hz": 4.0}), noise=noise)
 

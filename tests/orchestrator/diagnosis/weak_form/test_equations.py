@@ -17,7 +17,7 @@ from orchestrator.diagnosis.weak_form.equations import (
     voltage_and_resistance,
 )
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.windows import plain_windows
 from orchestrator.numerics.frames import to_ab
 from protocols import SegmentStage, SignalBatch, Signals
@@ -29,14 +29,14 @@ RIPPLE = Plan(
 )
 
 
-def _rows(one: SegmentSignals, signals: Signals, magnetics: Magnetics = TRUE_MAP) -> Array:
+def _rows(one: SegmentData, signals: Signals, magnetics: Magnetics = TRUE_MAP) -> Array:
     batch, there = SegmentBatch.of([one]), SignalBatch.of([signals])
     at = local_map(batch, there, magnetics)
     known, resistance = voltage_and_resistance(batch, there, at, PM_WB)
     return known + R_S * resistance + flux_terms(batch, at)
 
 
-def _voltage(one: SegmentSignals) -> Array:
+def _voltage(one: SegmentData) -> Array:
     """What the rows consist of, to say how small what is left is."""
     batch = SegmentBatch.of([one])
     return voltage_and_resistance(batch, batch.signals, local_map(batch, batch.signals, TRUE_MAP), PM_WB)[0]

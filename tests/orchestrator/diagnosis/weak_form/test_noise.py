@@ -19,7 +19,7 @@ from orchestrator.diagnosis.weak_form.noise import (
     banded_covariance,
     sensor_noise,
 )
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_between
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
@@ -56,7 +56,7 @@ def _rows(asked: Plan, noise: Array) -> Array:
     return known + R_S * resistance + flux_terms(batch, at)
 
 
-def _local(one: SegmentSignals) -> LocalMap:
+def _local(one: SegmentData) -> LocalMap:
     batch = SegmentBatch.of([one])
     return local_map(batch, batch.signals, TRUE_MAP)
 

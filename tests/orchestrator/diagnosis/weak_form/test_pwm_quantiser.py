@@ -15,7 +15,7 @@ from orchestrator.diagnosis.weak_form.pwm_quantiser import (
     rounded_by,
     with_quantiser,
 )
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, mean_between
 from orchestrator.numerics.frames import from_phases, to_phases
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import FS, Array, plan, prepared, timer
@@ -101,7 +101,7 @@ def test_it_is_the_single_commands_that_are_rounded_not_their_means() -> None:
     assert np.abs((whole - command).mean(axis=0)).max() < 0.1 * step_v
 
 
-def _averaged(piece: SegmentSignals, command: Array, width: int) -> SegmentSignals:
+def _averaged(piece: SegmentData, command: Array, width: int) -> SegmentData:
     rows = len(command) // width
     names = ("i_ab", "i_m_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
     cut = {name: getattr(piece.signals, name)[:rows] for name in names}

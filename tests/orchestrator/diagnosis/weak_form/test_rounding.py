@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -33,7 +33,7 @@ ROUNDINGS: dict[str, Rounding] = {
 }
 
 
-def a_sweep() -> SegmentSignals:
+def a_sweep() -> SegmentData:
     noise = np.random.default_rng(1).normal(0.0, NOISE_A, (1200, 2))
     return piece(Plan(SegmentStage.CLASSICAL, sweep(0, 2.0, 0.5, 1200)), angle=ANGLE, noise=noise)
 

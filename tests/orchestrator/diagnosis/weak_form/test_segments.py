@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
-from orchestrator.diagnosis.weak_form import segments
+from orchestrator.diagnosis.weak_form import preparation, segments
+from orchestrator.diagnosis.weak_form.preparation import coarse, prepare
 from orchestrator.diagnosis.weak_form.segments import (
     block_means,
-    coarse,
     delayed,
     injection_period,
     mean_between,
-    prepare,
     swept_axis,
     unread_axis,
 )
@@ -84,8 +83,8 @@ def test_what_is_too_short_is_said_once_a_stage(clean: Recording, monkeypatch: p
 
 def test_a_part_to_search_in_keeps_points_evenly_spread_and_their_beginnings(monkeypatch: pytest.MonkeyPatch) -> None:
     made = prepared(plan())
-    monkeypatch.setattr(segments, "COARSE_POINTS", 2)
-    monkeypatch.setattr(segments, "COARSE_TURNS", 0.5)
+    monkeypatch.setattr(preparation, "COARSE_POINTS", 2)
+    monkeypatch.setattr(preparation, "COARSE_TURNS", 0.5)
     part = coarse(made)
     injections = [p.segment.id for p in made.pieces if p.stage is SegmentStage.INJECTION]
     kept = [p for p in part.pieces if p.stage is SegmentStage.INJECTION]

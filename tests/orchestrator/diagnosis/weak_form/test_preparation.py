@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.reach import lies_among
+from orchestrator.diagnosis.weak_form.preparation import lies_among
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 60)
 CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])

@@ -1,0 +1,197 @@
+"""A recording, read once: which segments are used, how many samples of each, and which are held out. Judges nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
+from orchestrator.diagnosis.weak_form.logged import since_the_start
+from orchestrator.diagnosis.weak_form.loss_history import (
+    LOSS_STEP_S,
+    heat_of_unread,
+    with_current_history,
+    with_heat,
+    with_rotor_turn,
+)
+from orchestrator.diagnosis.weak_form.segments import (
+    LEAST_SEGMENT_SAMPLES,
+    PreparedRecording,
+    SegmentData,
+    read_segment,
+    windows_of,
+)
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.types import Array
+from protocols import NotMeasuredError, RecordingReader, Remark, Segment, SegmentStage
+
+HELD_OUT_EVERY: int = 5
+"""Every so many-th injection point is kept out of all fits and used to validate them."""
+THINNED_TURNS: float = 1.25
+"""Turns of the injected direction that a thinned point keeps: a whole one, whatever its windows lose at the ends."""
+LEAST_THINNED_SAMPLES: int = 1000
+"""Samples that a thinned point keeps at least."""
+COARSE_POINTS: int = 16
+"""Injection points in the part of a recording that is searched first."""
+COARSE_TURNS: float = 0.75
+"""Part of a turn of each injection point that the first search uses."""
+LEAST_COARSE_SAMPLES: int = 100
+"""Samples below which a segment is not shortened for the first search."""
+USABLE = (
+    SegmentStage.GATES_OFF,
+    SegmentStage.RESISTANCE,
+    SegmentStage.CLASSICAL,
+    SegmentStage.INJECTION,
+    SegmentStage.STEPS,
+)
+_EXCITED_STAGES = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
+_SAMPLED = (
+    *("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j"),
+    *("i_quiet_ab", "i_abc", "temperature_c"),
+)
+
+
+def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording:
+    """Read every usable segment of a recording.
+
+    Raises
+    ------
+    RecordingError
+        Where a capture is not what the manifest says.
+    NotMeasuredError
+        Where there is no segment with current in it.
+    """
+    manifest = recording.manifest
+    remarks: list[Remark] = []
+    segments = [s for s in recording.segments() if s.stage in USABLE]
+    cutting = criteria.weak_form
+    segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, cutting, remarks)
+    injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
+    # Not of a grid's first row or column, where the map would have to extrapolate.
+    held_out = set(injections[2::HELD_OUT_EVERY]) if len(injections) >= cutting.held_out_from else set()
+    pieces: list[SegmentData] = []
+    short: list[Segment] = []
+    for segment in segments:
+        piece = read_segment(recording, segment, segment.id in held_out, wanted.get(segment.id), cutting)
+        if piece is None:
+            short.append(segment)
+        else:
+            pieces.append(piece)
+    remarks += _too_short(short)
+    if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
+        raise NotMeasuredError(manifest.name, "segments", _nothing_long_enough(short))
+    pieces = _held_out_among_fitted(pieces)
+    pieces.sort(key=lambda p: p.segment.start_s)
+    pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
+    pieces = with_rotor_turn(with_current_history(pieces))
+    read = {p.segment.id for p in pieces}
+    # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
+    unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], LOSS_STEP_S)
+    return PreparedRecording(manifest, with_heat(pieces, unread, manifest), tuple(remarks), criteria)
+
+
+def coarse(prepared: PreparedRecording) -> PreparedRecording:
+    """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points.
+
+    What is held out is for the whole to be judged by, and is not in it.
+    """
+    cutting = prepared.criteria.weak_form
+    points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
+    most = min(COARSE_POINTS, len(points))
+    spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
+    pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
+    return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
+
+
+def _held_out_among_fitted(pieces: list[SegmentData]) -> list[SegmentData]:
+    """Held out is what lies among the currents that are fitted, and nothing where else nothing would move."""
+    fitted = [_currents(p) for p in pieces if not p.held_out and p.stage in _EXCITED_STAGES]
+    held = {p.segment.id for p in pieces if p.held_out and lies_among(_currents(p), fitted)}
+    return [replace(p, held_out=p.segment.id in held) if p.held_out else p for p in pieces]
+
+
+def _currents(piece: SegmentData) -> Array:
+    """Some of its currents in the believed frame, (n, 2)."""
+    every = len(piece.signals.i_ab) // 1000 + 1
+    return to_dq(piece.signals.i_ab[::every], float(piece.segment.rotor_angle_rad))
+
+
+def _part(piece: SegmentData, criteria: WeakFormCriteria) -> SegmentData:
+    s, settings = piece.signals, piece.segment.settings
+    n, fs = len(s.v_dc), s.sampling_frequency_hz
+    count = n
+    if piece.stage is SegmentStage.CLASSICAL and settings.get("period_s"):
+        count = round(float(settings["period_s"]) * fs)
+    elif piece.stage is SegmentStage.INJECTION and settings.get("rotation_hz"):
+        count = round(COARSE_TURNS * fs / float(settings["rotation_hz"]))
+    stop = count + 1
+    if stop >= n or count < LEAST_COARSE_SAMPLES:
+        return piece
+    cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
+    signals = replace(s, **{**cut, "i_m_ab": cut["i_ab"]})
+    windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
+    if windows is None:
+        return piece
+    windows = replace(windows, unread=piece.windows.unread)
+    read = {name: getattr(piece, name)[: stop * piece.averaged] for name in ("current_ab", "command_ab")}
+    return replace(piece, signals=signals, windows=windows, **read)
+
+
+def _nothing_long_enough(short: Sequence[Segment]) -> str:
+    kinds = ", ".join(dict.fromkeys(segment.stage.value for segment in short)) or "none but readings without current"
+    least = LEAST_SEGMENT_SAMPLES
+    needed = f"a segment needs {least} samples, and several periods where one is injected"
+    return f"nothing with current in it that is long enough to be used ({kinds}): {needed}"
+
+
+def _too_short(segments: Sequence[Segment]) -> list[Remark]:
+    """One remark for all segments of a stage that tell nothing."""
+    by_stage: dict[SegmentStage, list[str]] = {}
+    for segment in segments:
+        by_stage.setdefault(segment.stage, []).append(segment.id)
+    text = "{segment}: too short to be used"
+    names = (ids[0] if len(ids) == 1 else f"{ids[0]} to {ids[-1]} ({len(ids)})" for ids in by_stage.values())
+    return [Remark.of("too_short", text, segment=name) for name in names]
+
+
+def _thinned(
+    segments: Sequence[Segment], fs: float, criteria: WeakFormCriteria, remarks: list[Remark]
+) -> tuple[list[Segment], dict[str, int]]:
+    """The segments to be read, and how many samples of each injection point."""
+    points = [s for s in segments if s.stage is SegmentStage.INJECTION]
+    wanted = {s.id: s.samples for s in points}
+    if sum(wanted.values()) <= criteria.most_samples:
+        return list(segments), wanted
+    turns = {s.id: THINNED_TURNS * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
+    wanted = {s.id: min(s.samples, max(round(turns[s.id]), LEAST_THINNED_SAMPLES)) for s in points}
+    stride = max(1.0, sum(wanted.values()) / criteria.most_samples)
+    spread = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
+    text = "{used} of {points} injection points are used, evenly spread, and one turn of each"
+    remarks.append(Remark.of("thinned", text, used=len(spread), points=len(points)))
+    return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in spread], wanted
+
+
+HULL_TOLERANCE = 0.1
+"""Of the largest current, by which a current may be beyond the others; and the part of them that may be further."""
+
+
+def lies_among(current: Array, others: Sequence[Array]) -> bool:
+    """Whether nearly all currents (n, 2) are within the convex hull of others; on a line, between its ends.
+
+    False where there are no others.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    if not others:
+        return False
+    around = np.concatenate(others)
+    slack = HULL_TOLERANCE * float(np.abs(around).max(initial=0.0))
+    try:
+        sides = ConvexHull(around).equations
+        beyond = (current @ sides[:, :2].T + sides[:, 2]).max(axis=1)
+    except QhullError:
+        low, high = around.min(axis=0), around.max(axis=0)
+        beyond = np.maximum(low - current, current - high).max(axis=1)
+    return bool((beyond > slack).mean() <= HULL_TOLERANCE)
