@@ -107,8 +107,8 @@ def test_material_effects_have_to_be_causes() -> None:
 
 
 def test_identical_effects_count_where_their_stage_is_missing() -> None:
-    seed = next(s for s in range(999) if draw_case("nuisance", 16, s).truths[0].name == "voltage_bias")
-    case = draw_case("nuisance", 16, seed)
+    seed = next(s for s in range(999) if draw_case("nuisance", 17, s).truths[0].name == "voltage_bias")
+    case = draw_case("nuisance", 17, seed)
     assert case.nuisance == "no_gates_off"
     assert judge(answered(case, report("current_offset"))).wrong == []
 

@@ -11,10 +11,10 @@ from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import refit_briefly
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
+from orchestrator.diagnosis.uncertainty.quantiser_beside_fit import quantiser_beside
 from orchestrator.diagnosis.uncertainty.quantiser_in_dwells import quantiser_of_dwells
 from orchestrator.diagnosis.uncertainty.quantiser_search import detect_quantisation
 from orchestrator.diagnosis.uncertainty.scatter import likelihood_of
-from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
 
 MAX_QUANTISER_ROUNDS: int = 4
 """How often timer and fit are estimated, each given the other."""
@@ -68,7 +68,7 @@ def refine_quantiser_by_fit(
     gained = fit.objective - sharper.objective
     for turn in range(MAX_QUANTISER_ROUNDS):
         timed.fitter.tell("the modulator's timer, by all that the effects leave")
-        timer, gain = timer_beside(sharper, timed.quantisers, timed.fitter.pm_flux_wb)
+        timer, gain = quantiser_beside(sharper, timed.quantisers, timed.fitter.pm_flux_wb)
         gained += gain if turn == 0 else 0.0
         timed = timed.with_quantiser(timer)
         sharper = refit_briefly(timed.coarse_fitter, sharper.model, sharper)

@@ -95,7 +95,7 @@ def test_an_empty_directory_is_no_recording(tmp_path: Path, capsys: pytest.Captu
         ({"magnetics": {}}, "model.json: magnetics.d_low_a: missing"),
         ({"ladder": [{"added": 1}]}, "model.json: ladder.0"),
         ({"colour": "red"}, "model.json: colour: unknown key"),
-        ({"version": 1}, "model.json: version: version 2 can be read, got 1; `fluxbench diagnose` writes it anew"),
+        ({"version": 1}, "model.json: version: version 2 can be read, got 1; `fluxbench diagnose` writes it again"),
     ],
 )
 def test_a_field_of_model_json_is_named(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
+from orchestrator.diagnosis.uncertainty.quantiser_beside_fit import quantiser_beside
 from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, with_quantiser
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModulatorTimer, SegmentStage, TimerPhases
@@ -41,7 +41,7 @@ def _fit(believed: ModulatorTimer | None) -> Fit:
 def _near(believed: ModulatorTimer, curvature: Array = NOTHING) -> tuple[Fit, ModulatorTimer, float]:
     """The fit beside a timer as it is believed, the timer that it tells, and what that promises to take of chi2."""
     fit = _fit(believed)
-    return fit, *timer_beside(fit, [QuantiserEstimate(believed, 0.0, curvature)], PM_WB)
+    return fit, *quantiser_beside(fit, [QuantiserEstimate(believed, 0.0, curvature)], PM_WB)
 
 
 def _off(told: ModulatorTimer) -> float:
@@ -83,13 +83,13 @@ def test_readings_that_are_certain_have_the_last_word() -> None:
 
 def test_a_timer_of_another_frequency_has_no_say() -> None:
     nearest, other = QuantiserEstimate(timer(STEP_S, RISE, FALL), 0.0, NOTHING), timer(0.5 * STEP_S, 0.0, 0.0)
-    told, _ = timer_beside(_fit(nearest.timer), [QuantiserEstimate(other, 9.0, NOTHING), nearest], PM_WB)
+    told, _ = quantiser_beside(_fit(nearest.timer), [QuantiserEstimate(other, 9.0, NOTHING), nearest], PM_WB)
     assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
 
 
 def test_without_a_timer_there_is_none_to_be_told() -> None:
     with pytest.raises(ValueError, match="modulator's timer"):
-        timer_beside(_fit(None), [QuantiserEstimate(timer(STEP_S, RISE, FALL), 0.0, NOTHING)], PM_WB)
+        quantiser_beside(_fit(None), [QuantiserEstimate(timer(STEP_S, RISE, FALL), 0.0, NOTHING)], PM_WB)
 
 
 def _with_rests_at_twice_the_frequency(rise: float, fall: float) -> PreparedRecording:
@@ -119,7 +119,7 @@ def test_phases_that_no_reading_has_told_may_be_anywhere() -> None:
 
     right, wrong = fit_with(0.8, 0.3), fit_with(0.1, 0.6)
     borne = QuantiserEstimate(timer(STEP_S, RISE, FALL), 0.0, np.diag([1e8, 1e4, 1e4]))
-    told, _ = timer_beside(wrong, [borne], PM_WB)
+    told, _ = quantiser_beside(wrong, [borne], PM_WB)
     assert [p.pwm_frequency_hz for p in told.phases] == [FS, 2.0 * FS]
     found = fitter(with_quantiser(made, told)).fit(free_model())
     assert found.objective - right.objective < 0.1 * (wrong.objective - right.objective)

@@ -1,7 +1,7 @@
 """A modulator's timer estimated beside a whole model: by every equation, where all effects' forms are much as they are.
 
-Dwells show it first, while forms are still wrong (`timer_in_rests`). Then all that holds, sweeps and ripples has its
-say: what a timer's rounding changes in the equations is known exactly, and R_s, the map and all free parameters follow
+Dwells show it first, while forms are still wrong (`quantiser_in_dwells`). Then all that holds, sweeps and ripples has
+its say. What a timer's rounding changes in the equations is known exactly; R_s, the map and all free parameters follow
 to first order (variable projection; G. Golub, V. Pereyra, doi:10.1137/0710036). With g the change of the whitened
 residual e, X the columns of what follows, N their normal matrix and C the readings' own say of x,
 
@@ -25,24 +25,24 @@ from orchestrator.diagnosis.weak_form.segments import SegmentData, mean_between
 from orchestrator.numerics.types import Array, Indices
 from protocols import ModulatorTimer, SignalBatch
 
-APART = (0.02, 0.004)
+DIFFERENCE_STEPS = (0.02, 0.004)
 """Of a step, at the largest command: how far apart differences are taken, one descent after the other.
 
 A hold's command that stands where it jumps by a step hides what lies beyond; far apart, differences see over it.
 """
-SCANNED = 96
+SCANNED_PHASES = 96
 """Phases that are tried at a PWM frequency at which the readings show none: a rest's command jumps that closely."""
-AROUND = 6
+SCANNED_NEARBY = 6
 """Of these, on either side of where a descent ended: beyond a command's jump it may be lower still."""
-STEPS = 12
+MAX_NEWTON_STEPS = 12
 """At most, of Gauss and Newton."""
-ENOUGH = 1.0
+LEAST_CHI2_GAIN = 1.0
 """Gain of a step, in chi2, below which the descent ends."""
 FIRST_DAMPING = 0.1
-MOST_DAMPING = 1e3
+MAX_DAMPING = 1e3
 
 
-def timer_beside(fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float) -> tuple[ModulatorTimer, float]:
+def quantiser_beside(fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float) -> tuple[ModulatorTimer, float]:
     """The likeliest timer near a fit's own, all that is free following, and what it takes of chi2.
 
     Parameters
@@ -63,7 +63,7 @@ def timer_beside(fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float
     x = rounding.start
     for place in rounding.unknown_places:
         x = rounding.scanned(x, place)
-    for apart in APART:
+    for apart in DIFFERENCE_STEPS:
         x = _descended(rounding, x, apart)
     x = _over_jumps(rounding, x)
     x = _or_counting(rounding, x, 2.0 * fit.criteria.selection.log_evidence * fit.chi2_per_dof)
@@ -73,8 +73,8 @@ def timer_beside(fit: Fit, borne: Sequence[QuantiserEstimate], pm_flux_wb: float
 def _over_jumps(rounding: _Rounding, x: Array) -> Array:
     """Where descents from the likeliest phases around lead, at each PWM frequency where these are likelier."""
     for place in rounding.known_places:
-        moved = rounding.scanned(x, place, around=AROUND)
-        x = x if moved is x else _descended(rounding, moved, APART[-1])
+        moved = rounding.scanned(x, place, around=SCANNED_NEARBY)
+        x = x if moved is x else _descended(rounding, moved, DIFFERENCE_STEPS[-1])
     return x
 
 
@@ -88,20 +88,20 @@ def _or_counting(rounding: _Rounding, x: Array, evidence: float) -> Array:
 def _descended(rounding: _Rounding, x: Array, apart: float) -> Array:
     """Where Gauss and Newton lead, damped as by Levenberg and Marquardt (doi:10.1137/0111030)."""
     cost, damping = rounding.cost(x), 0.0
-    for _ in range(STEPS):
+    for _ in range(MAX_NEWTON_STEPS):
         curvature, slope = rounding.linear(x, apart)
         while True:
             # A phase that no command meets within a difference changes nothing: a shift of all legs is none.
             move = -np.linalg.lstsq(curvature + damping * np.diag(np.diag(curvature)), slope, rcond=1e-12)[0]
             trial = rounding.cost(x + move)
-            if trial < cost or damping > MOST_DAMPING:
+            if trial < cost or damping > MAX_DAMPING:
                 break
             damping = max(10.0 * damping, FIRST_DAMPING)
         gain = cost - trial
         if gain <= 0.0:
             break
         x, cost, damping = x + move, trial, 0.1 * damping
-        if gain < ENOUGH:
+        if gain < LEAST_CHI2_GAIN:
             break
     return x
 
@@ -194,19 +194,19 @@ class _Rounding:
         """Where in x the phases begin of those PWM frequencies at which a segment depends on them."""
         return sorted({int(k) for one in self.segments for k in one.used[1:2]})
 
-    def scanned(self, x: Array, place: int, around: int = SCANNED) -> Array:
+    def scanned(self, x: Array, place: int, around: int = SCANNED_PHASES) -> Array:
         """x with the likeliest phases at one PWM frequency, all else following: of all, or of so many to either side.
 
         Either edge has half a say in what is added, so that two phases need no more to be tried than one.
         """
         own = self.borne.moved(x).phases[place // 2]
-        if around < SCANNED // 2:
-            near = np.arange(-around, around + 1) / SCANNED
+        if around < SCANNED_PHASES // 2:
+            near = np.arange(-around, around + 1) / SCANNED_PHASES
             parts = np.concatenate([own.rise + near, own.fall + near])
             rises, falls = np.arange(len(near)), np.arange(len(near), len(parts))
         else:
-            parts = np.arange(SCANNED) / SCANNED
-            rises = falls = np.arange(SCANNED)
+            parts = np.arange(SCANNED_PHASES) / SCANNED_PHASES
+            rises = falls = np.arange(SCANNED_PHASES)
         count = len(parts)
         both = np.tile(x, (count, 1))
         both[:, place : place + 2] += parts[:, None] - [own.rise, own.fall]
