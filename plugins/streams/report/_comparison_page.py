@@ -55,7 +55,7 @@ def _pictures(compared: ComparedRuns) -> Iterator[Picture]:
         yield Picture(f"ψ_{axis} over i_{axis}", caption, _fluxes(compared, k))
     for k, change in enumerate(compared.comparison.maps, start=1):
         if change.rms_percent is not None:
-            title = f"{compared.comparison.runs[k].name} less {compared.comparison.runs[0].name}"
+            title = f"{compared.comparison.runs[k].name} minus {compared.comparison.runs[0].name}"
             yield Picture(title, "Length of the flux’ difference in mWb.", _difference(compared, k))
 
 
