@@ -217,10 +217,18 @@ class Board:
     async def _on_stream(self, talk: Callable[[], Coroutine[Any, Any, T]]) -> T:
         """Have a conversation on the diagnostic stream to its end: one that is cut short would spoil the next."""
 
+        async def repeated() -> T:
+            try:
+                return await talk()
+            except RuntimeError:
+                # A frame that was sent again is answered again: the surplus line is dropped, and the question repeated.
+                await self._stream.flush_read()
+                return await talk()
+
         async def whole() -> T:
             async with self._talk:
                 try:
-                    return await asyncio.wait_for(talk(), BOUNDS.stream_timeout_s)
+                    return await asyncio.wait_for(repeated(), BOUNDS.stream_timeout_s)
                 except TimeoutError as error:
                     raise self._silent() from error
 

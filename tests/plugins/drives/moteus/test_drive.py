@@ -283,6 +283,24 @@ def test_a_board_that_does_not_fit_is_refused(change: Callable[[Servo], Any], me
         drive.close()
 
 
+def test_an_answer_that_comes_twice_spoils_no_conversation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame whose answer was late is sent again, and answered again: the next question meets that line."""
+    import moteus
+
+    asked, answered = list[str](), moteus.Stream.read_data
+
+    async def read_data(stream: Any, name: str) -> Any:
+        asked.append(name)
+        if len(asked) == 1:
+            raise RuntimeError(f"Unexpected schema announce for '{name}' : 'b'12.000000''")
+        return await answered(stream, name)
+
+    monkeypatch.setattr(moteus.Stream, "read_data", read_data)
+    with connected() as (drive, _):
+        assert drive.telemetry().state is DriveState.DISARMED
+    assert asked[:2] == ["servo_control", "servo_control"]
+
+
 def test_a_fault_found_on_connecting_stays_unless_it_was_seen_to() -> None:
     with connected(lambda servo: servo.trip(34)) as (drive, _):
         assert drive.telemetry().state is DriveState.FAULTED
