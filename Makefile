@@ -37,7 +37,7 @@ help:  ## this list
 # A test of a real link that fails beside other tests, three workers and lint on two cores, has to pass alone.
 suite: $(COMPILED)  ## the fast tests alone
 	@rm -f $(VENV)/.alone
-	$(PYTEST) --alone $(VENV)/.alone || { test -f $(VENV)/.alone && $(BIN)/pytest -q --alone $(VENV)/.alone; }
+	$(PYTEST) --alone=$(VENV)/.alone || { test -f $(VENV)/.alone && $(BIN)/pytest -q --alone=$(VENV)/.alone; }
 
 test-all: $(STAMP) lint  ## lint and all tests, slow ones included
 	$(PYTEST) -m "slow or not slow"
