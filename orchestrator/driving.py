@@ -42,7 +42,7 @@ class DriveShell(ABC):
     """A drive but for what is its own; implements `Drive` together with it.
 
     A drive gives `open`, `start`, `ramp` and `telemetry`, and where there is something to do `energise`, `switch_off`,
-    `attend`, `forget_fault`, `release`, `heartbeat` and `set_brake`. A drive that trips raises what `trip` returns.
+    `check_link`, `forget_fault`, `release`, `heartbeat` and `set_brake`. A drive that trips raises what `trip` returns.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class DriveShell(ABC):
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
         if "attend" in vars(cls):
-            cls.check_link = vars(cls)["attend"]  # type: ignore[method-assign]
+            cls.check_link = vars(cls)["attend"]  # type: ignore[method-assign]  # the former name stands in
 
     def forget_fault(self) -> None:
         """Clear the fault that the drive itself keeps."""
