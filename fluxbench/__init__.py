@@ -16,22 +16,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from orchestrator.api import Measurements as Measurements
-    from orchestrator.api import add as add
-    from orchestrator.api import compare as compare
-    from orchestrator.api import compare_runs as compare_runs
-    from orchestrator.api import diagnose as diagnose
-    from orchestrator.api import estimate as estimate
-    from orchestrator.api import explain as explain
-    from orchestrator.api import export as export
-    from orchestrator.api import map_of as map_of
-    from orchestrator.api import one_thread as one_thread
-    from orchestrator.api import open as open
-    from orchestrator.api import remove as remove
-    from orchestrator.api import run as run
     from orchestrator.config import load_motor as load_motor
     from orchestrator.config import load_procedure as load_procedure
     from orchestrator.engine import TerminalOperator as TerminalOperator
+    from orchestrator.interface.api import Measurements as Measurements
+    from orchestrator.interface.api import add as add
+    from orchestrator.interface.api import compare as compare
+    from orchestrator.interface.api import compare_runs as compare_runs
+    from orchestrator.interface.api import diagnose as diagnose
+    from orchestrator.interface.api import estimate as estimate
+    from orchestrator.interface.api import explain as explain
+    from orchestrator.interface.api import export as export
+    from orchestrator.interface.api import map_of as map_of
+    from orchestrator.interface.api import one_thread as one_thread
+    from orchestrator.interface.api import open as open
+    from orchestrator.interface.api import remove as remove
+    from orchestrator.interface.api import run as run
     from plugins.drives.simulated import simulate as simulate
     from protocols import FluxbenchError as FluxbenchError
     from protocols import Motor as Motor
@@ -40,25 +40,25 @@ if TYPE_CHECKING:
 
 _HOMES = {
     "FluxbenchError": "protocols",
-    "Measurements": "orchestrator.api",
+    "Measurements": "orchestrator.interface.api",
     "Motor": "protocols",
     "MotorModel": "protocols",
     "Procedure": "protocols",
     "TerminalOperator": "orchestrator.engine",
-    "add": "orchestrator.api",
-    "compare": "orchestrator.api",
-    "compare_runs": "orchestrator.api",
-    "diagnose": "orchestrator.api",
-    "estimate": "orchestrator.api",
-    "explain": "orchestrator.api",
-    "export": "orchestrator.api",
+    "add": "orchestrator.interface.api",
+    "compare": "orchestrator.interface.api",
+    "compare_runs": "orchestrator.interface.api",
+    "diagnose": "orchestrator.interface.api",
+    "estimate": "orchestrator.interface.api",
+    "explain": "orchestrator.interface.api",
+    "export": "orchestrator.interface.api",
     "load_motor": "orchestrator.config",
     "load_procedure": "orchestrator.config",
-    "map_of": "orchestrator.api",
-    "one_thread": "orchestrator.api",
-    "open": "orchestrator.api",
-    "remove": "orchestrator.api",
-    "run": "orchestrator.api",
+    "map_of": "orchestrator.interface.api",
+    "one_thread": "orchestrator.interface.api",
+    "open": "orchestrator.interface.api",
+    "remove": "orchestrator.interface.api",
+    "run": "orchestrator.interface.api",
     "simulate": "plugins.drives.simulated",
 }
 

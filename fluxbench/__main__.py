@@ -1,6 +1,6 @@
 """`python -m fluxbench`: the command line."""
 
-from orchestrator.cli import main
+from orchestrator.interface.cli import main
 
 if __name__ == "__main__":
     main()

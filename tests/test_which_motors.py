@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.config.time_constants import LINE_ERROR
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.selection import sufficiency
-from orchestrator.plausibility import MOTOR_RANGES, PLAUSIBLE_BOUNDS, POSSIBLE_BOUNDS
 from orchestrator.registry import PluginKind, installed
-from orchestrator.time_constants import LINE_ERROR
+from orchestrator.validation.plausibility import MOTOR_RANGES, PLAUSIBLE_BOUNDS, POSSIBLE_BOUNDS
 from plugins.stages.lock_check import LockCheckStage
 from protocols import MapCriteria
 

@@ -12,14 +12,14 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from orchestrator._document import Document, apply_override, parse_document
-from orchestrator._quantities import read_quantities
-from orchestrator._validation import KeyPath, first_problem, suggestion
 from orchestrator.config._slips import nameplate_questions
-from orchestrator.plain_files import read_text
-from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
 from orchestrator.stages import parse_stages
+from orchestrator.validation.messages import KeyPath, first_problem, suggestion
+from orchestrator.validation.plain_files import read_text
+from orchestrator.validation.plausibility import implausible
+from orchestrator.validation.quantities import read_quantities
+from orchestrator.validation.strict_yaml import Document, apply_override, parse_document
 from protocols import (
     DriveChoice,
     InputError,

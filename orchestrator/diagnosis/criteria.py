@@ -1,13 +1,13 @@
 """The settings of a diagnosis that a user may change: significance, materiality, limits, resolution and budget.
 
-Each has its unit, its reason and its source (`orchestrator.thresholds`). A report says which values it was made with.
-All other constants stand beside the code that uses them.
+Each has its unit, its reason and its source (`orchestrator.validation.thresholds`). A report says which values it
+was made with. All other constants stand beside the code that uses them.
 """
 
 from __future__ import annotations
 
 from orchestrator.experiment_design.criteria import DesignCriteria, RehearsalCriteria
-from orchestrator.thresholds import threshold as _is
+from orchestrator.validation.thresholds import threshold as _is
 from protocols import Strict
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from orchestrator.engine.streaming import Dispatcher
 from orchestrator.runs import Journal
-from orchestrator.streaming import Dispatcher
 from protocols import DiagnosisStep, MapEstimated, Message, SamplesCaptured, UnderWay
 
 

@@ -20,10 +20,10 @@ from orchestrator.engine._operator import Operator
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import as_drive_errors
 from orchestrator.engine._thermometer import Thermometer, open_thermometer
+from orchestrator.engine.streaming import Dispatcher, StreamTally
 from orchestrator.registry import PluginKind, load_plugin, make_options
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.stages import parse_stages, spelled_out
-from orchestrator.streaming import Dispatcher, StreamTally
 from protocols import (
     Capabilities,
     Drive,

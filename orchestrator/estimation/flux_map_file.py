@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orchestrator.memory import require_memory
 from orchestrator.numerics.types import Array
 from orchestrator.recording import replace_file
+from orchestrator.validation.memory import require_memory
 from protocols import Basis, FluxMap, RecordingError
 
 if TYPE_CHECKING:

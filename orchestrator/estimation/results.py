@@ -10,8 +10,8 @@ from pydantic import ValidationError
 
 from orchestrator.estimation.flux_map_file import save_flux_map
 from orchestrator.formatting.sentences import visible
-from orchestrator.plain_files import read_bytes
 from orchestrator.recording import replace_file
+from orchestrator.validation.plain_files import read_bytes
 from protocols import EstimationReport, FluxMap, RecordingError, StorageError
 
 REPORT_NAME = "estimates.json"

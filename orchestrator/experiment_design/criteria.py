@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.thresholds import threshold
+from orchestrator.validation.thresholds import threshold
 from protocols import Strict
 
 

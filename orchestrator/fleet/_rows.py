@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.comparison import RunSummary
 from orchestrator.estimation import RECOMMENDED_MAP, load_estimates, load_flux_map
+from orchestrator.interface.comparison import RunSummary
 from orchestrator.recording import Recording
 from orchestrator.runs import RunDirectory, is_run
 from protocols import About, CompareReport, DiagnosisReport, FoundEffect

@@ -144,26 +144,26 @@ def _estimate(recording: Any, out: Path) -> None:
 
 
 def _compare(recording: Any) -> dict[str, Any]:
-    from orchestrator.api import chosen_effects
     from orchestrator.diagnosis import compare_recording
     from orchestrator.fleet._rows import comparison_fields
+    from orchestrator.interface.api import chosen_effects
 
     return comparison_fields(compare_recording(recording, chosen_effects(), model="saturated"))
 
 
 def _diagnose(recording: Any, out: Path) -> dict[str, Any]:
-    from orchestrator.api import chosen_effects
     from orchestrator.diagnosis import diagnose_and_keep
     from orchestrator.experiment_design.proposal import next_experiment
     from orchestrator.fleet._rows import diagnosis_fields
+    from orchestrator.interface.api import chosen_effects
 
     return diagnosis_fields(diagnose_and_keep(recording, chosen_effects(), propose=next_experiment, out=out)[0].report)
 
 
 def _export(recording: Any, out: Path) -> None:
     from orchestrator.estimation import load_estimates
-    from orchestrator.exporting import export_map
     from orchestrator.flux_maps import load_map
+    from orchestrator.flux_maps.exporting import export_map
 
     if load_estimates(out).method is None:
         raise RecordingError(str(recording.path), "", "has no map to export")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.importing import inflated_size
-from orchestrator.memory import require_memory
+from orchestrator.validation.memory import require_memory
 from protocols import InputError
 
 _DAMAGE = (

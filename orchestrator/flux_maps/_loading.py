@@ -18,8 +18,8 @@ from orchestrator.flux_maps._gridding import CSV_UNITS, TORQUE, MapFile, gridded
 from orchestrator.flux_maps._mapped import read_mapped
 from orchestrator.flux_maps._surface import require_usable
 from orchestrator.numerics.types import Array
-from orchestrator.plain_files import MAX_FILE_SIZES, read_text
 from orchestrator.recording import read_model
+from orchestrator.validation.plain_files import MAX_FILE_SIZES, read_text
 from protocols import FluxMap, InputError
 
 _OPTIONAL = [name for name in CSV_UNITS if name not in ("psi_d", "psi_q")]

@@ -14,8 +14,6 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import ValidationError, model_validator
 
-from orchestrator._document import Document, parse_document
-from orchestrator._validation import first_problem
 from orchestrator.flux_maps._arrays import mat_arrays, npz_arrays
 from orchestrator.flux_maps._gridding import TORQUE, MapFile, gridded
 from orchestrator.flux_maps._ripple import mean_over_angle
@@ -23,7 +21,9 @@ from orchestrator.flux_maps._tables import as_points
 from orchestrator.importing import FACTORS, TO_PEAK, Column, CsvLayout, CurrentUnit, NotZero, Scaling, read_table
 from orchestrator.importing.guessing import roles_of_map
 from orchestrator.numerics.types import Array
-from orchestrator.plain_files import read_text
+from orchestrator.validation.messages import first_problem
+from orchestrator.validation.plain_files import read_text
+from orchestrator.validation.strict_yaml import Document, parse_document
 from protocols import InputError, ProcedureError, ProcedureMotor, Strict
 
 FluxUnit = Literal["Wb", "mWb", "uWb", "Vs", "mVs", "uVs"]

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
+from orchestrator.config.time_constants import recording_notes
 from orchestrator.importing._angles import check_fixed_angles
 from orchestrator.importing._beside import Beside, open_joined, paired
 from orchestrator.importing._findings import Finding, Findings
@@ -23,7 +24,6 @@ from orchestrator.importing._timing import Clock
 from orchestrator.importing._waveform_checks import WaveformChecks
 from orchestrator.recording import SegmentWriter, open_recording, write_manifest
 from orchestrator.recording._recording_checks import SoundRecording
-from orchestrator.time_constants import recording_notes
 from protocols import DriveRecord, InputError, Manifest, Motor, Segment, StorageError, Strict
 
 

@@ -11,11 +11,11 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from orchestrator._document import Document, parse_document
-from orchestrator._quantities import read_quantities
-from orchestrator._validation import KeyPath, first_problem
 from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportMapping
-from orchestrator.plain_files import read_text
+from orchestrator.validation.messages import KeyPath, first_problem
+from orchestrator.validation.plain_files import read_text
+from orchestrator.validation.quantities import read_quantities
+from orchestrator.validation.strict_yaml import Document, parse_document
 from protocols import InputError, ProcedureError
 
 _Model = TypeVar("_Model", bound=BaseModel)

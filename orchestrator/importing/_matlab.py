@@ -29,7 +29,7 @@ from orchestrator.importing._source import (
     same_length,
 )
 from orchestrator.importing._stamps import dates_as_seconds
-from orchestrator.memory import require_memory
+from orchestrator.validation.memory import require_memory
 from protocols import InputError
 
 _PART = re.compile(r"([A-Za-z]\w*)(?:\((:,)?([1-9]\d{0,8})\))?", re.ASCII)

@@ -23,7 +23,7 @@ from orchestrator.importing._source import (
     same_length,
     unreadable,
 )
-from orchestrator.plain_files import MAX_FILE_SIZES, read_bytes
+from orchestrator.validation.plain_files import MAX_FILE_SIZES, read_bytes
 from protocols import InputError
 
 

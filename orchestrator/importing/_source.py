@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator._validation import nearest
 from orchestrator.formatting.sentences import one_line
-from orchestrator.memory import require_memory
+from orchestrator.validation.memory import require_memory
+from orchestrator.validation.messages import nearest
 from protocols import InputError
 
 Numbers = NDArray[np.float64]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from orchestrator.importing._mapping import ImportMapping, SegmentRule
 from orchestrator.importing._source import Block, Labels, Numbers
 from orchestrator.importing._stamps import Stamps
-from orchestrator.memory import require_memory
+from orchestrator.validation.memory import require_memory
 from protocols import InputError
 
 _NO_RULE = -1

@@ -21,7 +21,7 @@ from orchestrator.importing._units import unit_that_fits
 from orchestrator.importing._vectors import TO_PEAK
 from orchestrator.numerics.alignment import Alignment, alignment_of
 from orchestrator.numerics.frames import from_phases
-from orchestrator.plausibility import (
+from orchestrator.validation.plausibility import (
     MAX_VOLTAGE_RATIO,
     MIN_OHMIC_RATIO,
     MIN_SLOW_VOLTAGE_RATIO,

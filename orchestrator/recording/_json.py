@@ -9,8 +9,8 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from orchestrator._validation import first_problem
-from orchestrator.plain_files import MAX_FILE_SIZES, read_text
+from orchestrator.validation.messages import first_problem
+from orchestrator.validation.plain_files import MAX_FILE_SIZES, read_text
 from protocols import RecordingError
 
 _Model = TypeVar("_Model", bound=BaseModel)

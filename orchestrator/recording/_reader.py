@@ -10,7 +10,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from orchestrator.memory import require_memory
 from orchestrator.recording._columns import (
     BUS,
     CURRENT,
@@ -22,6 +21,7 @@ from orchestrator.recording._columns import (
     first_non_finite,
 )
 from orchestrator.recording._manifest import MANIFEST_NAME, capture_path, read_manifest
+from orchestrator.validation.memory import require_memory
 from protocols import Capture, Manifest, RealArray, RecordingError, Segment, SegmentStage
 
 

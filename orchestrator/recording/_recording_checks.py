@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.plausibility import (
+from orchestrator.validation.plausibility import (
     DRIVE_RANGES,
     MIN_OHMIC_RATIO,
     MIN_SLOW_VOLTAGE_RATIO,

@@ -19,9 +19,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
-from orchestrator._validation import first_problem
 from orchestrator.formatting.sentences import visible
-from orchestrator.plain_files import read_bytes
 from orchestrator.recording import (
     MANIFEST_NAME,
     capture_path,
@@ -35,6 +33,8 @@ from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, sealed_options_of, unsealed
 from orchestrator.stages import parse_stages
+from orchestrator.validation.messages import first_problem
+from orchestrator.validation.plain_files import read_bytes
 from protocols import (
     Capabilities,
     Manifest,

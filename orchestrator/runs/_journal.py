@@ -19,10 +19,10 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from orchestrator._validation import first_problem
 from orchestrator.formatting.sentences import visible
-from orchestrator.plain_files import read_bytes
 from orchestrator.recording import storage_error, sync_folder
+from orchestrator.validation.messages import first_problem
+from orchestrator.validation.plain_files import read_bytes
 from protocols import JournalledMessage, RecordingError, StorageError
 
 

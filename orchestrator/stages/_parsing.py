@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from orchestrator._validation import first_problem, suggestion
 from orchestrator.registry import Installed, PluginKind
+from orchestrator.validation.messages import first_problem, suggestion
 from protocols import PluginError, Procedure, ProcedureError, ProposingStage, SegmentStage, Stage, StageEntry
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from orchestrator._plugin_methods import hook_problem
+from orchestrator.registry.plugin_methods import hook_problem
 from orchestrator.testing._effect_batches import EffectBatchChecks
 from orchestrator.testing._effect_physics import EffectPhysicsChecks
 from orchestrator.testing._kit import PLUGIN_NAME, Kit

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from orchestrator.campaign import PowerReport
+    from orchestrator.fleet.campaign import PowerReport
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 RECORDINGS, REPORT = ".recordings", "_campaign.json"
@@ -35,8 +35,8 @@ def campaign(
 
     Started again, it goes on where it was.
     """
-    from orchestrator.campaign import CampaignJob, check_runs, load_campaign, power_of, runs_of
     from orchestrator.fleet import ClusterSettings, FleetTable, connected, read_table
+    from orchestrator.fleet.campaign import CampaignJob, check_runs, load_campaign, power_of, runs_of
     from orchestrator.formatting.progress import Progress
     from orchestrator.formatting.sentences import visible
     from orchestrator.recording import replace_file

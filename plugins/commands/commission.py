@@ -31,9 +31,9 @@ def commission(
     ] = None,
 ) -> int:
     """Measure a flux map to a given accuracy: the procedure `adaptive`, with another target."""
-    from orchestrator.api import run
     from orchestrator.config import load_procedure
     from orchestrator.engine import TerminalOperator
+    from orchestrator.interface.api import run
     from plugins.stages.adaptive import AdaptiveStage
     from protocols import shipped_procedure
 

@@ -34,9 +34,9 @@ from orchestrator.analysis import (
     one_way_rad,
     reference_flux_wb,
 )
+from orchestrator.config.time_constants import recording_notes
 from orchestrator.numerics.surface import TaylorSurface
 from orchestrator.numerics.types import Array
-from orchestrator.time_constants import recording_notes
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
 from plugins.estimators._one_way import OneWay, by_point, shows_both_axes

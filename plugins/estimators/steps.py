@@ -27,9 +27,9 @@ from orchestrator.analysis import (
     reference_flux_wb,
     trace_steps,
 )
+from orchestrator.config.time_constants import recording_notes
 from orchestrator.numerics.surface import inside_hull, require_area
 from orchestrator.numerics.types import Array
-from orchestrator.time_constants import recording_notes
 from plugins.estimators._energies import gridded, pm_flux
 from plugins.estimators._maps import SteppedFlux, voltage_delay
 from plugins.estimators.resistance import ResistanceEstimator

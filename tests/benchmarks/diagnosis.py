@@ -172,7 +172,7 @@ def workers(bench: Bench) -> Iterator[Row]:
     for count in (2, 1):
         with tempfile.TemporaryDirectory() as out:
             call = f"diagnose({str(bench.demo)!r}, out={out!r}, processes={count})"
-            walls.append(python(HERE, "-c", f"from orchestrator.api import diagnose; {call}").wall_s)
+            walls.append(python(HERE, "-c", f"from orchestrator.interface.api import diagnose; {call}").wall_s)
     yield Row("two workers [s of wall time], beside one", walls[0], walls[1])
 
 

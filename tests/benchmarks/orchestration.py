@@ -15,9 +15,9 @@ from pydantic import BaseModel
 from orchestrator.config import make_plan
 from orchestrator.engine import AbsentOperator, Commissioning, Interrupts, UsedPlugins
 from orchestrator.engine._log import RunLog
+from orchestrator.engine.streaming import Dispatcher
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
-from orchestrator.streaming import Dispatcher
 from protocols import Capabilities, Capture, DriveSetup, DriveState, Excitation, Limits, NoOptions, Telemetry
 from tests.support.tiny import tiny_procedure
 

@@ -185,7 +185,7 @@ def import_everything() -> None:
     from numba.core.registry import cpu_target
 
     plugins = [entry.module for kind in PLUGINS for entry in entry_points(group=f"fluxbench.{kind}")]
-    for module in [*(f"orchestrator.cli.{name}" for name in COMMANDS), *plugins, *LIBRARIES]:
+    for module in [*(f"orchestrator.interface.cli.{name}" for name in COMMANDS), *plugins, *LIBRARIES]:
         if not module.startswith(WITH_THREADS):
             importlib.import_module(module)
     # What numba itself loads at the first kernel.
@@ -201,6 +201,6 @@ if __name__ == "__main__":
     import_everything()
     with socket.socket(fileno=int(sys.argv[1])) as listening:
         serve(listening)
-    from orchestrator.cli import main
+    from orchestrator.interface.cli import main
 
     main()

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
 
-from orchestrator.cli._running import run_app
+from orchestrator.interface.cli._running import run_app
 from tests.support.forking import ForkedCommand
 
 FLUXBENCH = str(Path(sys.executable).with_name("fluxbench"))

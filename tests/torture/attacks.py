@@ -22,8 +22,8 @@ import yaml
 from orchestrator.recording import open_recording
 from plugins.wire import Message, PowerState
 from protocols import DriveError, Excitation, PointDone, RealArray
-from tests.orchestrator.cli.test_failing_disk import CALLS, compiled, ends_safely_and_resumes
-from tests.orchestrator.cli.test_signals_and_kills import kill_and_resume_until_done
+from tests.orchestrator.interface.cli.test_failing_disk import CALLS, compiled, ends_safely_and_resumes
+from tests.orchestrator.interface.cli.test_signals_and_kills import kill_and_resume_until_done
 from tests.plugins.link.bench import Bench as LinkBench
 from tests.plugins.link.bench import armed, taken
 from tests.plugins.link.device import FS, Script, waveforms

@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar
 from pydantic import BaseModel, Field
 
 from fluxbench_novanta._servo import CURRENT_MODE, Servo
-from orchestrator.polled_drive import PolledDrive
+from orchestrator.driving.polled import PolledDrive
 from protocols import (
     Capabilities,
     Capture,

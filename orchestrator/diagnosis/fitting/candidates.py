@@ -9,10 +9,10 @@ from functools import cached_property
 
 import numpy as np
 
-from orchestrator._validation import suggestion
 from orchestrator.diagnosis.fitting.guarded import require_effect
 from orchestrator.diagnosis.fitting.machine_scale import MachineScale
 from orchestrator.numerics.types import Array
+from orchestrator.validation.messages import suggestion
 from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole, PluginError, Signals, hook_of
 
 SATURATION = "saturation"

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from orchestrator._plugin_methods import hook_problem
+from orchestrator.registry.plugin_methods import hook_problem
 from protocols import (
     FORMER_HOOKS,
     Contrast,

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
 from orchestrator.formatting.sentences import visible
-from orchestrator.memory import require_memory
-from orchestrator.plain_files import read_bytes
 from orchestrator.recording import replace_file
+from orchestrator.validation.memory import require_memory
+from orchestrator.validation.plain_files import read_bytes
 from protocols import (
     CurrentExcerpt,
     DiagnosisReport,

@@ -15,7 +15,7 @@ from orchestrator.importing._matlab_sizes import inflated_size
 from orchestrator.importing._source import TIMESTAMPS
 from orchestrator.importing.guessing._layout import TextLayout, text_layout
 from orchestrator.importing.guessing._units import name_and_unit, unit_of
-from orchestrator.memory import require_memory
+from orchestrator.validation.memory import require_memory
 from protocols import InputError
 
 _OF_MAPS = (".npz", ".nc", ".json")

@@ -15,7 +15,7 @@ def priors(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """How often each effect is there and how large, R_s, L_d and L_q, as the next motor lets expect them."""
-    from orchestrator.fleet_statistics import prior_rows, priors_of, read_fleet
+    from orchestrator.fleet.statistics import prior_rows, priors_of, read_fleet
     from orchestrator.formatting.sentences import shown, text_table, visible
     from orchestrator.recording import replace_file
 

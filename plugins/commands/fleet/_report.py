@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from orchestrator.fleet_statistics import FleetTable
+    from orchestrator.fleet.statistics import FleetTable
     from protocols.fleet_report import FleetLimits
 
 
@@ -31,9 +31,9 @@ def report(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """Distributions, outliers, drift, batches, control limits, pass and fail, pairs: one page, and its JSON."""
-    from orchestrator.api import one_thread
-    from orchestrator.fleet_statistics import WITHIN, outlier_rows, read_fleet, read_limits, report_of
+    from orchestrator.fleet.statistics import WITHIN, outlier_rows, read_fleet, read_limits, report_of
     from orchestrator.formatting.sentences import shown, text_table, visible
+    from orchestrator.interface.api import one_thread
     from plugins.streams.report import write_fleet_report
 
     with one_thread():
@@ -65,7 +65,7 @@ def report(
 
 def _require_known(limits: FleetLimits, place: str, table: FleetTable) -> None:
     """Raise `InputError` where a limit is of what neither table nor an installed effect has."""
-    from orchestrator.fleet_statistics import require_known
+    from orchestrator.fleet.statistics import require_known
     from orchestrator.registry import PluginKind, make_plugins
 
     if set(limits.quantities) <= set(table.columns):

@@ -16,7 +16,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
-from orchestrator._validation import first_problem
+from orchestrator.validation.messages import first_problem
 from plugins.commands.serve._choices import REPORT, choices, run_folder
 from plugins.commands.serve._guard import Guard
 from plugins.commands.serve._run import NotNowError, RunOfThePage, checked

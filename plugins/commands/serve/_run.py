@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from protocols import FluxbenchError
 
-PROGRAM = (sys.executable, "-P", "-c", "from orchestrator.cli import main; main()")
+PROGRAM = (sys.executable, "-P", "-c", "from orchestrator.interface.cli import main; main()")
 """`fluxbench`, whatever stands in the folder that it is started in."""
 ENDING_STATES = ("stopping", "finished", "faulted", "aborted")
 MAX_LINE_BYTES = 1 << 24

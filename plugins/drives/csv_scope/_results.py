@@ -9,8 +9,8 @@ from typing import Any
 import yaml
 
 from orchestrator.importing import Finding, import_files
-from orchestrator.plain_files import read_text
 from orchestrator.recording import open_recording
+from orchestrator.validation.plain_files import read_text
 from protocols import Capture, DriveFault, Excitation, FaultCause, FluxbenchError, InputError, Motor, SegmentStage
 
 STAGES = {

@@ -14,7 +14,7 @@ from typing import ClassVar
 from pydantic import BaseModel
 
 from orchestrator.driving import in_blocks
-from orchestrator.polled_drive import PolledDrive
+from orchestrator.driving.polled import PolledDrive
 from plugins.drives.moteus._board import Board, Setpoint, library
 from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._configuration import Configuration, require_known

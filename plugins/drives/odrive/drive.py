@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.polled_drive import PolledDrive
+from orchestrator.driving.polled import PolledDrive
 from plugins.drives.odrive._axis import CLOSED_LOOP, IDLE, Axis, Errors
 from plugins.drives.odrive._properties import Properties
 from protocols import (

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import Any
 
-from orchestrator.api import Measurements, run
+from orchestrator.interface.api import Measurements, run
 from protocols import InputError, Limits, Motor
 
 

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.polled_drive import PolledDrive
+from orchestrator.driving.polled import PolledDrive
 from plugins.drives.vesc import _rows
 from plugins.drives.vesc._board import FOC_MOTOR_TYPE, INJECTING_SENSOR_MODES, Board, Settings
 from plugins.drives.vesc._link import Link

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.api import compare_runs
-from orchestrator.comparison import ComparedRuns, change_rows, run_rows
 from orchestrator.formatting.colours import BLUE, GREEN, ORANGE, PURPLE, VERMILION
 from orchestrator.formatting.drawing import STYLE, current_plane, label, legend_above, name_axes, new_figure, uri
 from orchestrator.formatting.sentences import typographic
+from orchestrator.interface.api import compare_runs
+from orchestrator.interface.comparison import ComparedRuns, change_rows, run_rows
 from orchestrator.recording import replace_file
 from plugins.streams.report._page import filled
 from plugins.streams.report._picture import Picture

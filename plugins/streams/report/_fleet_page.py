@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from orchestrator.fleet_statistics import SECTIONS, change_rows, count_rows, date, judgement_rows, pair_rows
+from orchestrator.fleet.statistics import SECTIONS, change_rows, count_rows, date, judgement_rows, pair_rows
 from orchestrator.formatting.quantities import plural
 from orchestrator.formatting.sentences import typographic
 from orchestrator.recording import replace_file, storage_error

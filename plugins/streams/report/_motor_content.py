@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from orchestrator.exporting import mtpa, saliency
+from orchestrator.flux_maps.exporting import mtpa, saliency
 from orchestrator.formatting.quantities import fixed, number, quantity, vector
 from orchestrator.formatting.results import resistance, resistance_course
 from plugins.streams.report._collect import Material

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orchestrator.exporting import Trajectory, saliency, torque_nm
+from orchestrator.flux_maps.exporting import Trajectory, saliency, torque_nm
 from orchestrator.formatting.colours import BLACK, ORANGE, VERMILION
 from orchestrator.formatting.drawing import (
     STYLE,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.exporting import Trajectory, mtpa, mtpv
+from orchestrator.flux_maps.exporting import Trajectory, mtpa, mtpv
 from orchestrator.formatting.drawing import BASIS_LINES
 from orchestrator.formatting.names import MAP_QUANTITIES
 from orchestrator.formatting.sentences import cut, visible

@@ -10,8 +10,8 @@ from typing import Any
 
 from orchestrator.formatting.quantities import UNKNOWN, number
 from orchestrator.formatting.sentences import text_table
-from orchestrator.plain_files import read_bytes
 from orchestrator.runs import RunDirectory
+from orchestrator.validation.plain_files import read_bytes
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole
 from protocols import Diagnosed, EstimationReport, FluxbenchError, Message, PointDone, RunEnded

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from orchestrator.api import compare_runs
-from orchestrator.comparison import ComparedRuns, change_rows, run_rows
 from orchestrator.formatting.sentences import markdown_table, shown
+from orchestrator.interface.api import compare_runs
+from orchestrator.interface.comparison import ComparedRuns, change_rows, run_rows
 from plugins.streams.rerun._blueprints import side_by_side
 from plugins.streams.rerun._maps import over_plane
 from plugins.streams.rerun._tape import Entry, Tape, When, blueprint, entry, titled

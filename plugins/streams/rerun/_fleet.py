@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from orchestrator.fleet_statistics import SECTIONS, count_rows
+from orchestrator.fleet.statistics import SECTIONS, count_rows
 from orchestrator.formatting.colours import D_AXIS, GUIDE, MEASURED_ON_SCREEN, packed_all
 from orchestrator.formatting.sentences import markdown_table, shown
 from plugins.streams.rerun._blueprints import of_a_fleet

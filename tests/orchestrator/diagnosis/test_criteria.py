@@ -15,7 +15,7 @@ from orchestrator.diagnosis.criteria import (
     SelectionCriteria,
     VerdictCriteria,
 )
-from orchestrator.thresholds import Source
+from orchestrator.validation.thresholds import Source
 from protocols import VerdictLimits
 
 PAGE = Path(__file__).parents[3] / "docs" / "settings.md"

@@ -9,7 +9,14 @@ import pytest
 
 from orchestrator.flux_maps import MapSurface, audit_map, load_map, repair_map
 from protocols import FluxMap, InputError, RealArray
-from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, Array, saturated_map, shipped, shipped_path
+from tests.orchestrator.flux_maps.exporting.machines import (
+    MOTOR,
+    POLE_PAIRS,
+    Array,
+    saturated_map,
+    shipped,
+    shipped_path,
+)
 from tests.support.cases import few
 from tests.support.close import assert_close
 

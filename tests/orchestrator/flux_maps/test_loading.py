@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from orchestrator.estimation import save_flux_map
-from orchestrator.exporting import export_map
 from orchestrator.flux_maps import load_map
+from orchestrator.flux_maps.exporting import export_map
 from protocols import InputError
-from tests.orchestrator.exporting.machines import L_D, L_Q, MOTOR, linear_map, saturated_map
+from tests.orchestrator.flux_maps.exporting.machines import L_D, L_Q, MOTOR, linear_map, saturated_map
 from tests.support.close import assert_close
 
 ROWS = [f"{d},{q},{0.3 + L_D * d:.9g},{L_Q * q:.9g}" for d in (-2, 0, 1) for q in (-1, 0, 3)]
@@ -214,6 +214,6 @@ def test_tables_larger_than_the_memory_are_refused_before_they_are_read(
     else:
         save_flux_map(path, linear_map())
     load_map(path)
-    monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 10_000)
+    monkeypatch.setattr("orchestrator.validation.memory.spare_memory", lambda: 10_000)
     with pytest.raises(InputError, match=f"map{ending}: its (arrays|variables|tables) need some 0.0 GB of memory"):
         load_map(path)

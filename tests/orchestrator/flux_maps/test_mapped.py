@@ -8,7 +8,7 @@ from scipy.io import savemat
 
 from orchestrator.flux_maps import load_map, read_map
 from protocols import InputError
-from tests.orchestrator.exporting.machines import L_D, L_Q, PSI_M, linear_map
+from tests.orchestrator.flux_maps.exporting.machines import L_D, L_Q, PSI_M, linear_map
 from tests.support.close import assert_close
 
 ROOT2 = np.sqrt(2.0)

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from orchestrator.cli._running import run_app
 from orchestrator.flux_maps import UnknownLayoutError, load_map, read_map, suggest_mapping
+from orchestrator.interface.cli._running import run_app
 from orchestrator.numerics.types import Array
 from protocols import InputError
 from tests.orchestrator.flux_maps.test_shapes import EXACT, INTERPOLATED, Machine, error_of, over_axes

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from orchestrator.cli._running import run_app
 from orchestrator.flux_maps import load_map
+from orchestrator.interface.cli._running import run_app
 from protocols import FluxMap
 from tests.blind.campaign import Bench, Campaign, _manifest, record
 from tests.blind.hidden import draw_case

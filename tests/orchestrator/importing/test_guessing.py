@@ -13,9 +13,9 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
-from orchestrator.cli._running import run_app
 from orchestrator.importing import import_files
 from orchestrator.importing.guessing import guess_mapping
+from orchestrator.interface.cli._running import run_app
 from orchestrator.recording import open_recording
 from protocols import InputError
 from tests.orchestrator.importing.benches import Numbers

@@ -240,7 +240,7 @@ def test_a_long_segment_is_one_though_it_is_computed_in_parts(bench: Bench, monk
 def test_a_segment_larger_than_the_memory_is_refused_while_it_is_read(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 10_000)
+    monkeypatch.setattr("orchestrator.validation.memory.spare_memory", lambda: 10_000)
     with pytest.raises(InputError, match="400 rows in one segment need some 0"):
         bench.run()
     assert not (bench.folder / "recording").exists()
@@ -282,7 +282,7 @@ def test_ten_million_rows_of_text_take_twenty_seconds_and_a_gigabyte(bench: Benc
             writer.write(pa.table(columns | {"t": np.round(columns["t"] + k * n / 1e4, 4)}))
     # Of a child the system counts what its parent had before it became another program as well.
     program = (
-        "import atexit, re; from orchestrator.cli import main; "
+        "import atexit, re; from orchestrator.interface.cli import main; "
         "atexit.register(lambda: print(re.search(r'VmHWM:\\s*(\\d+)', open('/proc/self/status').read())[1])); main()"
     )
     command = [sys.executable, "-c", program, "import", str(bench.write_mapping()), str(path), "--out", "out"]

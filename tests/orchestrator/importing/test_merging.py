@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.cli._running import run_app
 from orchestrator.importing import merge_recordings
+from orchestrator.interface.cli._running import run_app
 from orchestrator.recording import open_recording
 from protocols import InputError
 from tests.orchestrator.importing.benches import RATE, Bench

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
-from orchestrator.cli._running import run_app
+from orchestrator.interface.cli._running import run_app
 from tests.orchestrator.importing.benches import held_current, phase_log, write_table
 
 COLUMNS, PLAIN = phase_log(*held_current(120))

@@ -15,8 +15,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from orchestrator.memory import spare_memory
 from orchestrator.recording import capture_path, open_recording
+from orchestrator.validation.memory import spare_memory
 from protocols import Capture, RecordingError, RecordingReader, SegmentStage
 
 REDUCED = Path(__file__).parents[2] / "data" / "pm400-reduced"
@@ -330,14 +330,14 @@ def test_more_rows_than_the_machine_holds_are_refused_before_any_is_read(
 ) -> None:
     directory = make_recording()
     assert (spare_memory() or 0) > 1e6
-    monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 5000)
+    monkeypatch.setattr("orchestrator.validation.memory.spare_memory", lambda: 5000)
     monkeypatch.setattr(pq.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
     message = complaint(lambda: open_recording(directory))
     assert "100 rows need some 0.0 GB of memory, and 0.0 GB are free" in message
 
 
 def test_a_limit_on_the_address_space_counts_as_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("orchestrator.memory.resource.getrlimit", lambda _: (1 << 20, 1 << 20))
+    monkeypatch.setattr("orchestrator.validation.memory.resource.getrlimit", lambda _: (1 << 20, 1 << 20))
     assert spare_memory() == 0
 
 

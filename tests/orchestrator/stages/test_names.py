@@ -16,7 +16,7 @@ ROOMS = (
     "orchestrator/engine",
     "orchestrator/formatting",
     "orchestrator/runs",
-    "orchestrator/scaffolding",
+    "orchestrator/interface/scaffolding",
     "orchestrator/stages",
     "plugins/streams",
 )

@@ -129,6 +129,8 @@ def test_effects_page_says_what_an_effect_of_each_layer_may_change() -> None:
 
 
 def test_example_and_scaffold_take_from_the_voltage_what_the_inverter_keeps() -> None:
-    template = files("orchestrator.scaffolding").joinpath("templates", "effect.py.txt").read_text(encoding="utf-8")
+    template = (
+        files("orchestrator.interface.scaffolding").joinpath("templates", "effect.py.txt").read_text(encoding="utf-8")
+    )
     assert "signals.v_ab - " in template
     assert "signals.v_ab - " in snippets()["bench_plugins/voltage_offset.py"]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.cli._running import run_app
+from orchestrator.interface.cli._running import run_app
 from tests.orchestrator.fleet.small import damage, small_recordings
 
 

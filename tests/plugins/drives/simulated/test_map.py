@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.exporting import export_map
 from orchestrator.flux_maps import load_map
+from orchestrator.flux_maps.exporting import export_map
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, map_motor, true_flux
 from plugins.drives.simulated._map import FluxTable, fit_error, load_table, map_energy, misfit_in_words, usable_reach
 from protocols import DriveSetup, FluxMap

@@ -9,11 +9,11 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from orchestrator.fleet_statistics import fleet_of, report_of
+from orchestrator.fleet.statistics import fleet_of, report_of
 from plugins.streams.report._fleet_page import render, write_fleet_report
 from protocols import StorageError
 from protocols.fleet_report import FleetLimits, FleetReport
-from tests.orchestrator.fleet_statistics.example_fleet import Fleet, effect, table_of, written
+from tests.orchestrator.fleet.statistics.example_fleet import Fleet, effect, table_of, written
 from tests.support.processes import called
 
 

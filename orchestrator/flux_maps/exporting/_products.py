@@ -1,0 +1,121 @@
+"""The quantities of all exports, computed once: torque, saliency, trajectories, inverse map. Writes no file."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from orchestrator.flux_maps import MapAudit, MapSurface, audit_map
+from orchestrator.flux_maps.exporting._inverse import InverseMap, invert
+from orchestrator.flux_maps.exporting._saliency import Saliency, saliency
+from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
+from orchestrator.numerics.types import Array
+from protocols import FluxMap, Motor
+
+
+@dataclass(frozen=True)
+class FileContent:
+    """One file's content, and notes on it."""
+
+    content: bytes
+    measured_percent: float
+    """Share of the table's nodes that were measured; the others are NaN, omitted or continued."""
+    filled_nodes: int = 0
+    """Nodes with a continued value."""
+    notes: tuple[str, ...] = ()
+
+
+class Products:
+    """A flux map and all derived quantities, each computed on first use.
+
+    Parameters
+    ----------
+    flux_map : FluxMap
+    motor : Motor
+        The motor, with the measured R_s if available.
+    recording : str
+        Name of the map's recording.
+    """
+
+    def __init__(self, flux_map: FluxMap, motor: Motor, recording: str = "") -> None:
+        self.flux_map, self.motor, self.recording = flux_map, motor, recording
+
+    @property
+    def symbol(self) -> str:
+        """The motor's name as a valid C and Modelica name: lower-case letters, digits, underscores."""
+        name = re.sub(r"[^a-z0-9]+", "_", self.motor.name.lower()).strip("_")[:32].strip("_")
+        return name if name[:1].isalpha() else f"motor_{name}".rstrip("_")
+
+    @property
+    def rest_wb(self) -> float | None:
+        """psi_d at zero current; None where that was not measured."""
+        rest = np.zeros((1, 2))
+        return float(self.surface.psi(rest)[0, 0]) if self.surface.inside(rest)[0] else None
+
+    @cached_property
+    def surface(self) -> MapSurface:
+        return MapSurface(self.flux_map)
+
+    @cached_property
+    def inverse(self) -> InverseMap:
+        return invert(self.flux_map)
+
+    @cached_property
+    def audit(self) -> MapAudit:
+        return audit_map(self.flux_map, self.motor)
+
+    @cached_property
+    def saliency(self) -> Saliency:
+        return saliency(self.flux_map)
+
+    @cached_property
+    def torque_nm(self) -> Array:
+        return torque_nm(self.flux_map, self.motor.pole_pairs)
+
+    @cached_property
+    def mtpa(self) -> Trajectory | None:
+        """None where the map has no motoring half (i_q > 0)."""
+        return mtpa(self.flux_map, self.motor.pole_pairs) if self.motors else None
+
+    @cached_property
+    def mtpv(self) -> Trajectory | None:
+        return mtpv(self.flux_map, self.motor.pole_pairs) if self.motors else None
+
+    @cached_property
+    def measured_percent(self) -> float:
+        """Share of the map's own grid that was measured."""
+        return 100.0 * float(self.surface.known.mean())
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for every format."""
+        notes = []
+        holes = int((~self.surface.known).sum())
+        if holes:
+            notes.append(f"{holes} of {self.surface.known.size} grid points were not measured")
+        if self.lacks_magnet:
+            notes.append(
+                "pm_flux_wb is not known and a locked rotor does not show it: psi, torque, MTPA and MTPV leave out "
+                "the magnet"
+            )
+        if self.mtpa is None:
+            notes.append("no measured point with i_q > 0: no MTPA and no MTPV")
+        elif self.mtpv is not None and not self.mtpv.interior.any():
+            notes.append("MTPV lies outside the measured region: its rows are the best at the edge, interior = 0")
+        return (*notes, *self.audit.notes)
+
+    @property
+    def lacks_magnet(self) -> bool:
+        """Whether psi(0, 0) is zero only for want of a nameplate value."""
+        if self.motor.pm_flux_wb is not None or not self.surface.inside(np.zeros((1, 2)))[0]:
+            return False
+        at_rest = float(np.abs(self.surface.psi(np.zeros((1, 2)))).max())
+        return at_rest < 1e-3 * float(np.ptp(self.surface.fluxes, axis=0).max())
+
+    @cached_property
+    def motors(self) -> bool:
+        """Whether a point with i_q > 0 was measured."""
+        return bool((self.surface.currents[:, 1] > 0).any())

@@ -1,0 +1,299 @@
+"""Analysis of measurements: estimates, comparison, diagnosis and changes of the model's effects."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Collection, Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orchestrator.interface.api.threads import one_thread
+from orchestrator.recording import read_model
+from orchestrator.registry import PluginKind, load_effects_file, make_plugins
+from orchestrator.runs import open_any, refuse_file
+from protocols import (
+    AddReport,
+    CompareReport,
+    Effect,
+    EstimationReport,
+    Explanation,
+    FluxMap,
+    InputError,
+    MotorModel,
+    PluginError,
+)
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from orchestrator.diagnosis import InterimResult, ModelChoice, SavedDiagnosis
+    from orchestrator.interface.comparison import ComparedRuns
+    from protocols.fleet_priors import FleetPriors
+
+Place = str | PathLike[str]
+"""A run or recording: its directory, or `Measurements`."""
+Model = Place | FluxMap | MotorModel
+"""``saturated``, ``linear``, a flux map or a motor model, or the file of either."""
+Effects = Place | Sequence[Effect]
+"""Candidates beside the installed effects: a Python file, or the effects themselves."""
+
+
+@one_thread()
+def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Place | None = None) -> EstimationReport:
+    """R_s, flux and inductance maps, and checks of their consistency; written to ``results/``.
+
+    Parameters
+    ----------
+    estimators : sequence of str, optional
+        Names of the estimators; all installed ones by default.
+    out : path, optional
+        Folder for ``results/``; the recording by default.
+
+    Raises
+    ------
+    RecordingError, NotMeasuredError, StorageError
+    """
+    from orchestrator.estimation import estimate_recording
+
+    path = Path(place)
+    target = Path(out) if out is not None else path
+    refuse_file(target)
+    refuse_file(target / "results")
+    plugins = make_plugins(PluginKind.ESTIMATORS, estimators or None)
+    return estimate_recording(open_any(path, keep=out is None), plugins, target)
+
+
+@one_thread()
+def compare(
+    place: Place, *, model: Model | None = None, effects: Effects = (), out: Place | None = None
+) -> CompareReport:
+    """The errors of a model, and whether given effects help; see `orchestrator.diagnosis.compare_recording`."""
+    from orchestrator.diagnosis import compare_recording
+
+    installed = {effect.name for effect in chosen_effects()} if effects else set()
+    every = chosen_effects(effects)
+    return compare_recording(
+        open_any(Path(place)),
+        every,
+        model=chosen_model(model),
+        out=_directory(out),
+        candidates=[effect.name for effect in every if effects and _is_own(effect, effects, installed)],
+    )
+
+
+@one_thread()
+def compare_runs(*places: Place) -> ComparedRuns:
+    """A comparison of runs, and changes beyond noise; see `orchestrator.interface.comparison.compare_runs`."""
+    from orchestrator.interface.comparison import compare_runs as compare_paths
+
+    return compare_paths([Path(place) for place in places])
+
+
+@one_thread()
+def diagnose(
+    place: Place,
+    *,
+    model: Model = "saturated",
+    effects: Effects = (),
+    without: Sequence[str] = (),
+    segments: Sequence[str] | None = None,
+    material_flux_percent: float | None = None,
+    material_voltage_percent: float | None = None,
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+    priors: FleetPriors | Place | None = None,
+    workers: int | None = None,
+    on_interim: Callable[[InterimResult], None] = lambda _: None,
+    report_early: bool = False,
+) -> SavedDiagnosis:
+    """The effects that the model lacks; see `orchestrator.diagnosis.diagnose_recording`. Stored with its model.
+
+    Parameters
+    ----------
+    segments : sequence of str, optional
+        Ids of the segments to use; all by default. The result is stored as if they were the whole recording; use a
+        separate folder `out` for it.
+    material_flux_percent, material_voltage_percent : float, optional
+        Change of the map, of the rated flux, or voltage, of the excitation's, from which an effect is material.
+    tell : callable
+        Called with the current step, in a few words.
+    priors : FleetPriors or path, optional
+        Priors from other motors of the same kind, or the file of `fluxbench fleet priors`.
+    workers : int
+        Number of workers; by default the number of cores, up to four. The result does not depend on it.
+    on_interim : callable
+        Called with the search's result so far, whenever that has changed; its `sentence` describes it.
+    report_early : bool
+        Whether `KeyboardInterrupt` (Ctrl-C) ends the search with a report of the result so far, whose first remark
+        has the code ``ended_early``. Before the first result, and the second time, it is raised.
+    """
+    from orchestrator.diagnosis import Criteria, diagnose_and_keep, workers_here
+    from orchestrator.experiment_design.proposal import next_experiment
+
+    percents = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
+    materiality = {name: 0.01 * percent for name, percent in percents.items() if percent is not None}
+    criteria = Criteria.model_validate({"materiality": materiality})
+
+    recording = open_any(Path(place))
+    return diagnose_and_keep(
+        recording if segments is None else recording.limited_to(segments),
+        chosen_effects(effects),
+        propose=next_experiment,
+        model=chosen_model(model) or "saturated",
+        without=without,
+        out=_directory(out),
+        tell=tell,
+        criteria=criteria,
+        priors=_chosen_priors(priors),
+        workers=workers or workers_here(),
+        on_interim=on_interim,
+        report_early=report_early,
+    )[1]
+
+
+def explain(place: Place) -> Explanation:
+    """The reasons of the latest diagnosis: of its verdict, the steps of the search, the evidence for each effect.
+
+    Raises
+    ------
+    InputError
+        Where there is no diagnosis.
+    RecordingError
+        Where its file is damaged.
+    """
+    from orchestrator.diagnosis import explanation_of, load_diagnosis
+
+    path = Path(place)
+    refuse_file(path)
+    if not path.is_dir():
+        raise InputError(str(path), "", "no such directory")
+    diagnosis = load_diagnosis(path)
+    if diagnosis is None:
+        raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
+    return explanation_of(diagnosis.report)
+
+
+@one_thread()
+def add(
+    place: Place,
+    *names: str,
+    model: Model | None = None,
+    effects: Effects = (),
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> AddReport:
+    """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Stored in `model.json`.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with the current step, in a few words.
+    """
+    from orchestrator.diagnosis import add_effects
+
+    return add_effects(
+        open_any(Path(place)), names, chosen_effects(effects), model=chosen_model(model), out=_directory(out), tell=tell
+    )
+
+
+@one_thread()
+def remove(
+    place: Place,
+    name: str,
+    *,
+    effects: Effects = (),
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> AddReport:
+    """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Stored in `model.json`.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with the current step, in a few words.
+    """
+    from orchestrator.diagnosis import remove_effect
+
+    return remove_effect(open_any(Path(place)), name, chosen_effects(effects), out=_directory(out), tell=tell)
+
+
+def map_of(model: MotorModel | Place) -> xr.Dataset:
+    """The map of a model, without effects, over ``i_d`` and ``i_q``; NaN where nothing was measured.
+
+    Parameters
+    ----------
+    model : MotorModel or path
+        A model, its `model.json`, or the run or recording that has one.
+    """
+    from orchestrator.diagnosis import flux_map_of
+    from orchestrator.estimation import flux_dataset
+
+    whole = model if isinstance(model, MotorModel) else read_model(Path(model))
+    return flux_dataset(flux_map_of(whole), motor=whole.motor.name, recording=whole.recording)
+
+
+def chosen_model(choice: Model | None) -> ModelChoice | None:
+    """The chosen baseline or model, read from its file where it is a path; raises `InputError`."""
+    if choice is None or isinstance(choice, FluxMap | MotorModel):
+        return choice
+    path = Path(choice)
+    if str(path) in ("linear", "saturated"):
+        return str(path)
+    from orchestrator.flux_maps import load_map
+
+    return read_model(path) if path.suffix == ".json" else load_map(path)
+
+
+def chosen_effects(more: Effects = ()) -> list[Effect]:
+    """The installed effects and more; raises `PluginError` where two have one name."""
+    from orchestrator.diagnosis import CROSS_SATURATION, SATURATION, guarded
+
+    effects: list[Effect] = make_plugins(PluginKind.EFFECTS)
+    if isinstance(more, str | PathLike):
+        where = str(more)
+        own = [_instance(kind, where) for kind in load_effects_file(Path(more))]
+        # An installed plugin may be given by its file, too: it is one effect, in the file's current form.
+        effects = [effect for effect in effects if _file_of(effect) != Path(more).resolve()]
+    else:
+        where, own = "effects", list(more)
+    for effect in map(guarded, own):
+        if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:
+            raise PluginError(where, effect.name, "an effect of that name exists already: choose another")
+        effects.append(effect)
+    return effects
+
+
+def _is_own(effect: Effect, more: Effects, installed: Collection[str]) -> bool:
+    """Whether an effect was given beside the installed ones, or by the file of one."""
+    if effect.name not in installed:
+        return True
+    return isinstance(more, str | PathLike) and _file_of(effect) == Path(more).resolve()
+
+
+def _file_of(effect: Effect) -> Path:
+    return Path(inspect.getfile(type(effect))).resolve()
+
+
+def _chosen_priors(choice: FleetPriors | Place | None) -> FleetPriors | None:
+    if not isinstance(choice, str | PathLike):
+        return choice
+    from orchestrator.recording import read_json
+    from protocols.fleet_priors import FleetPriors
+
+    return read_json(Path(choice), FleetPriors)
+
+
+def _instance(kind: type[Any], where: str) -> Effect:
+    try:
+        effect: Effect = kind()
+    except (Exception, SystemExit) as error:  # foreign code may raise anything
+        raise PluginError(where, kind.__name__, f"cannot be created: {type(error).__name__}: {error}") from error
+    return effect
+
+
+def _directory(out: Place | None) -> Path | None:
+    if out is None:
+        return None
+    refuse_file(Path(out))
+    return Path(out)

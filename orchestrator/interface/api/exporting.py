@@ -1,0 +1,84 @@
+"""Maps for other tools, from a run, a recording, a map file or a model."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocols import InputError, Motor
+
+if TYPE_CHECKING:
+    from orchestrator.flux_maps.exporting import ExportReport
+
+
+def export(
+    place: str | PathLike[str],
+    *formats: str,
+    motor: Motor | str | PathLike[str] | None = None,
+    out: str | PathLike[str] | None = None,
+) -> ExportReport:
+    """Write flux map, torque and saliency for other tools.
+
+    Parameters
+    ----------
+    place : path
+        A run, a recording, a map file, or a model.json.
+    formats : str
+        Names of the formats; all by default.
+    motor : Motor or path, optional
+        The motor, or a YAML file with it, for a map file without one.
+    out : path, optional
+        Folder to write to; by default ``export/`` beside the source.
+
+    Raises
+    ------
+    InputError
+        Where there is no map or no motor, or no format of such a name.
+    StorageError
+        Where a file cannot be written.
+    """
+    from orchestrator.flux_maps import load_map
+    from orchestrator.flux_maps.exporting import export_map
+
+    path = Path(place)
+    flux_map = load_map(path)
+    folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "export"
+    return export_map(
+        flux_map, _motor_with_resistance(path, motor), folder, formats or None, recording=_recording(path)
+    )
+
+
+def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None) -> Motor:
+    """The motor, with the measured R_s where there is one."""
+    from orchestrator.config import load_motor
+    from orchestrator.estimation import load_estimates
+    from orchestrator.recording import read_model
+    from orchestrator.runs import open_any
+    from orchestrator.validation.plain_files import read_text
+
+    measured: float | None = None
+    chosen: Motor | None = None
+    if path.suffix == ".json":
+        model = read_model(path)
+        chosen, measured = model.motor, model.r_s_ohm
+    elif path.is_dir():
+        chosen = open_any(path).manifest.motor
+        resistance = load_estimates(path).resistance
+        measured = None if resistance is None else resistance.value_ohm
+    elif path.suffix in (".yaml", ".yml") and "motor:" in read_text(path):
+        chosen = load_motor(path)  # the mapping of a table names its motor
+    if motor is not None:
+        chosen = motor if isinstance(motor, Motor) else load_motor(Path(motor))
+    if chosen is None:
+        raise InputError(str(path), "motor", "a map file has no motor: give it or its YAML file (--motor)")
+    return chosen if measured is None else chosen.model_copy(update={"stator_resistance_ohm": measured})
+
+
+def _recording(path: Path) -> str:
+    from orchestrator.recording import read_model
+    from orchestrator.runs import open_any
+
+    if path.suffix == ".json":
+        return read_model(path).recording
+    return open_any(path).manifest.name if path.is_dir() else path.name

@@ -1,0 +1,153 @@
+"""Commands on a recording: estimate, compare, diagnose, explain, add, remove; each imports its work on call."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.interface.cli._options import (
+    DiagnosedArgument,
+    EffectsOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    RecordingArgument,
+)
+
+commands = typer.Typer()
+
+
+@commands.command("estimate")
+def estimate_command(
+    recording: RecordingArgument,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write results/ to, instead of the recording.", metavar="FOLDER")
+    ] = None,
+    estimators: Annotated[
+        list[str] | None, typer.Option("--estimator", help="Only this estimator (may be repeated).")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Estimate resistance and maps from a recording.
+
+    Stator resistance, flux and inductance maps, and checks of their consistency.
+    """
+    from orchestrator.interface.cli._output import announce
+
+    announce(recording, as_json)
+    from orchestrator.interface.cli._results import estimate
+
+    return estimate(recording, out, estimators or [], as_json)
+
+
+@commands.command("compare")
+def compare_command(
+    recordings: Annotated[list[Path], typer.Argument(help="One recording or run, or several.", metavar="RECORDING...")],
+    model: ModelOption = None,
+    effects: EffectsOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder with model.json, instead of the recording.", metavar="FOLDER")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Compare a model with a recording, or several runs.
+
+    One recording: its measurements against model.json, or against the saturated map where there is none; with
+    --effects, whether each candidate in that file would help. Several: R_s, inductances, flux, effects and verdict
+    of each, and the changes beyond noise from the first to the others; `report` and `view` take the same runs.
+    """
+    if len(recordings) > 1 and any(option is not None for option in (model, effects, out)):
+        raise typer.BadParameter("require a single recording", param_hint="--model, --effects and --out")
+    from orchestrator.interface.cli._output import announce
+
+    for recording in recordings:
+        announce(recording, as_json)
+    if len(recordings) > 1:
+        from orchestrator.interface.cli._comparison import compare_runs
+
+        return compare_runs(recordings, as_json)
+    from orchestrator.interface.cli._diagnosis import compare
+
+    return compare(recordings[0], model, effects, out, as_json)
+
+
+@commands.command("diagnose")
+def diagnose_command(
+    recording: RecordingArgument,
+    model: ModelOption = None,
+    effects: EffectsOption = None,
+    without: Annotated[list[str] | None, typer.Option(help="Exclude this effect from the library.")] = None,
+    material_flux: Annotated[
+        float | None, typer.Option(min=0.0, help="Change of the map from which an effect is material, % of rated flux.")
+    ] = None,
+    material_voltage: Annotated[
+        float | None, typer.Option(min=0.0, help="Voltage from which an effect is material, % of the excitation's rms.")
+    ] = None,
+    priors: Annotated[
+        Path | None, typer.Option(help="Priors from a fleet of the same kind, a file of `fluxbench fleet priors`.")
+    ] = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Find the effects that the model lacks.
+
+    With their probability, the effects that cannot be distinguished from them, and the next experiment. Ctrl-C ends
+    the search and reports the result so far; a second Ctrl-C ends at once.
+    """
+    from orchestrator.interface.cli._output import announce
+
+    announce(recording, as_json)
+    from orchestrator.interface.cli._diagnosis import diagnose
+
+    return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json, priors)
+
+
+@commands.command("explain")
+def explain_command(run: DiagnosedArgument, as_json: JsonOption = False) -> int:
+    """Explain a diagnosis.
+
+    The reasons of the verdict, each number with its limit; every step of the search; the evidence for each effect.
+    """
+    from orchestrator.interface.cli._explaining import explain
+
+    return explain(run, as_json)
+
+
+@commands.command("add")
+def add_command(
+    recording: RecordingArgument,
+    effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
+    model: ModelOption = None,
+    effects: EffectsOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Add effects to the model.
+
+    The model is fitted again; the ladder gets a step for each effect.
+    """
+    from orchestrator.interface.cli._output import announce
+
+    announce(recording, as_json)
+    from orchestrator.interface.cli._diagnosis import add
+
+    return add(recording, effect, model, effects, out, as_json)
+
+
+@commands.command("remove")
+def remove_command(
+    recording: RecordingArgument,
+    effect: Annotated[str, typer.Argument(help="Name of the effect.")],
+    effects: EffectsOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Remove an effect from the model."""
+    from orchestrator.interface.cli._output import announce
+
+    announce(recording, as_json)
+    from orchestrator.interface.cli._diagnosis import remove
+
+    return remove(recording, effect, effects, out, as_json)

@@ -1,0 +1,177 @@
+"""Commands at the bench: run, resume, check and design; each imports its implementation when it is called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.interface.cli._options import (
+    AbsentOption,
+    DriveOption,
+    EffectsOption,
+    JsonOption,
+    LogOption,
+    MotorOption,
+    NoiseOption,
+    ProcedureArgument,
+    QuietOption,
+    RehearsedOption,
+    RemoteOption,
+    RunArgument,
+    SetOption,
+    StreamOption,
+    ViewOption,
+)
+
+commands = typer.Typer()
+
+
+@commands.command("run")
+def run_command(
+    procedure: Annotated[
+        str | None, typer.Argument(help="Name of a shipped procedure, or a YAML file.", show_default="demo")
+    ] = None,
+    drive: DriveOption = None,
+    motor: MotorOption = None,
+    settings: SetOption = None,
+    out: Annotated[
+        Path | None, typer.Option(help="New folder for the run; by default runs/<name>-<time>.", metavar="FOLDER")
+    ] = None,
+    serial: Annotated[str | None, typer.Option(help="The motor's serial number; stored with the run.")] = None,
+    operator: Annotated[str | None, typer.Option(help="The operator's name; stored with the run.")] = None,
+    ambient: Annotated[float | None, typer.Option(help="Ambient temperature [C]; stored with the run.")] = None,
+    tags: Annotated[list[str] | None, typer.Option("--tag", help="Search tag of the run (may be repeated).")] = None,
+    notes: Annotated[
+        list[str] | None, typer.Option("--note", help="A note, stored with the run (may be repeated).")
+    ] = None,
+    source: Annotated[
+        Path | None,
+        typer.Option("--from", help="Continue this run: measure the experiment that its diagnosis proposes."),
+    ] = None,
+    rounds: Annotated[
+        int | None, typer.Option(min=1, max=10, help="With --from: maximum number of experiments.", show_default="1")
+    ] = None,
+    view: ViewOption = False,
+    streams: StreamOption = None,
+    log: LogOption = "text",
+    unattended: AbsentOption = None,
+    remote: RemoteOption = None,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> int:
+    """Commission a motor end to end.
+
+    Align, check the rotor lock, measure, estimate. The default procedure is the demo.
+
+    With --from: measure the experiment that the diagnosis of a finished run proposes, into the same recording, and
+    diagnose again.
+    """
+    from orchestrator.interface.cli._commission import Audience, run, run_further
+
+    audience = Audience(
+        unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()), _remote_of(remote, unattended)
+    )
+    if source is None:
+        if rounds is not None:
+            raise typer.BadParameter("requires --from", param_hint="--rounds")
+        about = {"serial": serial, "operator": operator, "ambient_c": ambient, "tags": tags, "notes": notes}
+        return run(procedure or "demo", drive, motor, settings or [], out, audience, about)
+    own = (procedure, drive, motor, settings or None, out, serial, operator, ambient, tags or None, notes or None)
+    if any(option is not None for option in own):
+        raise typer.BadParameter("continues with the run's own procedure, drive and directory", param_hint="--from")
+    return run_further(source, rounds or 1, audience)
+
+
+@commands.command("resume")
+def resume_command(
+    path: RunArgument,
+    view: ViewOption = False,
+    streams: StreamOption = None,
+    log: LogOption = "text",
+    unattended: AbsentOption = None,
+    remote: RemoteOption = None,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> int:
+    """Continue an interrupted run.
+
+    It starts at the first unmeasured point, and energises only after your confirmation.
+    """
+    from orchestrator.interface.cli._commission import Audience, resume
+
+    program = _remote_of(remote, unattended)
+    return resume(path, Audience(unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()), program))
+
+
+def _remote_of(remote: str | None, unattended: str | None) -> str | None:
+    if remote is not None and unattended is not None:
+        raise typer.BadParameter("excludes --unattended: an operator is present", param_hint="--remote")
+    return remote
+
+
+def _log_of(log: str) -> str:
+    if log not in ("text", "json"):
+        raise typer.BadParameter(f"{log!r}; expected text or json", param_hint="--log")
+    return log
+
+
+@commands.command("check")
+def check_command(
+    procedure: ProcedureArgument,
+    drive: DriveOption = None,
+    motor: MotorOption = None,
+    settings: SetOption = None,
+    isolability: Annotated[
+        bool,
+        typer.Option("--isolability", help="Report the effects that it would detect and separate, and stages to add."),
+    ] = False,
+    model: RehearsedOption = None,
+    effects: EffectsOption = None,
+    noise_a: NoiseOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Dry run of a procedure.
+
+    Points, duration, peak current and voltage, dissipated energy; nothing is energised.
+
+    With --isolability: the sizes from which each effect would be detected, and separated from each other.
+    """
+    from orchestrator.interface.cli._check import RehearsalOptions, check
+
+    if not isolability and any(option is not None for option in (model, effects, noise_a)):
+        raise typer.BadParameter("require --isolability", param_hint="--model, --effects and --noise")
+    rehearsal = RehearsalOptions(model, effects, noise_a) if isolability else None
+    return check(procedure, drive, motor, settings or [], as_json, rehearsal)
+
+
+@commands.command("design")
+def design_command(
+    procedure: ProcedureArgument,
+    effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
+    out: Annotated[Path, typer.Option(help="YAML file to write.", metavar="FILE")],
+    size: Annotated[
+        float, typer.Option(min=0.02, max=100.0, help="Size to detect and separate, over the typical one.")
+    ] = 1.0,
+    drive: DriveOption = None,
+    motor: MotorOption = None,
+    settings: SetOption = None,
+    model: RehearsedOption = None,
+    effects: EffectsOption = None,
+    noise_a: NoiseOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Design the shortest procedure that separates effects.
+
+    Motor, drive, limits and stages without measurement are PROCEDURE's own; its measuring stages are replaced by
+    points of its own and of a catalogue. Nothing is energised.
+    """
+    from orchestrator.interface.cli._check import RehearsalOptions
+    from orchestrator.interface.cli._design import write_design
+
+    rehearsal = RehearsalOptions(model, effects, noise_a)
+    overrides = settings or []
+    return write_design(
+        procedure, effect, out, rehearsal, as_json, size=size, drive=drive, motor=motor, overrides=overrides
+    )

@@ -1,0 +1,163 @@
+"""`fluxbench run` and `fluxbench resume`: from options to a run, and from its result to an exit code."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from orchestrator.config import read_procedure
+from orchestrator.engine import (
+    NOTHING_LEFT,
+    AbsentOperator,
+    Operator,
+    RemoteOperator,
+    RunResult,
+    RunServices,
+    TerminalOperator,
+    extend_run,
+    handling_signals,
+    resume_run,
+    start_run,
+)
+from orchestrator.interface.api import as_overrides, run_directory
+from orchestrator.interface.cli._output import complain, give_up_broken_output, say_document, say_notes
+from protocols import FluxbenchError
+
+
+@dataclass(frozen=True)
+class Audience:
+    """Options of a run's output, and of the operator's presence."""
+
+    unattended: str | None = None
+    """The confirmation with which the procedure's own answers count on a real drive."""
+    quiet: bool = False
+    as_json: bool = False
+    log: str = "text"
+    """text, or json: one object per line."""
+    view: bool = False
+    """Whether the viewer opens and follows the run."""
+    streams: tuple[str, ...] = ()
+    """Names of additional streams."""
+    remote: str | None = None
+    """Name of the program through which the operator answers."""
+
+    @property
+    def console_mode(self) -> str:
+        if self.remote is not None:
+            return "quiet"
+        if self.log == "json":
+            return "jsonl"
+        return "quiet" if self.quiet or self.as_json else "auto"
+
+    def options(self) -> dict[str, dict[str, Any]]:
+        """Options of each stream, by its plugin's name."""
+        # With --json the result alone goes to standard output.
+        output = "stderr" if self.as_json and self.log == "json" else "stdout"
+        console = {"console": {"mode": self.console_mode, "output": output}}
+        return {
+            **(console if self.remote is None else {"remote": {}}),
+            "report": {},
+            "rerun": {"view": "auto" if self.view else "none"},
+            **{name: {} for name in self.streams},
+        }
+
+
+def run(
+    source: str,
+    drive: str | None,
+    motor: Path | None,
+    overrides: Sequence[str],
+    out: Path | None,
+    audience: Audience,
+    about: Mapping[str, Any] | None = None,
+) -> int:
+    """Commission into a new directory; returns the exit code.
+
+    The values of `about` override those of the procedure's own section of that name.
+    """
+    about = {f"about.{name}": value for name, value in (about or {}).items() if value not in (None, [])}
+    loaded = read_procedure(source, overrides=[*overrides, *as_overrides(about)], drive=drive, motor=motor)
+    path = run_directory(loaded.procedure.name, out)
+    if audience.console_mode == "auto":
+        say_notes(loaded.readings)
+    with loaded.naming_its_places():
+        return _with_services(lambda services: start_run(loaded.procedure, path, services), audience)
+
+
+def run_further(source: Path, rounds: int, audience: Audience) -> int:
+    """Measure the experiment that a run's diagnosis proposes, and diagnose again."""
+    from orchestrator.interface.cli._further import next_stages
+
+    path, stages = next_stages(source, rounds)
+    return _with_services(lambda services: extend_run(path, stages, services), audience)
+
+
+def resume(path: Path, audience: Audience) -> int:
+    """Go on with an interrupted run; energises only on the operator's word."""
+    return _with_services(lambda services: resume_run(path, services), audience)
+
+
+def _with_services(commission: Callable[[RunServices], RunResult], audience: Audience) -> int:
+    # A viewer's library would write its own words to the terminal; what matters of them is in the streams' tally.
+    os.environ.setdefault("RUST_LOG", "off")
+    operator = _operator(audience)
+    with ExitStack() as stack:
+        interrupts = stack.enter_context(handling_signals())
+        if isinstance(operator, RemoteOperator):
+            stack.enter_context(operator.listening(interrupts))
+        result = commission(RunServices(operator, interrupts, audience.options()))
+    troubles = [tally.trouble for tally in result.streams if tally.trouble]
+    if troubles and result.outcome.error is None:
+        _warn("; ".join(troubles))
+    report = result.path / "report.html"
+    if audience.console_mode == "auto" and report.is_file():
+        _print(f"report: {report}")
+    code = _exit_code(result, troubles, audience.as_json)
+    give_up_broken_output()
+    return code
+
+
+def _operator(audience: Audience) -> Operator:
+    if audience.remote is not None:
+        return RemoteOperator(audience.remote)
+    alone = audience.unattended is not None or not sys.stdin.isatty()
+    return AbsentOperator(audience.unattended) if alone else TerminalOperator()
+
+
+def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int:
+    outcome = result.outcome
+    if as_json:
+        import json
+
+        estimates = {} if outcome.estimates is None else outcome.estimates.model_dump(mode="json")
+        document = {
+            "run": str(result.path),
+            "outcome": outcome.ending,
+            "reason": outcome.reason,
+            "estimates": estimates,
+        }
+        _print(json.dumps(document, indent=2))
+    if outcome.error is None:
+        if outcome.reason == NOTHING_LEFT and not as_json:
+            _print(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute again")
+        return 0
+    if not isinstance(outcome.error, FluxbenchError):
+        raise outcome.error  # a defect: show its traceback, now that the drive is safe
+    resume_hint = f"`fluxbench resume {result.path}` continues at the first unmeasured point"
+    _warn("; ".join([f"{outcome.ending}: {outcome.reason}", resume_hint, *troubles]))
+    return max(outcome.error.exit_code, 3)
+
+
+def _warn(line: str) -> None:
+    with suppress(OSError):  # the terminal is gone
+        complain(line)
+
+
+def _print(text: str) -> None:
+    with suppress(OSError):  # the terminal is gone
+        say_document(text)

@@ -1,0 +1,172 @@
+"""`fluxbench compare`, `diagnose`, `add` and `remove`: the model's errors, and the effects that it lacks."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orchestrator.formatting.explaining import accuracy_sentences
+from orchestrator.formatting.names import plain, slots
+from orchestrator.formatting.progress import Progress
+from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.results import (
+    BENEFITS,
+    benefit_line,
+    ladder_rows,
+    parameter_rows,
+    resistance,
+    share_notes,
+    share_rows,
+)
+from orchestrator.formatting.sentences import columns, text_table
+from orchestrator.interface import api
+from orchestrator.interface.cli._interrupting import Interruption, prompt_interrupt
+from orchestrator.interface.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
+from orchestrator.interface.cli._refreshing import refresh_report
+from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
+
+if TYPE_CHECKING:
+    from orchestrator.diagnosis import InterimResult
+
+
+def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
+    """Compare the model with the measurements."""
+    with prompt_interrupt():
+        report = api.compare(path, model=model, effects=effects or (), out=out)
+    if as_json:
+        say_document(report.model_dump_json(indent=2))
+    else:
+        _print_comparison(report)
+    return 0
+
+
+def diagnose(
+    path: Path,
+    model: str | None,
+    effects: Path | None,
+    without: Sequence[str],
+    material: tuple[float | None, float | None],
+    out: Path | None,
+    as_json: bool,
+    priors: Path | None = None,
+) -> int:
+    """Name the effects that the model lacks; `material` in % of the rated flux, and of the excitation's voltage.
+
+    Ctrl-C ends the search: the result so far is reported, and the exit code is 130.
+    """
+    progress, interruption = _progress(as_json), Interruption()
+
+    def show(interim: InterimResult) -> None:
+        interruption.has_result = True
+        progress.result(interim.sentence)
+
+    with prompt_interrupt(interruption):
+        kept = api.diagnose(
+            path,
+            model=model or "saturated",
+            effects=effects or (),
+            without=without,
+            material_flux_percent=material[0],
+            material_voltage_percent=material[1],
+            out=out,
+            tell=progress,
+            priors=priors,
+            on_interim=show,
+            report_early=True,
+        )
+        interruption.has_result = False
+        refresh_report(path, out)
+    if as_json:
+        say_document(kept.report.model_dump_json(indent=2))
+    else:
+        _print_diagnosis(kept.report, kept.words)
+        if kept.estimates is not None:
+            _print_map(kept.estimates, (out or path) / "results")
+    return 130 if interruption.requested else 0
+
+
+def add(
+    path: Path, names: Sequence[str], model: str | None, effects: Path | None, out: Path | None, as_json: bool
+) -> int:
+    """Refit with these effects."""
+    with prompt_interrupt():
+        tell = _progress(as_json).result
+        report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
+        refresh_report(path, out)
+    _print_refit(report, path, as_json)
+    return 0
+
+
+def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
+    """Refit without this effect."""
+    with prompt_interrupt():
+        report = api.remove(path, name, effects=effects or (), out=out, tell=_progress(as_json).result)
+        refresh_report(path, out)
+    _print_refit(report, path, as_json)
+    return 0
+
+
+def _progress(as_json: bool) -> Progress:
+    """The progress display: on standard error at a terminal, and where standard output is one JSON object."""
+    return Progress(results=sys.stderr if as_json else sys.stdout)
+
+
+def _print_comparison(report: CompareReport) -> None:
+    say(f"{report.recording}: the model {report.model}")
+    rows = [
+        (stage.stage, quantity(stage.rms_v, "V"), number(stage.chi2), quantity(stage.current_rms_a, "A"))
+        for stage in report.stages
+    ]
+    say_table(("stage", "rms error", "chi2", "current error"), rows)
+    say(f"noise floor {quantity(report.noise_floor.rms_v, 'V')}, chi2 over all {number(report.chi2)}")
+    worst = [(w.segment, quantity(w.i_d_a, "A"), quantity(w.i_q_a, "A"), quantity(w.rms_v, "V")) for w in report.worst]
+    say_table(("worst", "i_d", "i_q", "rms error"), worst)
+    say_notes(report.notes)
+
+
+def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
+    say(f"{report.recording}: {plain(report.verdict)}", *(f"  {reason.sentence}" for reason in report.reasons), "")
+    say(*columns(list(slots(words))), "")
+    if report.convention is None:
+        _print_ladder(report)
+    heads = ("of its typical size", "of the error", "probability", "material")
+    for head, effects in (("cause", report.effects), ("below materiality, and in the model", report.minor)):
+        if effects:
+            say_table((head, *heads), share_rows(effects))
+    say_notes(share_notes(report))
+    traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
+    if traces:
+        say(f"detected, but too small to be named: {', '.join(traces)}")
+    say(*accuracy_sentences(report))
+    say_notes(report.notes)
+    if report.next_experiment is not None:
+        say("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")
+        say(stage_as_yaml(report.next_experiment.stage))
+
+
+def _print_map(estimates: EstimationReport, folder: Path) -> None:
+    """Print R_s and the map of the diagnosis, or why the map is not reliable."""
+    if estimates.usable and estimates.resistance is not None:
+        say(f"R_s {resistance(estimates.resistance)}, flux map usable: {folder / estimates.files['flux_map']}")
+        say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
+        return
+    why = next((r.text for r in estimates.remarks), "no estimator succeeded")
+    say(f"flux map: NOT RELIABLE: {why}")
+
+
+def _print_refit(report: AddReport, path: Path, as_json: bool) -> None:
+    if as_json:
+        say_document(report.model_dump_json(indent=2))
+        return
+    _print_ladder(report)
+    say("", *(benefit_line(remark, str(path)) for remark in report.remarks if remark.code in BENEFITS))
+    say_notes(remark.text for remark in report.remarks if remark.code not in BENEFITS)
+
+
+def _print_ladder(report: DiagnosisReport | AddReport) -> None:
+    say_table(("model", "chi2", "rms error", "held out", "current error"), ladder_rows(report.ladder))
+    rows = [(effect.name, *row) for effect in report.effects for row in parameter_rows(effect)]
+    if rows:
+        say("", text_table(("effect", "parameter", "value", "95 %"), rows, numbers=False))

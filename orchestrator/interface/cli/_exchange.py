@@ -1,0 +1,71 @@
+"""`fluxbench export` and `fluxbench import`: maps for other tools, measurements from other tools."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from orchestrator.config import load_motor
+from orchestrator.formatting.quantities import percent
+from orchestrator.importing import ImportReport, import_files, merge_recordings
+from orchestrator.importing.guessing import guess_mapping
+from orchestrator.interface import api
+from orchestrator.interface.cli._output import say, say_document, say_notes
+from protocols import InputError
+
+
+def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | None, as_json: bool) -> int:
+    """Write the flux map of a run, recording or map file for other tools."""
+    report = api.export(path, *formats, motor=motor, out=out)
+    if as_json:
+        say_document(report.model_dump_json(indent=2))
+        return 0
+    for file in report.files:
+        say(f"{file.format}: {file.path}")
+    say(f"{percent(report.measured_percent, 3)} of the grid was measured")
+    say_notes(report.notes)
+    return 0
+
+
+def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> int:
+    """Turn measurements of another tool into a recording."""
+    return _print_import(import_files(mapping, files, out), as_json)
+
+
+def merge_import(recordings: Sequence[Path], out: Path, as_json: bool) -> int:
+    """Merge several recordings into one."""
+    return _print_import(merge_recordings(recordings, out), as_json)
+
+
+def _print_import(report: ImportReport, as_json: bool) -> int:
+    if as_json:
+        say_document(report.model_dump_json(indent=2))
+        return 0
+    say(f"{report.recording}: {report.segments} segments, {report.samples} samples")
+    if report.dropped_rows:
+        why = ", ".join(f"{rows} ({why})" for why, rows in report.dropped_rows.items())
+        say(f"dropped of {report.rows} rows: {why}")
+    say_notes(report.notes)
+    return 0
+
+
+def guess_import(files: Sequence[Path], out: Path | None, motor: Path | None, as_json: bool) -> int:
+    """Write the mapping for a measurement file, and print the lines to check."""
+    if len(files) != 1:
+        raise InputError("", "--guess", f"expected one measurement file, got {len(files)}")
+    target = out if out is not None else Path(files[0].with_suffix(".yaml").name)
+    if target.exists():
+        raise InputError(str(target), "", "exists already and is not overwritten: name another with --out")
+    plate = None if motor is None else load_motor(motor).model_dump(exclude_defaults=True)
+    guess = guess_mapping(files[0], plate)
+    try:
+        target.write_text(guess.text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(str(target), "", f"cannot be written: {error.strerror or error}") from None
+    if as_json:
+        say_document(json.dumps({"mapping": str(target), "doubts": guess.doubts}, indent=2))
+        return 0
+    say(f"{target}: check it, then: fluxbench import {target} {files[0]} --out DIR")
+    say_notes(guess.doubts)
+    return 0

@@ -1,0 +1,34 @@
+"""`fluxbench explain`: the reasons of a diagnosis, and the steps of its search."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from orchestrator.formatting.explaining import BASIS_HEAD, SEARCH_HEAD, basis_rows, search_rows
+from orchestrator.formatting.names import VERDICTS, plain
+from orchestrator.interface import api
+from orchestrator.interface.cli._output import say, say_document, say_wide_table
+from protocols import Explanation
+
+
+def explain(path: Path, as_json: bool) -> int:
+    """Print the reasons of the verdict, the search, and the evidence for each named effect."""
+    explanation = api.explain(path)
+    if as_json:
+        say_document(explanation.model_dump_json(indent=2))
+    else:
+        _print(explanation)
+    return 0
+
+
+def _print(explanation: Explanation) -> None:
+    say(f"{explanation.recording}: {plain(explanation.verdict)}, {VERDICTS[explanation.verdict].meaning}")
+    say(*(f"  {reason.sentence}" for reason in explanation.reasons))
+    if not explanation.reasons:
+        say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")
+    if explanation.search:
+        say("", "steps of the search (chi2 per degree of freedom, before → after):")
+        say_wide_table(SEARCH_HEAD, search_rows(explanation.search))
+    if explanation.effects:
+        say("evidence for each named effect:")
+        say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))

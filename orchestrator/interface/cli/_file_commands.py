@@ -1,0 +1,159 @@
+"""Commands on maps, files and plugins; each imports its implementation when it is called."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from orchestrator.interface.cli._options import JsonOption
+
+commands = typer.Typer()
+
+
+@commands.command("export")
+def export_command(
+    path: Annotated[Path, typer.Argument(help="A run, a recording, a map file, or a model.json.", metavar="RUN")],
+    formats: Annotated[list[str] | None, typer.Option("--format", help="Only this format (may be repeated).")] = None,
+    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for a map file.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write to; by default export/ in RUN.", metavar="FOLDER")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Export flux map, torque and saliency to other tools."""
+    from orchestrator.interface.cli._exchange import export
+
+    return export(path, formats or [], motor, out, as_json)
+
+
+@commands.command("audit")
+def audit_command(
+    path: Annotated[
+        Path, typer.Argument(help="A run, a map file, a model.json, or a mapping of any table.", metavar="MAP")
+    ],
+    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for its pole pairs.")] = None,
+    repair: Annotated[
+        Path | None, typer.Option(help="Write the nearest physically possible map to this file (.nc).", metavar="OUT")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw map and faults (.svg, .png or .pdf).")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Check whether a flux map is physically possible.
+
+    Reciprocity, parity, the magnet's axis, convexity, holes, scatter, torque, and the uses that each fault spoils. For
+    a table with unknown column names it prints a mapping that reads it, to be checked and saved.
+    """
+    from orchestrator.interface.cli._audit import audit
+
+    return audit(path, motor, repair, picture, as_json)
+
+
+@commands.command("import")
+def import_command(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="YAML file with the columns' meaning; CSV, Parquet, MATLAB, HDF5, MF4, TDMS or COMTRADE files.",
+            metavar="MAPPING FILE...",
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="New folder for the recording; with --guess, the mapping file to write.", metavar="FOLDER|FILE"
+        ),
+    ] = None,
+    guess: Annotated[bool, typer.Option("--guess", help="Write a mapping for FILE, each line with a reason.")] = False,
+    merge: Annotated[bool, typer.Option("--merge", help="Merge several recordings into one.")] = False,
+    motor: Annotated[Path | None, typer.Option(help="With --guess: YAML file with the motor.")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Import measurements of other tools as a recording."""
+    from orchestrator.interface.cli._exchange import guess_import, import_, merge_import
+
+    if guess:
+        return guess_import(files, out, motor, as_json)
+    if merge and out is not None:
+        return merge_import(files, out, as_json)
+    if out is None or len(files) < 2:
+        raise typer.BadParameter("expected MAPPING FILE... --out DIR, --merge RECORDING... --out DIR, or --guess FILE")
+    return import_(files[0], files[1:], out, as_json)
+
+
+@commands.command("runs")
+def runs_command(
+    words: Annotated[
+        list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
+    ] = None,
+    folder: Annotated[Path, typer.Option(help="Folder to search.")] = Path("runs"),
+    as_json: JsonOption = False,
+) -> int:
+    """List the runs below a folder, filtered by words.
+
+    Motor, serial number, operator, tags, notes, time and outcome of each.
+    """
+    from orchestrator.interface.cli._runs import runs
+
+    return runs(folder, words or [], as_json)
+
+
+@commands.command("new")
+def new_command(
+    kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.")],
+    name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.")],
+    out: Annotated[Path | None, typer.Option(help="New folder; by default fluxbench-NAME.", metavar="FOLDER")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Create a package for your own plugin.
+
+    It passes its conformance kit from the start; change it step by step.
+    """
+    from orchestrator.interface.cli._new import new
+
+    return new(kind, name, out, as_json)
+
+
+@commands.command("plugins")
+def plugins_command(as_json: JsonOption = False) -> int:
+    """List the installed plugins, and whether each loads.
+
+    Plugins are Python code: listing imports them, and their code has your rights.
+    """
+    from orchestrator.interface.cli._inspect import plugins
+
+    return plugins(as_json)
+
+
+@commands.command("procedures")
+def procedures_command(
+    name: Annotated[str | None, typer.Argument(help="Print this procedure, as a template for your own.")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """List the shipped procedures."""
+    from orchestrator.interface.cli._inspect import procedures
+
+    return procedures(name, as_json)
+
+
+@commands.command("effects")
+def effects_command(as_json: JsonOption = False) -> int:
+    """List the physical effects that a diagnosis knows."""
+    from orchestrator.interface.cli._inspect import effects
+
+    return effects(as_json)
+
+
+@commands.command("schema")
+def schema_command(
+    name: Annotated[
+        str, typer.Argument(help="procedure, motor, recording, mapping, run, estimates; or drive, and its NAME.")
+    ],
+    plugin: Annotated[str | None, typer.Argument(help="Name of the drive.", metavar="[NAME]")] = None,
+    as_table: Annotated[bool, typer.Option("--table", help="Print a table in Markdown instead.")] = False,
+) -> int:
+    """Print the JSON Schema of a file format or of a drive's options, for editors."""
+    from orchestrator.interface.cli._inspect import schema
+
+    return schema(name, plugin, as_table)

@@ -1,0 +1,50 @@
+"""`fluxbench estimate`: maps and resistance from a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from orchestrator.formatting.names import PAPER_CROSSINGS
+from orchestrator.formatting.quantities import UNKNOWN, axes_percent
+from orchestrator.formatting.results import (
+    check_rows,
+    coefficient_rows,
+    resistance,
+    resistance_course,
+    usability_rows,
+)
+from orchestrator.interface import api
+from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
+from orchestrator.interface.cli._refreshing import has_report, refresh_report
+from protocols import EstimationReport
+
+
+def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
+    """Run the estimators; results go into the recording's own results/, or below `out`."""
+    report = api.estimate(path, estimators=names, out=out)
+    refresh_report(path, out)
+    if as_json:
+        say_document(report.model_dump_json(indent=2))
+    else:
+        _print_report(report, (out or path) / "results")
+        if out is None and not has_report(path):
+            say(f"as a page with pictures: fluxbench report {path}")
+    return 0
+
+
+def _print_report(report: EstimationReport, folder: Path) -> None:
+    if report.resistance is not None:
+        say(f"R_s {resistance(report.resistance)}; {resistance_course(report.resistance)}")
+    if report.method is not None:
+        say(f"flux map by {report.method}: {'usable' if report.usable else 'NOT RELIABLE'}")
+    papers = {"crossings": axes_percent(PAPER_CROSSINGS)}
+    say_table(("check", "here", "in the paper"), [(*row, papers.get(row[0], UNKNOWN)) for row in check_rows(report)])
+    if report.checks:
+        say_table(("usable only if", "here", "limit", "outcome"), usability_rows(report))
+    for method, map_report in report.maps.items():
+        if map_report.form is not None:
+            say(f"{method}: {map_report.form.formula}")
+            say_table(("coefficient", "value", "standard deviation"), coefficient_rows(map_report.form))
+    say_notes(report.reasons)
+    say(*(f"{name}: {folder / file}" for name, file in report.files.items()))

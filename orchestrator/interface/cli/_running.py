@@ -1,0 +1,98 @@
+"""One command from its arguments to an exit code; an error becomes one line on stderr."""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import typer
+
+from orchestrator.interface.cli._app import app
+
+COMPLETING = "_FLUXBENCH_COMPLETE"
+"""Environment variable that a shell sets to request completions."""
+COMPLETION_OPTIONS = ("--install-completion", "--show-completion")
+
+
+def run_app(arguments: Sequence[str], settle: Callable[[bool], None] | None = None) -> int:
+    """Run one command; an error becomes one line on stderr and an exit code.
+
+    `settle` is called with whether the command energises, before the command begins.
+    """
+    from orchestrator.interface.cli._foreign import with_plugin_commands
+    from orchestrator.interface.cli._output import give_up_broken_output
+
+    try:
+        code = int(
+            with_plugin_commands(app, arguments)(
+                list(arguments), standalone_mode=False, obj=settle, prog_name="fluxbench"
+            )
+            or 0
+        )
+        sys.stdout.flush()
+    except (typer.Abort, KeyboardInterrupt):
+        return _fail("interrupted", 130)
+    except SystemExit as error:  # no command of ours leaves like that; typer does where the pipe is broken
+        if isinstance(error.__context__, BrokenPipeError):
+            give_up_broken_output()
+            return 0
+        if COMPLETING in os.environ or any(word in COMPLETION_OPTIONS for word in arguments):
+            return int(error.code or 0)
+        return _fail(f"a plugin called exit({error.code}) in the middle of the command", 3)
+    except BrokenPipeError:  # the reader of the output has ended
+        give_up_broken_output()
+        return 0
+    except OSError as error:
+        if error.filename is not None:
+            bad_name = error.errno == errno.ENAMETOOLONG  # a name of the user, and no fault of the disk
+            return _fail(f"{error.filename}: {error.strerror or error}", 2 if bad_name else 3)
+        give_up_broken_output()
+        return _fail(f"standard output: cannot be written: {error.strerror or error}", 3)
+    except MemoryError as error:  # numpy's error has a text, Python's own has none
+        return _fail(f"not enough memory: {error}" if str(error) else "not enough memory", 3)
+    except Exception as error:
+        return _explain(error)
+    return code
+
+
+def _explain(error: Exception) -> int:
+    """One line and an exit code for an error of ours or of the arguments; a defect is raised again."""
+    usage = getattr(error, "format_message", None)  # as all of typer's own errors have it
+    if usage is not None:
+        return _fail(usage(), getattr(error, "exit_code", 2))
+    from protocols import FluxbenchError  # a late import: it takes most of the time of --help
+
+    if not isinstance(error, FluxbenchError):
+        raise error
+    return _fail(f"{error}{_place_of(error)}", error.exit_code, getattr(error, "choices", ()))
+
+
+def _place_of(error: Exception) -> str:
+    """File and line of a plugin's code that caused an error of ours; empty where there is none."""
+    from traceback import extract_tb
+
+    from protocols import PluginError
+
+    cause = error.__cause__
+    if not isinstance(error, PluginError) or cause is None:
+        return ""
+    own = _package_of(extract_tb(error.__traceback__)[-1].filename)
+    frames = [frame for frame in extract_tb(cause.__traceback__) if _package_of(frame.filename) != own]
+    foreign = [frame for frame in frames if "site-packages" not in frame.filename and "<" not in frame.filename]
+    return f" ({foreign[-1].filename}, line {foreign[-1].lineno})" if foreign else ""
+
+
+def _package_of(file: str) -> str:
+    """The folder of this package for a file in it, else the file itself."""
+    here = Path(__file__).resolve().parents[1]
+    return str(here) if Path(file).resolve().is_relative_to(here) else file
+
+
+def _fail(line: str, code: int, choices: Sequence[str] = ()) -> int:
+    from orchestrator.interface.cli._output import complain
+
+    complain(line, choices)
+    return code

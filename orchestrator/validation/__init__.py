@@ -1,0 +1,1 @@
+"""Input from outside: strict files, quantities with units, plausible numbers, errors in one line."""

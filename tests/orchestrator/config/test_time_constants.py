@@ -1,0 +1,41 @@
+"""A winding that is too fast for its samples, or whose resistance hides its inductance, is told with numbers."""
+
+from __future__ import annotations
+
+import pytest
+
+from orchestrator.config.time_constants import time_constant_notes
+from protocols import Motor
+
+
+def motor(ohm: float, henry: float) -> Motor:
+    return Motor(name="m", pole_pairs=2, stator_resistance_ohm=ohm, d_inductance_h=henry, q_inductance_h=1.05 * henry)
+
+
+def test_telemetry_slower_than_the_winding_is_told_in_samples() -> None:
+    (note,) = time_constant_notes(motor(0.45, 0.2e-3), 1000.0)
+    assert "L / R is 0.44 of a sample" in note
+    assert "decays to 11%" in note
+    assert "sample at 6750 Hz or more" in note
+
+
+def test_a_resistance_above_the_reactance_is_told_with_what_it_does_to_the_inductance() -> None:
+    samples, reactance = time_constant_notes(motor(5.85, 360e-6), 20e3, [1000.0])
+    assert "L / R is 1.2 of a sample" in samples
+    assert "R is 2.6 times omega L at the injected 1000 Hz" in reactance
+    assert "2.6 % of L" in reactance
+
+
+@pytest.mark.parametrize(("ohm", "henry", "hz"), [(4.25, 43e-3, 1e4), (0.025, 20e-6, 2e4), (0.03, 0.4e-3, 1e4)])
+def test_usual_windings_are_not_spoken_of(ohm: float, henry: float, hz: float) -> None:
+    assert time_constant_notes(motor(ohm, henry), hz, [hz / 20.0]) == ()
+
+
+def test_nothing_is_told_of_a_nameplate_without_r_or_l() -> None:
+    assert time_constant_notes(Motor(name="m", pole_pairs=2), 1000.0, [50.0]) == ()
+
+
+def test_the_line_begins_where_a_straight_line_between_rows_is_off_by_a_percent() -> None:
+    # (h R / 2 L)^2 / 3 = 0.01: L / R is 2.89 samples
+    assert time_constant_notes(motor(1.0, 2.8e-3), 1000.0)
+    assert not time_constant_notes(motor(1.0, 3.0e-3), 1000.0)

@@ -1,0 +1,104 @@
+"""Models and effects by whatever names them, results where they are wanted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestrator.experiment_design.proposal import next_experiment
+from orchestrator.interface.api import add, chosen_effects, chosen_model, compare, diagnose, estimate, map_of, remove
+from plugins.effects.inverter import DeadTime, VoltageBias
+from protocols import FluxMap, InputError, MotorModel, PluginError, RecordingError
+
+DATA = Path(__file__).parents[3] / "data" / "pm400-reduced"
+
+
+class Bias(VoltageBias):
+    """The installed effect under a name of one's own."""
+
+    name = "my_bias"
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The kept model of a recording with an effect of one's own."""
+    folder = tmp_path_factory.mktemp("out")
+    report = add(DATA, "my_bias", effects=[Bias()], out=folder)
+    assert [rung.added for rung in report.ladder] == [None, "my_bias"]
+    return folder
+
+
+@pytest.mark.slow
+def test_an_effect_of_one_s_own_is_a_candidate(out: Path) -> None:
+    assert compare(DATA, effects=[Bias()], out=out).model == "saturated + my_bias"
+    with pytest.raises(PluginError, match="my_bias: in the model, but not installed"):
+        compare(DATA, out=out)
+
+
+def test_a_model_is_named_by_its_file_or_is_itself(out: Path) -> None:
+    model = chosen_model(out / "model.json")
+    assert isinstance(model, MotorModel)
+    assert chosen_model(model) is model
+    assert chosen_model("linear") == "linear"
+    assert chosen_model(None) is None
+    with pytest.raises(InputError, match="expected a run, a recording"):
+        chosen_model("staurated")
+    with pytest.raises(RecordingError, match=r"none\.json: cannot be read"):
+        chosen_model(out / "none.json")
+
+
+def test_a_model_s_map_is_the_map_of_what_has_it(out: Path) -> None:
+    whole, by_path = map_of(out), map_of(out / "model.json")
+    assert whole.equals(by_path)
+    assert whole.psi_d.dims == ("i_d", "i_q")
+    assert whole.psi_d.attrs["units"] == "Wb"
+    assert np.isfinite(whole.psi_d).any()
+
+
+def test_two_effects_of_one_name_are_refused() -> None:
+    assert "my_bias" in [effect.name for effect in chosen_effects([Bias()])]
+    with pytest.raises(PluginError, match="dead_time: an effect of that name exists already"):
+        chosen_effects([DeadTime()])
+
+
+def test_results_go_where_they_are_wanted(tmp_path: Path) -> None:
+    estimate(DATA, estimators=["resistance"], out=tmp_path)
+    assert (tmp_path / "results" / "estimates.json").is_file()
+    assert not (DATA / "results").exists()
+    with pytest.raises(InputError, match="is not a directory"):
+        estimate(DATA, out=tmp_path / "results" / "estimates.json")
+
+
+@pytest.mark.slow
+def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
+    messages: list[str] = []
+    diagnosis = diagnose(DATA, out=tmp_path, material_flux_percent=0.4, tell=messages.append)
+    assert diagnosis.report.verdict == "clean"
+    assert diagnosis.report.materiality is not None
+    assert diagnosis.report.materiality.flux_percent == pytest.approx(0.4)
+    assert diagnosis.report.materiality.voltage_percent == pytest.approx(0.5)
+    assert messages[-1] == "how sure is what was found?"
+    assert diagnosis.words.likely_cause
+    assert len(diagnosis.steps) == len(diagnosis.report.ladder)
+    with pytest.raises(PluginError, match="dead_time: not in the model; it has no effects"):
+        remove(DATA, "dead_time", out=tmp_path)
+
+
+def test_a_diagnosis_is_asked_to_propose_the_next_experiment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    seen: dict[str, Any] = {}
+
+    def diagnose_and_keep(recording: object, effects: object, **options: Any) -> tuple[None, str]:
+        seen.update(options)
+        return None, "kept"
+
+    monkeypatch.setattr("orchestrator.diagnosis.diagnose_and_keep", diagnose_and_keep)
+    assert str(diagnose(DATA, out=tmp_path)) == "kept"
+    assert seen["propose"] is next_experiment
+
+
+def test_a_flux_map_is_a_model(tmp_path: Path) -> None:
+    estimate(DATA, estimators=["resistance", "injection"], out=tmp_path)
+    assert isinstance(chosen_model(tmp_path), FluxMap)

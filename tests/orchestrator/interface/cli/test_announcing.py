@@ -1,0 +1,45 @@
+"""Commands that take their time say at once what they read."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from orchestrator.interface.cli._app import app
+
+MORE = {"add": ["dead_time"], "remove": ["dead_time"]}
+HEAVY = (
+    "orchestrator.interface.cli._results",
+    "orchestrator.interface.cli._diagnosis",
+    "orchestrator.interface.cli._comparison",
+)
+
+
+@pytest.mark.parametrize("json", [False, True])
+@pytest.mark.parametrize("command", ["estimate", "diagnose", "compare", "add", "remove"])
+def test_a_line_is_out_before_anything_heavy_is_imported(
+    command: str, json: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in HEAVY:
+        monkeypatch.setitem(sys.modules, name, None)  # to import it now is an ImportError
+    done = CliRunner().invoke(app, [command, str(tmp_path), *MORE.get(command, []), *(["--json"] if json else [])])
+    assert isinstance(done.exception, ImportError)
+    line = f"reading {tmp_path}\n"
+    assert (done.stdout, done.stderr) == (("", line) if json else (line, ""))
+
+
+def test_nothing_is_said_of_what_is_not_there(tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["estimate", str(tmp_path / "nowhere")])
+    assert done.stdout == ""
+
+
+def test_each_of_several_runs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in HEAVY:
+        monkeypatch.setitem(sys.modules, name, None)
+    for run in ("a", "b"):
+        (tmp_path / run).mkdir()
+    done = CliRunner().invoke(app, ["compare", str(tmp_path / "a"), str(tmp_path / "b")])
+    assert done.stdout.splitlines() == [f"reading {tmp_path / run}" for run in "ab"]

@@ -1,0 +1,94 @@
+"""`fluxbench explain` from outside, and the reasons that `fluxbench diagnose` prints."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from orchestrator.diagnosis import judge, save_diagnosis
+from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.interface.cli import _diagnosis
+from orchestrator.interface.cli._running import run_app
+from protocols import DiagnosisReport
+from tests.orchestrator.diagnosis.selection.test_judge import a_record
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
+
+
+def a_report() -> DiagnosisReport:
+    recorder, record = SearchRecorder(), a_record()
+    recorder.record("screen", ["dead_time"], measure="chi2", score=60000.0, threshold=32.0)
+    recorder.record("add", ["dead_time"], measure="log_evidence", score=812.0, threshold=16.0, taken=True)
+    judgement = judge(record)
+    return a_diagnosis(
+        reasons=judgement.reasons, verdict_record=record, search=recorder.events, reproduces_current_percent=0.4,
+        map_error_percent=0.12,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def diagnosed(tmp_path: Path) -> Path:
+    save_diagnosis(tmp_path, a_report(), WORDS, ())
+    return tmp_path
+
+
+def test_the_reasons_come_first_then_the_search_then_each_effect(
+    diagnosed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_app(["explain", str(diagnosed)]) == 0
+    out = capsys.readouterr().out
+    first, second, *_ = out.splitlines()
+    assert first.startswith("example: explained")
+    assert second == "  chi2 per degree of freedom fell from 900 to 1.01; noise alone makes up to 1.08."
+    rows = [" ".join(line.split()) for line in out.splitlines()]
+    assert "step move effects gain threshold chi2 decision" in rows
+    assert "2 add dead time 812 nat 16 nat – taken" in rows
+    assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
+
+
+def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(["explain", str(diagnosed), "--json"]) == 0
+    result, report = json.loads(capsys.readouterr().out), a_report().model_dump(mode="json")
+    for name in ("verdict", "reasons", "verdict_record"):
+        assert result[name] == report[name]
+    assert [event["move"] for event in result["search"]] == ["screen", "add"]
+    assert result["effects"][0]["steps"] == [2]
+
+
+@pytest.mark.parametrize("place", [".", "nowhere"])
+def test_without_a_diagnosis_there_is_one_line(place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(["explain", str(tmp_path / place)]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.count("\n") == 1
+    assert ("run `fluxbench diagnose" in err) is (place == ".")
+
+
+def test_a_diagnosis_of_an_older_version_says_that_it_has_no_reasons(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_diagnosis(tmp_path, a_diagnosis(), WORDS, ())
+    assert run_app(["explain", str(tmp_path)]) == 0
+    assert "kept no reasons" in capsys.readouterr().out
+
+
+def test_an_output_without_unicode_gets_a_table_all_the_same(
+    diagnosed: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with (tmp_path / "out").open("w", encoding="ascii") as narrow:
+        monkeypatch.setattr("sys.stdout", narrow)
+        assert run_app(["explain", str(diagnosed)]) == 0
+    assert "812 nat" in (tmp_path / "out").read_text("ascii")
+    assert "?" not in (tmp_path / "out").read_text("ascii")
+
+
+def test_diagnose_prints_the_reasons_below_the_verdict_and_how_well_the_model_does(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _diagnosis._print_diagnosis(a_report(), WORDS)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "example: explained"
+    assert lines[1].startswith("  chi2 per degree of freedom fell from 900 to 1.01")
+    assert any("0.4 % of its range" in line for line in lines)
+    assert any("±0.12 % of the rated flux" in line for line in lines)

@@ -1,0 +1,49 @@
+"""Commands of plugins in the list of commands: each has a line of its own, and none is imported for it."""
+
+from __future__ import annotations
+
+import sys
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+
+import pytest
+
+from orchestrator.interface.cli._foreign import GROUP, summary_of
+
+
+def entry(value: str) -> EntryPoint:
+    return EntryPoint("mine", value, GROUP)
+
+
+def a_module(folder: Path, text: str) -> EntryPoint:
+    package = folder / "some_foreign_package"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise RuntimeError('imported')")
+    (package / "command.py").write_text(text)
+    return entry("some_foreign_package.command:command")
+
+
+def test_every_command_of_the_projects_own_says_what_it_does() -> None:
+    for one in entry_points(group=GROUP):
+        if one.dist is not None and one.dist.name == "fluxbench":
+            assert not summary_of(one).startswith("A plugin's"), one.name
+            assert summary_of(one).endswith(".")
+
+
+def test_the_first_line_of_the_module_is_read_and_nothing_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    mine = a_module(tmp_path, '"""`fluxbench mine X`: dig for `coal`.\n\nMore."""\nraise RuntimeError\n')
+    assert summary_of(mine) == "Dig for `coal`."
+    assert "some_foreign_package" not in sys.modules
+
+
+@pytest.mark.parametrize("text", ["", "x = 1", "def (", "\0"])
+def test_where_nothing_is_said_its_origin_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    assert summary_of(a_module(tmp_path, text)) == "A plugin's, from ?."
+
+
+def test_a_module_that_there_is_not_is_no_error() -> None:
+    assert summary_of(entry("no_such_package.command:command")) == "A plugin's, from ?."

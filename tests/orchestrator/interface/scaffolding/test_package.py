@@ -1,0 +1,112 @@
+"""A new package passes its kit before a line of it is changed."""
+
+from __future__ import annotations
+
+import configparser
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from orchestrator.interface.cli._new import new
+from orchestrator.interface.scaffolding import KINDS, write_package
+from protocols import InputError, PluginError
+from tests.support.cases import few
+
+ROOT = Path(__file__).parents[4]
+
+
+def installed_as(folder: Path) -> None:
+    """Leave the metadata that an installation would leave."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    info = folder / f"{project['name'].replace('-', '_')}-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: 0.1.0\n")
+    points = configparser.ConfigParser()
+    points.read_dict(project["entry-points"])
+    with (info / "entry_points.txt").open("w") as file:
+        points.write(file)
+
+
+def in_package(folder: Path, *command: str, paths: str = "") -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *command],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((paths or str(folder), str(ROOT)))},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+@few("kinds", [("drive",), tuple(KINDS)], ids=["drive", "side by side"])
+def test_a_new_package_passes_its_kit(kinds: tuple[str, ...], tmp_path: Path) -> None:
+    for kind in kinds:
+        write_package(kind, f"my_{kind}", tmp_path / kind)
+        installed_as(tmp_path / kind)
+    paths = os.pathsep.join(str(tmp_path / kind) for kind in kinds)
+    words = ("-v", "--import-mode=importlib", "-p", "no:cacheprovider")
+    done = in_package(tmp_path, "-m", "pytest", *words, *(f"{kind}/tests" for kind in kinds), paths=paths)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for kind in kinds:
+        assert len(re.findall(rf"test_my_{kind}\.py::.* PASSED", done.stdout)) >= 6, done.stdout
+
+
+def test_a_new_package_is_tidy(tmp_path: Path) -> None:
+    for kind in KINDS:
+        write_package(kind, f"my_{kind}", tmp_path / kind)
+    config = ["--config", str(ROOT / "pyproject.toml")]
+    for tool in (["check", *config], ["format", "--check", *config]):
+        done = in_package(tmp_path, "-m", "ruff", *tool, *(f"{kind}/fluxbench_my_{kind}" for kind in KINDS))
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_new_drive_is_under_a_hundred_written_lines(tmp_path: Path) -> None:
+    plugin = write_package("drive", "short", tmp_path / "new")[0]
+    written = [line for line in plugin.read_text().splitlines() if line.strip()]
+    assert len(written) < 100
+
+
+@pytest.mark.parametrize("name", ["", "Upper", "1st", "with-dash", "class", "../up", "a b"])
+def test_a_name_that_cannot_be_is_refused_and_nothing_written(tmp_path: Path, name: str) -> None:
+    with pytest.raises(PluginError, match="a name has lower-case letters"):
+        write_package("drive", name, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_the_name_of_an_installed_plugin_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match="is installed already"):
+        write_package("drive", "simulated", tmp_path / "new")
+
+
+def test_a_kind_that_there_is_not_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match="there are drive, stage, estimator, effect, stream"):
+        write_package("motor", "mine", tmp_path / "new")
+
+
+def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "precious").write_text("x")
+    with pytest.raises(InputError, match="exists already"):
+        write_package("drive", "mine", tmp_path / "new")
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["precious"]
+
+
+@pytest.mark.parametrize("name", ["x" * 81, "x" * 400])
+def test_a_name_too_long_for_a_file_is_refused_in_one_short_line(tmp_path: Path, name: str) -> None:
+    with pytest.raises(PluginError, match="at most 80 letters") as caught:
+        write_package("drive", name, tmp_path / "new")
+    assert len(str(caught.value)) < 100
+    assert not (tmp_path / "new").exists()
+
+
+def test_what_to_do_next_can_be_pasted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "my plugin's; folder"
+    assert new("effect", "mine", folder) == 0
+    last = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
+    assert shlex.split(last.partition(" && ")[0]) == ["cd", str(folder)]
