@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.registry import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed
 from tests.support.processes import called
 from tests.support.tiny import all_effects_but
 

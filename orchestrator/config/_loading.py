@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from orchestrator.config._slips import nameplate_questions
-from orchestrator.registry import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed
 from orchestrator.stages import parse_stages
 from orchestrator.validation.messages import KeyPath, first_problem, suggestion
 from orchestrator.validation.plain_files import read_text

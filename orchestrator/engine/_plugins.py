@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-from orchestrator.registry import Installed, PluginKind
+from orchestrator.registry.plugins import Installed, PluginKind
 from protocols import Stage
 
 

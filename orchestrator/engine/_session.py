@@ -21,7 +21,7 @@ from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import as_drive_errors
 from orchestrator.engine._thermometer import Thermometer, open_thermometer
 from orchestrator.engine.streaming import Dispatcher, StreamTally
-from orchestrator.registry import PluginKind, load_plugin, make_options
+from orchestrator.registry.plugins import PluginKind, load_plugin, make_options
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.stages import parse_stages, spelled_out
 from protocols import (

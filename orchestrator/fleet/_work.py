@@ -138,7 +138,7 @@ def _imported(mapping: Path, file: Path, out: Path) -> Path:
 
 def _estimate(recording: Any, out: Path) -> None:
     from orchestrator.estimation import estimate_recording
-    from orchestrator.registry import PluginKind, make_plugins
+    from orchestrator.registry.plugins import PluginKind, make_plugins
 
     estimate_recording(recording, make_plugins(PluginKind.ESTIMATORS, None), out)
 

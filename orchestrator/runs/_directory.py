@@ -28,7 +28,7 @@ from orchestrator.recording import (
     replace_file,
     write_manifest,
 )
-from orchestrator.registry import PluginInfo, PluginKind, installed
+from orchestrator.registry.plugins import PluginInfo, PluginKind, installed
 from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, sealed_options_of, unsealed

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
-from orchestrator.registry import PluginInfo
+from orchestrator.registry.plugins import PluginInfo
 from protocols import Strict
 
 _DISTRIBUTION = "fluxbench"

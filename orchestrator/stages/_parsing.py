@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from orchestrator.registry import Installed, PluginKind
+from orchestrator.registry.plugins import Installed, PluginKind
 from orchestrator.validation.messages import first_problem, suggestion
 from protocols import PluginError, Procedure, ProcedureError, ProposingStage, SegmentStage, Stage, StageEntry
 

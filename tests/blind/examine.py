@@ -56,7 +56,7 @@ def examine(case: Case, recordings: Path | None = None, *, held_against_others: 
     """
     from orchestrator.diagnosis import diagnose_recording
     from orchestrator.recording import open_recording
-    from orchestrator.registry import PluginKind, installed, load_plugin
+    from orchestrator.registry.plugins import PluginKind, installed, load_plugin
     from protocols import FluxbenchError
 
     with tempfile.TemporaryDirectory(prefix="blind-") as folder:

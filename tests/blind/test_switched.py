@@ -11,7 +11,7 @@ from numba import njit
 
 from orchestrator.diagnosis import diagnose_recording
 from orchestrator.recording import open_recording
-from orchestrator.registry import PluginKind, installed, load_plugin
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from tests.blind.campaign import Campaign, record
 from tests.blind.delivered import held_against
 from tests.blind.drive import CONTROL, OPEN, run

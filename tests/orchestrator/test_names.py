@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import orchestrator
-from orchestrator.registry import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed
 from protocols import SegmentStage
 
 ROOT = Path(orchestrator.__file__).parent

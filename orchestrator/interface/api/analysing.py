@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from orchestrator.interface.api.threads import one_thread
 from orchestrator.recording import read_model
-from orchestrator.registry import PluginKind, load_effects_file, make_plugins
+from orchestrator.registry.plugins import PluginKind, load_effects_file, make_plugins
 from orchestrator.runs import open_any, refuse_file
 from protocols import (
     AddReport,

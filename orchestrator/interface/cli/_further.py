@@ -8,7 +8,7 @@ from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.formatting.names import plain
 from orchestrator.interface.cli._output import say_document, stage_as_yaml
-from orchestrator.registry import PluginKind, make_plugins
+from orchestrator.registry.plugins import PluginKind, make_plugins
 from orchestrator.runs import RunDirectory, is_run, open_any
 from orchestrator.stages import parse_stages, proposing_stage
 from protocols import (

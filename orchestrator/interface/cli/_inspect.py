@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from orchestrator.interface.cli._output import say, say_document
-from orchestrator.registry import PluginKind, installed, load_plugin
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from protocols import (
     InputError,
     Manifest,

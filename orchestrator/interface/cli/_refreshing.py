@@ -26,7 +26,7 @@ def refresh_report(directory: Path, out: Path | None) -> None:
     page = directory / PAGE
     if out is not None or not page.is_file() or not _is_older(page, directory):
         return
-    from orchestrator.registry import PluginKind, load_plugin, make_options
+    from orchestrator.registry.plugins import PluginKind, load_plugin, make_options
 
     try:
         plugin = load_plugin(PluginKind.STREAMS, REPORT)

@@ -114,7 +114,7 @@ def command(arguments: Sequence[str]) -> int:
 def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) -> tuple[SimulatedOptions, Motor]:
     """Plant and nameplate: those of the procedure `demo`, of a motor file, with what is set on the command line."""
     from orchestrator.config import read_procedure
-    from orchestrator.registry import make_options
+    from orchestrator.registry.plugins import make_options
     from plugins.drives.simulated import SimulatedDrive, SimulatedOptions
     from protocols import InputError
 

@@ -66,7 +66,7 @@ def report(
 def _require_known(limits: FleetLimits, place: str, table: FleetTable) -> None:
     """Raise `InputError` where a limit is of what neither table nor an installed effect has."""
     from orchestrator.fleet.statistics import require_known
-    from orchestrator.registry import PluginKind, make_plugins
+    from orchestrator.registry.plugins import PluginKind, make_plugins
 
     if set(limits.quantities) <= set(table.columns):
         return

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from orchestrator.registry import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed
 from orchestrator.runs import RunDirectory, private_directory
 from plugins.commands.mystery._drawing import MIN_ANGLE_RAD
 from protocols import InputError, Strict

@@ -9,7 +9,7 @@ from typing import Any
 
 from orchestrator.config import load_motor, load_procedure
 from orchestrator.formatting.sentences import shown
-from orchestrator.registry import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed
 from orchestrator.runs import run_rows
 from orchestrator.validation.plain_files import read_text
 from protocols import FluxbenchError, InputError, shipped_procedures

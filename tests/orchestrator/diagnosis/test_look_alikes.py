@@ -10,7 +10,7 @@ import pytest
 from orchestrator.diagnosis import Diagnosis, diagnose_recording, guarded, in_words
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.recording import Recording
-from orchestrator.registry import PluginKind, installed, load_effects_file
+from orchestrator.registry.plugins import PluginKind, installed, load_effects_file
 
 ROOT = Path(__file__).parents[3]
 BROUGHT = {"lost_at_edges", "lost_in_switches"}

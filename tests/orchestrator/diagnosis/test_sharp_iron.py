@@ -11,7 +11,7 @@ import yaml
 
 from orchestrator.diagnosis import diagnose_recording
 from orchestrator.recording import open_recording
-from orchestrator.registry import PluginKind, installed, load_plugin
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from plugins.drives.simulated import map_motor
 from tests.plugins.estimators.test_plants import errors, rms, run, truth_of
 

@@ -8,7 +8,7 @@ import pytest
 
 from orchestrator.diagnosis import diagnose_recording
 from orchestrator.recording import open_recording
-from orchestrator.registry import PluginKind, installed, load_plugin
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from tests.plugins.estimators.test_plants import run
 
 SERVO = Path(__file__).parents[3] / "docs" / "motors" / "servo-48v.yaml"

@@ -8,7 +8,7 @@ from typing import Any
 
 from orchestrator.config import Plan, load_procedure, make_plan
 from orchestrator.experiment_design.machine import Machine
-from orchestrator.registry import PluginKind, make_plugins
+from orchestrator.registry.plugins import PluginKind, make_plugins
 from protocols import Capabilities, Effect, Procedure, StageEntry
 
 NOISE_A = 0.02

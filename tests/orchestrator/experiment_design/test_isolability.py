@@ -17,7 +17,7 @@ from orchestrator.experiment_design.information import information
 from orchestrator.experiment_design.isolability import Isolability, isolability
 from orchestrator.experiment_design.rehearsal import rehearse
 from orchestrator.recording import Recording
-from orchestrator.registry import PluginKind, make_plugins
+from orchestrator.registry.plugins import PluginKind, make_plugins
 from protocols import ParameterRole, Procedure
 from tests.orchestrator.experiment_design.plans import (
     DRIVE,

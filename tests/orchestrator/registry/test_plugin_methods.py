@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from orchestrator.registry import PluginKind, make_plugins
 from orchestrator.registry.plugin_methods import hook_problem
+from orchestrator.registry.plugins import PluginKind, make_plugins
 from protocols import EFFECT_HOOKS, Correction, hook_of
 
 KNOWN = "correct, shows_in, measured, remarks, derived, random_directions, correct_batch, random_directions_batch"

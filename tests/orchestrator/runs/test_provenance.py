@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.registry import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed
 from orchestrator.runs import Provenance, provenance
 from orchestrator.runs._provenance import _git_state
 from tests.support.tiny import STAGES, run_tiny

@@ -82,7 +82,7 @@ def test_page_s_plugins_pass_the_kits(package: Path) -> None:
 
 def test_page_s_plugins_are_loaded_by_their_names(package: Path) -> None:
     code = (
-        "from orchestrator.registry import PluginKind, load_plugin\n"
+        "from orchestrator.registry.plugins import PluginKind, load_plugin\n"
         "for kind, name in zip(PluginKind, ('supply', 'thermal_soak', 'ohmmeter', 'voltage_offset', 'points_file')):\n"
         "    assert load_plugin(kind, name).name == name\n"
     )

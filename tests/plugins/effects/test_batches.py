@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from orchestrator.registry import PluginKind, installed, load_plugin
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from plugins.effects._batches import BatchEffect, RandomBatchEffect, by_value, per_segment
 from protocols import Correction, EffectParameters, SignalBatch, Signals
 from tests.plugins.effects.segments import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.registry import PluginKind, installed, load_plugin
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.testing import EffectConformance
 
 

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pytest
 from pydantic import BaseModel
 
-from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin, make_options
+from orchestrator.registry.plugins import PluginKind, installed, load_effects_file, load_plugin, make_options
 from protocols import NoOptions, PluginError, Strict
 
 GOOD_STREAM = """
@@ -72,7 +72,7 @@ def test_listing_imports_no_plugin(install: Install) -> None:
     assert (third.distribution, third.version) == ("acme", "1.2")
     assert "acme_bomb" not in sys.modules
     code = (
-        "import sys; from orchestrator.registry import PluginKind, installed\n"
+        "import sys; from orchestrator.registry.plugins import PluginKind, installed\n"
         "[installed(kind) for kind in PluginKind]\n"
         "print([name for name in sys.modules if name.startswith('plugins')])"
     )
