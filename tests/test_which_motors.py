@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.config.time_constants import LINE_ERROR
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.selection import sufficiency
+from orchestrator.diagnosis.judgement import sufficiency
 from orchestrator.registry.plugins import PluginKind, installed
 from orchestrator.validation.plausibility import MOTOR_RANGES, PLAUSIBLE_BOUNDS, POSSIBLE_BOUNDS
 from plugins.stages.lock_check import LockCheckStage

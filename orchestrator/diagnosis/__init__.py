@@ -12,6 +12,7 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATI
 from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.fitting.workers import workers_here
+from orchestrator.diagnosis.judgement.judge import judge
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.explanation import explanation_of
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
@@ -19,7 +20,6 @@ from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.interim import InterimResult
-from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
 

@@ -14,13 +14,13 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
+from orchestrator.diagnosis.judgement.residual_pattern import map_asymmetry
+from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
 from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.selection.residual_pattern import map_asymmetry
-from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_dq

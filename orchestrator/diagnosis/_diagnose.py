@@ -20,6 +20,19 @@ from orchestrator.diagnosis.fitting.candidates import (
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import contradicts_fleet, require_same_motor, with_priors
 from orchestrator.diagnosis.fitting.workers import Executor, executor_of
+from orchestrator.diagnosis.judgement.contributions import (
+    contributions,
+    left_of_excitation,
+    mean_currents,
+    rated_flux_wb,
+    unexplained_at_rest_v,
+)
+from orchestrator.diagnosis.judgement.judge import judge
+from orchestrator.diagnosis.judgement.map_band import MapUncertainty
+from orchestrator.diagnosis.judgement.sufficiency import solvable
+from orchestrator.diagnosis.judgement.verdict import left_fraction, verdict_record
+from orchestrator.diagnosis.nuisances.pwm_quantiser import own_leg_step_of
+from orchestrator.diagnosis.nuisances.segment_scatter import quantiser_step_s
 from orchestrator.diagnosis.reporting.convention import convention_report
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import (
@@ -32,22 +45,12 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
-from orchestrator.diagnosis.selection.contributions import (
-    contributions,
-    left_of_excitation,
-    mean_currents,
-    rated_flux_wb,
-    unexplained_at_rest_v,
-)
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import MAX_SHARE_OF_ERROR, drop_confounded
-from orchestrator.diagnosis.selection.judge import judge
-from orchestrator.diagnosis.selection.sufficiency import solvable
-from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_record
 from orchestrator.diagnosis.selection.workflow import (
     EVALUATIONS_LEFT_FROM_REPORT,
     ModelChoice,
@@ -58,9 +61,6 @@ from orchestrator.diagnosis.selection.workflow import (
     prune,
     search_effects,
 )
-from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
-from orchestrator.diagnosis.uncertainty.scatter import quantiser_step_s
-from orchestrator.diagnosis.weak_form.pwm_quantiser import own_leg_step_of
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (

@@ -13,12 +13,12 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_mod
 from orchestrator.diagnosis.fitting.budget import Budget
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.judgement.sufficiency import missing_contrasts, require_enough
+from orchestrator.diagnosis.nuisances.log_resolution import rounding_remarks
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from orchestrator.diagnosis.selection.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis.weak_form.preparation import coarse, prepare
-from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording

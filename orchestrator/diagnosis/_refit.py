@@ -19,17 +19,17 @@ from orchestrator.diagnosis.fitting.candidates import (
 )
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.judgement.contributions import mean_currents, rated_flux_wb
+from orchestrator.diagnosis.judgement.map_band import MapUncertainty
+from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.benefit import added_remark, removed_remark
 from orchestrator.diagnosis.reporting.delivery import delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
-from orchestrator.diagnosis.selection.contributions import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
-from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
-from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.sentences import listed
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model

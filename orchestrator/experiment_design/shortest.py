@@ -13,8 +13,8 @@ import numpy as np
 
 from orchestrator.config import PlannedPoint
 from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.judgement.sufficiency import OPERATING_POINTS_PER_SWEEP
 from orchestrator.diagnosis.selection.contrasts import SAME_CURRENT
-from orchestrator.diagnosis.selection.sufficiency import OPERATING_POINTS_PER_SWEEP
 from orchestrator.experiment_design.information import Information, Places
 from orchestrator.experiment_design.isolability import isolability, required_size
 from orchestrator.experiment_design.optimal import ApproximateDesign, optimal_weights

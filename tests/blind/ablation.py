@@ -68,7 +68,7 @@ RULES = (
     Rule("selection.forward_search", "_is_indistinguishable", _always(False)),
     Rule("selection.forward_search", "_outweighs_refinements", _always(False)),
     Rule("selection.refining", "extend_earlier", _given("fit")),
-    Rule("uncertainty.scatter", "with_scatter_beside", _always(None)),
+    Rule("nuisances.segment_scatter", "with_scatter_beside", _always(None)),
     Rule("selection.refining", "converge", _given("fit")),
     Rule("selection.refining", "_alternative_starts", _always([])),
     Rule("selection.workflow", "_detailed", _given("fit")),

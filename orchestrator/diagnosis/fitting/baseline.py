@@ -14,8 +14,8 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
 from orchestrator.diagnosis.fitting.workers import Executor
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, with_quantiser
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, with_quantiser
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline

@@ -20,9 +20,9 @@ from orchestrator.diagnosis.fitting.model import (
     SegmentLinearisation,
     SegmentRows,
 )
+from orchestrator.diagnosis.nuisances.carrier_ripple import carrier_ripple_voltage
+from orchestrator.diagnosis.nuisances.dwells import QuantiserScatter, dwells
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
-from orchestrator.diagnosis.weak_form.carrier_ripple import carrier_ripple_voltage
-from orchestrator.diagnosis.weak_form.dwells import QuantiserScatter, dwells
 from orchestrator.diagnosis.weak_form.equations import (
     LocalMap,
     basis,

@@ -9,12 +9,12 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.corrections import has_random_directions
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.contributions import left_of_excitation
+from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS
+from orchestrator.diagnosis.judgement.map_band import MapUncertainty
+from orchestrator.diagnosis.judgement.verdict import most_strained
 from orchestrator.diagnosis.reporting.findings import size_remarks
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
-from orchestrator.diagnosis.selection.contributions import left_of_excitation
-from orchestrator.diagnosis.selection.verdict import most_strained
-from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS
-from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
 _WIDE = (SegmentStage.CLASSICAL, SegmentStage.STEPS)

@@ -11,11 +11,11 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, EffectTerm, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contributions import Contribution, is_material
+from orchestrator.diagnosis.judgement.contributions import Contribution, is_material
+from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, standardised_std
+from orchestrator.diagnosis.judgement.residual_pattern import residual_pattern
+from orchestrator.diagnosis.judgement.verdict import large_effects_together, left_fraction
 from orchestrator.diagnosis.selection.joint_search import probabilities
-from orchestrator.diagnosis.selection.residual_pattern import residual_pattern
-from orchestrator.diagnosis.selection.verdict import large_effects_together, left_fraction
-from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, standardised_std
 from protocols import (
     DriveRecord,
     FoundEffect,

@@ -15,8 +15,8 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.contributions import Contribution
 from orchestrator.diagnosis.selection.contrasts import separable, separating_contrasts
-from orchestrator.diagnosis.selection.contributions import Contribution
 from orchestrator.diagnosis.selection.joint_search import INDISTINGUISHABLE_SHARE
 from orchestrator.diagnosis.selection.refining import (
     extend_earlier,

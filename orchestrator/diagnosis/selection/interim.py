@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.verdict import fitted_verdict
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.joint_search import log_bayes_factors, redundant_terms
-from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import Verdict

@@ -19,6 +19,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian, trial_step
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.judgement.intervals import BLOCKS, block_scatter
 from orchestrator.diagnosis.selection.contrasts import separable
 from orchestrator.diagnosis.selection.refining import fixed_refinements, refinement_groups
 from orchestrator.diagnosis.selection.scoring import (
@@ -33,7 +34,6 @@ from orchestrator.diagnosis.selection.scoring import (
     score,
     select_terms,
 )
-from orchestrator.diagnosis.uncertainty.intervals import BLOCKS, block_scatter
 from orchestrator.numerics.types import Array
 from protocols import Effect, ParameterRole, SearchMove
 

@@ -15,7 +15,10 @@ from orchestrator.diagnosis.fitting.baseline import (
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.diagnosis.selection.contributions import contributions, is_material
+from orchestrator.diagnosis.judgement.contributions import contributions, is_material
+from orchestrator.diagnosis.judgement.intervals import block_scatter_ratio, is_none_significant, possibly_absent
+from orchestrator.diagnosis.judgement.verdict import fitted_verdict, left_fraction
+from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH, with_scatter_beside
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refit_steps
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import (
@@ -32,9 +35,6 @@ from orchestrator.diagnosis.selection.joint_search import (
 )
 from orchestrator.diagnosis.selection.quantiser import refine_quantiser_by_fit, with_quantiser_of_dwells
 from orchestrator.diagnosis.selection.scoring import LinearView
-from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
-from orchestrator.diagnosis.uncertainty.intervals import block_scatter_ratio, is_none_significant, possibly_absent
-from orchestrator.diagnosis.uncertainty.scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH, with_scatter_beside
 from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
 

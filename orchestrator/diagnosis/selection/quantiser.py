@@ -9,12 +9,12 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.nuisances.command_traces import command_traces
+from orchestrator.diagnosis.nuisances.quantiser_beside_fit import quantiser_beside
+from orchestrator.diagnosis.nuisances.quantiser_in_dwells import quantiser_of_dwells
+from orchestrator.diagnosis.nuisances.quantiser_search import detect_quantisation
+from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of
 from orchestrator.diagnosis.selection.joint_search import refit_briefly
-from orchestrator.diagnosis.uncertainty.command_traces import command_traces
-from orchestrator.diagnosis.uncertainty.quantiser_beside_fit import quantiser_beside
-from orchestrator.diagnosis.uncertainty.quantiser_in_dwells import quantiser_of_dwells
-from orchestrator.diagnosis.uncertainty.quantiser_search import detect_quantisation
-from orchestrator.diagnosis.uncertainty.scatter import likelihood_of
 
 MAX_QUANTISER_ROUNDS: int = 4
 """How often timer and fit are estimated, each given the other."""

@@ -20,6 +20,8 @@ from orchestrator.diagnosis.fitting.baseline import (
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.intervals import certainty
+from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of, with_scatter_as_noise
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import LEAST_EFFECT_SIZE, Search, Step, forward, refit_steps
 from orchestrator.diagnosis.selection.interim import InterimRecorder
@@ -27,8 +29,6 @@ from orchestrator.diagnosis.selection.joint_workflow import record_finest_map, s
 from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.refining import converge, extend_earlier, refit_newest
 from orchestrator.diagnosis.selection.scoring import keep_threshold, log_evidence, loss_without
-from orchestrator.diagnosis.uncertainty.intervals import certainty
-from orchestrator.diagnosis.uncertainty.scatter import likelihood_of, with_scatter_as_noise
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
 NOTEWORTHY_CHI2: float = 1.5

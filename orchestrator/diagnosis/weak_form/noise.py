@@ -19,10 +19,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from orchestrator.diagnosis.nuisances.spectral_lines import SpectralLine, added_noise, find_lines
 from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
-from orchestrator.diagnosis.weak_form.spectral_lines import SpectralLine, added_noise, find_lines
 from orchestrator.diagnosis.weak_form.windows import function_weights
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.quieting import quieted

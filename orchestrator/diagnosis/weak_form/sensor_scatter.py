@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from orchestrator.diagnosis.weak_form.spectral_lines import spectrum_of
+from orchestrator.diagnosis.nuisances.spectral_lines import spectrum_of
 from orchestrator.numerics.types import Array
 
 BLOCK_READINGS = 50

@@ -19,9 +19,9 @@ from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import MapSpace, Model
+from orchestrator.diagnosis.nuisances.pwm_quantiser import leg_step_of, rounded_by
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
-from orchestrator.diagnosis.weak_form.pwm_quantiser import leg_step_of, rounded_by
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, injection_period, windows_of
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
 from orchestrator.numerics.tensor_spline import EvenSpline

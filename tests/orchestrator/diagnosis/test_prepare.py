@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.diagnosis import compare_recording, diagnose_recording
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.selection.sufficiency import solvable
+from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.recording import Recording, SegmentWriter, open_recording, write_manifest
 from protocols import Capture, NotMeasuredError, Segment, SegmentStage
 from tests.support.cases import few

@@ -11,6 +11,7 @@ import pytest
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.intervals import BLOCKS, block_scatter
 from orchestrator.diagnosis.selection import joint_search as joint_search_module
 from orchestrator.diagnosis.selection.joint_search import (
     backward_elimination,
@@ -28,7 +29,6 @@ from orchestrator.diagnosis.selection.joint_search import (
     without_effect,
 )
 from orchestrator.diagnosis.selection.scoring import LinearView, Score, score
-from orchestrator.diagnosis.uncertainty.intervals import BLOCKS, block_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate
 from orchestrator.diagnosis.selection.quantiser import refine_quantiser_by_fit, with_detected_quantiser
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     NOISE_A,

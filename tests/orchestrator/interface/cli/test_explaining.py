@@ -12,7 +12,7 @@ from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.interface.cli import _diagnosis
 from orchestrator.interface.cli._running import run_app
 from protocols import DiagnosisReport
-from tests.orchestrator.diagnosis.selection.test_judge import a_record
+from tests.orchestrator.diagnosis.judgement.test_judge import a_record
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
-from orchestrator.diagnosis.weak_form.spectral_lines import added_noise, find_lines, spectrum_of
+from orchestrator.diagnosis.nuisances.spectral_lines import added_noise, find_lines, spectrum_of
 from orchestrator.numerics.types import Array
 
 CRITERIA = WeakFormCriteria()

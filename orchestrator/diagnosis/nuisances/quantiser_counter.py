@@ -21,7 +21,7 @@ from itertools import product
 
 import numpy as np
 
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate
 from orchestrator.numerics.types import Array
 from protocols import TimerPhases
 

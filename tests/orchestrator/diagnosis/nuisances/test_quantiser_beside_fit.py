@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.quantiser_beside_fit import quantiser_beside
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, with_quantiser
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, with_quantiser
+from orchestrator.diagnosis.nuisances.quantiser_beside_fit import quantiser_beside
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModulatorTimer, SegmentStage, TimerPhases
 from tests.orchestrator.diagnosis.pieces import (

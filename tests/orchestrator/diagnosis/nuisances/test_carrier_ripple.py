@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.carrier_ripple import LEAST_INDUCTANCE_RATIO, carrier_ripple_voltage
+from orchestrator.diagnosis.nuisances.carrier_ripple import LEAST_INDUCTANCE_RATIO, carrier_ripple_voltage
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.frames import to_dq, to_phases
 from protocols import SegmentStage

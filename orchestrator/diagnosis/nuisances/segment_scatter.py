@@ -27,9 +27,9 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.equations import scatter_sizes
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.quantiser_search import MAX_TIMER_STEP_S
-from orchestrator.diagnosis.weak_form.dwells import QuantiserScatter, leg_step_v
-from orchestrator.diagnosis.weak_form.pwm_quantiser import own_leg_step_of
+from orchestrator.diagnosis.nuisances.dwells import QuantiserScatter, leg_step_v
+from orchestrator.diagnosis.nuisances.pwm_quantiser import own_leg_step_of
+from orchestrator.diagnosis.nuisances.quantiser_search import MAX_TIMER_STEP_S
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
 

@@ -11,7 +11,7 @@ import pytest
 
 from orchestrator.diagnosis import judge, save_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.selection.verdict import verdict_limits
+from orchestrator.diagnosis.judgement.verdict import verdict_limits
 from protocols import DiagnosisReport, VerdictRecord
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 

@@ -8,13 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.uncertainty.quantiser_counter import (
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, leg_step_of, rounded_by
+from orchestrator.diagnosis.nuisances.quantiser_counter import (
     ONE_COMPARISON,
     TWO_COMPARISONS,
     CounterModel,
     counter_models,
 )
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, rounded_by
 from protocols import ModulatorTimer, TimerPhases
 from tests.orchestrator.diagnosis.pieces import Array
 from tests.support.close import assert_close

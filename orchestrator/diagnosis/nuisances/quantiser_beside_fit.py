@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.quantiser_counter import counter_models
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, added_by, leg_step_of
+from orchestrator.diagnosis.nuisances.quantiser_counter import counter_models
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import LocalMap, change_of_rows, local_map
 from orchestrator.diagnosis.weak_form.noise import Whitener
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, added_by, leg_step_of
 from orchestrator.diagnosis.weak_form.segments import SegmentData, mean_between
 from orchestrator.numerics.types import Array, Indices
 from protocols import ModulatorTimer, SignalBatch

@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, form_std, projected_rows
+from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, form_std, projected_rows
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.types import Array
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.diagnosis.weak_form.pwm_quantiser import (
+from orchestrator.diagnosis.nuisances.pwm_quantiser import (
     QuantiserEstimate,
     leg_step_of,
     own_leg_step_of,

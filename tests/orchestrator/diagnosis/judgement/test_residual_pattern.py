@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.selection.residual_pattern import map_asymmetry, residual_pattern
+from orchestrator.diagnosis.judgement.residual_pattern import map_asymmetry, residual_pattern
 from tests.orchestrator.diagnosis.pieces import (
     Array,
     fitter,

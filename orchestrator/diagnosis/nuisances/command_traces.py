@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from orchestrator.diagnosis.weak_form.pwm_quantiser import leg_step_of
+from orchestrator.diagnosis.nuisances.pwm_quantiser import leg_step_of
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, delayed
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array

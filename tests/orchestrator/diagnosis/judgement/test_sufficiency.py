@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.selection import sufficiency
-from orchestrator.diagnosis.selection.sufficiency import missing_contrasts, require_enough
+from orchestrator.diagnosis.judgement import sufficiency
+from orchestrator.diagnosis.judgement.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import NotMeasuredError, SegmentStage

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from orchestrator.diagnosis.uncertainty.command_traces import LEAST_TIMER_STEP_S, LINEAR_STRETCH_READINGS, CommandTrace
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, legs_rounded_by
+from orchestrator.diagnosis.nuisances.command_traces import LEAST_TIMER_STEP_S, LINEAR_STRETCH_READINGS, CommandTrace
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, legs_rounded_by
 from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
 from protocols import ModulatorTimer, TimerPhases

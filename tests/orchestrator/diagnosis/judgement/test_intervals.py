@@ -13,8 +13,7 @@ from orchestrator.diagnosis.fitting.baseline import fit_baseline
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.uncertainty.intervals import (
+from orchestrator.diagnosis.judgement.intervals import (
     BLOCKS,
     FORM_STD,
     RIPPLE_FORM_STD,
@@ -27,6 +26,7 @@ from orchestrator.diagnosis.uncertainty.intervals import (
     ripple_share,
     standardised_std,
 )
+from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.recording import Recording, open_recording, write_manifest
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents

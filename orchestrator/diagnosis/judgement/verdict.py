@@ -11,9 +11,9 @@ from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contributions import excitation_v, gates_off_error, left_of_excitation
-from orchestrator.diagnosis.selection.judge import fraction_left, jointly_implausible, judge
-from orchestrator.diagnosis.uncertainty.scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
+from orchestrator.diagnosis.judgement.contributions import excitation_v, gates_off_error, left_of_excitation
+from orchestrator.diagnosis.judgement.judge import fraction_left, jointly_implausible, judge
+from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 from protocols import Verdict, VerdictLimits, VerdictRecord
 
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.diagnosis.uncertainty.quantiser_counter import CounterModel, counter_models
-from orchestrator.diagnosis.uncertainty.scatter import Likelihood, is_same_scatter
-from orchestrator.diagnosis.weak_form.dwells import dwells
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, rounded_by
+from orchestrator.diagnosis.nuisances.dwells import dwells
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, rounded_by
+from orchestrator.diagnosis.nuisances.quantiser_counter import CounterModel, counter_models
+from orchestrator.diagnosis.nuisances.segment_scatter import Likelihood, is_same_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.types import Array, Indices
 from protocols import ModelNoise, ModulatorTimer

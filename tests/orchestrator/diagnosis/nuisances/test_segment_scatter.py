@@ -10,8 +10,8 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS
-from orchestrator.diagnosis.uncertainty.scatter import scatter_of
-from orchestrator.diagnosis.weak_form.dwells import leg_step_v
+from orchestrator.diagnosis.nuisances.dwells import leg_step_v
+from orchestrator.diagnosis.nuisances.segment_scatter import scatter_of
 from orchestrator.diagnosis.weak_form.preparation import coarse
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.frames import from_two_phases

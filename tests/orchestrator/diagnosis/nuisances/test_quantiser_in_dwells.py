@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.uncertainty.quantiser_in_dwells import quantiser_of_dwells
-from orchestrator.diagnosis.uncertainty.scatter import likelihood_of, scatter_of
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, with_quantiser
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, with_quantiser
+from orchestrator.diagnosis.nuisances.quantiser_in_dwells import quantiser_of_dwells
+from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of, scatter_of
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModelNoise, ModulatorTimer, SegmentStage
 from tests.orchestrator.diagnosis.pieces import (

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.nuisances.log_resolution import rounding_remarks
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.rounding import rounding_remarks
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array

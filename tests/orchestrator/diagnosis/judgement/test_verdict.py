@@ -9,9 +9,9 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contributions import excitation_v, left_of_excitation
-from orchestrator.diagnosis.selection.judge import judge
-from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction, verdict_record
+from orchestrator.diagnosis.judgement.contributions import excitation_v, left_of_excitation
+from orchestrator.diagnosis.judgement.judge import judge
+from orchestrator.diagnosis.judgement.verdict import fitted_verdict, left_fraction, verdict_record
 from plugins.effects.inverter import DeadTime
 from protocols import SegmentStage, Verdict
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.uncertainty.command_traces import command_traces
-from orchestrator.diagnosis.uncertainty.quantiser_search import PHASE_BIAS_STD, detect_quantisation
-from orchestrator.diagnosis.weak_form.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_rounded_by
+from orchestrator.diagnosis.nuisances.command_traces import command_traces
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_rounded_by
+from orchestrator.diagnosis.nuisances.quantiser_search import PHASE_BIAS_STD, detect_quantisation
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (

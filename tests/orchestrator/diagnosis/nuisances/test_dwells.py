@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.dwells import QuantiserScatter, dwells, leg_step_v
+from orchestrator.diagnosis.nuisances.dwells import QuantiserScatter, dwells, leg_step_v
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import NOISE_A, R_S, Array, Plan, hold, piece, ripple, sweep

@@ -1,1 +1,0 @@
-"""How far a fitted effect may be off, and whether it is the same all through the recording."""
