@@ -9,9 +9,9 @@ from orchestrator.fleet.statistics import SECTIONS, change_rows, count_rows, dat
 from orchestrator.formatting.quantities import plural
 from orchestrator.formatting.sentences import typographic
 from orchestrator.recording import replace_file, storage_error
+from plugins.streams.report._content import Picture
 from plugins.streams.report._fleet_figures import distance_figure, quantity_figure
 from plugins.streams.report._page import filled
-from plugins.streams.report._picture import Picture
 from protocols.fleet_report import FleetQuantity, FleetReport
 
 PAGE, DATA = "fleet-report.html", "fleet-report.json"
