@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+from plugins.command_line import entry_point
 
 
-@app.command()
 def wire(
     c: Annotated[Path | None, typer.Option("--c", help="Write the C codec for firmware here.", metavar="DIR")] = None,
     firmware: Annotated[
@@ -42,6 +40,4 @@ def wire(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench wire", standalone_mode=False) or 0)
+command = entry_point(wire)

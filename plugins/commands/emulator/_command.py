@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from plugins.command_line import entry_point
 from plugins.commands.emulator._bounds import BOUNDS
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from plugins.drives.simulated import SimulatedOptions
     from protocols import Motor
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 Part = Annotated[float, typer.Option(min=0.0, max=1.0, metavar="P", help="Part of the frames, each way.")]
 _NOT_HERE = {
     "watchdog_s": "use --watchdog",
@@ -26,7 +26,6 @@ _NOT_HERE = {
 }
 
 
-@app.command()
 def emulate(
     serial: Annotated[Path | None, typer.Option("--serial", help="Make a pseudo-terminal and link it here.")] = None,
     can: Annotated[
@@ -106,9 +105,7 @@ def emulate(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench emulate", standalone_mode=False) or 0)
+command = entry_point(emulate)
 
 
 def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) -> tuple[SimulatedOptions, Motor]:

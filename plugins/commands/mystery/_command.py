@@ -12,6 +12,7 @@ import typer
 from orchestrator.formatting.names import parameter_words
 from orchestrator.formatting.quantities import number, percent
 from orchestrator.formatting.sentences import shown, visible
+from plugins.command_line import AsJson, entry_point
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -20,10 +21,7 @@ if TYPE_CHECKING:
 
 WHOLE = "expected a whole number from 0 on"
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-
-@app.command()
 def mystery(
     number: Annotated[int, typer.Argument(help="Which mystery: the same number gives the same motor.")],
     guess: Annotated[
@@ -32,7 +30,7 @@ def mystery(
     reveal: Annotated[bool, typer.Option("--reveal", help="Say what was hidden.")] = False,
     out: Annotated[Path | None, typer.Option(help="The run directory; by default runs/mystery-N.")] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only what went wrong.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
     from orchestrator.runs import is_run
@@ -67,7 +65,7 @@ def command(arguments: Sequence[str]) -> int:
     negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
     if negative is not None:  # else it would be taken for an option
         raise InputError("fluxbench mystery", negative, WHOLE)
-    return int(app(list(arguments), prog_name="fluxbench mystery", standalone_mode=False) or 0)
+    return entry_point(mystery)(arguments)
 
 
 def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from plugins.command_line import AsJson, entry_point
+
 if TYPE_CHECKING:
     from plugins.commands.probe._finding import Found, LinkName
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-
-@app.command()
 def probe(
     serial: Annotated[
         list[str] | None, typer.Option("--serial", help="Look on this port (device, path, socket://host:port) only.")
@@ -25,7 +24,7 @@ def probe(
     baud_rate: Annotated[int, typer.Option(help="Of serial lines.")] = 921_600,
     bitrate: Annotated[int, typer.Option(help="Of CAN buses.")] = 1_000_000,
     fd: Annotated[bool, typer.Option("--fd", help="The buses are CAN FD.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Find drives on this machine's serial ports and CAN buses, and say what they can do. Moves nothing."""
     from plugins.commands.probe._finding import Found, can_bus, found_on, links_of_this_machine, serial_line
@@ -50,9 +49,7 @@ def probe(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench probe", standalone_mode=False) or 0)
+command = entry_point(probe)
 
 
 def _split(bus: str) -> tuple[str, str]:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+from plugins.command_line import entry_point
 
 
-@app.command()
 def reproduce(
     run: Annotated[Path, typer.Option(help="The run directory: made, or read where it is there already.")] = Path(
         "runs/paper"
@@ -51,6 +49,4 @@ def _literal_page(run: Path, out: Path) -> Path:
     return write_page(measured, budget(RunDirectory.open(run).procedure(), measured), out)
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench reproduce", standalone_mode=False) or 0)
+command = entry_point(reproduce)

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+from plugins.command_line import entry_point
 
 HOST = "127.0.0.1"
 
 
-@app.command()
 def serve(
     folder: Annotated[
         Path, typer.Argument(help="Whose procedures and motors are offered, and where runs/ is.")
@@ -30,6 +28,4 @@ def serve(
     return serve_page(folder.resolve(), HOST, port)
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench serve", standalone_mode=False) or 0)
+command = entry_point(serve)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from orchestrator.formatting.sentences import shown
+from plugins.command_line import entry_point
 from plugins.streams.report._page import write_report
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-
-@app.command()
 def report(
     directories: Annotated[
         list[Path], typer.Argument(help="A run, or a recording that was estimated; or several.", metavar="RUN...")
@@ -39,6 +36,4 @@ def report(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench report", standalone_mode=False) or 0)
+command = entry_point(report)

@@ -14,18 +14,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from orchestrator.formatting.sentences import shown, visible
+from plugins.command_line import entry_point
 from protocols import FluxbenchError, RecordingError
 
 if TYPE_CHECKING:
     from plugins.streams.rerun._making import Found
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
 MEMORY_LIMIT = "4GB"
 SUFFIX = ".rrd"
 
 
-@app.command()
 def view(
     paths: Annotated[
         list[Path],
@@ -67,7 +65,7 @@ def command(arguments: Sequence[str]) -> int:
     from plugins.streams.rerun._viewer import interruptible
 
     with interruptible():
-        return int(app(list(arguments), prog_name="fluxbench view", standalone_mode=False) or 0)
+        return entry_point(view)(arguments)
 
 
 def _see_run(path: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
