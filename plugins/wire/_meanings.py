@@ -1,15 +1,5 @@
 """What the members of the protocol's enumerations mean, in words; for its page."""
 
-FD_DATA = "The block's bytes in order; zeros past the end of the capture."
-
-TITLES = {
-    "PowerState": "state",
-    "Fault": "bit",
-    "Op": "op",
-    "AckStatus": "status",
-    "Phase": "phase",
-}
-
 STATES = {
     "disarmed": "PWM off; nothing moves. Limits and nameplate can be written.",
     "holding": "PWM on (off after gates_off), holding the last operating point; zero current after arming.",
