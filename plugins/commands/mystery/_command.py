@@ -34,7 +34,7 @@ def mystery(
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
     from orchestrator.runs import is_run
-    from plugins.commands.mystery._guessing import sealed_effects
+    from plugins.commands.mystery._guessing import brought_about, judge, read_guess, sealed_effects
 
     if number < 0:
         raise InputError("fluxbench mystery", str(number), WHOLE)
@@ -48,7 +48,9 @@ def mystery(
     if not is_run(path):
         raise InputError(str(path), "", f"no such mystery; `fluxbench mystery {number}` makes it")
     _refuse_unfinished(path)
-    verdict = None if guess is None else _judged(path, guess)
+    verdict = (
+        None if guess is None else judge(read_guess(guess), sealed_effects(path), _fitted(path), brought_about(path))
+    )
     hidden = sealed_effects(path) if reveal else None
     if as_json:
         _print_json(path, verdict, hidden)
@@ -131,12 +133,6 @@ def _run(number: int, path: Path, quiet: bool) -> BaseException | None:
     with handling_signals() as interrupts:
         streams = {"console": {"mode": "quiet" if quiet else "auto"}, "report": {}, "rerun": {"view": "none"}}
         return start_run(procedure_of(number), path, RunServices(AbsentOperator(), interrupts, streams)).outcome.error
-
-
-def _judged(path: Path, words: str) -> Verdict:
-    from plugins.commands.mystery._guessing import brought_about, judge, read_guess, sealed_effects
-
-    return judge(read_guess(words), sealed_effects(path), _fitted(path), brought_about(path))
 
 
 def _print_verdict(verdict: Verdict) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from importlib.resources import files
 from pathlib import Path
 
 from orchestrator.formatting.names import PAPER_CROSSINGS
@@ -12,7 +13,6 @@ from orchestrator.formatting.sentences import markdown_table
 from orchestrator.numerics.types import Array
 from orchestrator.recording import replace_file
 from plugins.commands.reproduction.literal._budget import ALL, IRON, IRON_ALL, NOISE, RULE, Budget, Row
-from plugins.commands.reproduction.literal._differences import DIFFERENCES
 from plugins.commands.reproduction.literal._evaluation import Errors, Literal
 from plugins.commands.reproduction.literal._figures import GAP, SIGNAL, draw_all
 from plugins.commands.reproduction.literal._paths import parity_percent
@@ -120,8 +120,7 @@ wave that was switched on decays.*
 
 ## In what fluxbench and these pages differ from the paper
 
-{markdown_table(("", "the paper", "this page", "fluxbench"), DIFFERENCES)}
-"""
+{(files(__package__) / "differences.md").read_text(encoding="utf-8")}"""
 
 
 def _numbers(measured: Literal, budget: Budget) -> str:
