@@ -148,7 +148,7 @@ class Device:
 
     def _news(self) -> Iterator[Message]:
         now_s, power, period_s = self._clock(), self.power, self._file["telemetry_period_s"]
-        shown = self.rig.shown
+        shown = self.rig.simulator.shown
         warmth = self._tell_temperature()
         yield from self._telemetry.status(
             now_s, power.state, power.cause, power.faults, power.last_beat, shown[2], warmth
@@ -162,7 +162,7 @@ class Device:
 
     def _tell_temperature(self) -> int:
         """Put the winding's temperature into its register; the same as telemetry says it."""
-        measured = self.rig.temperature_c
+        measured = self.rig.simulator.temperature_c
         self._file["temperature_c"] = -273.0 if measured is None else measured
         return NO_TEMPERATURE_C if measured is None else round(min(max(measured, -127.0), 127.0))
 

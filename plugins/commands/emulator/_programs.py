@@ -55,7 +55,7 @@ def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
         bits |= Capability.CAPTURE_RING
     if own.has_brake:
         bits |= Capability.BRAKE
-    if rig.temperature_c is not None:
+    if rig.simulator.temperature_c is not None:
         bits |= Capability.TEMPERATURE
     if own.interlocks:
         bits |= Capability.INTERLOCKS
