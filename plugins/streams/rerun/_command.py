@@ -51,7 +51,9 @@ def view(
         refuse_unreadable(path)
         return _see(path, web, port, screenshot, tab)
     if is_viewable(path):
-        return _see_run(path, web, port, screenshot, tab)
+        from plugins.streams.rerun._making import whole_view
+
+        return _see_made(whole_view(path, _tell), web, port, screenshot, tab, of=path)
     runs = runs_in(path)
     if not runs:
         raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
@@ -66,12 +68,6 @@ def command(arguments: Sequence[str]) -> int:
 
     with interruptible():
         return entry_point(view)(arguments)
-
-
-def _see_run(path: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
-    from plugins.streams.rerun._making import whole_view
-
-    return _see_made(whole_view(path, _tell), web, port, screenshot, tab, of=path)
 
 
 def _see_made(
