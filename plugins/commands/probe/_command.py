@@ -24,8 +24,8 @@ def probe(
         list[str] | None,
         typer.Option("--can", help="Look on this bus only, as python-can names it.", metavar="INTERFACE:CHANNEL"),
     ] = None,
-    baud_rate: Annotated[int, typer.Option(help="Of serial lines.")] = 921_600,
-    bitrate: Annotated[int, typer.Option(help="Of CAN buses.")] = 1_000_000,
+    baud_rate: Annotated[int, typer.Option(help="Baud rate of serial lines.")] = 921_600,
+    bitrate: Annotated[int, typer.Option(help="Bit rate of CAN buses.")] = 1_000_000,
     fd: Annotated[bool, typer.Option("--fd", help="The buses are CAN FD.")] = False,
     as_json: AsJson = False,
 ) -> int:

@@ -17,9 +17,8 @@ from orchestrator.driving import in_blocks
 from orchestrator.driving.polled import PolledDrive
 from plugins.drives.moteus._board import Board, Setpoint, library
 from plugins.drives.moteus._bounds import BOUNDS
-from plugins.drives.moteus._configuration import Configuration, require_known
+from plugins.drives.moteus._configuration import Configuration, Frame, require_known
 from plugins.drives.moteus._faults import Mode, fault_of
-from plugins.drives.moteus._frame import Frame
 from plugins.drives.moteus._hold import Guard, Holding, Target
 from plugins.drives.moteus._io import Io
 from plugins.drives.moteus._options import MoteusOptions
