@@ -24,7 +24,7 @@ def commission(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Run directory; by default runs/adaptive-<time>.")] = None,
     unattended: Annotated[
-        str | None, typer.Option(help='"I have made the bench safe": nobody is there.', metavar="WORDS")
+        str | None, typer.Option(help='"I have made the bench safe": no operator is present.', metavar="WORDS")
     ] = None,
 ) -> int:
     """Measure a flux map to a given accuracy: the procedure `adaptive`, with another target."""

@@ -16,7 +16,7 @@ def wire(
         Path | None, typer.Option("--firmware", help="Write the reference firmware here, codec and all.", metavar="DIR")
     ] = None,
     dbc: Annotated[bool, typer.Option("--dbc", help="Print the DBC instead.")] = False,
-    node: Annotated[int, typer.Option(min=0, max=3, help="Of the drive whose identifiers the DBC has.")] = 0,
+    node: Annotated[int, typer.Option(min=0, max=3, help="Node number for the identifiers in the DBC.")] = 0,
 ) -> int:
     """Print the page that documents the drive protocol, or write what firmware needs of it."""
     if firmware is not None:

@@ -11,7 +11,7 @@ STATES = {
 FAULTS = {
     "none": "No fault.",
     "overcurrent": "A phase or the vector above the trip level.",
-    "overload": "i²t above what motor or drive bears.",
+    "overload": "i²t above the limit of the motor or the drive.",
     "watchdog": "No heartbeat in time.",
     "bus_voltage": "DC bus too high or too low.",
     "overtemperature": "Motor or power stage too hot.",

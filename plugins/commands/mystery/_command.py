@@ -23,13 +23,13 @@ WHOLE = "expected a whole number from 0 on"
 
 
 def mystery(
-    number: Annotated[int, typer.Argument(help="Which mystery: the same number gives the same motor.")],
+    number: Annotated[int, typer.Argument(help="Number of the mystery; the same number gives the same motor.")],
     guess: Annotated[
-        str | None, typer.Option(help="Names of effects, each with its size where you know it, or: nothing.")
+        str | None, typer.Option(help="Names of effects, optionally NAME=SIZE, separated by commas; or: nothing.")
     ] = None,
-    reveal: Annotated[bool, typer.Option("--reveal", help="Say what was hidden.")] = False,
+    reveal: Annotated[bool, typer.Option("--reveal", help="Print the hidden effects.")] = False,
     out: Annotated[Path | None, typer.Option(help="The run directory; by default runs/mystery-N.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only what went wrong.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")] = False,
     as_json: AsJson = False,
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""

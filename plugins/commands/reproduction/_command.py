@@ -11,15 +11,11 @@ from plugins.command_line import entry_point
 
 
 def reproduce(
-    run: Annotated[Path, typer.Option(help="The run directory: made, or read where it is there already.")] = Path(
-        "runs/paper"
-    ),
-    out: Annotated[Path, typer.Option(help="The folder that gets the page and its figures.")] = Path("runs/paper-page"),
+    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else made.")] = Path("runs/paper"),
+    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("runs/paper-page"),
     literal: Annotated[
         bool,
-        typer.Option(
-            "--literal", help="A second page beside it: the paper's own evaluation, and what makes its errors."
-        ),
+        typer.Option("--literal", help="Write a second page: the paper's own evaluation and its sources of error."),
     ] = False,
 ) -> int:
     """Run the paper's experiment on the simulated drive and write its figures and tables beside the printed ones."""

@@ -14,9 +14,9 @@ HOST = "127.0.0.1"
 
 def serve(
     folder: Annotated[
-        Path, typer.Argument(help="Whose procedures and motors are offered, and where runs/ is.")
+        Path, typer.Argument(help="Folder with procedures and motor files; runs go to runs/ in it.")
     ] = Path(),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="To listen on; 0: any that is free.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any free port.")] = 0,
 ) -> int:
     """Start, follow, answer and stop runs from a browser on this machine. Ctrl-C ends it, and a run that is going."""
     from orchestrator.formatting.sentences import shown

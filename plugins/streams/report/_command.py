@@ -19,7 +19,7 @@ def report(
     out: Annotated[
         Path | None, typer.Option(help="The file to write; by default report.html in RUN, comparison.html of several.")
     ] = None,
-    pdf: Annotated[bool, typer.Option("--pdf", help="As PDF beside it too, by a Chromium on this machine.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF as well; needs Chromium on this machine.")] = False,
 ) -> int:
     """Write the report of a run or recording, or of several side by side: one self-contained page."""
     if len(directories) > 1:

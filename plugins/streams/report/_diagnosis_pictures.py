@@ -25,17 +25,13 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
             f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {quantity(floor, 'V')}."
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
-    yield from _joint(diagnosis)
+    if entries := diagnosis.report.joint[:7]:
+        caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
+        yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
     if diagnosis.steps:
         before, after = diagnosis.steps[0], diagnosis.steps[-1]
         yield from _residuals(before, after)
         yield from _waveforms(before, after)
-
-
-def _joint(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
-    if entries := diagnosis.report.joint[:7]:
-        caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
-        yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
 
 
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
