@@ -1,28 +1,44 @@
 """What drives share whose board is polled: the experiment's clock by the host, a held current vector, keepalives.
 
-`PolledDrive` leaves the board to its sub-class: `connected` and `board_fault`, beside what a `DriveShell` needs.
+`PolledDrive` leaves the board to its sub-class: `board` and `board_fault`, beside what a `DriveShell` needs.
 """
 
 from __future__ import annotations
 
 import cmath
 import time
-from abc import abstractmethod
-from collections.abc import Generator, Iterator
-from typing import ClassVar
+from collections.abc import Callable, Generator, Iterator
+from typing import ClassVar, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.driving import DriveShell, in_blocks, keepalive
-from protocols import Capture, DriveFault, DriveSetup, Excitation, Telemetry
+from protocols import Capture, DriveFault, DriveRefused, DriveSetup, Excitation, FaultCause, Telemetry
 
 
-class PolledDrive(DriveShell):
+class Board(Protocol):
+    """A board at the other end of an open link."""
+
+    def check(self) -> None:
+        """Raise `DriveFault` where the link is lost."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the link."""
+        ...
+
+
+BoardT = TypeVar("BoardT", bound=Board)
+
+
+class PolledDrive(DriveShell, Generic[BoardT]):
     """Base of a drive that polls its board; with its clock it implements `ResumableDrive`.
 
     Attributes
     ----------
+    board : Board or None
+        To be set by `open`; None while the drive is not connected.
     target_a : complex
         Current vector that the board holds, i_alpha + j i_beta [A].
     rotor_angle_rad : float
@@ -36,11 +52,21 @@ class PolledDrive(DriveShell):
 
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
+        self.board: BoardT | None = None
         self.target_a, self.rotor_angle_rad, self.origin_s = 0j, 0.0, 0.0
 
-    @abstractmethod
-    def connected(self) -> object:
+    def connected(self) -> BoardT:
         """The board; raises `DriveRefused` where it is not connected, `DriveFault` where the link is lost."""
+        if self.board is None:
+            raise DriveRefused("not connected")
+        self.board.check()
+        return self.board
+
+    def release(self) -> None:
+        """Let go of the link."""
+        board, self.board = self.board, None
+        if board is not None:
+            board.close()
 
     def board_fault(self) -> DriveFault | None:
         """The fault that the armed board has now; None where it is sound."""
@@ -79,6 +105,14 @@ class PolledDrive(DriveShell):
         while (left_s := until_s - time.monotonic()) > 0.0:
             time.sleep(min(left_s, self.keepalive_period_s))
             yield self.keepalive()
+
+    def await_zero_current(self, flows: Callable[[], bool], timeout_s: float) -> None:
+        """Wait until no current flows; raises `DriveFault` (no_answer) where one still does after this time."""
+        deadline = time.monotonic() + timeout_s
+        while flows():
+            if time.monotonic() > deadline:
+                message = f"a current still flows after {timeout_s:g} s of ramping down"
+                raise DriveFault(FaultCause.NO_ANSWER, message)
 
     def keepalive(self) -> Capture:
         """A block without rows, now."""

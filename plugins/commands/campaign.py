@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from plugins.command_line import AsJson, entry_point
+from plugins.commands.fleet._work import Jobs, RetryFailed, Scheduler, complete
+
 if TYPE_CHECKING:
     from orchestrator.fleet.campaign import PowerReport
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 RECORDINGS, REPORT = ".recordings", "_campaign.json"
 """In the table's folder, where readers of Parquet pass over both."""
 
 
-@app.command()
 def campaign(
-    file: Annotated[Path, typer.Argument(help="YAML file: procedures, motors, what is hidden, seeds.")],
-    out: Annotated[Path, typer.Option(help="Folder of the table: made, or gone on with.", metavar="TABLE")],
+    file: Annotated[Path, typer.Argument(help="YAML file: procedures, motors, hidden effects, seeds.")],
+    out: Annotated[Path, typer.Option(help="Folder of the table: created, or extended.", metavar="TABLE")],
     keep: Annotated[
-        Path | None, typer.Option(help="Folder in which the simulated recordings stay.", metavar="DIR")
+        Path | None, typer.Option(help="Folder that keeps the simulated recordings.", metavar="DIR")
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes here.", show_default="one a core")] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Of a dask cluster that is there, instead of processes here.", metavar="tcp://..."),
-    ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what failed before.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    retry_failed: RetryFailed = False,
+    as_json: AsJson = False,
 ) -> int:
     """Simulate motors with hidden effects, diagnose them, and say which sizes are found with what probability.
 
-    Started again, it goes on where it was.
+    A second start continues the campaign.
     """
-    from orchestrator.fleet import ClusterSettings, FleetTable, connected, read_table
+    from orchestrator.fleet import FleetTable, read_table
     from orchestrator.fleet.campaign import CampaignJob, check_runs, load_campaign, power_of, runs_of
     from orchestrator.formatting.progress import Progress
     from orchestrator.formatting.sentences import visible
@@ -44,18 +41,11 @@ def campaign(
     plan = load_campaign(file)
     runs = list(runs_of(plan))
     check_runs(runs)
-    settings = ClusterSettings(scheduler=scheduler, **({} if jobs is None else {"jobs": jobs}))
     with FleetTable.opened(out, forget_failed=retry_failed) as table:
         folder = (keep or out / RECORDINGS).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         job = CampaignJob(runs, table, plan.analysis(), folder, keep=keep is not None, tell=Progress())
-        if job.todo:
-            with connected(settings) as client:
-                if not as_json:
-                    what = f"{len(job.todo)} of {len(job.runs)} virtual commissionings to do"
-                    print(f"{what}; watch them on {client.dashboard_link}")
-                for _ in job.rows(client):
-                    pass
+        complete(job, f"{len(job.runs)} virtual commissionings", scheduler, jobs, quiet=as_json)
     rows = [row for row in read_table(out) if row.key in job.runs]  # another campaign may be in the same table
     report = power_of(rows, name=plan.name, table=str(out), found_with=plan.found_with)
     replace_file(out / REPORT, visible(report.model_dump_json(indent=1)).encode())
@@ -66,9 +56,7 @@ def campaign(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench campaign", standalone_mode=False) or 0)
+command = entry_point(campaign)
 
 
 def _print_line(report: PowerReport, found_with: float) -> None:

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from plugins.command_line import entry_point
 from protocols import InputError
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-
-@app.command()
 def commission(
     until: Annotated[
         str, typer.Option(help="Half of the map's 95 % band, in percent of the rated flux.", metavar="P%")
@@ -27,7 +24,7 @@ def commission(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Run directory; by default runs/adaptive-<time>.")] = None,
     unattended: Annotated[
-        str | None, typer.Option(help='"I have made the bench safe": nobody is there.', metavar="WORDS")
+        str | None, typer.Option(help='"I have made the bench safe": no operator is present.', metavar="WORDS")
     ] = None,
 ) -> int:
     """Measure a flux map to a given accuracy: the procedure `adaptive`, with another target."""
@@ -53,9 +50,7 @@ def percent(text: str) -> float:
     return float(match[1])
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench commission", standalone_mode=False) or 0)
+command = entry_point(commission)
 
 
 command.energises = True  # type: ignore[attr-defined]  # a function may have any

@@ -10,10 +10,10 @@ import numpy as np
 from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy
 from orchestrator.numerics.surface import inside_hull, require_area
 from orchestrator.numerics.types import Array
-from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux, as_map, grid_of
+from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux, as_map, grid_of, pm_flux
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.injection import InjectionEstimator
-from protocols import Basis, EstimationContext, FluxMap, FluxMapEstimate, NotMeasuredError, RecordingReader
+from protocols import Basis, EstimationContext, FluxMap, FluxMapEstimate, FluxPoints, NotMeasuredError, RecordingReader
 
 
 class Energy(Protocol):
@@ -68,6 +68,11 @@ class Measurements:
         if self.energy is not None:
             return self.energy
         return fit_energy(self.inductances, self.paths, rotor_angle_rad=self.angles)
+
+    def points(self, energy: Energy, recording: RecordingReader) -> FluxPoints:
+        """Flux of an energy at all currents that were reached."""
+        psi = energy.flux(self.current)[0] + pm_flux(recording)
+        return FluxPoints(i_dq=self.current, psi_dq=psi, segment=self.segments)
 
     def misfit(self, energy: Energy) -> Array | None:
         """By how much an energy is off the sweeps' flux, each less its mean, shape (m, 2) [Wb]."""
@@ -129,8 +134,3 @@ def gridded(method: str, recording: RecordingReader, energy: Energy, current: Ar
     values[inside] = np.column_stack([flux[0], inductance[0]])
     stds[inside] = np.column_stack([flux[1], inductance[1]])
     return as_map(method, Basis.ENERGY, recording.manifest.motor, axes, values, stds)
-
-
-def pm_flux(recording: RecordingReader) -> Array:
-    """Flux of the magnets in the dq frame, as far as the nameplate knows it."""
-    return np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])

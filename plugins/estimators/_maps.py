@@ -7,7 +7,7 @@ import numpy as np
 from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss, StepsFit
 from orchestrator.numerics.surface import current_axes
 from orchestrator.numerics.types import Array
-from protocols import Basis, FluxMap, FluxMapEstimate, Motor, RecordingReader
+from protocols import Basis, FluxMap, FluxMapEstimate, Motor, RecordingReader, Remark
 
 QUANTITIES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 
@@ -50,3 +50,17 @@ def as_map(method: str, basis: Basis, motor: Motor, axes: tuple[Array, Array], v
 def voltage_delay(recording: RecordingReader) -> float:
     """n, where v[k] acts from t_k + n Ts."""
     return recording.manifest.drive.voltage_delay_samples or 0.0
+
+
+def pm_flux(recording: RecordingReader) -> Array:
+    """Flux of the magnets in the dq frame, as far as the nameplate states it, shape (2,)."""
+    return np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
+
+
+def axis_turned(angle_rad: float) -> Remark:
+    """The remark on a map whose axis of symmetry is not the believed d axis."""
+    text = (
+        "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
+        "believed d axis: is the rotor angle right? The map stays in the believed frame"
+    )
+    return Remark.of("axis_turned", text, angle_deg=float(np.degrees(angle_rad)))

@@ -44,20 +44,20 @@ def by_point(some: Sequence[OneWay], same_frequency: float) -> list[list[OneWay]
     """
     reach = max((math.hypot(*one.current) for one in some), default=0.0)
     points: list[list[OneWay]] = []
+
+    def are_one(first: OneWay, other: OneWay) -> bool:
+        return (
+            math.isclose(first.frequency_hz, other.frequency_hz, rel_tol=same_frequency)
+            and math.hypot(*(first.current - other.current)) <= CURRENT_TOLERANCE_RATIO * reach
+            and math.isclose(first.segment.rotor_angle_rad, other.segment.rotor_angle_rad, abs_tol=1e-6)
+        )
+
     for one in some:
-        point = next((p for p in points if _is_of(p[0], one, CURRENT_TOLERANCE_RATIO * reach, same_frequency)), None)
+        point = next((p for p in points if are_one(p[0], one)), None)
         if point is None:
             points.append(point := [])
         point.append(one)
     return points
-
-
-def _is_of(first: OneWay, other: OneWay, apart_a: float, same_frequency: float) -> bool:
-    return (
-        math.isclose(first.frequency_hz, other.frequency_hz, rel_tol=same_frequency)
-        and math.hypot(*(first.current - other.current)) <= apart_a
-        and math.isclose(first.segment.rotor_angle_rad, other.segment.rotor_angle_rad, abs_tol=1e-6)
-    )
 
 
 def shows_both_axes(point: Sequence[OneWay], apart_rad: float = 0.3) -> bool:

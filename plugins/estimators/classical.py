@@ -30,7 +30,7 @@ from orchestrator.analysis import (
 )
 from orchestrator.numerics.surface import SmoothSurface, inside_hull, require_area
 from orchestrator.numerics.types import Array
-from plugins.estimators._maps import SweptFlux, as_map, grid_of, voltage_delay
+from plugins.estimators._maps import SweptFlux, as_map, grid_of, pm_flux, voltage_delay
 from protocols import (
     Basis,
     Estimate,
@@ -88,10 +88,9 @@ class ClassicalEstimator:
         require_area(current, recording.manifest.name)
         flux_map, origin = self._gridded(recording, network)
         rated = reference_flux_wb(flux_map, recording.manifest.motor)
-        magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
         points = FluxPoints(
             i_dq=current,
-            psi_dq=np.concatenate([path.psi for path in network.paths]) - origin + magnet,
+            psi_dq=np.concatenate([path.psi for path in network.paths]) - origin + pm_flux(recording),
             segment=tuple(
                 segments[member].id
                 for member, path in zip(network.members, network.paths, strict=True)

@@ -14,9 +14,9 @@ import numpy as np
 
 from orchestrator.analysis import EnergyFit, check_map, reference_flux_wb
 from orchestrator.numerics.types import Array
-from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded, pm_flux
-from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux
-from protocols import Estimate, EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader, Remark
+from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded
+from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux, axis_turned
+from protocols import Estimate, EstimationContext, FluxMap, MapChecks, RecordingReader, Remark
 
 
 @dataclass(frozen=True)
@@ -50,11 +50,7 @@ class EnergyEstimator:
         rated = reference_flux_wb(flux_map, recording.manifest.motor)
         return EnergyFlux(
             map=flux_map,
-            points=FluxPoints(
-                i_dq=measured.current,
-                psi_dq=fit.flux(measured.current)[0] + pm_flux(recording),
-                segment=measured.segments,
-            ),
+            points=measured.points(fit, recording),
             checks=_checked(flux_map, rated, fit, measured),
             remarks=tuple(self._remarks(fit, flux_map, rated, measured.current)),
             fit=fit,
@@ -71,11 +67,7 @@ class EnergyEstimator:
             text = "the flux is known to +-{half_percent:.2f} % of the rated flux (95 %, over the map)"
             add("flux_error", text, half_percent=1.96 * 100 * float(spread) / rated)
         if fit.angle_rad:
-            text = (
-                "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
-                "believed d axis: is the rotor angle right? The map stays in the believed frame"
-            )
-            add("axis_turned", text, angle_deg=float(np.degrees(fit.angle_rad)))
+            remarks.append(axis_turned(fit.angle_rad))
         inductance = fit.inductance(current)[0]
         if fit.stiffening_per_h:
             less = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())

@@ -38,7 +38,7 @@ from orchestrator.config.time_constants import recording_notes
 from orchestrator.numerics.surface import TaylorSurface
 from orchestrator.numerics.types import Array
 from plugins.estimators._lines import straight_lines
-from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
+from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, pm_flux, voltage_delay
 from plugins.estimators._one_way import OneWay, by_point, shows_both_axes
 from protocols import (
     Basis,
@@ -110,7 +110,9 @@ class InjectionEstimator:
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> InjectedFlux:
         """Make the map; raises `NotMeasuredError` where the points do not span an area of currents."""
-        groups, skipped = self._groups(recording, _known_loss(context), _resistance_ohm(recording, context))
+        swept = context.latest(SweptFlux)
+        loss = NO_LOSS if swept is None else swept.loss
+        groups, skipped = self._groups(recording, loss, _resistance_ohm(recording, context))
         if not groups:
             problem = skipped[0] if skipped else "no segment of stage injection"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
@@ -120,10 +122,10 @@ class InjectionEstimator:
         flux = integrate(points, recording.manifest.name)
         flux_map = _gridded(recording, points, flux)
         rated = reference_flux_wb(flux_map, recording.manifest.motor)
-        magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
+        psi = flux.psi + pm_flux(recording)
         return InjectedFlux(
             map=flux_map,
-            points=FluxPoints(i_dq=points.current, psi_dq=flux.psi + magnet, segment=tuple(chosen.segments)),
+            points=FluxPoints(i_dq=points.current, psi_dq=psi, segment=tuple(chosen.segments)),
             checks=check_map(flux_map, rated, _misfit(points)),
             remarks=(
                 *_too_far_apart(points, self.max_inductance_ratio),
@@ -193,12 +195,6 @@ def _incremental(group: _Group) -> IncrementalInductances:
         i_dq=inverse.current,
         inductance=np.stack([inverse.matrix[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], axis=1),
     )
-
-
-def _known_loss(context: EstimationContext) -> PhaseLoss:
-    """The inverter's voltage loss, where sweeps gave it already."""
-    swept = context.latest(SweptFlux)
-    return NO_LOSS if swept is None else swept.loss
 
 
 def _resistance_ohm(recording: RecordingReader, context: EstimationContext) -> float | None:

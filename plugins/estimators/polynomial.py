@@ -14,7 +14,7 @@ import numpy as np
 
 from orchestrator.analysis import EnergyFit, PolynomialFit, check_map, fit_polynomial, reference_flux_wb
 from orchestrator.numerics.types import Array
-from plugins.estimators._energies import EnergyFlux, energy_measurements, gridded, pm_flux
+from plugins.estimators._energies import EnergyFlux, energy_measurements, gridded
 from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux
 from protocols import (
     ClosedForm,
@@ -22,7 +22,6 @@ from protocols import (
     Estimate,
     EstimationContext,
     FluxMapEstimate,
-    FluxPoints,
     RecordingReader,
     Remark,
 )
@@ -62,11 +61,7 @@ class PolynomialEstimator:
         rated = reference_flux_wb(flux_map, recording.manifest.motor)
         return FluxMapEstimate(
             map=flux_map,
-            points=FluxPoints(
-                i_dq=measured.current,
-                psi_dq=fit.flux(measured.current)[0] + pm_flux(recording),
-                segment=measured.segments,
-            ),
+            points=measured.points(fit, recording),
             checks=check_map(flux_map, rated, measured.misfit(fit)),
             form=_form(fit),
             remarks=_remarks(fit, energy, measured.current, rated, self.max_error_percent),

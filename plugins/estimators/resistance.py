@@ -112,7 +112,12 @@ class ResistanceEstimator:
         readings = tuple(sorted(every, key=lambda reading: reading.start_s))
         if not readings or not np.isfinite(fit.resistance_ohm):
             raise NotMeasuredError(recording.manifest.name, "segments", "what was held determines no resistance")
-        value, low, high, beside = _with_known(known, fit, self._doubt(recording, fit, largest))
+        doubt_ohm = 0.0
+        if not fit.error_v and not fit.unlike_step_v:
+            lost_v = self.max_loss_ratio * recording.manifest.drive.dc_bus_voltage_v + self.max_loss_v
+            # A loss of one volt in each phase is a vector of at most 4/3 V along the current.
+            doubt_ohm = 4.0 / 3.0 * lost_v / largest
+        value, low, high, beside = _with_known(known, fit, doubt_ohm)
         if fit.unlike_step_v:
             aside = 2.0 * fit.unlike_step_v / largest
             low, high = min(low, fit.with_step_ohm - aside), max(high, fit.with_step_ohm + aside)
@@ -127,14 +132,6 @@ class ResistanceEstimator:
             inverter=tuple(fit.losses()),
             remarks=(*beside, *_remarks(fit, [d for _, d in used], bool(holds), readings, low)),
         )
-
-    def _doubt(self, recording: RecordingReader, fit: VoltageFit, largest_a: float) -> float:
-        """By how much R_s may be less, where the inverter's share in it is not known [ohm]."""
-        if fit.error_v or fit.unlike_step_v:
-            return 0.0
-        lost_v = self.max_loss_ratio * recording.manifest.drive.dc_bus_voltage_v + self.max_loss_v
-        # A loss of one volt in each phase is a vector of at most 4/3 V along the current.
-        return 4.0 / 3.0 * lost_v / largest_a
 
     def constant_currents(self, recording: RecordingReader) -> list[Dwell]:
         """The stretches over whose instants `value_ohm` is the mean."""
@@ -255,7 +252,9 @@ def _with_known(
 
     `doubt_ohm` is what the inverter may have in it: R_s is then not less than a nameplate lets it be.
     """
-    half = _student_95(fit.freedom) * fit.std_ohm
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(fit.freedom, 0.975)) * fit.std_ohm
     if known is None or not known.is_measured:
         least = 0.0 if known is None else min(fit.resistance_ohm, known.value_ohm - 1.96 * known.std_ohm)
         low = max(fit.resistance_ohm - doubt_ohm, least)
@@ -291,12 +290,6 @@ def _reading(fit: VoltageFit, rest: Dwell, pwm_hz: float) -> ResistanceReading:
     own = max(float(np.sqrt(along @ rest.v_covariance @ along)), fit.noise_v)
     std = np.hypot(own, fit.lost_std(rest.i_ab[None], pwm_hz, along)) / length
     return ResistanceReading(start_s=rest.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
-
-
-def _student_95(freedom: int) -> float:
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.975))
 
 
 def _remarks(

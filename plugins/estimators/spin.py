@@ -27,8 +27,8 @@ from orchestrator.analysis import (
     theta_of,
 )
 from orchestrator.numerics.surface import require_area
-from plugins.estimators._energies import EnergyFlux, gridded, pm_flux
-from plugins.estimators._maps import SteppedFlux, SweptFlux, voltage_delay
+from plugins.estimators._energies import EnergyFlux, gridded
+from plugins.estimators._maps import SteppedFlux, SweptFlux, pm_flux, voltage_delay
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import (
     Capture,

@@ -30,8 +30,8 @@ from orchestrator.analysis import (
 from orchestrator.config.time_constants import recording_notes
 from orchestrator.numerics.surface import inside_hull, require_area
 from orchestrator.numerics.types import Array
-from plugins.estimators._energies import gridded, pm_flux
-from plugins.estimators._maps import SteppedFlux, voltage_delay
+from plugins.estimators._energies import gridded
+from plugins.estimators._maps import SteppedFlux, axis_turned, pm_flux, voltage_delay
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import (
     Capture,
@@ -99,8 +99,12 @@ class StepsEstimator:
         where, segments = recording.manifest.name, recording.segments(SegmentStage.STEPS)
         if not segments:
             raise NotMeasuredError(where, "segments", "no segment of stage steps")
-        beliefs = self._beliefs(ResistanceEstimator().estimate(recording, context))
-        rows = self._rows(recording)
+        known = ResistanceEstimator().estimate(recording, context)
+        std_ohm = float(np.hypot((known.high - known.low) / 3.92, self.resistance_std_ratio * known.value_ohm))
+        beliefs = Beliefs(known.value_ohm, std_ohm)
+        drive = recording.manifest.drive
+        fs, carrier_hz = drive.sampling_frequency_hz, drive.pwm_frequency_hz or 0.0
+        rows = _Rows(1.0 / fs, exact=fs >= self.control_rows * carrier_hz)
         traces, fit, late = self._fitted(recording, segments, beliefs, rows)
         current = np.concatenate([trace.i for trace in traces])
         if not inside_hull(current, np.zeros((1, 2)), where)[0]:
@@ -129,10 +133,6 @@ class StepsEstimator:
             start_s=segments[0].start_s,
         )
 
-    def _beliefs(self, known: ResistanceEstimate) -> Beliefs:
-        std = float(np.hypot((known.high - known.low) / 3.92, self.resistance_std_ratio * known.value_ohm))
-        return Beliefs(known.value_ohm, std)
-
     def _fitted(
         self, recording: RecordingReader, segments: Sequence[Segment], beliefs: Beliefs, rows: _Rows
     ) -> tuple[list[StepTrace], StepsFit, float]:
@@ -160,11 +160,6 @@ class StepsEstimator:
                 break
             late = max(late + fit.lag_samples, -declared)
         return traces, fit, late + fit.lag_samples
-
-    def _rows(self, recording: RecordingReader) -> _Rows:
-        drive = recording.manifest.drive
-        carrier_hz = drive.pwm_frequency_hz or 0.0
-        return _Rows(1.0 / drive.sampling_frequency_hz, drive.sampling_frequency_hz >= self.control_rows * carrier_hz)
 
     def _decay_doubt_h(self, fit: StepsFit, rows: _Rows) -> Array:
         """Standard deviation of the inductances by what the current does between rows, shape (2,) [H]."""
@@ -195,11 +190,7 @@ class StepsEstimator:
             text = "each phase loses {lost_v:.2f} V, estimated from the loops; corrected"
             remarks.append(Remark.of("inverter_loss", text, lost_v=kept))
         if fit.energy.angle_rad:
-            text = (
-                "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
-                "believed d axis: is the rotor angle right? The map stays in the believed frame"
-            )
-            remarks.append(Remark.of("axis_turned", text, angle_deg=float(np.degrees(fit.energy.angle_rad))))
+            remarks.append(axis_turned(fit.energy.angle_rad))
         if spread is not None and spread > 1.0:
             text = (
                 "loops differ from one energy by {spread_percent:.1f} % of the rated flux (rms): no map explains that"

@@ -1,12 +1,12 @@
 """What drives behind every link share: the host's conversation, the receive loop, uploads, faults, ways out."""
 
-from plugins.link._drive import LinkDrive
+from plugins.link._drive import LinkDrive, LinkOptions
+from plugins.link._drive_line import DriveLine
 from plugins.link._errors import link_errors
 from plugins.link._host import Host
 from plugins.link._line import Line
 from plugins.link._link import Link
-from plugins.link._options import LinkOptions
 from plugins.link._port import Port
 from plugins.link._timeouts import ProcessClock
 
-__all__ = ["Host", "Line", "Link", "LinkDrive", "LinkOptions", "Port", "ProcessClock", "link_errors"]
+__all__ = ["DriveLine", "Host", "Line", "Link", "LinkDrive", "LinkOptions", "Port", "ProcessClock", "link_errors"]

@@ -9,6 +9,9 @@ import time
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from orchestrator.driving import DriveShell
 from plugins.link._claims import ENERGISED, require_memory, require_sound
@@ -16,14 +19,13 @@ from plugins.link._errors import link_errors
 from plugins.link._host import Host, fault_names, known_fault, refused, require_held, words
 from plugins.link._link import Link
 from plugins.link._machine import Machine, longest_capture, row_format
-from plugins.link._options import LinkOptions
 from plugins.link._port import Port, SharedPort
 from plugins.link._running import Program
 from plugins.link._timeline import CLOCK_KEY, SIMULATED_CLOCK, Timeline
 from plugins.link._timeouts import TIMEOUTS
 from plugins.wire import (
     NO_TEMPERATURE_C,
-    Ack,
+    TELEMETRY_PERIOD_S,
     AckStatus,
     Capability,
     EStop,
@@ -50,10 +52,27 @@ from protocols import (
     Excitation,
     FaultCause,
     Limits,
+    Positive,
+    Strict,
     Telemetry,
 )
 
 DEMODULATED = "injections as ripple demodulated on the drive"
+
+
+class LinkOptions(Strict):
+    """Options of every drive behind a link."""
+
+    capture: Literal["raw", "demodulated"] = "raw"
+    """Injections sample by sample, or as ripple demodulated on the drive: a hundredth of the data."""
+    connect_timeout_s: Positive = 2.0
+    """Time to be taken up by a drive that is starting, that another host seems to have armed, or that ramps down."""
+    answer_timeout_s: Positive = 0.8
+    """A request that is not answered within this time is given up."""
+    telemetry_period_s: Annotated[float, Field(ge=0.001, le=10.0)] = TELEMETRY_PERIOD_S
+    """Period of the drive's status; silence for three of them is a lost link."""
+    clear_fault: bool = False
+    """Forget the fault that the drive has latched, on connecting: after somebody has seen to its cause."""
 
 
 class LinkDrive(DriveShell):
@@ -96,7 +115,11 @@ class LinkDrive(DriveShell):
         host.identify(self._options.connect_timeout_s)
         self._machine = self._learned(host)
         host.interlocks = self._machine.capabilities.interlocks
-        self._clear_what_is_over(host)
+        cause = known_fault(host.read("fault_cause"))
+        if cause in (Fault.WATCHDOG, Fault.INTERLOCK) or (cause is not Fault.NONE and self._options.clear_fault):
+            self.forget_fault()
+        else:
+            host.fault_reported = cause is not Fault.NONE
         host.write({"telemetry_period_s": self._options.telemetry_period_s}, anew=True)
         self._origin_s = 0.0
         self._origin_s = self._seconds(self._clock().now())
@@ -104,7 +127,7 @@ class LinkDrive(DriveShell):
 
     def _learned(self, host: Host) -> Machine:
         own = host.own_registers()
-        facts, layout = facts_of(own), host.link.layout(int(own["bulk_block_bytes"]))
+        facts, layout = facts_of(own), host.link.port.layout(int(own["bulk_block_bytes"]))
         description = host.description(own, layout)
         demodulated = self._options.capture == "demodulated"
         if demodulated:
@@ -120,13 +143,6 @@ class LinkDrive(DriveShell):
         learned = {"longest_capture_s": longest_s, "clock_is_simulated": is_simulated}
         capabilities = machine.capabilities.model_copy(update=learned)
         return replace(machine, capabilities=capabilities)
-
-    def _clear_what_is_over(self, host: Host) -> None:
-        cause = known_fault(host.read("fault_cause"))
-        if cause in (Fault.WATCHDOG, Fault.INTERLOCK) or (cause is not Fault.NONE and self._options.clear_fault):
-            self.forget_fault()
-        else:
-            host.fault_reported = cause is not Fault.NONE
 
     def release(self) -> None:
         """Let go of the link."""
@@ -188,8 +204,9 @@ class LinkDrive(DriveShell):
         host, machine = self._connected()
         try:
             program = Program(host, machine, excitation, self._clock(), self._require_sound)
-        except DriveRefused:
-            self._raise_fault_behind(host)
+        except DriveRefused as refusal:
+            if host.command(Op.TIME_SYNC).state is PowerState.FAULTED:  # it came in that moment
+                raise host.fault() from refusal
             raise
         if program.number == self._number:
             raise DriveFault(FaultCause.WRONG_DATA, f"the drive gives two captures in a row the number {self._number}")
@@ -206,7 +223,8 @@ class LinkDrive(DriveShell):
         status, measurement = news.status, news.measurement
         if status is None or measurement is None:
             raise DriveFault(FaultCause.NO_ANSWER, "the drive sends no telemetry")
-        scale = machine.facts.scales.current_a
+        scale, own = machine.facts.scales.current_a, machine.capabilities
+        asked_hz = host.read("pwm_frequency_asked_hz") if len(own.pwm_frequencies_hz) > 1 else 0.0
         return Telemetry(
             state=_state_of(status),
             time_s=self._seconds(now),
@@ -214,17 +232,10 @@ class LinkDrive(DriveShell):
             i_q_a=scale * measurement.i_q,
             v_dc_v=measurement.v_dc,
             temperature_c=None if status.temperature == NO_TEMPERATURE_C else float(status.temperature),
-            pwm_frequency_hz=self._pwm_frequency_hz(host, machine.capabilities),
+            pwm_frequency_hz=asked_hz or own.pwm_frequency_hz,
             faults=fault_names(status),
-            open_interlocks=open_interlocks(measurement.open_interlocks, machine.capabilities.interlocks),
+            open_interlocks=open_interlocks(measurement.open_interlocks, own.interlocks),
         )
-
-    @staticmethod
-    def _pwm_frequency_hz(host: Host, own: Capabilities) -> float:
-        """Of the last program, as the drive holds it; read where it has a choice."""
-        if len(own.pwm_frequencies_hz) == 1:
-            return own.pwm_frequency_hz
-        return host.read("pwm_frequency_asked_hz") or own.pwm_frequency_hz
 
     def ramp(self) -> None:
         """Stop what runs, and wait until the current is zero."""
@@ -302,7 +313,8 @@ class LinkDrive(DriveShell):
     def _reachable(self, *last_words: Op) -> Host:
         """The host for shutting down. A lost drive gets the commands all the same, and the reason is raised."""
         if self._host is not None and self._host.link.lost is not None:
-            self._host.broadcast(*last_words)
+            for op in last_words:
+                self._host.link.try_to_send(self._host.conversation.command(op))
         return self._connected()[0]
 
     def _gets_to(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = TIMEOUTS.settle_s) -> bool:
@@ -316,12 +328,6 @@ class LinkDrive(DriveShell):
             now = "unknown" if status is None else status.state.name.lower()
             wanted = " or ".join(state.name.lower() for state in states)
             raise DriveFault(FaultCause.NO_ANSWER, f"the drive is {now} after {timeout_s:g} s instead of {wanted}")
-
-    def _raise_fault_behind(self, host: Host) -> None:
-        """Where a refusal has a fault behind it that came in that moment, raise the fault instead."""
-        ack: Ack = host.command(Op.TIME_SYNC)
-        if ack.state is PowerState.FAULTED:
-            raise host.fault()
 
 
 def _state_of(status: Status) -> DriveState:

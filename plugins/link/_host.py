@@ -94,11 +94,6 @@ class Host:
             raise refused(ack)
         return ack
 
-    def broadcast(self, *ops: Op) -> None:
-        """Send commands to a drive that may still receive, though it is silent; waits for nothing."""
-        for op in ops:
-            self.link.try_to_send(self.conversation.command(op))
-
     # Registers
 
     def read(self, name: str) -> float:

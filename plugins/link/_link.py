@@ -16,7 +16,6 @@ from plugins.link._timeouts import TIMEOUTS, ProcessClock
 from plugins.wire import (
     STALE_PERIODS,
     Ack,
-    BlockLayout,
     Frame,
     Measurement,
     Message,
@@ -94,10 +93,6 @@ class Link:
         """Raise the reason where the link is lost."""
         if self._lost is not None:
             raise DriveFault(self._lost.cause, self._lost.detail)
-
-    def layout(self, block_bytes: int) -> BlockLayout:
-        """How blocks are cut on this link."""
-        return self.port.layout(block_bytes)
 
     def close(self) -> None:
         """End the thread and let go of the link."""

@@ -7,9 +7,9 @@ from zlib import crc32
 import numpy as np
 
 from plugins.link._host import Host
-from plugins.link._machine import Machine
+from plugins.link._machine import Machine, row_format
 from plugins.link._reading import Reader
-from plugins.wire import NO_TEMPERATURE_C, CaptureFormat, Channel, RowFormat
+from plugins.wire import NO_TEMPERATURE_C, Channel
 from protocols import Capture, DriveFault, FaultCause
 
 _MAX_INT16 = 32767
@@ -30,7 +30,7 @@ class RawRead:
     """
 
     def __init__(self, host: Host, machine: Machine, number: int, rows: int) -> None:
-        self._format = RowFormat(machine.channels, CaptureFormat.INT16, machine.facts.scales)
+        self._format = row_format(machine)
         self._host, self._fs = host, machine.capabilities.sampling_frequency_hz
         announced = int(host.read("capture_rows")), int(host.read("capture_row_bytes"))
         if announced != (rows, self._format.row_bytes):

@@ -1,6 +1,6 @@
 """The drive protocol: messages, framing, registers, captures. Shared by both ends; opens no link itself."""
 
-from plugins.wire._assembly import CaptureAssembly, upload
+from plugins.wire._assembly import CaptureAssembly
 from plugins.wire._blocks import (
     CAN_FD_LAYOUT,
     CLASSIC_LAYOUT,
@@ -172,5 +172,4 @@ __all__ = [
     "serial_blocks",
     "single",
     "to_serial",
-    "upload",
 ]

@@ -1,14 +1,13 @@
 """The host's end of an upload: blocks in any order become a capture that is byte-exact, or refused.
 
 Pure logic, without I/O and threads. Missing blocks are requested again, one by one; at the
-end the CRC-32 over the whole capture decides. `upload` is the loop that a drive puts around it.
+end the CRC-32 over the whole capture decides.
 """
 
 from __future__ import annotations
 
-import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import ClassVar
 from zlib import crc32
 
@@ -281,53 +280,3 @@ def _runs(absent: NDArray[np.bool_]) -> list[tuple[int, int]]:
     cuts = np.flatnonzero(np.diff(gaps) > CaptureAssembly.bridge + 1)
     first, last = gaps[np.r_[0, cuts + 1]], gaps[np.r_[cuts, len(gaps) - 1]]
     return [(int(a), int(b - a + 1)) for a, b in zip(first, last, strict=True)]
-
-
-def upload(
-    assembly: CaptureAssembly,
-    send: Callable[[ReadBlock], None],
-    receive: Callable[[], Sequence[Frame]],
-    *,
-    clock: Callable[[], float] = time.monotonic,
-    repeat_s: float = 0.15,
-    timeout_s: float = 1.0,
-    rounds: int = 200,
-) -> memoryview:
-    """Ask and take until the capture is complete and verified.
-
-    Parameters
-    ----------
-    send : callable
-        Sends one request.
-    receive : callable
-        What came meanwhile, other traffic included: as many frames as are there (batches make it
-        fast), or nothing after a short timeout of its own.
-    patience_s : float
-        Time without a frame of this upload after which missing blocks are requested again.
-    timeout_s : float
-        Time without a frame of this upload after which it is given up.
-    rounds : int
-        Rounds of requests in a row that bring no new block before it is given up.
-
-    Raises `DriveFault`: ``no_answer`` where nothing comes, ``wrong_data`` where the capture does not
-    fit its CRC or the drive refuses to hand it out.
-    """
-    idle, before = 0, -1
-    received_s = clock()
-    while (data := assembly.result()) is None:
-        if not assembly.waiting:
-            idle = 0 if assembly.received != before else idle + 1
-            before = assembly.received
-            if idle > rounds:
-                raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
-            for request in assembly.requests():
-                send(request)
-            requested_s = clock()
-        mine = assembly.take(receive())
-        now = clock()
-        received_s = now if mine else received_s
-        if now - received_s > timeout_s:
-            raise DriveFault(FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {timeout_s:g} s")
-        if now - max(received_s, requested_s) > repeat_s:
-            assembly.give_up()
-    return data

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+from plugins.command_line import entry_point
 
 
-@app.command()
 def wire(
     c: Annotated[Path | None, typer.Option("--c", help="Write the C codec for firmware here.", metavar="DIR")] = None,
     firmware: Annotated[
         Path | None, typer.Option("--firmware", help="Write the reference firmware here, codec and all.", metavar="DIR")
     ] = None,
     dbc: Annotated[bool, typer.Option("--dbc", help="Print the DBC instead.")] = False,
-    node: Annotated[int, typer.Option(min=0, max=3, help="Of the drive whose identifiers the DBC has.")] = 0,
+    node: Annotated[int, typer.Option(min=0, max=3, help="Node number for the identifiers in the DBC.")] = 0,
 ) -> int:
     """Print the page that documents the drive protocol, or write what firmware needs of it."""
     if firmware is not None:
@@ -42,6 +40,4 @@ def wire(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench wire", standalone_mode=False) or 0)
+command = entry_point(wire)

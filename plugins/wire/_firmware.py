@@ -57,15 +57,15 @@ typedef struct {{
 """
 
 
-_PREFIXES = {
-    "Capability": "CAN",
-    "Channel": "CHANNEL",
-    "CaptureFormat": "FORMAT",
-    "PowerState": "STATE",
-    "Phase": "PHASE",
-    "Fault": "FAULT",
-    "Op": "OP",
-    "AckStatus": "ACK",
+_ENUMERATIONS: Mapping[str, type[IntEnum] | type[IntFlag]] = {
+    "CAN": Capability,
+    "CHANNEL": Channel,
+    "FORMAT": CaptureFormat,
+    "STATE": PowerState,
+    "PHASE": Phase,
+    "FAULT": Fault,
+    "OP": Op,
+    "ACK": AckStatus,
 }
 
 
@@ -130,15 +130,9 @@ def registers_header() -> str:
         f"{register.range[0]!r}f, {register.range[1]!r}f, {float(register.default)!r}f }}"
         for name, register in names
     )
-    constants = [
-        *_constants(Capability),
-        *_constants(Channel),
-        *_constants(CaptureFormat),
-        *(line for kind in (PowerState, Phase, Fault, Op, AckStatus) for line in _constants(kind)),
-        *(f"#define FLUXBENCH_KIND_{kind.upper()} {number}" for number, kind in enumerate(KINDS)),
-        *(f"#define FLUXBENCH_AXIS_{axis.upper()} {number}" for number, axis in enumerate(AXES)),
-        *(f"#define FLUXBENCH_WAVEFORM_{wave.upper()} {number}" for number, wave in enumerate(WAVEFORMS)),
-    ]
+    numbers = {f"{prefix}_{member.name}": member.value for prefix, kind in _ENUMERATIONS.items() for member in kind}
+    for prefix, names_in_order in (("KIND", KINDS), ("AXIS", AXES), ("WAVEFORM", WAVEFORMS)):
+        numbers |= {f"{prefix}_{name.upper()}": number for number, name in enumerate(names_in_order)}
     return _HEADER.format(
         major=PROTOCOL_MAJOR,
         minor=PROTOCOL_MINOR,
@@ -149,11 +143,6 @@ def registers_header() -> str:
         most=int(registers()["capture_rows"].range[1]),
         indices=indices,
         end=max(register.index for register in registers().values()) + 1,
-        constants="\n".join(constants),
+        constants="\n".join(f"#define FLUXBENCH_{name} {number}" for name, number in numbers.items()),
         rows=rows,
     )
-
-
-def _constants(kind: type[IntEnum] | type[IntFlag]) -> list[str]:
-    prefix = _PREFIXES[kind.__name__]
-    return [f"#define FLUXBENCH_{prefix}_{member.name} {member.value}" for member in kind]

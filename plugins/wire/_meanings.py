@@ -1,15 +1,5 @@
 """What the members of the protocol's enumerations mean, in words; for its page."""
 
-FD_DATA = "The block's bytes in order; zeros past the end of the capture."
-
-TITLES = {
-    "PowerState": "state",
-    "Fault": "bit",
-    "Op": "op",
-    "AckStatus": "status",
-    "Phase": "phase",
-}
-
 STATES = {
     "disarmed": "PWM off; nothing moves. Limits and nameplate can be written.",
     "holding": "PWM on (off after gates_off), holding the last operating point; zero current after arming.",
@@ -21,7 +11,7 @@ STATES = {
 FAULTS = {
     "none": "No fault.",
     "overcurrent": "A phase or the vector above the trip level.",
-    "overload": "i²t above what motor or drive bears.",
+    "overload": "i²t above the limit of the motor or the drive.",
     "watchdog": "No heartbeat in time.",
     "bus_voltage": "DC bus too high or too low.",
     "overtemperature": "Motor or power stage too hot.",

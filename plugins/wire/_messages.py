@@ -6,7 +6,7 @@ Field names are the DBC's signal names. A field that is an enumeration here is a
 from __future__ import annotations
 
 from enum import IntEnum, IntFlag
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 PROTOCOL_MAJOR = 1
 PROTOCOL_MINOR = 1
@@ -296,21 +296,4 @@ Message = (
 )
 """All messages but the two that carry bulk data, which never become objects one by one."""
 
-MESSAGES: tuple[type[Message], ...] = (
-    EStop,
-    Heartbeat,
-    Command,
-    ParameterWrite,
-    ParameterRead,
-    Setpoint,
-    ReadBlock,
-    Status,
-    Ack,
-    ParameterValue,
-    Tick,
-    Measurement,
-    Progress,
-    RippleD,
-    RippleQ,
-    BulkEnd,
-)
+MESSAGES: tuple[type[Message], ...] = get_args(Message)

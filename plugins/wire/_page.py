@@ -32,13 +32,13 @@ def page() -> str:
     """The page, as docs/wire.md holds it: the words of protocols/wire/page.md with the tables put in."""
     database = message_database()
     inserts: dict[str, Callable[[], str]] = {
-        "states": lambda: _meanings(PowerState, words.STATES),
-        "faults": lambda: _meanings(Fault, words.FAULTS),
+        "states": lambda: _meanings("state", PowerState, words.STATES),
+        "faults": lambda: _meanings("bit", Fault, words.FAULTS),
         "channels": lambda: _table(("bit", "channel"), ((_bit(c), str(c.name).lower()) for c in Channel)),
         "messages": lambda: "\n\n".join((_overview(database.messages), *map(_message, database.messages))),
-        "ops": lambda: _meanings(Op, words.OPS),
-        "ack_statuses": lambda: _meanings(AckStatus, words.ACK_STATUSES),
-        "phases": lambda: _meanings(Phase, words.PHASES),
+        "ops": lambda: _meanings("op", Op, words.OPS),
+        "ack_statuses": lambda: _meanings("status", AckStatus, words.ACK_STATUSES),
+        "phases": lambda: _meanings("phase", Phase, words.PHASES),
         "registers": lambda: "\n\n".join(_register_sections()),
         "bandwidth": lambda: _table(("link", "bits for a block", "kB/s", "a point of 400 kB"), _bandwidth()),
         "load": lambda: _live_load(database),
@@ -55,10 +55,9 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
 
 
-def _meanings(kind: type[Enum], meanings: dict[str, str]) -> str:
+def _meanings(title: str, kind: type[Enum], meanings: dict[str, str]) -> str:
     names = {member.name.lower(): member.value for member in kind}
     assert names.keys() == meanings.keys(), f"{kind.__name__}: {names.keys() ^ meanings.keys()}"
-    title = words.TITLES[kind.__name__]
     return _table((title, "name", "meaning"), ((value, name, meanings[name]) for name, value in names.items()))
 
 
@@ -93,7 +92,11 @@ def _signals(signals: Sequence[Signal]) -> Iterator[tuple[str, str, str, str, st
         bits, name = f"{signal.start} to {signal.start + signal.length - 1}", signal.name
         meaning = str(signal.comment)
         if signal.name == "data_0":
-            bits, name, meaning = f"{signal.start} to 511", "data_0 to data_14", words.FD_DATA
+            bits, name, meaning = (
+                f"{signal.start} to 511",
+                "data_0 to data_14",
+                "The block's bytes in order; zeros past the end of the capture.",
+            )
         elif signal.choices and signal.name not in _OWN_TABLES:
             meaning += " " + ", ".join(f"{number} {choice}" for number, choice in signal.choices.items()) + "."
         kind = "f32" if signal.is_float else f"{'i' if signal.is_signed else 'u'}{signal.length}"

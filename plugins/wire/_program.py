@@ -19,9 +19,7 @@ from protocols import (
     Injection,
     Limits,
     Motor,
-    Spin,
     Trapezoid,
-    VoltageSteps,
 )
 
 KINDS: tuple[ExcitationKind, ...] = ("gates_off", "hold", "trapezoid", "injection")
@@ -30,6 +28,27 @@ AXES = ("d", "q", "dq")
 WAVEFORMS = ("square", "sine")
 
 Registers = dict[str, float]
+
+_MODELS: Mapping[ExcitationKind, type[Excitation]] = {
+    "gates_off": GatesOff,
+    "hold": Hold,
+    "trapezoid": Trapezoid,
+    "injection": Injection,
+}
+_FIELDS: Mapping[ExcitationKind, tuple[str, ...]] = {
+    "gates_off": ("duration_s",),
+    "hold": ("current_d_a", "current_q_a", "settle_s", "duration_s"),
+    "trapezoid": ("swept_axis", "held_a", "amplitude_a", "period_s", "periods", "settle_s"),
+    "injection": (
+        *("target_d_a", "target_q_a", "settle_s", "discard_s", "duration_s"),
+        *("amplitude_v", "frequency_hz", "rotation_hz", "waveform"),
+    ),
+}
+"""Fields of an excitation that have registers, in the order of writing."""
+_REGISTER_OF = {"target_d_a": "current_d_a", "target_q_a": "current_q_a"}
+"""Registers whose name is not the field's."""
+_CHOICES: Mapping[str, tuple[str, ...]] = {"swept_axis": AXES, "waveform": WAVEFORMS}
+_ON_GRID = ("settle_s", "discard_s", "duration_s")
 
 _CAUSES = {
     Fault.OVERCURRENT: FaultCause.OVERCURRENT,
@@ -63,53 +82,23 @@ def program_registers(excitation: Excitation, sampling_frequency_hz: float) -> R
 
     Times are put on the sampling grid first, so that rounding to singles cannot change a number of rows.
     """
-
-    def on_grid(seconds: float) -> float:
-        return round(seconds * sampling_frequency_hz) / sampling_frequency_hz
-
-    if isinstance(excitation, VoltageSteps | Spin):
+    if excitation.kind not in _FIELDS:
         raise DriveRefused(f"the protocol has no program for {excitation.kind}")
-    common = {
+    values = {
         "program_kind": float(KINDS.index(excitation.kind)),
         "rotor_angle_rad": excitation.rotor_angle_rad,
         "pwm_frequency_asked_hz": excitation.pwm_frequency_hz or 0.0,
         "control_bandwidth_hz": excitation.control.bandwidth_hz,
         "control_damping": excitation.control.damping,
     }
-    match excitation:
-        case GatesOff():
-            return {**common, "duration_s": on_grid(excitation.duration_s)}
-        case Hold():
-            return {
-                **common,
-                "current_d_a": excitation.current_d_a,
-                "current_q_a": excitation.current_q_a,
-                "settle_s": on_grid(excitation.settle_s),
-                "duration_s": on_grid(excitation.duration_s),
-            }
-        case Trapezoid():
-            return {
-                **common,
-                "swept_axis": float(AXES.index(excitation.swept_axis)),
-                "held_a": excitation.held_a,
-                "amplitude_a": excitation.amplitude_a,
-                "period_s": excitation.period_s,
-                "periods": float(excitation.periods),
-                "settle_s": on_grid(excitation.settle_s),
-            }
-        case Injection():
-            return {
-                **common,
-                "current_d_a": excitation.target_d_a,
-                "current_q_a": excitation.target_q_a,
-                "settle_s": on_grid(excitation.settle_s),
-                "discard_s": on_grid(excitation.discard_s),
-                "duration_s": on_grid(excitation.duration_s),
-                "amplitude_v": excitation.amplitude_v,
-                "frequency_hz": excitation.frequency_hz,
-                "rotation_hz": excitation.rotation_hz,
-                "waveform": float(WAVEFORMS.index(excitation.waveform)),
-            }
+    for field in _FIELDS[excitation.kind]:
+        value = getattr(excitation, field)
+        if field in _CHOICES:
+            value = _CHOICES[field].index(value)
+        elif field in _ON_GRID:
+            value = round(value * sampling_frequency_hz) / sampling_frequency_hz
+        values[_REGISTER_OF.get(field, field)] = float(value)
+    return values
 
 
 def program_of(values: Mapping[str, float]) -> Excitation:
@@ -124,20 +113,10 @@ def program_of(values: Mapping[str, float]) -> Excitation:
         "pwm_frequency_hz": values["pwm_frequency_asked_hz"] or None,
         "control": CurrentControl(bandwidth_hz=values["control_bandwidth_hz"], damping=values["control_damping"]),
     }
-    if kind == "gates_off":
-        return GatesOff.model_validate(fields | {"duration_s": values["duration_s"]})
-    if kind == "hold":
-        names = ("current_d_a", "current_q_a", "settle_s", "duration_s")
-        return Hold.model_validate(fields | {name: values[name] for name in names})
-    if kind == "trapezoid":
-        fields |= {name: values[name] for name in ("held_a", "amplitude_a", "period_s", "settle_s")}
-        return Trapezoid.model_validate(
-            fields | {"swept_axis": AXES[int(values["swept_axis"])], "periods": int(values["periods"])}
-        )
-    for name in ("settle_s", "discard_s", "duration_s", "amplitude_v", "frequency_hz", "rotation_hz"):
-        fields[name] = values[name]
-    target = {"target_d_a": values["current_d_a"], "target_q_a": values["current_q_a"]}
-    return Injection.model_validate(fields | target | {"waveform": WAVEFORMS[int(values["waveform"])]})
+    for field in _FIELDS[kind]:
+        value = values[_REGISTER_OF.get(field, field)]
+        fields[field] = _CHOICES[field][int(value)] if field in _CHOICES else value
+    return _MODELS[kind].model_validate(fields)
 
 
 # Limits and nameplate

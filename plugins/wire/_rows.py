@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import IntEnum, IntFlag
 from typing import Any
 
@@ -40,6 +40,10 @@ class CaptureFormat(IntEnum):
     F32 = 1
 
 
+_SCALE_REGISTERS = ("current_scale_a", "voltage_scale_v", "bus_scale_v", "temperature_scale_c", "ripple_scale_a")
+"""In the order of the fields of `Scales`."""
+
+
 @dataclass(frozen=True)
 class Scales:
     """What a count is worth."""
@@ -53,13 +57,7 @@ class Scales:
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Scales:
         """From a drive's registers."""
-        return cls(
-            values["current_scale_a"],
-            values["voltage_scale_v"],
-            values["bus_scale_v"],
-            values["temperature_scale_c"],
-            values["ripple_scale_a"],
-        )
+        return cls(*(values[name] for name in _SCALE_REGISTERS))
 
     @classmethod
     def spanning(cls, current_a: float, voltage_v: float, bus_v: float, ripple_a: float) -> Scales:
@@ -68,13 +66,7 @@ class Scales:
         return cls(*(float(np.float32(span / 32767.0)) for span in spans))
 
     def as_registers(self) -> dict[str, float]:
-        return {
-            "current_scale_a": self.current_a,
-            "voltage_scale_v": self.voltage_v,
-            "bus_scale_v": self.bus_v,
-            "temperature_scale_c": self.temperature_c,
-            "ripple_scale_a": self.ripple_a,
-        }
+        return dict(zip(_SCALE_REGISTERS, astuple(self), strict=True))
 
     def of_channel(self, channel: Channel) -> float:
         """The scale of one channel."""

@@ -98,7 +98,7 @@ def measured(label: str, port: Port, size: int) -> None:
     host = Host(link, answer_s=2.0)
     host.read("protocol_major")
     begun = time.perf_counter()
-    data = read_whole(host, 1, size, link.layout(BLOCK_BYTES))
+    data = read_whole(host, 1, size, link.port.layout(BLOCK_BYTES))
     spent = time.perf_counter() - begun
     assert data == capture(size)
     trips = []

@@ -25,7 +25,7 @@ def read(port: HostPort, length: int) -> bytes:
     """The capture, as the host reads it."""
     link = Link(port, 1.0)
     try:
-        return bytes(read_whole(Host(link, 1.0), NUMBER, length, link.layout(0)))
+        return bytes(read_whole(Host(link, 1.0), NUMBER, length, link.port.layout(0)))
     finally:
         link.close()
 

@@ -55,7 +55,7 @@ class NovantaOptions(Strict):
     """A row every so many periods of its control."""
 
 
-class NovantaDrive(PolledDrive):
+class NovantaDrive(PolledDrive[Servo]):
     """A servo drive as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -75,7 +75,6 @@ class NovantaDrive(PolledDrive):
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._options: NovantaOptions = setup.options
-        self._servo: Servo | None = None
         self._own_registers: dict[str, float] = {}
 
     # Link
@@ -89,7 +88,7 @@ class NovantaDrive(PolledDrive):
         o = self._options
         if not o.dictionary.is_file():
             raise InputError("drive", "dictionary", f"{o.dictionary} is no file")
-        self._servo = servo = Servo(o.host, o.port, o.dictionary, o.axis)
+        self.board = servo = Servo(o.host, o.port, o.dictionary, o.axis)
         if servo.state() == "ENABLED":
             raise DriveRefused(f"{servo.where}: its power stage is on: somebody else drives it")
         pole_pairs = int(servo.read("MOT_PAIR_POLES"))
@@ -114,12 +113,6 @@ class NovantaDrive(PolledDrive):
             watchdog_s=None,
             notes=("no dead man is claimed; held currents alone",),
         )
-
-    def release(self) -> None:
-        """Let go of the network."""
-        servo, self._servo = self._servo, None
-        if servo is not None:
-            servo.close()
 
     # Power stage
 
@@ -185,15 +178,14 @@ class NovantaDrive(PolledDrive):
         servo = self.connected()
         self.target_a = 0j
         self._write_target(servo, 1.0 + 0j)
-        deadline = time.monotonic() + MAX_RAMP_S
-        while (
-            math.hypot(servo.read("CL_CUR_D_VALUE"), servo.read("CL_CUR_Q_VALUE"))
-            > ZERO_CURRENT_RATIO * self.own.max_current_a
-        ):
-            if servo.state() != "ENABLED":
-                return
-            if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {MAX_RAMP_S:g} s of ramping down")
+        zero_a = ZERO_CURRENT_RATIO * self.own.max_current_a
+        self.await_zero_current(
+            lambda: (
+                math.hypot(servo.read("CL_CUR_D_VALUE"), servo.read("CL_CUR_Q_VALUE")) > zero_a
+                and servo.state() == "ENABLED"
+            ),
+            MAX_RAMP_S,
+        )
 
     def switch_off(self) -> None:
         """Power stage off, and the drive's registers as they were."""
@@ -201,11 +193,8 @@ class NovantaDrive(PolledDrive):
         if servo.state() == "ENABLED":
             self.ramp()
         servo.disable()
-        servo.write(self._as_they_were())
-
-    def _as_they_were(self) -> dict[str, float]:
         own = self._own_registers
-        return {"CL_CUR_REF_MAX": own["CL_CUR_REF_MAX"], "DRV_OP_CMD": int(own["DRV_OP_CMD"])}
+        servo.write({"CL_CUR_REF_MAX": own["CL_CUR_REF_MAX"], "DRV_OP_CMD": int(own["DRV_OP_CMD"])})
 
     def forget_fault(self) -> None:
         """Reset the drive's own fault; its power stage stays off."""
@@ -220,11 +209,3 @@ class NovantaDrive(PolledDrive):
             return None
         code = int(servo.read("DRV_DIAG_ERROR_LAST"))
         return DriveFault(FaultCause.INTERNAL, f"{servo.where} is in state {state}, its last error is {code:#x}")
-
-    # What the methods share
-
-    def connected(self) -> Servo:
-        """The drive; raises `DriveRefused` where it is not connected."""
-        if self._servo is None:
-            raise DriveRefused("not connected")
-        return self._servo

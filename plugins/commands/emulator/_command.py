@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from plugins.command_line import entry_point
 from plugins.commands.emulator._bounds import BOUNDS
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from plugins.drives.simulated import SimulatedOptions
     from protocols import Motor
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 Part = Annotated[float, typer.Option(min=0.0, max=1.0, metavar="P", help="Part of the frames, each way.")]
 _NOT_HERE = {
     "watchdog_s": "use --watchdog",
@@ -26,7 +26,6 @@ _NOT_HERE = {
 }
 
 
-@app.command()
 def emulate(
     serial: Annotated[Path | None, typer.Option("--serial", help="Make a pseudo-terminal and link it here.")] = None,
     can: Annotated[
@@ -37,10 +36,10 @@ def emulate(
             help="Join this bus, as python-can names it. serial:PATH makes the terminal that its interface opens.",
         ),
     ] = None,
-    node: Annotated[int, typer.Option(min=0, max=3, help="Which of the drives on the CAN bus it is.")] = 0,
+    node: Annotated[int, typer.Option(min=0, max=3, help="Node number on the CAN bus.")] = 0,
     fd: Annotated[bool, typer.Option("--fd", help="The bus is CAN FD.")] = False,
-    bitrate: Annotated[int, typer.Option(help="Of the CAN bus.")] = 1_000_000,
-    data_bitrate: Annotated[int, typer.Option(help="Of CAN FD's data.")] = 5_000_000,
+    bitrate: Annotated[int, typer.Option(help="Bit rate of the CAN bus.")] = 1_000_000,
+    data_bitrate: Annotated[int, typer.Option(help="Bit rate of CAN FD's data phase.")] = 5_000_000,
     can_settings: Annotated[
         list[str] | None, typer.Option("--can-set", metavar="K=V", help="A further argument of python-can's interface.")
     ] = None,
@@ -52,27 +51,23 @@ def emulate(
         list[str] | None,
         typer.Option("--set", metavar="K=V", help="An option of the simulated drive: plant.resistance_ohm=5."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Of noise, rest angle and losses.")] = 1,
+    seed: Annotated[int, typer.Option(help="Random seed: noise, rest angle, lost frames.")] = 1,
     memory_rows: Annotated[int, typer.Option(min=1, help="Rows of four channels in the capture memory.")] = 8192,
     ring: Annotated[bool, typer.Option(help="Overwrite the oldest rows; else a longer capture is refused.")] = True,
     rate: Annotated[
         float | None,
-        typer.Option(min=1.0, metavar="BYTES/S", help="What the line carries (a CAN bus: bits over 8)."),
+        typer.Option(min=1.0, metavar="BYTES/S", help="Throughput of the line (a CAN bus: bit rate / 8)."),
     ] = None,
-    watchdog: Annotated[float | None, typer.Option(min=0.0, help="Seconds without a heartbeat; 0 for none.")] = None,
-    longest_program: Annotated[float, typer.Option(min=0.0, help="Seconds.")] = 3600.0,
-    speed: Annotated[str, typer.Option(help="Simulated seconds a second, or max.")] = "1",
-    log: Annotated[Path | None, typer.Option(help="Write what happens here, a JSON object a line.")] = None,
+    watchdog: Annotated[float | None, typer.Option(min=0.0, help="Watchdog time [s]; 0: no watchdog.")] = None,
+    longest_program: Annotated[float, typer.Option(min=0.0, help="Longest program that is accepted [s].")] = 3600.0,
+    speed: Annotated[str, typer.Option(help="Simulated seconds per second, or max.")] = "1",
+    log: Annotated[Path | None, typer.Option(help="Log events to this file, one JSON object a line.")] = None,
     state: Annotated[Path | None, typer.Option(help="Keep the plant's state in this directory.")] = None,
     open_interlocks: Annotated[
         Path | None,
-        typer.Option(
-            help="The inputs of --set 'interlocks=[door]' that this file names, one a line, are open.", metavar="FILE"
-        ),
+        typer.Option(help="File with the open interlocks, one of --set 'interlocks=[door]' a line.", metavar="FILE"),
     ] = None,
-    priority: Annotated[
-        bool, typer.Option(help="Ask for real-time priority: the watchdog is as punctual as the machine lets it be.")
-    ] = True,
+    priority: Annotated[bool, typer.Option(help="Ask for real-time priority, for a punctual watchdog.")] = True,
     drop: Part = 0.0,
     duplicate: Part = 0.0,
     reorder: Part = 0.0,
@@ -106,9 +101,7 @@ def emulate(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench emulate", standalone_mode=False) or 0)
+command = entry_point(emulate)
 
 
 def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) -> tuple[SimulatedOptions, Motor]:

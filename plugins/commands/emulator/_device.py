@@ -6,11 +6,12 @@ What it may refuse is decided here; what acts by itself is `_power`.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 
 from plugins.commands.emulator._bounds import BOUNDS
-from plugins.commands.emulator._inputs import Inputs
 from plugins.commands.emulator._log import Log, no_log
 from plugins.commands.emulator._memory import Capture
 from plugins.commands.emulator._power import PowerStage
@@ -94,9 +95,11 @@ class Device:
         if self._settings.directory is not None:
             self.rig.load(self._settings.directory)
         own = self.rig.capabilities
-        inputs = Inputs(own.interlocks, self._settings.interlocks)
-        self.power = PowerStage(self.rig, clock, self._settings.speed, log, self._settings.directory, inputs.read)
-        text = _describe(own.motor_name or motor.name, seed, own.interlocks)
+        inputs = partial(open_inputs, own.interlocks, self._settings.interlocks if own.interlocks else None)
+        self.power = PowerStage(self.rig, clock, self._settings.speed, log, self._settings.directory, inputs)
+        about = {"name": "fluxbench emulator", "motor": own.motor_name or motor.name, "serial": str(seed)}
+        lines = [f"{key}: {' '.join(value.split())}" for key, value in (about | {"clock": "simulated"}).items()]
+        text = "\n".join([*lines, *([interlocks_line(own.interlocks)] if own.interlocks else [])])
         self._description = CaptureSource.complete_with(DESCRIPTION_CAPTURE, text.encode())
         self._layout = layout(self._settings.block_bytes)
         self._facts = facts_of_rig(self.rig, self._settings, text)
@@ -145,7 +148,7 @@ class Device:
 
     def _news(self) -> Iterator[Message]:
         now_s, power, period_s = self._clock(), self.power, self._file["telemetry_period_s"]
-        shown = self.rig.shown
+        shown = self.rig.simulator.shown
         warmth = self._tell_temperature()
         yield from self._telemetry.status(
             now_s, power.state, power.cause, power.faults, power.last_beat, shown[2], warmth
@@ -159,7 +162,7 @@ class Device:
 
     def _tell_temperature(self) -> int:
         """Put the winding's temperature into its register; the same as telemetry says it."""
-        measured = self.rig.temperature_c
+        measured = self.rig.simulator.temperature_c
         self._file["temperature_c"] = -273.0 if measured is None else measured
         return NO_TEMPERATURE_C if measured is None else round(min(max(measured, -127.0), 127.0))
 
@@ -328,8 +331,7 @@ class Device:
     # Programs
 
     def _run_program(self) -> tuple[AckStatus, int]:
-        status = self._must_hold()
-        if status is not AckStatus.OK:
+        if (status := self._must_hold()) is not AckStatus.OK:
             return status, 0
         excitation = self._programs.excitation()
         if isinstance(excitation, AckStatus):
@@ -349,8 +351,7 @@ class Device:
         return AckStatus.OK if self.power.state is PowerState.HOLDING else AckStatus.WRONG_STATE
 
     def _capture_arm(self, rows: int) -> tuple[AckStatus, int]:
-        status = self._must_hold()
-        if status is not AckStatus.OK:
+        if (status := self._must_hold()) is not AckStatus.OK:
             return status, 0
         if not 1 <= rows <= 16_000_000:
             return AckStatus.OUT_OF_RANGE, 0
@@ -361,8 +362,7 @@ class Device:
         return AckStatus.OK, capture.number
 
     def _capture_trigger(self) -> tuple[AckStatus, int]:
-        status = self._must_hold()
-        if status is not AckStatus.OK:
+        if (status := self._must_hold()) is not AckStatus.OK:
             return status, 0
         if self._armed_capture is None:
             return AckStatus.WRONG_STATE, 0
@@ -389,7 +389,10 @@ class Device:
         return self.power.capture.source(number) if self.power.capture is not None else None
 
 
-def _describe(motor: str, seed: int, interlocks: tuple[str, ...]) -> str:
-    lines = {"name": "fluxbench emulator", "motor": motor, "serial": str(seed), "clock": "simulated"}
-    text = "\n".join(f"{key}: {' '.join(value.split())}" for key, value in lines.items())
-    return f"{text}\n{interlocks_line(interlocks)}" if interlocks else text
+def open_inputs(names: Sequence[str], file: Path | None) -> int:
+    """Bits of the interlock inputs that a file names now, one a line, in the order of `names`; none without a file."""
+    try:
+        lines = set() if file is None else set(map(str.strip, file.read_text("utf-8", "replace").splitlines()))
+    except OSError:
+        return 0
+    return sum(1 << bit for bit, name in enumerate(names) if name in lines)

@@ -109,11 +109,17 @@ class Outbox:
         """Send what line and port take now; never waits."""
         if self.empty:
             self._taken_s = now_s
-        self._earn(now_s)
+        if self._rate is not None:
+            earned = (now_s - self._paid_s) * self._rate
+            self._credit = min(self._credit + earned, max(self._rate * BOUNDS.max_burst_s, 64.0))
+            self._paid_s = now_s
         self.blocked = False
         for _ in range(BOUNDS.max_batch_frames):
             unit = self._first()
-            if unit is None or not self._may_send():
+            if unit is None:
+                return
+            self.blocked = self._rate is not None and self._credit <= 0.0
+            if self.blocked:
                 return
             if not self._port.send(unit):
                 self.blocked = True
@@ -124,10 +130,6 @@ class Outbox:
         if now_s - self._taken_s > BOUNDS.max_waiting_s:
             self.clear()
 
-    def _may_send(self) -> bool:
-        self.blocked = self._rate is not None and self._credit <= 0.0
-        return not self.blocked
-
     def _first(self) -> Unit | None:
         while not self._coded and (self._urgent or self._bulk):
             self._coded.extend(self._lossy(map(self._port.coded, self._next())))
@@ -137,10 +139,3 @@ class Outbox:
         queue = self._urgent or self._bulk
         for _ in range(min(16, len(queue))):
             yield queue.popleft()
-
-    def _earn(self, now_s: float) -> None:
-        if self._rate is None:
-            return
-        earned = (now_s - self._paid_s) * self._rate
-        self._credit = min(self._credit + earned, max(self._rate * BOUNDS.max_burst_s, 64.0))
-        self._paid_s = now_s

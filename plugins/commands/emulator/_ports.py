@@ -145,16 +145,13 @@ class PtyPort:
 
     def _lost(self) -> None:
         if self._connected:
-            self._forget_unread()
+            # A real line keeps nothing that a host did not read: the next one must not get it.
+            with suppress(OSError, termios.error):
+                termios.tcflush(self._master, termios.TCOFLUSH)
+                slave = os.open(self._slave_name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+                termios.tcflush(slave, termios.TCIFLUSH)
+                os.close(slave)
         self._connected, self._rest = False, b""
-
-    def _forget_unread(self) -> None:
-        """What the host that has gone did not read would be the first that the next one gets: no line keeps it."""
-        with suppress(OSError, termios.error):
-            termios.tcflush(self._master, termios.TCOFLUSH)
-            slave = os.open(self._slave_name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-            termios.tcflush(slave, termios.TCIFLUSH)
-            os.close(slave)
 
     def close(self) -> None:
         with suppress(OSError):

@@ -291,7 +291,7 @@ class PowerStage:
             self.phase = Phase.CAPTURING
             self.capture_start = self.rig.ticks - len(step.i_ab)
             if self.capture.ripple is not None:
-                self.capture.ripple.base_v = self.rig.base_voltage_v
+                self.capture.ripple.base_v = self.rig.simulator.memory.base_v
         return self.capture.take(step)
 
     def _watch(self, step: Step) -> None:

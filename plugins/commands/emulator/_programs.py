@@ -55,7 +55,7 @@ def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
         bits |= Capability.CAPTURE_RING
     if own.has_brake:
         bits |= Capability.BRAKE
-    if rig.temperature_c is not None:
+    if rig.simulator.temperature_c is not None:
         bits |= Capability.TEMPERATURE
     if own.interlocks:
         bits |= Capability.INTERLOCKS
@@ -84,9 +84,13 @@ class Programs:
     def excitation(self) -> Excitation | AckStatus:
         """The excitation in the registers."""
         try:
-            excitation = self._on_own_grid(program_of(self._file.values()))
+            excitation = program_of(self._file.values())
         except ValueError:
             return AckStatus.OUT_OF_RANGE
+        # The PWM frequency as the device has it, not as a single carried it.
+        wanted_hz = excitation.pwm_frequency_hz
+        own_hz = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == wanted_hz), wanted_hz)
+        excitation = excitation.model_copy(update={"pwm_frequency_hz": own_hz})
         status = self._judge(excitation)
         return excitation if status is AckStatus.OK else status
 
@@ -94,20 +98,11 @@ class Programs:
         """Memory for so many rows, announced in the registers."""
         capture = self._capture(rows, excitation)
         if isinstance(capture, Capture):
-            self._announce(capture)
+            self._number = capture.number
+            self._file["capture_number"], self._file["capture_rows"] = float(capture.number), float(capture.rows)
+            self._file["capture_row_bytes"] = float(capture.row_bytes)
+            self._file["ripple_rows"] = float(capture.ripple.rows if capture.ripple else 0)
         return capture
-
-    def _announce(self, capture: Capture) -> None:
-        self._number = capture.number
-        self._file["capture_number"], self._file["capture_rows"] = float(capture.number), float(capture.rows)
-        self._file["capture_row_bytes"] = float(capture.row_bytes)
-        self._file["ripple_rows"] = float(capture.ripple.rows if capture.ripple else 0)
-
-    def _on_own_grid(self, excitation: Excitation) -> Excitation:
-        """With the PWM frequency as the device has it, not as a single carried it."""
-        wanted_hz = excitation.pwm_frequency_hz
-        own = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == wanted_hz), wanted_hz)
-        return excitation.model_copy(update={"pwm_frequency_hz": own})
 
     def _judge(self, excitation: Excitation) -> AckStatus:
         """Whether the limits, and the device's own, allow it."""

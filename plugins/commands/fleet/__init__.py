@@ -1,1 +1,1 @@
-"""Commands on fleets: thousands of recordings, one table, and what it tells."""
+"""Commands on fleets: thousands of recordings in one table, and its statistics."""

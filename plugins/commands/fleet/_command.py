@@ -1,25 +1,50 @@
-"""`fluxbench fleet`: many recordings as one table, and what it tells."""
+"""`fluxbench fleet`: many recordings as one table, and its statistics."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 import typer.core
 
-from plugins.commands.fleet._priors import priors
+from plugins.command_line import AsJson, group_entry_point
 from plugins.commands.fleet._report import report
 from plugins.commands.fleet._run import run
 
 
 class _RunUnlessNamed(typer.core.TyperGroup):
-    """What names no command of the group is what `run` is to be done with."""
+    """The group without a command's name: its arguments are those of `run`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if not args or args[0] not in (*self.commands, *ctx.help_option_names):
             args = ["run", *args]
         return list(super().parse_args(ctx, args))
+
+
+def priors(
+    table: Annotated[str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.")],
+    out: Annotated[Path, typer.Option(help="JSON file to write; `fluxbench diagnose RUN --priors FILE` takes it.")],
+    motor: Annotated[
+        str | None, typer.Option(help="Nameplate's name, where the table has several kinds of motor.")
+    ] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Priors for the next motor of the fleet: frequency and size of each effect, R_s, L_d and L_q."""
+    from orchestrator.fleet.statistics import prior_rows, priors_of, read_fleet
+    from orchestrator.formatting.sentences import shown, text_table, visible
+    from orchestrator.recording import replace_file
+
+    document = priors_of(read_fleet(table), motor)
+    text = visible(document.model_dump_json(indent=2))
+    replace_file(out, (text + "\n").encode("utf-8"))
+    if as_json:
+        print(text)
+        return 0
+    rows = prior_rows(document)
+    print(shown(text_table(rows[0], rows[1:], numbers=False)))
+    print(shown(str(out)))
+    return 0
 
 
 app = typer.Typer(cls=_RunUnlessNamed, add_completion=False, rich_markup_mode=None)
@@ -30,12 +55,10 @@ app.command("priors")(priors)
 
 @app.callback()
 def fleet() -> None:
-    """Many recordings as one table, and what it tells.
+    """Many recordings as one table, and its statistics.
 
     `fluxbench fleet SOURCE... --out TABLE` is `fluxbench fleet run SOURCE... --out TABLE`.
     """
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench fleet", standalone_mode=False) or 0)
+command = group_entry_point(app, "fleet")

@@ -1,4 +1,4 @@
-"""`fluxbench fleet report`: what a fleet's table tells, as a page, as JSON and in a few lines."""
+"""`fluxbench fleet report`: statistics of a fleet's table as a page, as JSON and in a few lines."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from plugins.command_line import AsJson
 
 if TYPE_CHECKING:
     from orchestrator.fleet.statistics import FleetTable
@@ -15,22 +17,22 @@ if TYPE_CHECKING:
 def report(
     table: Annotated[str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.")],
     limits: Annotated[
-        Path | None, typer.Option(help="YAML file with limits; each recording passes, fails or is undecided.")
+        Path | None, typer.Option(help="YAML file with limits that each recording is tested against.")
     ] = None,
     against: Annotated[
         str | None,
         typer.Option(
-            help="The same motors before: another table; or pairs: each motor's first recording against its last.",
+            help="Compare with earlier recordings: another table, or `pairs`: each motor's first and last.",
             metavar="TABLE|pairs",
         ),
     ] = None,
     rrd: Annotated[bool, typer.Option("--rrd", help="Write fleet-report.rrd too, for `fluxbench view`.")] = False,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the page and its JSON; by default _report in the table's.")
+        Path | None, typer.Option(help="Folder for the page and its JSON; by default _report in the table's folder.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
-    """Distributions, outliers, drift, batches, control limits, pass and fail, pairs: one page, and its JSON."""
+    """Write distributions, outliers, drift, batches, limits and pairs of a fleet as one page, and as JSON."""
     from orchestrator.fleet.statistics import WITHIN, outlier_rows, read_fleet, read_limits, report_of
     from orchestrator.formatting.sentences import shown, text_table, visible
     from orchestrator.interface.api import one_thread
@@ -44,7 +46,7 @@ def report(
         before = None if against in (None, WITHIN) else read_fleet(str(against))
         stats = report_of(fleet, limits=bounds, against=before, within=against == WITHIN)
         place = Path(table)
-        # What reads a folder of Parquet files passes over names with a leading underscore.
+        # Readers of a folder of Parquet files skip names with a leading underscore.
         folder = out if out is not None else place / "_report" if place.is_dir() else place.parent
         files = [*write_fleet_report(stats, folder)]
         if rrd:
@@ -64,7 +66,7 @@ def report(
 
 
 def _require_known(limits: FleetLimits, place: str, table: FleetTable) -> None:
-    """Raise `InputError` where a limit is of what neither table nor an installed effect has."""
+    """Raise `InputError` for a limit of a quantity that neither the table nor an installed effect has."""
     from orchestrator.fleet.statistics import require_known
     from orchestrator.registry.plugins import PluginKind, make_plugins
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, get_args
 
 import typer
 
+from plugins.command_line import AsJson
+from plugins.commands.fleet._work import Jobs, RetryFailed, Scheduler, complete
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -21,45 +23,36 @@ def run(
             help="Folders or URLs (s3://, gcs://, sftp://) with recordings below them.", metavar="SOURCE..."
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Folder of the table: made, or gone on with.", metavar="TABLE")],
+    out: Annotated[Path, typer.Option(help="Folder of the table: created, or extended.", metavar="TABLE")],
     do: Annotated[str, typer.Option(help="import, estimate, compare, diagnose, export; one or more.")] = "estimate",
     mapping: Annotated[
-        Path | None, typer.Option(help="With import: YAML file that says what a measurement file's columns are.")
+        Path | None, typer.Option(help="With import: YAML file that maps the columns of measurement files.")
     ] = None,
     keep: Annotated[
-        Path | None, typer.Option(help="Folder for the results and exports of each that is done now.", metavar="DIR")
+        Path | None,
+        typer.Option(help="Folder for the results and exports of this run.", metavar="DIR"),
     ] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes here.", show_default="one a core")] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Of a dask cluster that is there, instead of processes here.", metavar="tcp://..."),
-    ] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Only the first so many.")] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what failed before.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    jobs: Jobs = None,
+    scheduler: Scheduler = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="Analyse only this many recordings.")] = None,
+    retry_failed: RetryFailed = False,
+    as_json: AsJson = False,
 ) -> int:
-    """Work on every recording below folders and URLs; a row of the table each.
+    """Analyse every recording below folders and URLs, a row of the table each.
 
-    Started again, it goes on where it was: what has a row is not done twice.
+    A second start continues: recordings that have a row are skipped.
     """
-    from orchestrator.fleet import ClusterSettings, FleetJob, FleetTable, connected, find_sources
+    from orchestrator.fleet import FleetJob, FleetTable, find_sources
     from orchestrator.formatting.progress import Progress
     from orchestrator.formatting.quantities import plural
     from orchestrator.formatting.sentences import visible
 
     began, tell = time.monotonic(), Progress()
     plan = _plan(do, mapping, keep)
-    settings = ClusterSettings(scheduler=scheduler, **({} if jobs is None else {"jobs": jobs}))
     recordings = find_sources(sources, files=plan.mapping is not None, limit=limit, tell=tell)
     with FleetTable.opened(out, forget_failed=retry_failed) as table:
         job = FleetJob(recordings, table, plan, tell)
-        if job.todo:
-            with connected(settings) as client:
-                if not as_json:
-                    what = f"{len(job.todo)} of {plural(len(recordings), 'recording')} to do"
-                    print(f"{what}; watch them on {client.dashboard_link}")
-                for _ in job.rows(client):
-                    pass
+        complete(job, plural(len(recordings), "recording"), scheduler, jobs, quiet=as_json)
     report = job.report(out, time.monotonic() - began)
     if as_json:
         print(visible(report.model_dump_json(indent=2)))

@@ -12,6 +12,7 @@ import typer
 from orchestrator.formatting.names import parameter_words
 from orchestrator.formatting.quantities import number, percent
 from orchestrator.formatting.sentences import shown, visible
+from plugins.command_line import AsJson, entry_point
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -20,23 +21,20 @@ if TYPE_CHECKING:
 
 WHOLE = "expected a whole number from 0 on"
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-
-@app.command()
 def mystery(
-    number: Annotated[int, typer.Argument(help="Which mystery: the same number gives the same motor.")],
+    number: Annotated[int, typer.Argument(help="Number of the mystery; the same number gives the same motor.")],
     guess: Annotated[
-        str | None, typer.Option(help="Names of effects, each with its size where you know it, or: nothing.")
+        str | None, typer.Option(help="Names of effects, optionally NAME=SIZE, separated by commas; or: nothing.")
     ] = None,
-    reveal: Annotated[bool, typer.Option("--reveal", help="Say what was hidden.")] = False,
+    reveal: Annotated[bool, typer.Option("--reveal", help="Print the hidden effects.")] = False,
     out: Annotated[Path | None, typer.Option(help="The run directory; by default runs/mystery-N.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only what went wrong.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
     from orchestrator.runs import is_run
-    from plugins.commands.mystery._guessing import sealed_effects
+    from plugins.commands.mystery._guessing import brought_about, judge, read_guess, sealed_effects
 
     if number < 0:
         raise InputError("fluxbench mystery", str(number), WHOLE)
@@ -50,7 +48,9 @@ def mystery(
     if not is_run(path):
         raise InputError(str(path), "", f"no such mystery; `fluxbench mystery {number}` makes it")
     _refuse_unfinished(path)
-    verdict = None if guess is None else _judged(path, guess)
+    verdict = (
+        None if guess is None else judge(read_guess(guess), sealed_effects(path), _fitted(path), brought_about(path))
+    )
     hidden = sealed_effects(path) if reveal else None
     if as_json:
         _print_json(path, verdict, hidden)
@@ -67,7 +67,7 @@ def command(arguments: Sequence[str]) -> int:
     negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
     if negative is not None:  # else it would be taken for an option
         raise InputError("fluxbench mystery", negative, WHOLE)
-    return int(app(list(arguments), prog_name="fluxbench mystery", standalone_mode=False) or 0)
+    return entry_point(mystery)(arguments)
 
 
 def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
@@ -133,12 +133,6 @@ def _run(number: int, path: Path, quiet: bool) -> BaseException | None:
     with handling_signals() as interrupts:
         streams = {"console": {"mode": "quiet" if quiet else "auto"}, "report": {}, "rerun": {"view": "none"}}
         return start_run(procedure_of(number), path, RunServices(AbsentOperator(), interrupts, streams)).outcome.error
-
-
-def _judged(path: Path, words: str) -> Verdict:
-    from plugins.commands.mystery._guessing import brought_about, judge, read_guess, sealed_effects
-
-    return judge(read_guess(words), sealed_effects(path), _fitted(path), brought_about(path))
 
 
 def _print_verdict(verdict: Verdict) -> None:

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from plugins.command_line import AsJson, entry_point
+
 if TYPE_CHECKING:
     from plugins.commands.probe._finding import Found, LinkName
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+NO_RIPPLE = "not demodulated on the drive"
 
 
-@app.command()
 def probe(
     serial: Annotated[
         list[str] | None, typer.Option("--serial", help="Look on this port (device, path, socket://host:port) only.")
@@ -22,10 +24,10 @@ def probe(
         list[str] | None,
         typer.Option("--can", help="Look on this bus only, as python-can names it.", metavar="INTERFACE:CHANNEL"),
     ] = None,
-    baud_rate: Annotated[int, typer.Option(help="Of serial lines.")] = 921_600,
-    bitrate: Annotated[int, typer.Option(help="Of CAN buses.")] = 1_000_000,
+    baud_rate: Annotated[int, typer.Option(help="Baud rate of serial lines.")] = 921_600,
+    bitrate: Annotated[int, typer.Option(help="Bit rate of CAN buses.")] = 1_000_000,
     fd: Annotated[bool, typer.Option("--fd", help="The buses are CAN FD.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Find drives on this machine's serial ports and CAN buses, and say what they can do. Moves nothing."""
     from plugins.commands.probe._finding import Found, can_bus, found_on, links_of_this_machine, serial_line
@@ -50,9 +52,7 @@ def probe(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench probe", standalone_mode=False) or 0)
+command = entry_point(probe)
 
 
 def _split(bus: str) -> tuple[str, str]:
@@ -85,8 +85,10 @@ def _description(drive: Found) -> list[str]:
     from orchestrator.formatting.quantities import quantity, vector
 
     own, status = drive.capabilities, drive.status
-    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_shown(key, v))
-    firmware = drive.description.get("firmware", "not given")
+    by_default = (921_600, 1_000_000, False)  # node 0 is among them
+    named = {key: value for key, value in drive.settings.items() if key != "name" and value not in by_default}
+    settings = " ".join(f"--set drive.{k}={str(v).lower() if isinstance(v, bool) else v}" for k, v in named.items())
+    firmware, ripple_hz = drive.description.get("firmware", "not given"), drive.registers["ripple_rate_max_hz"]
     lines = [
         f"{own.name} on {drive.link.text}" + (f" node {drive.node}" if drive.node else ""),
         f"  motor      {own.motor_name or 'not given'}",
@@ -96,7 +98,7 @@ def _description(drive: Found) -> list[str]:
         f"  programs   {', '.join(sorted(own.excitations))}",
         f"  watchdog   {f'{own.watchdog_s:g} s' if own.watchdog_s else 'NONE: no dead man'}",
         f"  memory     {drive.registers['capture_memory_bytes']:g} bytes of capture",
-        f"  ripple     {_ripple(drive.registers['ripple_rate_max_hz'])}",
+        f"  ripple     {f'demodulated on the drive, up to {ripple_hz:g} rows a second' if ripple_hz else NO_RIPPLE}",
     ]
     if status is None:
         lines.append("  telemetry  none came")
@@ -106,16 +108,3 @@ def _description(drive: Found) -> list[str]:
         if drive.faults:
             lines.append(f"  faults     {', '.join(drive.faults)}")
     return [*lines, f"  use it     fluxbench run PROCEDURE --drive {drive.settings['name']} {settings}"]
-
-
-def _is_shown(key: str, value: object) -> bool:
-    """Whether a setting has to be written out: the drive plugins' defaults need not."""
-    return key != "name" and value not in (921_600, 1_000_000, False)  # node 0 is among them
-
-
-def _value(value: object) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _ripple(rate_hz: float) -> str:
-    return f"demodulated on the drive, up to {rate_hz:g} rows a second" if rate_hz else "not demodulated on the drive"

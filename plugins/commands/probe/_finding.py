@@ -173,7 +173,7 @@ def _identified(name: LinkName, node: int, link: Link) -> Found:
         raise DriveRefused(f"{where}: a drive that speaks version {major:g} of the protocol, not {PROTOCOL_MAJOR}")
     own = host.own_registers()
     scales = facts_of(own).scales
-    description = host.description(own, link.layout(int(own["bulk_block_bytes"])))
+    description = host.description(own, link.port.layout(int(own["bulk_block_bytes"])))
     news = link.news
     link.wait(lambda: news.status is not None and news.measurement is not None, Found.telemetry_timeout_s)
     current = news.measurement and (scales.current_a * news.measurement.i_d, scales.current_a * news.measurement.i_q)

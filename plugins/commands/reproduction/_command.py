@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+from plugins.command_line import entry_point
 
 
-@app.command()
 def reproduce(
-    run: Annotated[Path, typer.Option(help="The run directory: made, or read where it is there already.")] = Path(
-        "runs/paper"
-    ),
-    out: Annotated[Path, typer.Option(help="The folder that gets the page and its figures.")] = Path("runs/paper-page"),
+    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else made.")] = Path("runs/paper"),
+    out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("runs/paper-page"),
     literal: Annotated[
         bool,
-        typer.Option(
-            "--literal", help="A second page beside it: the paper's own evaluation, and what makes its errors."
-        ),
+        typer.Option("--literal", help="Write a second page: the paper's own evaluation and its sources of error."),
     ] = False,
 ) -> int:
     """Run the paper's experiment on the simulated drive and write its figures and tables beside the printed ones."""
@@ -51,6 +45,4 @@ def _literal_page(run: Path, out: Path) -> Path:
     return write_page(measured, budget(RunDirectory.open(run).procedure(), measured), out)
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench reproduce", standalone_mode=False) or 0)
+command = entry_point(reproduce)

@@ -22,7 +22,6 @@ from orchestrator.formatting.drawing import (
 from orchestrator.formatting.profiles import flux_at_zero, profile
 from orchestrator.numerics.types import Array
 from plugins.commands.reproduction._material import Loop, Material
-from protocols import FluxMapEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -64,8 +63,9 @@ def _processing(material: Material) -> Figure:
     figure = empty_figure(9.0, 4.0)
     left, right = figure.subplots(1, 2)
     for loop, colour in zip(material.loops, (D_COLOUR, Q_COLOUR), strict=True):
-        name = _flux_name(loop)
-        left.plot(loop.current, _swing(loop.uncompensated), color=colour, lw=0.6, label=name)
+        name = r"$\psi_d(i_d, 0) - \psi_M$" if loop.axis == "d" else r"$\psi_q(0, i_q)$"
+        swing = loop.uncompensated - 0.5 * (loop.uncompensated.max() + loop.uncompensated.min())
+        left.plot(loop.current, swing, color=colour, lw=0.6, label=name)
         right.plot(loop.current, 1e3 * _centred(loop), "--", color=colour, lw=0.5)
         right.plot(loop.mean_current, 1e3 * loop.mean, color="black", lw=1.0, ls=":")
         right.plot([], [], "--", color=colour, label=name)
@@ -77,14 +77,6 @@ def _processing(material: Material) -> Figure:
     for axes in (left, right):
         axes.legend(frameon=False, fontsize=STYLE.small_pt)
     return figure
-
-
-def _flux_name(loop: Loop) -> str:
-    return r"$\psi_d(i_d, 0) - \psi_M$" if loop.axis == "d" else r"$\psi_q(0, i_q)$"
-
-
-def _swing(flux: Array) -> Array:
-    return np.asarray(flux - 0.5 * (flux.max() + flux.min()))
 
 
 def _centred(loop: Loop) -> Array:
@@ -99,13 +91,10 @@ def _classical(material: Material) -> Figure:
 
 
 def _injection(material: Material) -> Figure:
-    return _space([_relative(material.estimates["injection"])], lines=False)
-
-
-def _relative(value: FluxMapEstimate) -> tuple[Array, Array]:
-    """Points reached, and their flux less psi(0, 0)."""
-    zero = np.array(list(flux_at_zero(value.map).values()))
-    return np.asarray(value.points.i_dq, dtype=np.float64), np.asarray(value.points.psi_dq - zero, dtype=np.float64)
+    estimate = material.estimates["injection"]
+    zero = np.array(list(flux_at_zero(estimate.map).values()))
+    i_dq, psi_dq = (np.asarray(x, dtype=np.float64) for x in (estimate.points.i_dq, estimate.points.psi_dq - zero))
+    return _space([(i_dq, psi_dq)], lines=False)
 
 
 def _space(parts: list[tuple[Array, Array]], *, lines: bool) -> Figure:

@@ -142,9 +142,12 @@ def collect(directory: Path) -> Material:
     classical, injection = maps["classical"].map, maps["injection"].map
     segments = recording.segments(SegmentStage.CLASSICAL)
     traces, losses = _traces(recording, segments)
+    start_s, end_s = segments[0].start_s, segments[-1].start_s
+    during = [r.value_ohm for r in resistances[0].readings if start_s <= r.start_s <= end_s]
+    during = during or [resistances[0].first_ohm, resistances[0].last_ohm]
     return Material(
         motor=motor,
-        resistance_ohm=_over_the_sweep(resistances[0], segments),
+        resistance_ohm=(during[0], during[-1]),
         estimates=maps,
         difference_percent=difference_percent(injection, classical, rated_flux_wb(injection, motor.rated_current_a)),
         trajectories=_trajectories(recording, segments),
@@ -153,14 +156,6 @@ def collect(directory: Path) -> Material:
         truth=true_flux(SimulatedOptions.model_validate(procedure.drive.options), motor),
         samples=sum(segment.samples for segment in recording.manifest.segments),
     )
-
-
-def _over_the_sweep(resistance: ResistanceEstimate, segments: Sequence[Segment]) -> tuple[float, float]:
-    """The first and the last reading that was taken during these segments; of all where none was."""
-    start, end = segments[0].start_s, segments[-1].start_s
-    during = [r.value_ohm for r in resistance.readings if start <= r.start_s <= end]
-    readings = during or [resistance.first_ohm, resistance.last_ohm]
-    return readings[0], readings[-1]
 
 
 def _traces(recording: Recording, segments: Sequence[Segment]) -> tuple[list[SweepTrace], VoltageLosses]:

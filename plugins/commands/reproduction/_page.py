@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from importlib.resources import files
 from pathlib import Path
 
 from orchestrator.formatting.names import PAPER_CROSSINGS
@@ -57,34 +58,17 @@ def write_page(material: Material, folder: Path, *, literal: bool = False) -> Pa
 
 def _text(material: Material, names: tuple[str, ...], literal: bool) -> str:
     figures = "\n\n".join(f"![{name.removesuffix('.png')}]({name})\n\n*{_CAPTIONS[name]}*" for name in names)
-    beside = f"{_BESIDE}\n\n" if literal else ""
-    return f"""# The paper, reproduced
-
-P. Combes, F. Malrait, P. Martin and P. Rouchon, *Obtaining the Current-Flux Relations of the Saturated PMSM by Signal
-Injection*: their experiment, setting by setting, on a simulated motor of the same nameplate with the imperfections
-that they describe (uncompensated dead time, a winding that warms up) and sensor noise. The simulated motor saturates
-as such motors do; it is not theirs, so shapes and checks compare, and single fluxes do not.
-
-Written by `fluxbench reproduce` on {time.strftime("%Y-%m-%d", time.gmtime())} from
-{number(material.samples / 1e6, 3)} million samples.
-
-{beside}## The motor
-
-{_motor_table(material)}
-
-## The numbers
-
-{_number_table(material)}
-
-What the paper could not know, the distance of each map from the motor's true one, in per cent of the rated flux
-(|psi(rated i_q) - psi(0, 0)| = {quantity(material.rated_wb, "Wb", 4)}), over the whole map:
-
-{_truth_table(material)}
-
-## The figures
-
-{figures}
-"""
+    values = {
+        "day": time.strftime("%Y-%m-%d", time.gmtime()),
+        "million_samples": number(material.samples / 1e6, 3),
+        "beside": f"{_BESIDE}\n\n" if literal else "",
+        "motor": _motor_table(material),
+        "numbers": _number_table(material),
+        "rated_flux": quantity(material.rated_wb, "Wb", 4),
+        "truth": _truth_table(material),
+        "figures": figures,
+    }
+    return (files(__package__) / "page.md").read_text(encoding="utf-8").format(**values)
 
 
 def _motor_table(material: Material) -> str:

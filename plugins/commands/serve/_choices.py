@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -52,26 +52,22 @@ def run_folder(folder: Path, name: str) -> Path:
 def _procedures(folder: Path) -> Iterator[dict[str, str]]:
     for name, text in _files(folder):
         if _has_stages(text):
-            yield {"name": name, **_read(folder / name)}
+            yield _choice(name, str(folder / name), lambda word: load_procedure(word).summary)
     for name in shipped_procedures():
-        yield {"name": name, "summary": shown(load_procedure(name).summary or ""), "problem": ""}
-
-
-def _read(file: Path) -> dict[str, str]:
-    try:
-        return {"summary": shown(load_procedure(str(file)).summary or ""), "problem": ""}
-    except FluxbenchError as error:
-        return {"summary": "", "problem": shown(str(error))}
+        yield _choice(name, name, lambda word: load_procedure(word).summary)
 
 
 def _motors(folder: Path) -> Iterator[dict[str, str]]:
     for name, text in _files(folder):
-        if _has_stages(text) or not re.search(r"^motor:", text, re.MULTILINE):
-            continue
-        try:
-            yield {"name": name, "summary": shown(load_motor(folder / name).name), "problem": ""}
-        except FluxbenchError as error:
-            yield {"name": name, "summary": "", "problem": shown(str(error))}
+        if not _has_stages(text) and re.search(r"^motor:", text, re.MULTILINE):
+            yield _choice(name, str(folder / name), lambda word: load_motor(Path(word)).name)
+
+
+def _choice(name: str, word: str, summary: Callable[[str], str | None]) -> dict[str, str]:
+    try:
+        return {"name": name, "summary": shown(summary(word) or ""), "problem": ""}
+    except FluxbenchError as error:
+        return {"name": name, "summary": "", "problem": shown(str(error))}
 
 
 def _runs(folder: Path, most: int = 30) -> list[dict[str, Any]]:

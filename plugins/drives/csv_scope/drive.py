@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -35,12 +35,7 @@ from protocols import (
     Telemetry,
 )
 
-_PLAYED: tuple[Literal["gates_off", "hold", "trapezoid", "injection"], ...] = (
-    "gates_off",
-    "hold",
-    "trapezoid",
-    "injection",
-)
+Playable = Literal["gates_off", "hold", "trapezoid", "injection"]
 """What a table can say: it knows beforehand when a voltage is turned."""
 
 
@@ -61,7 +56,7 @@ class CsvScopeOptions(Strict):
     longest_excitation_s: Positive | None = None
     frequency_step_hz: Positive | None = None
     rotation_step_hz: Positive | None = None
-    excitations: frozenset[Literal["gates_off", "hold", "trapezoid", "injection"]] = frozenset(_PLAYED)
+    excitations: frozenset[Playable] = frozenset(get_args(Playable))
     wait_s: Positive | None = None
     """For a measurement; None: as long as it takes."""
     deed_s: Positive = 120.0
@@ -144,11 +139,10 @@ class CsvScopeDrive(DriveShell):
         return self._answered(stem, excitation)
 
     def _answered(self, stem: str, excitation: Excitation) -> Iterator[Capture]:
-        fs = self._options.sampling_frequency_hz
-        for _ in self._waiting(stem, "result.csv", self._options.wait_s):
+        o, fs = self._options, self._options.sampling_frequency_hz
+        for _ in self._waiting(stem, "result.csv", o.wait_s):
             yield keepalive(self._now_s(), fs)
-        path = self._options.folder / f"{stem}.result.csv"
-        o = self._options
+        path = o.folder / f"{stem}.result.csv"
         drive = {"name": self.name, "dc_bus_voltage_v": o.dc_bus_voltage_v}
         try:
             capture = read_result(path, self._columns, excitation, self.setup.motor, drive, fs)

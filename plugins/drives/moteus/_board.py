@@ -197,15 +197,12 @@ class Board:
     async def _answered(self, command: Any) -> dict[Any, Any]:
         """The registers of an answer; a lost query is repeated once, for it changes nothing."""
         for _ in range(2):
-            answer = await self._answer_to(command)
+            async with self._line:
+                answer = await self._exchange(command)
             if answer is not None:
                 values: dict[Any, Any] = answer.values
                 return values
         raise self._silent()
-
-    async def _answer_to(self, command: Any) -> Any:
-        async with self._line:
-            return await self._exchange(command)
 
     async def _exchange(self, command: Any) -> Any:
         """One exchange; by USB the library would wait for ever."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._faults import Mode
-from plugins.drives.moteus._frame import Frame
 from plugins.drives.moteus._options import MoteusOptions
 from protocols import Capabilities, DriveFault, DriveRefused, FaultCause, Motor
 
@@ -22,6 +23,31 @@ def require_known(versions: Mapping[str, int], where: str) -> None:
         raise DriveRefused(
             f"{where}: register map {version}, expected {BOUNDS.register_map_version}; update it (moteus_tool --flash)"
         )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Electrical angles as the positions that a moteus is commanded by, and vectors in the stator frame.
+
+    With a fixed current commanded, the firmware takes its electrical angle from the commanded position alone (firmware,
+    `ISR_CalculateDerivedQuantities`): ``theta = zero + sign * position / ratio * poles / 2 * 2 pi``. Its Clarke and
+    Park transforms are amplitude-invariant (`fw/foc.h`), its q axis is turned by the sign of the output. The zero
+    depends on where the output's origin was put, and is read from the board.
+    """
+
+    poles: int
+    sign: int
+    ratio: float
+    zero_rad: float = 0.0
+
+    def position(self, theta_rad: float) -> float:
+        """Position [revolutions of the output] at this electrical angle: the one nearest to zero."""
+        from_zero = math.remainder(theta_rad - self.zero_rad, 2.0 * math.pi)
+        return self.sign * self.ratio * from_zero / (math.pi * self.poles)
+
+    def stator(self, d: float, q: float, theta_rad: float) -> complex:
+        """Stator-frame vector alpha + j beta of what the board calls d and q at this electrical angle."""
+        return complex(d, self.sign * q) * cmath.exp(1j * theta_rad)
 
 
 @dataclass(frozen=True)
@@ -51,7 +77,7 @@ class Configuration:
             message = f"configured for {poles} poles, the nameplate has {motor.pole_pairs} pole pairs"
             raise DriveRefused(f"{where}: {message}; moteus_tool --calibrate, or another nameplate")
         if abs(sign) != 1 or not ratio > 0.0:
-            raise DriveFault(FaultCause.WRONG_DATA, f"{where}: output sign {sign} and ratio {ratio:g} mean nothing")
+            raise DriveFault(FaultCause.WRONG_DATA, f"{where}: output sign {sign} and ratio {ratio:g} are not valid")
         return cls(
             Frame(poles, sign, ratio),
             numbers["servo.max_current_A"],

@@ -10,8 +10,8 @@ import numpy as np
 
 from plugins.drives.moteus._board import Board, Reading, Setpoint
 from plugins.drives.moteus._bounds import BOUNDS
+from plugins.drives.moteus._configuration import Frame
 from plugins.drives.moteus._faults import fault_of, limiting
-from plugins.drives.moteus._frame import Frame
 from protocols import Capture, DriveFault, FaultCause, Hold, Limits
 
 

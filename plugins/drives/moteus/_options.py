@@ -6,9 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from protocols import Strict
-
-Seconds = Annotated[float, Field(gt=0.0)]
+from protocols import Positive, Strict
 
 
 class MoteusOptions(Strict):
@@ -26,7 +24,7 @@ class MoteusOptions(Strict):
     """Readings a second while capturing; each takes several exchanges on the bus."""
     watchdog_s: Annotated[float, Field(ge=0.05, le=5.0)] = 0.3
     """Without a heartbeat for this long the board stops by itself."""
-    connect_timeout_s: Seconds = 3.0
+    connect_timeout_s: Positive = 3.0
     """Time for the board to say who it is and how it is configured."""
     clear_fault: bool = False
     """Forget the fault that the board has latched, on connecting: after somebody has seen to its cause."""

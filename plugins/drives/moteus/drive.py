@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 from pydantic import BaseModel
 
@@ -17,9 +17,8 @@ from orchestrator.driving import in_blocks
 from orchestrator.driving.polled import PolledDrive
 from plugins.drives.moteus._board import Board, Setpoint, library
 from plugins.drives.moteus._bounds import BOUNDS
-from plugins.drives.moteus._configuration import Configuration, require_known
+from plugins.drives.moteus._configuration import Configuration, Frame, require_known
 from plugins.drives.moteus._faults import Mode, fault_of
-from plugins.drives.moteus._frame import Frame
 from plugins.drives.moteus._hold import Guard, Holding, Target
 from plugins.drives.moteus._io import Io
 from plugins.drives.moteus._options import MoteusOptions
@@ -32,14 +31,28 @@ from protocols import (
     DriveState,
     Excitation,
     ExcitationKind,
-    FaultCause,
     Hold,
     Limits,
     Telemetry,
 )
 
 
-class MoteusDrive(PolledDrive):
+class Connection(NamedTuple):
+    """A board and the loop that its coroutines run on."""
+
+    board: Board
+    io: Io
+
+    def check(self) -> None:
+        """Raise `DriveFault` where the link is lost."""
+        self.io.check()
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self.io.close(self.board.release)
+
+
+class MoteusDrive(PolledDrive[Connection]):
     """A moteus as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -59,8 +72,6 @@ class MoteusDrive(PolledDrive):
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._options: MoteusOptions = setup.options
-        self._io: Io | None = None
-        self._board: Board | None = None
         self._frame = Frame(2, 1, 1.0)
         self._own_limit_a = math.inf
         self._held = Target(0.0, 0.0)
@@ -80,12 +91,17 @@ class MoteusDrive(PolledDrive):
             Somebody else drives the board, or its configuration or the nameplate does not fit.
         """
         moteus = library()
-        self._io = io = Io(self._options.where)
+        io = Io(self._options.where)
 
         async def opened() -> Board:
             return Board(moteus, self._options)
 
-        self._board = board = io.call(opened, self._options.connect_timeout_s)
+        try:
+            board = io.call(opened, self._options.connect_timeout_s)
+        except BaseException:
+            io.close(lambda: None)
+            raise
+        self.board = Connection(board, io)
         versions = io.call(board.versions, self._options.connect_timeout_s)
         require_known(versions, self._options.where)
         self._take_up(board, io)
@@ -107,17 +123,10 @@ class MoteusDrive(PolledDrive):
         elif fault is not None:
             self.latch(fault)
 
-    def release(self) -> None:
-        """Let go of the link."""
-        io, self._io, board, self._board = self._io, None, self._board, None
-        if io is not None:
-            io.close(board.release if board is not None else lambda: None)
-
     def heartbeat(self) -> None:
         """Repeat the board's setpoint; nothing is sent while it has none."""
-        io, board = self._io, self._board
-        if io is not None and board is not None:
-            io.soon(board.feed)
+        if self.board is not None:
+            self.board.io.soon(self.board.board.feed)
 
     # Power stage
 
@@ -193,17 +202,13 @@ class MoteusDrive(PolledDrive):
         if board.setpoint is None or self.limits is None:
             return
         io.call(lambda: board.hold(Setpoint(self._frame.position(self._held.theta_rad), 0.0)), BOUNDS.call_timeout_s)
-        deadline = time.monotonic() + BOUNDS.max_ramp_s
-        while True:
+        zero_a = BOUNDS.zero_current_ratio * self.limits.current_a
+
+        def flows() -> bool:
             now = io.call(board.reading, BOUNDS.call_timeout_s)
-            if now.mode != Mode.POSITION:
-                return
-            if math.hypot(now.d_a, now.q_a) <= BOUNDS.zero_current_ratio * self.limits.current_a:
-                break
-            if time.monotonic() > deadline:
-                raise DriveFault(
-                    FaultCause.NO_ANSWER, f"a current still flows after {BOUNDS.max_ramp_s:g} s of ramping down"
-                )
+            return now.mode == Mode.POSITION and math.hypot(now.d_a, now.q_a) > zero_a
+
+        self.await_zero_current(flows, BOUNDS.max_ramp_s)
         time.sleep(BOUNDS.current_decay_s)
 
     def switch_off(self) -> None:
@@ -229,12 +234,3 @@ class MoteusDrive(PolledDrive):
     def set_brake(self, engaged: bool) -> None:
         """Refused: mode 15 of a moteus shorts the phases, which holds no rotor."""
         raise DriveRefused("a moteus has no brake that holds a rotor; lock it by hand")
-
-    # What the methods share
-
-    def connected(self) -> tuple[Board, Io]:
-        """The board and its loop; raises `DriveRefused` where it is not connected, `DriveFault` where it is lost."""
-        if self._io is None or self._board is None:
-            raise DriveRefused("not connected")
-        self._io.check()
-        return self._board, self._io

@@ -83,6 +83,7 @@ class Axis:
         self._line, self._number, self._name = line, number, f"axis{number}"
         self._own: dict[str, float] = {}
         self._facts: dict[str, float] = {}
+        self.check, self.close = line.check, line.close
 
     def learn(self) -> None:
         """Read the configuration; raises `DriveRefused` where it does not fit."""
@@ -148,7 +149,8 @@ class Axis:
         """Idle, and everything as it was."""
         self._torque(0.0)
         self._enter(IDLE)
-        self._write({name: _as_it_is(name, value) for name, value in self._own.items()})
+        whole = ("enable_watchdog", "control_mode", "input_mode")
+        self._write({k: int(v) if k.rpartition(".")[2] in whole else v for k, v in self._own.items()})
 
     def hold(self, current_a: float, angle_rad: float) -> None:
         """A current along a stator angle: zero, then the frame, then the current."""
@@ -197,8 +199,3 @@ class Axis:
 
     def _write(self, values: dict[str, float]) -> None:
         self._line.write({f"{self._name}.{name}": value for name, value in values.items()})
-
-
-def _as_it_is(name: str, value: float) -> float:
-    """Switches and modes are whole numbers there."""
-    return int(value) if name.rpartition(".")[2] in ("enable_watchdog", "control_mode", "input_mode") else value

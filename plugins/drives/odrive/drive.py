@@ -68,7 +68,7 @@ class OdriveOptions(Strict):
     """Forget the errors that the board has latched, on connecting: after somebody has seen to their cause."""
 
 
-class OdriveDrive(PolledDrive):
+class OdriveDrive(PolledDrive[Axis]):
     """An axis of an ODrive as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -90,8 +90,6 @@ class OdriveDrive(PolledDrive):
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._options: OdriveOptions = setup.options
-        self._line: Properties | None = None
-        self._axis: Axis | None = None
 
     # Link
 
@@ -106,11 +104,11 @@ class OdriveDrive(PolledDrive):
             Firmware, configuration or nameplate do not fit, or somebody else drives it.
         """
         o = self._options
-        self._line = line = Properties(o.port, o.baud_rate)
+        line = Properties(o.port, o.baud_rate)
+        self.board = axis = Axis(line, o.axis)
         version = tuple(map(int, line.read(["fw_version_major", "fw_version_minor", "fw_version_revision"])))
         if version[:2] != FIRMWARE_VERSION:
             raise DriveRefused(f"{line.where}: firmware {'.'.join(map(str, version))}, 0.5 is needed")
-        self._axis = axis = Axis(line, o.axis)
         axis.learn()
         if axis.pole_pairs != self.setup.motor.pole_pairs:
             message = f"motor.config.pole_pairs is {axis.pole_pairs}, the nameplate's {self.setup.motor.pole_pairs}"
@@ -147,15 +145,9 @@ class OdriveDrive(PolledDrive):
         else:
             self.latch(_fault(errors, self._options.watchdog_s))
 
-    def release(self) -> None:
-        """Let go of the line."""
-        line, self._line, self._axis = self._line, None, None
-        if line is not None:
-            line.close()
-
     def heartbeat(self) -> None:
         """Feed the watchdog, where there is a power stage to watch."""
-        axis = self._axis
+        axis = self.board
         if axis is None or self.limits is None:
             return
         try:
@@ -242,12 +234,10 @@ class OdriveDrive(PolledDrive):
         if self.limits is None:
             return
         axis.hold(0.0, cmath.phase(self.target_a))
-        self.target_a, deadline = 0j, time.monotonic() + MAX_RAMP_S
-        while (
-            axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO_CURRENT_RATIO * self.limits.current_a
-        ):
-            if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {MAX_RAMP_S:g} s of ramping down")
+        self.target_a, zero_a = 0j, ZERO_CURRENT_RATIO * self.limits.current_a
+        self.await_zero_current(
+            lambda: axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > zero_a, MAX_RAMP_S
+        )
         time.sleep(CURRENT_DECAY_S)
 
     def switch_off(self) -> None:
@@ -270,15 +260,6 @@ class OdriveDrive(PolledDrive):
         if axis.state() != CLOSED_LOOP:
             return DriveFault(FaultCause.INTERNAL, "the axis has left closed loop: somebody else drives it")
         return None
-
-    # What the methods share
-
-    def connected(self) -> Axis:
-        """The axis; raises `DriveRefused` where it is not connected, `DriveFault` where the line is lost."""
-        if self._line is None or self._axis is None:
-            raise DriveRefused("not connected")
-        self._line.check()
-        return self._axis
 
 
 def _fault(errors: Errors, watchdog_s: float) -> DriveFault:

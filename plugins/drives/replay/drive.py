@@ -121,7 +121,10 @@ class ReplayDrive(DriveShell):
         recording, limits = self._recording, self.limits
         assert recording is not None
         assert limits is not None
-        segment = self._choose(recording, excitation)
+        fitting = [s for s in recording.segments() if answers(s, excitation, recording.manifest, self._scale_a)]
+        if not fitting:
+            raise DriveRefused(f"{recording.path}: holds no {in_words(excitation)} that is long enough")
+        segment = next((s for s in fitting if s.id not in self._played), fitting[-1])
         try:
             capture = recording.load(segment)
         except FluxbenchError as error:
@@ -135,34 +138,25 @@ class ReplayDrive(DriveShell):
         start_s += 0.0 if start_s > self._clock_s else excitation.settling_s
         return self._play(capture.model_copy(update={"start_s": start_s}), rows, segment)
 
-    def _choose(self, recording: Recording, excitation: Excitation) -> Segment:
-        fitting = [s for s in recording.segments() if answers(s, excitation, recording.manifest, self._scale_a)]
-        if not fitting:
-            raise DriveRefused(f"{recording.path}: holds no {in_words(excitation)} that is long enough")
-        return next((s for s in fitting if s.id not in self._played), fitting[-1])
-
     def _play(self, capture: Capture, rows: int, segment: Segment) -> Iterator[Capture]:
         fs = capture.sampling_frequency_hz
         turn = np.exp(-1j * segment.rotor_angle_rad)
         for block in in_blocks(capture, 0.5 * self.watchdog_s, rows):  # a heart that stops is noticed in time
             if self._options.real_time:
                 time.sleep(len(block) / fs)
-            self._require_heartbeat()
+            silent_s = time.monotonic() - self._last_beat_s
+            if silent_s > self.watchdog_s:
+                raise self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, f"no heartbeat for {silent_s:.2f} s"))
             self._clock_s = block.start_s + len(block) / fs
             self._current = complex(*block.i_ab.mean(axis=0)) * turn
             yield block
 
-    def _require_heartbeat(self) -> None:
-        silent_s = time.monotonic() - self._last_beat_s
-        if silent_s > self.watchdog_s:
-            raise self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, f"no heartbeat for {silent_s:.2f} s"))
-
     def telemetry(self) -> Telemetry:
         """A reading, now."""
         bus_v = 0.0 if self._recording is None else self._recording.manifest.drive.dc_bus_voltage_v
-        i, state = self._current, self.state
+        i = self._current
         return Telemetry(
-            state=state, time_s=self._clock_s, i_d_a=i.real, i_q_a=i.imag, v_dc_v=bus_v, faults=self.faults
+            state=self.state, time_s=self._clock_s, i_d_a=i.real, i_q_a=i.imag, v_dc_v=bus_v, faults=self.faults
         )
 
     def ramp(self) -> None:

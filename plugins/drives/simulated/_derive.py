@@ -12,7 +12,7 @@ from plugins.drives.simulated._derive_switching import Ratings, derive_bench, re
 from plugins.drives.simulated._energy import Magnetics, hessian
 from plugins.drives.simulated._map import FluxTable, load_table, map_energy, usable_reach
 from plugins.drives.simulated._model import as_modelled
-from plugins.drives.simulated._polynomial import nameplate_energy, polynomial_energy
+from plugins.drives.simulated._polynomial import COEFFICIENTS, nameplate_energy, polynomial_energy
 from plugins.drives.simulated._sensing import BenchParameters, SensorParameters
 from plugins.drives.simulated._state import SQRT3, PlantParameters
 from plugins.drives.simulated.effects import Effects
@@ -142,7 +142,7 @@ def _magnetics(plant: Plant, nameplate: Nameplate) -> tuple[Magnetics, FluxTable
     if isinstance(m, MapMagnetics):
         table = load_table(m.name, m.file)
         return map_energy(table), table
-    poly = np.array([m.a30, m.a12, m.a40, m.a22, m.a04, m.a60, m.a06])
+    poly = np.array([getattr(m, name) for name in COEFFICIENTS])
     flux = n.pm_flux_wb if m.pm_flux_wb is None else m.pm_flux_wb
     l_d, l_q = m.d_inductance_h or n.l_d_h, m.q_inductance_h or n.l_q_h
     return polynomial_energy(flux, l_d, l_q, poly, 2.5 * n.rated_a), None

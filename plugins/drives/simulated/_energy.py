@@ -23,26 +23,26 @@ class Energy(NamedTuple):
     is_map: bool
     psi_m: float
     """Flux linkage of the magnets at zero current [Wb]."""
-    inverse_l_d: float
-    inverse_l_q: float
-    a30: float
-    a12: float
-    a40: float
-    a22: float
-    a04: float
-    a60: float
-    a06: float
-    rows: int
+    inverse_l_d: float = 1.0
+    inverse_l_q: float = 1.0
+    a30: float = 0.0
+    a12: float = 0.0
+    a40: float = 0.0
+    a22: float = 0.0
+    a04: float = 0.0
+    a60: float = 0.0
+    a06: float = 0.0
+    rows: int = 1
     """Cells of the spline along psi_d."""
-    columns: int
-    cells_per_wb_d: float
-    cells_per_wb_q: float
-    low_d: float
-    high_d: float
-    high_q: float
+    columns: int = 1
+    cells_per_wb_d: float = 1.0
+    cells_per_wb_q: float = 1.0
+    low_d: float = -1e9
+    high_d: float = 1e9
+    high_q: float = 1e9
     """Box in psi: low_d..high_d by -high_q..high_q."""
-    outside_d: float
-    outside_q: float
+    outside_d: float = 1.0
+    outside_q: float = 1.0
     """Second derivatives outside the box [1/H]."""
 
 

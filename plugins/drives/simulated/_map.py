@@ -150,7 +150,8 @@ def map_energy(table: FluxTable) -> Magnetics:
     """
     i_dq, psi_dq = _symmetrised(table)
     box = _box(psi_dq, i_dq)
-    flux_points = np.vstack((psi_dq, _on_the_axis(psi_dq)))
+    on_axis = np.linspace(psi_dq[:, 0].min(), psi_dq[:, 0].max(), SPLINE_CELLS[0])  # without a q component
+    flux_points = np.vstack((psi_dq, np.column_stack((on_axis, np.zeros(len(on_axis))))))
     for factor in SMOOTHING_FACTORS:
         spline = _fit(box, i_dq, psi_dq, factor * table.smoothing)
         points = np.array([hessian(box, spline, float(d), float(q)) for d, q in flux_points])
@@ -212,12 +213,6 @@ def misfit_in_words(table: FluxTable, magnetics: Magnetics) -> str:
     return message
 
 
-def _on_the_axis(psi_dq: Array) -> Array:
-    """Flux linkages without a q component over the range of the points', one a cell of the spline."""
-    psi_d = np.linspace(psi_dq[:, 0].min(), psi_dq[:, 0].max(), SPLINE_CELLS[0])
-    return np.column_stack((psi_d, np.zeros(len(psi_d))))
-
-
 def _symmetrised(table: FluxTable) -> tuple[Array, Array]:
     """The points and their mirror images in i_q; where both were measured, their mean."""
     mirror = np.array([1.0, -1.0])
@@ -238,15 +233,6 @@ def _box(psi_dq: Array, i_dq: Array) -> Energy:
     return Energy(
         is_map=True,
         psi_m=0.0,
-        inverse_l_d=1.0,
-        inverse_l_q=1.0,
-        a30=0.0,
-        a12=0.0,
-        a40=0.0,
-        a22=0.0,
-        a04=0.0,
-        a60=0.0,
-        a06=0.0,
         rows=SPLINE_CELLS[0],
         columns=SPLINE_CELLS[1],
         cells_per_wb_d=SPLINE_CELLS[0] / (high - low),
@@ -254,8 +240,6 @@ def _box(psi_dq: Array, i_dq: Array) -> Energy:
         low_d=low,
         high_d=high,
         high_q=high_q,
-        outside_d=1.0,
-        outside_q=1.0,
     )
 
 

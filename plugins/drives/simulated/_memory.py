@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,52 +48,31 @@ class Saved:
 
 def save(directory: Path, point_id: str, saved: Saved) -> None:
     """Write a checkpoint and remove all but the last two."""
-    m = saved.memory
-    content = _Checkpoint(
-        point_id=point_id,
-        state=tuple(m.state.tolist()),
-        ticks=m.ticks,
-        base_s=m.base_s,
-        angle_rad=m.angle_rad,
-        base_v=m.base_v,
-        open_loop=m.open_loop,
-        number=saved.number,
-        braked=saved.braked,
-        bandwidth_hz=saved.bandwidth_hz,
-        damping=saved.damping,
-        fired=saved.fired,
-    )
-    write_json(directory / f"plant-{m.ticks:015d}-{saved.number:06d}.json", content.model_dump())
+    memory, rest = vars(saved.memory), {name: value for name, value in vars(saved).items() if name != "memory"}
+    content = _Checkpoint(point_id=point_id, **{**memory, **rest, "state": tuple(saved.memory.state.tolist())})
+    write_json(directory / f"plant-{content.ticks:015d}-{saved.number:06d}.json", content.model_dump())
     for old in sorted(directory.glob("plant-*.json"))[:-2]:  # a kill may come while the last one is being written
         old.unlink(missing_ok=True)
 
 
 def load(directory: Path, point_id: str) -> Saved:
     """The checkpoint of a point; raises `DriveRefused` where there is none that can be used."""
-    for path in sorted(directory.glob("plant-*.json"), reverse=True):
-        try:
-            content = _Checkpoint.model_validate(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, ValidationError):
-            continue  # a torn file is as good as none: the other one is read
+    for content in _checkpoints(directory):
         if content.point_id == point_id and len(content.state) == layout.STATE_LENGTH:
-            memory = Memory(
-                np.array(content.state),
-                content.ticks,
-                content.base_s,
-                content.angle_rad,
-                content.base_v,
-                content.open_loop,
-            )
-            return Saved(memory, content.number, content.braked, content.bandwidth_hz, content.damping, content.fired)
+            fields = content.model_dump(exclude={"point_id", "state"})
+            own = {name: fields.pop(name) for name in ("ticks", "base_s", "angle_rad", "base_v", "open_loop")}
+            return Saved(Memory(np.array(content.state), **own), **fields)
     raise DriveRefused(f"{directory}: no state of the plant after point {point_id!r}")
 
 
 def misalignment(directory: Path) -> float | None:
     """True minus believed electrical angle of the rotor at rest after the last point [rad]; None where none is kept."""
+    last = next(_checkpoints(directory), None)
+    return None if last is None else math.remainder(last.state[layout.ANCHOR] - last.angle_rad, 2.0 * math.pi)
+
+
+def _checkpoints(directory: Path) -> Iterator[_Checkpoint]:
+    """Those that can be read, the latest first: a torn file is as good as none."""
     for path in sorted(directory.glob("plant-*.json"), reverse=True):
-        try:
-            content = _Checkpoint.model_validate(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, ValidationError):
-            continue
-        return math.remainder(content.state[layout.ANCHOR] - content.angle_rad, 2.0 * math.pi)
-    return None
+        with suppress(OSError, ValueError, ValidationError):
+            yield _Checkpoint.model_validate(json.loads(path.read_text(encoding="utf-8")))

@@ -61,25 +61,16 @@ class Permission:
         fs = self.capabilities.sampling_frequency_hz
         if excitation.control.bandwidth_hz > fs / 10:
             raise DriveRefused(f"bandwidth {excitation.control.bandwidth_hz:g} Hz is above a tenth of the sampling")
-        if _largest_d(excitation) > self.reach_positive_d_a * SINGLE_PRECISION_RATIO:
+        largest_d_a = excitation.start_dq_a[0]
+        if isinstance(excitation, VoltageSteps):
+            largest_d_a = excitation.turn_d_a
+        elif isinstance(excitation, Trapezoid):
+            largest_d_a += excitation.amplitude_a * {"d": 1.0, "q": 0.0, "dq": math.sqrt(0.5)}[excitation.swept_axis]
+        if largest_d_a > self.reach_positive_d_a * SINGLE_PRECISION_RATIO:
             raise DriveRefused(f"i_d above {self.reach_positive_d_a:.4g} A: this motor is not known there")
         if isinstance(excitation, Injection) and max(excitation.frequency_hz, excitation.rotation_hz) > 0.5 * fs:
             raise DriveRefused(f"injection at {excitation.frequency_hz:g} Hz is above half the sampling frequency")
-        if isinstance(excitation, Spin):
-            self._check_spin(excitation, braked)
-
-    def _check_spin(self, excitation: Spin, braked: bool) -> None:
-        speed = abs(excitation.speed_rad_s)
-        if braked:
+        if isinstance(excitation, Spin) and braked:
             raise DriveRefused("the brake holds the rotor")
-        if speed > self.fastest * self.capabilities.sampling_frequency_hz:
+        if isinstance(excitation, Spin) and (speed := abs(excitation.speed_rad_s)) > self.fastest * fs:
             raise DriveRefused(f"{speed:g} rad/s: more than {self.fastest:g} rad between two rows")
-
-
-def _largest_d(excitation: Excitation) -> float:
-    start = excitation.start_dq_a[0]
-    if isinstance(excitation, VoltageSteps):
-        return excitation.turn_d_a
-    if not isinstance(excitation, Trapezoid):
-        return start
-    return start + excitation.amplitude_a * {"d": 1.0, "q": 0.0, "dq": math.sqrt(0.5)}[excitation.swept_axis]

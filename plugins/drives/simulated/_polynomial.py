@@ -22,17 +22,18 @@ from plugins.drives.simulated.options import NameplateMagnetics
 from protocols import InputError
 
 OPTION_KEY = "drive.plant.magnetics"
+COEFFICIENTS = ("a30", "a12", "a40", "a22", "a04", "a60", "a06")
 
 
 def polynomial_energy(psi_m: float, l_d: float, l_q: float, poly: Array, reach_a: float) -> Magnetics:
-    """Energy with the coefficients (a30, a12, a40, a22, a04, a60, a06), known up to `reach_a` on each axis.
+    """Energy with these `COEFFICIENTS`, known up to `reach_a` on each axis.
 
     Raises
     ------
     InputError
         Where H is not convex there: no motor has two fluxes for one current.
     """
-    energy = _energy(psi_m, l_d, l_q, poly, (-1e9, 1e9, 1e9), (1.0, 1.0))
+    energy = _energy(psi_m, l_d, l_q, poly)
     d_axis, q_axis = np.array([[-reach_a, 0.0], [reach_a, 0.0]]), np.array([[0.0, reach_a]])
     try:
         low, high = (float(psi[0]) - psi_m for psi in flux_at(energy, d_axis))
@@ -47,7 +48,10 @@ def polynomial_energy(psi_m: float, l_d: float, l_q: float, poly: Array, reach_a
             h_dd, h_dq, h_qq = hessian(*energy, float(d), float(q))
             if h_dd <= 0 or h_qq <= 0 or h_dd * h_qq <= h_dq**2:
                 raise InputError(OPTION_KEY, "", f"the energy is not convex at psi = ({d:.4g}, {q:.4g}) Wb")
-    return _energy(psi_m, l_d, l_q, poly, box, outside)
+    bounded = energy.energy._replace(
+        low_d=box[0], high_d=box[1], high_q=high_q, outside_d=outside[0], outside_q=outside[1]
+    )
+    return Magnetics(bounded, energy.spline)
 
 
 def nameplate_energy(options: NameplateMagnetics, psi_m: float, l_d: float, l_q: float, rated_a: float) -> Magnetics:
@@ -64,7 +68,7 @@ def nameplate_energy(options: NameplateMagnetics, psi_m: float, l_d: float, l_q:
         return _scaled(strengths, unit, l_d, l_q, rated_a)
 
     def miss(some: Array) -> Any:
-        energy = _energy(psi_m, l_d, l_q, coefficients(some), (-1e9, 1e9, 1e9), (1.0, 1.0))
+        energy = _energy(psi_m, l_d, l_q, coefficients(some))
         r = rated_a / np.sqrt(2.0)
         psi = flux_at(energy, np.array([[1.25 * rated_a, 0.0], [0.0, 1.25 * rated_a], [r, r]]))
         h = [hessian(*energy, float(d), float(q)) for d, q in psi]
@@ -101,34 +105,8 @@ def _scaled(strengths: Array, unit: tuple[float, float], l_d: float, l_q: float,
     )
 
 
-def _energy(
-    psi_m: float,
-    l_d: float,
-    l_q: float,
-    poly: Array,
-    box: tuple[float, float, float],
-    outside: tuple[float, float],
-) -> Magnetics:
-    energy = Energy(
-        is_map=False,
-        psi_m=psi_m,
-        inverse_l_d=1.0 / l_d,
-        inverse_l_q=1.0 / l_q,
-        a30=float(poly[0]),
-        a12=float(poly[1]),
-        a40=float(poly[2]),
-        a22=float(poly[3]),
-        a04=float(poly[4]),
-        a60=float(poly[5]),
-        a06=float(poly[6]),
-        rows=1,
-        columns=1,
-        cells_per_wb_d=1.0,
-        cells_per_wb_q=1.0,
-        low_d=box[0],
-        high_d=box[1],
-        high_q=box[2],
-        outside_d=outside[0],
-        outside_q=outside[1],
-    )
+def _energy(psi_m: float, l_d: float, l_q: float, poly: Array) -> Magnetics:
+    """The energy with these coefficients, in a box without an end."""
+    coefficients = dict(zip(COEFFICIENTS, poly.tolist(), strict=True))
+    energy = Energy(is_map=False, psi_m=psi_m, inverse_l_d=1.0 / l_d, inverse_l_q=1.0 / l_q, **coefficients)
     return Magnetics(energy, np.zeros((4, 4)))

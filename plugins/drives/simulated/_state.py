@@ -9,9 +9,7 @@ SQRT3 = math.sqrt(3.0)
 
 # The state, one vector of floats so that it can be saved and taken up again as it is.
 PSI_D, PSI_Q, THETA, OMEGA, SKIN_ALPHA, SKIN_BETA = range(6)
-INTEGRATED = 6
-"""So many of them are integrated; the others are moved once a step."""
-STOPS = 6  # three stops, (d, q) each
+STOPS = 6  # three stops, (d, q) each; what is before them is integrated, what follows is moved once a step
 HEAT, MAGNET_A, ANCHOR, MOVING, COS, SIN = range(12, 18)
 I_ALPHA, I_BETA, TORQUE, READING_A, READING_B = range(18, 23)
 VOLTAGES = 24  # commanded voltages (alpha, beta) of the last four samples, newest first

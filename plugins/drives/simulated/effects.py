@@ -1,7 +1,7 @@
 """What a sealed plant may suffer from: one options model an effect, named as in the catalogue.
 
-The models only say sizes; what they do is in `_kernel` and `_sensors`. An effect that is not
-given is absent.
+The models have sizes only; `_plant`, `_iron` and `_sensing` compute what they do.
+An effect that is not given is absent.
 """
 
 from __future__ import annotations

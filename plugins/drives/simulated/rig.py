@@ -96,25 +96,10 @@ class Rig:
         return memory.ticks + round(memory.base_s * self.options.sampling_frequency_hz)
 
     @property
-    def shown(self) -> tuple[float, float, float]:
-        """(i_d, i_q, v_dc), low-passed, in the believed dq frame."""
-        return self.simulator.shown
-
-    @property
-    def temperature_c(self) -> float | None:
-        """Of the winding; None without a thermometer."""
-        return self.simulator.temperature_c
-
-    @property
     def reading_a(self) -> float:
         """Length of the current vector as the sensors see it now, without noise."""
         x = self.simulator.memory.state
         return math.hypot(x[READING_A], (x[READING_A] + 2.0 * x[READING_B]) / SQRT3)
-
-    @property
-    def base_voltage_v(self) -> tuple[float, float]:
-        """Frozen voltage of the last injection, believed dq frame."""
-        return self.simulator.memory.base_v
 
     @property
     def braked(self) -> bool:

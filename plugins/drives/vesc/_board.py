@@ -58,6 +58,7 @@ class Board:
 
     def __init__(self, link: Link) -> None:
         self._link = link
+        self.check, self.close = link.check, link.close
         self._sent_s, self.released_s = time.monotonic(), 0.0  # an earlier host may just have sent something
 
     def version(self) -> tuple[int, int, str]:

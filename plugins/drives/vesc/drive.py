@@ -78,7 +78,7 @@ class VescOptions(Strict):
     """The board's own timeout is set to it for the run."""
 
 
-class VescDrive(PolledDrive):
+class VescDrive(PolledDrive[Board]):
     """A VESC as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -98,8 +98,6 @@ class VescDrive(PolledDrive):
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._options: VescOptions = setup.options
-        self._link: Link | None = None
-        self._board: Board | None = None
         self._settings: Settings | None = None
         self._beaten_s, self._missed = math.inf, False
 
@@ -116,8 +114,8 @@ class VescDrive(PolledDrive):
             Its firmware is too old, or its configuration does not fit.
         """
         o = self._options
-        self._link = link = Link(o.port, o.baud_rate)
-        self._board = board = Board(link)
+        link = Link(o.port, o.baud_rate)
+        self.board = board = Board(link)
         major, minor, name = board.version()
         if (major, minor) < OLDEST_FIRMWARE:
             needed = ".".join(f"{n:02d}" for n in OLDEST_FIRMWARE).lstrip("0")
@@ -150,15 +148,9 @@ class VescDrive(PolledDrive):
             notes=(f"{name}, firmware {major}.{minor:02d}; {MEMORY_ROWS} rows at a time (docs/vesc.md)",),
         )
 
-    def release(self) -> None:
-        """Let go of the line."""
-        link, self._link, self._board = self._link, None, None
-        if link is not None:
-            link.close()
-
     def heartbeat(self) -> None:
         """Feed the board's timeout; a beat that comes too late for it is remembered."""
-        board, now_s = self._board, time.monotonic()
+        board, now_s = self.board, time.monotonic()
         if board is None or self.limits is None:
             return
         self._missed = self._missed or now_s - self._beaten_s > self._options.watchdog_s
@@ -219,14 +211,14 @@ class VescDrive(PolledDrive):
         """A target of zero: the board lets go within a millisecond."""
         board = self.connected()
         board.hold(0.0, math.degrees(cmath.phase(self.target_a)))
-        self.target_a, deadline = 0j, time.monotonic() + MAX_RAMP_S
+        self.target_a = 0j
         board.values()
-        while True:
+
+        def flows() -> bool:
             time.sleep(POLL_PERIOD_S)
-            if abs(board.values().i) <= MIN_HELD_CURRENT_A:
-                return
-            if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {MAX_RAMP_S:g} s of ramping down")
+            return abs(board.values().i) > MIN_HELD_CURRENT_A
+
+        self.await_zero_current(flows, MAX_RAMP_S)
 
     def switch_off(self) -> None:
         """Let go, wait until a tone's second is over, and put the board's settings back."""
@@ -337,15 +329,6 @@ class VescDrive(PolledDrive):
         if now.timed_out or self._missed:
             return DriveFault(FaultCause.HEARTBEAT_LOST, f"no beat for {self._options.watchdog_s:g} s")
         return None
-
-    # What the methods share
-
-    def connected(self) -> Board:
-        """The board; raises `DriveRefused` where it is not connected, `DriveFault` where the link is lost."""
-        if self._link is None or self._board is None:
-            raise DriveRefused("not connected")
-        self._link.check()
-        return self._board
 
     def _own_settings(self) -> Settings:
         assert self._settings is not None  # read on connecting

@@ -2,25 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+from plugins.command_line import entry_point
+
+NAMES = ("fluxbench_config.h", "fluxbench_xcp.h", "fluxbench_xcp.c")
 
 
-@app.command()
-def xcp(directory: Annotated[Path, typer.Argument(help="Where to write them.", metavar="DIR")]) -> int:
+def write_routine(directory: Path) -> tuple[Path, ...]:
+    """Write the C files, each whole or not at all, and return their paths.
+
+    A `fluxbench_config.h` that is there already is somebody's, and stays.
+
+    Raises
+    ------
+    InputError
+        The directory cannot be made, or nothing can be written to it.
+    StorageError
+        The disk is full.
+    """
+    from orchestrator.recording import replace_file
+    from protocols import InputError
+
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("DIR", str(directory), f"cannot be made: {error.strerror or error}") from None
+    written = []
+    for name in NAMES:
+        path = directory / name
+        if name == NAMES[0] and path.exists():
+            continue
+        replace_file(path, (files("plugins.drives.xcp") / "firmware" / name).read_bytes())
+        written.append(path)
+    return tuple(written)
+
+
+def xcp(directory: Annotated[Path, typer.Argument(help="Folder to write them to.", metavar="DIR")]) -> int:
     """Write the C routine for an ECU that the drive `xcp` measures and calibrates (docs/xcp.md)."""
-    from plugins.drives.xcp._source import write_routine
-
     for path in write_routine(directory):
         print(path)
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench xcp", standalone_mode=False) or 0)
+command = entry_point(xcp)

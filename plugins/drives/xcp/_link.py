@@ -66,23 +66,19 @@ class Arrivals:
     def __init__(self, daq: Any) -> None:
         self._daq = daq
         self._frames: deque[bytes] = deque(maxlen=MAX_WAITING_ROWS)
-        self._newest: tuple[float, bytes] = (0.0, b"")
+        self.newest: tuple[float, bytes] = (0.0, b"")
+        """When the last one came, by the monotonic clock, and what it was."""
         self.xcp_master: Any = None
 
     def feed(self, category: Any, counter: int, timestamp: int, payload: bytes) -> None:
         """Keep a frame."""
         if category == self._daq:
             frame = bytes(payload)
-            self._newest = (time.monotonic(), frame)
+            self.newest = (time.monotonic(), frame)
             self._frames.append(frame)
 
     def finalize(self) -> None:
         """Nothing: there is no file."""
-
-    @property
-    def newest(self) -> tuple[float, bytes]:
-        """When the last one came, by the monotonic clock, and what it was."""
-        return self._newest
 
     def clear(self) -> None:
         """Forget those that wait."""

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field
 
-from orchestrator.driving import DriveShell, keepalive
+from orchestrator.driving.polled import PolledDrive
 from plugins.drives.xcp._ecu import MAGIC, VERSION, Order, Rows, State, Status, Stream, fault_of
 from plugins.drives.xcp._link import Link
 from plugins.drives.xcp._program import Planner
@@ -61,7 +61,7 @@ class XcpOptions(Strict):
     """Forget the fault that the ECU has latched, on connecting: after somebody has seen to its cause."""
 
 
-class XcpDrive(DriveShell):
+class XcpDrive(PolledDrive[Link]):
     """An ECU as a drive; implements `Drive`, and `ResumableDrive` for its clock.
 
     Parameters
@@ -76,10 +76,8 @@ class XcpDrive(DriveShell):
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._options: XcpOptions = setup.options
-        self._link: Link | None = None
         self._number, self._beat = 0, 0
         self._tick: int | None = None
-        self._origin_s, self._rotor_angle_rad = 0.0, 0.0
         self._control = CurrentControl()
 
     # Link
@@ -99,7 +97,7 @@ class XcpDrive(DriveShell):
             The nameplate lacks what current control is tuned by.
         """
         o = self._options
-        self._link = link = Link(o.host, o.port, o.protocol, o.address, o.address_extension, o.timeout_s)
+        self.board = link = Link(o.host, o.port, o.protocol, o.address, o.address_extension, o.timeout_s)
         link.open(o.event)
         facts = np.frombuffer(link.read(0, link.layout.facts.itemsize), link.layout.facts)[0]
         if (facts["magic"], facts["version"]) != (MAGIC, VERSION):
@@ -111,7 +109,7 @@ class XcpDrive(DriveShell):
         self._beat = int(np.frombuffer(link.read(link.layout.beat_at, word.itemsize), word)[0])
         self._number = Status.of(int(self._fresh_row()["status"])).number
         self._take_up(own)
-        self._origin_s = self._count() / own.sampling_frequency_hz
+        self.origin_s = self._count() / own.sampling_frequency_hz
         return own
 
     def _capabilities(self, facts: np.void) -> Capabilities:
@@ -146,15 +144,9 @@ class XcpDrive(DriveShell):
             else:
                 self.latch(fault)
 
-    def release(self) -> None:
-        """Let go of the link."""
-        link, self._link = self._link, None
-        if link is not None:
-            link.close()
-
     def heartbeat(self) -> None:
         """Write the next beat; a link that does not take it is lost, and the next call raises that."""
-        link = self._link
+        link = self.board
         if link is None or link.lost is not None or self._own is None:
             return
         self._beat = (self._beat + 1) % 2**32
@@ -165,10 +157,6 @@ class XcpDrive(DriveShell):
 
     # Power stage
 
-    @property
-    def faults(self) -> tuple[str, ...]:
-        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
-
     def check_link(self) -> None:
         """Raises `DriveFault` where the link is lost or the ECU has tripped."""
         if not self.latched:
@@ -177,7 +165,7 @@ class XcpDrive(DriveShell):
     def energise(self, limits: Limits) -> None:
         """Hand over the limits, read them back, and switch on at zero current."""
         self.heartbeat()
-        self._order(Order.SWITCH_ON, self._planner(limits).to_zero(self._rotor_angle_rad))
+        self._order(Order.SWITCH_ON, self._planner(limits).to_zero(self.rotor_angle_rad))
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Write the program, read it back, let it run, and hand out its rows."""
@@ -187,14 +175,14 @@ class XcpDrive(DriveShell):
         if isinstance(excitation, GatesOff):
             self.ramp()
         number = self._order(Order.RUN, program)
-        self._rotor_angle_rad, self._control = excitation.rotor_angle_rad, excitation.control
+        self.rotor_angle_rad, self._control = excitation.rotor_angle_rad, excitation.control
         return self._captures(excitation, number)
 
     def ramp(self) -> None:
         """Current to zero under control, and wait for it."""
         assert self.limits is not None
         planner = self._planner(self.limits)
-        self._order(Order.RUN, planner.to_zero(self._rotor_angle_rad, self._control))
+        self._order(Order.RUN, planner.to_zero(self.rotor_angle_rad, self._control))
         time.sleep(planner.ramp_s(self._control))
 
     def switch_off(self) -> None:
@@ -216,25 +204,18 @@ class XcpDrive(DriveShell):
         status = Status.of(int(row["status"]))
         if status.state == State.FAULTED and not self.latched:
             self.trip(fault_of(status))
-        i = complex(*row["i"]) * np.exp(-1j * self._rotor_angle_rad)
-        return Telemetry(
-            state=self.state,
-            time_s=self._count(row) / self.own.sampling_frequency_hz - self._origin_s,
-            i_d_a=i.real,
-            i_q_a=i.imag,
-            v_dc_v=float(row["v_dc"]),
-            pwm_frequency_hz=self.own.pwm_frequency_hz,
-            faults=self.faults,
-        )
+        i = complex(*row["i"]) * np.exp(-1j * self.rotor_angle_rad)
+        return self.reading(i, float(row["v_dc"]), self.own.pwm_frequency_hz)
 
     # Clock
 
-    def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the motor remembers by itself."""
+    def now_s(self) -> float:
+        """Time since the experiment began, by the ECU's ticks."""
+        return self._count() / self.own.sampling_frequency_hz - self.origin_s
 
     def restore(self, point_id: str, start_s: float) -> None:
         """Let the experiment's clock go on from `start_s`."""
-        self._origin_s = self._count() / self.own.sampling_frequency_hz - start_s
+        self.origin_s += self.now_s() - start_s
 
     def _count(self, row: np.void | None = None) -> int:
         """Ticks since the link was opened, those of a counter that begins anew counted on."""
@@ -246,7 +227,7 @@ class XcpDrive(DriveShell):
 
     def _captures(self, excitation: Excitation, number: int) -> Iterator[Capture]:
         """Blocks of the rows that it captures; raises `DriveFault` for a trip, a gap, or rows that stay away."""
-        link, fs = self._connected(), self.own.sampling_frequency_hz
+        link, fs = self.connected(), self.own.sampling_frequency_hz
         wanted, longest = excitation.rows(fs), round(MAX_BLOCK_S * fs)
         stream, waiting = Stream(number), np.zeros(0, link.layout.row)
         yielded_s, waited_s = time.monotonic(), ProcessClock()
@@ -259,7 +240,7 @@ class XcpDrive(DriveShell):
                 yielded_s = time.monotonic()
             if time.monotonic() - yielded_s > MAX_BLOCK_S:
                 yielded_s = time.monotonic()
-                yield keepalive(self._count() / fs - self._origin_s, fs)
+                yield self.keepalive()
             if waited_s() > most_s:
                 raise self.trip(DriveFault(FaultCause.PROGRAM_TOO_LONG, f"{excitation.kind}: its rows do not come"))
 
@@ -267,19 +248,19 @@ class XcpDrive(DriveShell):
         """What has been captured since; raises `DriveFault` where the ECU has tripped or rows are missing."""
         time.sleep(POLL_PERIOD_S)
         try:
-            return stream.captured(self._connected().take())
+            return stream.captured(self.connected().take())
         except DriveFault as fault:
             raise self.trip(fault) from None
 
     def _capture(self, rows: Rows) -> Capture:
         fs = self.own.sampling_frequency_hz
         i, v, v_dc = (rows[name].astype(np.float32) for name in ("i", "v", "v_dc"))
-        start_s = self._count(rows[0]) / fs - self._origin_s
+        start_s = self._count(rows[0]) / fs - self.origin_s
         return Capture(start_s=start_s, sampling_frequency_hz=fs, i_ab=i, v_ab=v, v_dc=v_dc)
 
     def _order(self, order: Order, program: dict[str, Any]) -> int:
         """Write a program, read it back, and give the order; raises `DriveRefused` where the ECU does not take it."""
-        link = self._connected()
+        link = self.connected()
         written = np.zeros((), link.layout.program)
         for name, value in program.items():
             written[name] = value
@@ -293,7 +274,7 @@ class XcpDrive(DriveShell):
 
     def _tell(self, order: Order) -> int:
         """Give an order and wait until the routine has seen it; returns its number."""
-        link = self._connected()
+        link = self.connected()
         self._number = number = self._number % 0xFFFF + 1
         link.clear()
         link.write(link.layout.order_at, np.array(number << 16 | order, link.layout.word).tobytes())
@@ -317,13 +298,7 @@ class XcpDrive(DriveShell):
         return Planner(self.setup.motor, self.own.sampling_frequency_hz, limits.current_a, limits.voltage_v)
 
     def _fresh_row(self) -> np.void:
-        return self._connected().newest()
-
-    def _connected(self) -> Link:
-        if self._link is None:
-            raise DriveRefused("not connected")
-        self._link.check()
-        return self._link
+        return self.connected().newest()
 
 
 def _ahead(tick: int, before: int) -> int:

@@ -95,6 +95,8 @@ class Picture:
     def drawn(self) -> dict[str, Any]:
         """All of it, as JSON takes it."""
         progress, stage, flux = self._progress, self._progress.stage, self._flux
+        # The prompt as the answer has to name it, and as it may be shown.
+        question = {"number": self._question_number, "prompt": self._question, "text": shown(self._question)}
         return {
             **self._facts,
             "run": self._run.name,
@@ -110,7 +112,7 @@ class Picture:
             "target_a": None if progress.target is None else [*progress.target],
             "achieved": None if progress.achieved is None else vector(*progress.achieved),
             "resistance": None if progress.resistance is None else resistance(progress.resistance),
-            "question": self._open_question(),
+            "question": question if self._question else None,
             "reached_a": self._reached,
             "flux": {"by": flux[0], "points": flux[1]},
             "waveform": self._waveform(),
@@ -167,12 +169,6 @@ class Picture:
             "mood": verdict.mood,
             "slots": [[title, shown(text)] for title, text in slots(message.words)] if message.words else [],
         }
-
-    def _open_question(self) -> dict[str, Any] | None:
-        """Its number, the prompt as the answer has to name it, and as it may be shown."""
-        if not self._question:
-            return None
-        return {"number": self._question_number, "prompt": self._question, "text": shown(self._question)}
 
     def _outcome(self) -> dict[str, Any] | None:
         if self._ended is None:

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from orchestrator.formatting.sentences import shown
+from plugins.command_line import entry_point
 from plugins.streams.report._page import write_report
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-
-@app.command()
 def report(
     directories: Annotated[
         list[Path], typer.Argument(help="A run, or a recording that was estimated; or several.", metavar="RUN...")
@@ -22,7 +19,7 @@ def report(
     out: Annotated[
         Path | None, typer.Option(help="The file to write; by default report.html in RUN, comparison.html of several.")
     ] = None,
-    pdf: Annotated[bool, typer.Option("--pdf", help="As PDF beside it too, by a Chromium on this machine.")] = False,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF as well; needs Chromium on this machine.")] = False,
 ) -> int:
     """Write the report of a run or recording, or of several side by side: one self-contained page."""
     if len(directories) > 1:
@@ -39,6 +36,4 @@ def report(
     return 0
 
 
-def command(arguments: Sequence[str]) -> int:
-    """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench report", standalone_mode=False) or 0)
+command = entry_point(report)

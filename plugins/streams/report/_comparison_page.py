@@ -13,8 +13,8 @@ from orchestrator.formatting.sentences import typographic
 from orchestrator.interface.api import compare_runs
 from orchestrator.interface.comparison import ComparedRuns, change_rows, run_rows
 from orchestrator.recording import replace_file
+from plugins.streams.report._content import Picture
 from plugins.streams.report._page import filled
-from plugins.streams.report._picture import Picture
 
 FILE_NAME = "comparison.html"
 _COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE)

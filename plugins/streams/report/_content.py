@@ -10,24 +10,11 @@ import numpy as np
 
 from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
-from orchestrator.formatting.quantities import (
-    duration,
-    fixed,
-    percent,
-    plural,
-    quantity,
-    with_error,
-)
+from orchestrator.formatting.quantities import duration, fixed, percent, plural, quantity, with_error
 from orchestrator.formatting.results import coefficient_rows, resistance, resistance_course
 from orchestrator.formatting.sentences import typographic
 from plugins.streams.report._collect import Material
-from protocols import (
-    AxisPercent,
-    Basis,
-    EstimationReport,
-    FluxMap,
-    Motor,
-)
+from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor
 
 NOT_MEASURED = "not measured"
 
@@ -72,6 +59,17 @@ class Event:
     mood: str = ""
 
 
+@dataclass(frozen=True)
+class Picture:
+    """A picture, or in its place the reason why there is none."""
+
+    title: str
+    caption: str
+    uri: str = ""
+    beside: str = ""
+    """A second picture of the same, after; then the first one is before."""
+
+
 def motor_of(material: Material) -> Motor | None:
     """The nameplate, from the manifest or from run.json."""
     if material.manifest is not None:
@@ -103,7 +101,12 @@ def summary(material: Material) -> Iterator[Line]:
         yield Line(
             "Rotor", typographic(material.lock.summary), "info" if locked is None else "good" if locked else "bad"
         )
-    yield _amount(material)
+    if material.manifest is None:
+        yield Line("Measured", NOT_MEASURED)
+    else:
+        segments = material.manifest.segments
+        seconds = sum(s.samples for s in segments) / material.manifest.drive.sampling_frequency_hz
+        yield Line("Measured", f"{plural(len(segments), 'segment')}, {duration(seconds)} of waveforms")
 
 
 def remarks(material: Material) -> list[str]:
@@ -135,30 +138,16 @@ def checks(material: Material) -> Iterator[Check]:
         return
     parity, reciprocity, whose = _symmetry(report)
     both = f"the paper’s: {percent(PAPER_CROSSINGS.d_percent)} on d, {percent(PAPER_CROSSINGS.q_percent)} on q"
-    for name, meaning, value, verdict in (
-        ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", report.crossings, both),
-        (
-            "Parity",
-            f"Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.{whose}",
-            parity,
-            "tick: the paper’s crossings",
-        ),
-    ):
-        bars = tuple(_bar(axis, getattr(value, f"{axis}_percent", None)) for axis in "dq")
-        yield Check(name, meaning, bars, verdict)
-    for name, meaning, figure in (
-        (
-            "Reciprocity",
-            f"rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d, of the mean inductance.{whose}",
-            reciprocity,
-        ),
-        (
-            "Classical against injection",
-            "rms of the flux difference over the plane, of the rated flux.",
-            report.classical_against_injection_percent,
-        ),
-    ):
-        yield Check(name, meaning, (_bar("", figure),), "tick: the paper’s crossings on d")
+    tick = "tick: the paper’s crossings"
+    meaning = "Largest flux difference where current paths cross, of the rated flux."
+    yield Check("Crossings", meaning, _bars(report.crossings), both)
+    meaning = f"Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.{whose}"
+    yield Check("Parity", meaning, _bars(parity), tick)
+    meaning = f"rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d, of the mean inductance.{whose}"
+    yield Check("Reciprocity", meaning, (_bar("", reciprocity),), f"{tick} on d")
+    meaning = "rms of the flux difference over the plane, of the rated flux."
+    bar = _bar("", report.classical_against_injection_percent)
+    yield Check("Classical against injection", meaning, (bar,), f"{tick} on d")
 
 
 def _symmetry(report: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
@@ -170,6 +159,10 @@ def _symmetry(report: EstimationReport) -> tuple[AxisPercent | None, float | Non
         return report.parity, report.reciprocity_percent, " By construction: the map is an energy’s."
     own = report.maps[other].checks
     return own.parity, own.reciprocity_percent, f" Of the {other} map; that by {report.method} has it by construction."
+
+
+def _bars(value: AxisPercent | None) -> tuple[Bar, ...]:
+    return tuple(_bar(axis, getattr(value, f"{axis}_percent", None)) for axis in "dq")
 
 
 def _bar(axis: str, value: float | None) -> Bar:
@@ -271,14 +264,6 @@ def _inductance_line(material: Material) -> Iterator[Line]:
         ranges.append(f"{symbol} {quantity(low, 'H', 4)} to {quantity(high, 'H', 4)}{beside}")
     ranges.append(f"L_dq up to {quantity(range_.l_dq_largest_h, 'H')} in size")
     yield Line("Inductances", "; ".join(ranges))
-
-
-def _amount(material: Material) -> Line:
-    if material.manifest is None:
-        return Line("Measured", NOT_MEASURED)
-    segments = material.manifest.segments
-    seconds = sum(s.samples for s in segments) / material.manifest.drive.sampling_frequency_hz
-    return Line("Measured", f"{plural(len(segments), 'segment')}, {duration(seconds)} of waveforms")
 
 
 def _with_error(grid: FluxMap, name: str, d: int, q: int) -> str:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orchestrator.formatting.explaining import accuracy_sentences, search_rows
-from orchestrator.formatting.names import VERDICTS, Verdict, plain, slots
+from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration, number, percent, quantity
 from orchestrator.formatting.results import ladder_rows as rungs
 from orchestrator.formatting.results import parameter_rows
 from orchestrator.formatting.sentences import listed, typographic
-from protocols import JointEntry
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
@@ -29,34 +26,9 @@ class Experiment:
 Rows = list[tuple[str, ...]]
 
 
-def verdict(diagnosis: SavedDiagnosis) -> Verdict:
-    """The verdict, and what it means."""
-    return VERDICTS[diagnosis.report.verdict]
-
-
-def reasons(diagnosis: SavedDiagnosis) -> list[str]:
-    """Why this verdict and no better one, a sentence each."""
-    return [_squared(reason.sentence) for reason in diagnosis.report.reasons]
-
-
-def accuracy(diagnosis: SavedDiagnosis) -> str:
-    """How well the model reproduces the current, and how well its map is known."""
-    return " ".join(accuracy_sentences(diagnosis.report))
-
-
-def search_moves(diagnosis: SavedDiagnosis) -> Rows:
-    """Every move of the search."""
-    return [tuple(map(_squared, row)) for row in search_rows(diagnosis.report.search)]
-
-
-def _squared(text: str) -> str:
+def squared(text: str) -> str:
+    """The text in the page's typography, with chi squared as a symbol."""
     return typographic(text).replace("chi2", "χ²")
-
-
-def filled_slots(diagnosis: SavedDiagnosis) -> Iterator[tuple[str, str]]:
-    """The five slots, title and text."""
-    for title, text in slots(diagnosis.words):
-        yield title.capitalize(), text
 
 
 def ladder_rows(diagnosis: SavedDiagnosis) -> Rows:
@@ -77,11 +49,6 @@ def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
         first, *others = parameter_rows(effect)
         rows += [(plain(effect.name), *first, *about), *(("", *row, "", "") for row in others)]
     return rows
-
-
-def joint(diagnosis: SavedDiagnosis, most: int = 7) -> Sequence[JointEntry]:
-    """The first entries of the joint fit's ranking."""
-    return diagnosis.report.joint[:most]
 
 
 def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
@@ -109,11 +76,6 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     return rows
 
 
-def leftover_rows(diagnosis: SavedDiagnosis) -> Rows:
-    """Shapes of what is left, with their shares."""
-    return [(plain(s.group), percent(100.0 * (s.share or 0.0))) for s in diagnosis.report.unexplained.shape]
-
-
 def leftover_text(diagnosis: SavedDiagnosis) -> str:
     """How much of the error is left."""
     fraction = diagnosis.report.unexplained.fraction
@@ -130,8 +92,3 @@ def experiment(diagnosis: SavedDiagnosis) -> Experiment | None:
     text = yaml.safe_dump({"stages": [proposal.stage]}, sort_keys=False, default_flow_style=None, width=60)
     first, second = map(plain, proposal.separates)
     return Experiment(text, f"Tells {first} from {second}, {duration(60.0 * proposal.minutes)}.")
-
-
-def remarks(diagnosis: SavedDiagnosis) -> list[str]:
-    """The diagnosis' own remarks."""
-    return [typographic(remark.text) for remark in diagnosis.report.remarks]

@@ -9,9 +9,8 @@ from orchestrator.formatting.events import step_error_v
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import quantity, vector
 from orchestrator.formatting.sentences import listed
-from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _diagnosis_figures as figures
-from plugins.streams.report._picture import Picture
+from plugins.streams.report._content import Picture
 from protocols import CurrentExcerpt, DiagnosisStep
 
 if TYPE_CHECKING:
@@ -26,18 +25,13 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
             f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {quantity(floor, 'V')}."
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
-    yield from _joint(diagnosis)
+    if entries := diagnosis.report.joint[:7]:
+        caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
+        yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
     if diagnosis.steps:
         before, after = diagnosis.steps[0], diagnosis.steps[-1]
         yield from _residuals(before, after)
         yield from _waveforms(before, after)
-
-
-def _joint(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
-    entries = findings.joint(diagnosis)
-    if entries:
-        caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
-        yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
 
 
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:

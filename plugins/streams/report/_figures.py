@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orchestrator.flux_maps.exporting import Trajectory, saliency, torque_nm
 from orchestrator.formatting.colours import BLACK, BLUE, GUIDE, METHODS, ORANGE, SKY, VERMILION
 from orchestrator.formatting.drawing import (
     BASIS_LINES,
@@ -93,17 +94,44 @@ def difference_figure(classical: FluxMap, injection: FluxMap) -> str:
 
 def inductance_figure(grid: FluxMap, name: str) -> str:
     """l_dd, l_qq or l_dq over the current plane, in mH; L_dq about zero in two hues."""
-    figure, axes = new_figure()
     values = 1e3 * np.asarray(getattr(grid, name))
-    mesh_scale = _scale(values, about_zero=name == "l_dq")
-    mesh = axes.pcolormesh(grid.i_d, grid.i_q, values.T, shading="nearest", rasterized=True, **mesh_scale)
-    bar = figure.colorbar(mesh, ax=axes)
-    bar.set_label("mH")
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    if high - low > 1e-9 * max(abs(low), abs(high)):
-        _contours(axes, grid, values)
-        bar.ax.set_ylim(low, high)
+    scale = {"cmap": "YlGnBu", "vmin": low, "vmax": high + 0.6 * (high - low)}  # black contours stay readable
+    if name == "l_dq":
+        scale = signed_scale(values[np.isfinite(values)], 1.4)
+    return _plane_picture(grid, values, "mH", 6, (low, high) if _varies(values) else None, **scale)
+
+
+def flux_plane_figure(grid: FluxMap, axis: str) -> str:
+    """psi_d or psi_q over the current plane, in mWb."""
+    return _plane_picture(grid, 1e3 * np.asarray(getattr(grid, f"psi_{axis}")), "mWb", 8, cmap="YlGnBu", alpha=0.8)
+
+
+def saliency_figure(grid: FluxMap) -> str:
+    """From the d axis to the axis of least inductance, electrical degrees: the error of tracking by injection."""
+    degrees = np.degrees(saliency(grid).angle_rad)
+    return _plane_picture(grid, degrees, "degrees", 7, **signed_scale(degrees[np.isfinite(degrees)], 1.4))
+
+
+def torque_figure(grid: FluxMap, pole_pairs: int, mtpa: Trajectory | None, mtpv: Trajectory | None) -> str:
+    """Lines of equal torque [Nm], the most torque an ampere (MTPA) and a volt (MTPV) where they lie inside the map."""
+    figure, axes = new_figure()
+    _contours(axes, grid, torque_nm(grid, pole_pairs), 11)
+    for name, line, colour, style in (("MTPA", mtpa, VERMILION, "-"), ("MTPV", mtpv, ORANGE, "--")):
+        if line is not None and line.interior.any():
+            inside = np.where(line.interior[:, None], line.i_dq, np.nan)
+            axes.plot(inside[:, 0], inside[:, 1], style, color=colour, lw=2, label=name)
     current_plane(axes)
+    if axes.get_legend_handles_labels()[0]:
+        legend_above(axes, 2)
+    return uri(figure)
+
+
+def temperature_figure(readings: RealArray) -> str:
+    """Time [s] and temperature [degrees Celsius] of segments, shape (n, 2)."""
+    figure, axes = new_figure()
+    axes.plot(readings[:, 0], readings[:, 1], "o-", color=BLACK, ms=3.5, lw=1)
+    name_axes(axes, "time [s]", "temperature [°C]")
     return uri(figure)
 
 
@@ -144,22 +172,40 @@ def _amperes(value: float, among: Sequence[float]) -> str:
     return f"{rounded:+.6g} A".replace("-", "−") if rounded else "0 A"
 
 
-def _scale(values: RealArray, about_zero: bool) -> dict[str, Any]:
-    """Colour map and its limits, the dark ends left out so that black contours stay readable."""
-    if about_zero:
-        return signed_scale(values[np.isfinite(values)], 1.4)
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return {"cmap": "YlGnBu", "vmin": low, "vmax": high + 0.6 * (high - low)}
-
-
 def _colours_of(held: Sequence[float]) -> list[str]:
     """Black for zero, cold below, warm above, stronger further out."""
     largest = max(map(abs, held)) or 1.0
     return [HELD_COLOURS[round(2 + 2 * value / largest)] for value in held]
 
 
-def _contours(axes: Axes, grid: FluxMap, values: RealArray) -> None:
-    if min(values.shape) < 2:
+def _plane_picture(
+    grid: FluxMap,
+    values: RealArray,
+    unit: str,
+    levels: int,
+    bar_limits: tuple[float, float] | None = None,
+    **style: Any,
+) -> str:
+    """Values over the current plane as colour, with so many contours."""
+    figure, axes = new_figure()
+    mesh = axes.pcolormesh(grid.i_d, grid.i_q, values.T, shading="nearest", rasterized=True, **style)
+    bar = figure.colorbar(mesh, ax=axes)
+    bar.set_label(unit)
+    _contours(axes, grid, values, levels)
+    if bar_limits is not None:
+        bar.ax.set_ylim(*bar_limits)
+    current_plane(axes)
+    return uri(figure)
+
+
+def _contours(axes: Axes, grid: FluxMap, values: RealArray, levels: int) -> None:
+    if min(values.shape) < 2 or np.isfinite(values).sum() < 4 or not _varies(values):
         return
-    lines = axes.contour(grid.i_d, grid.i_q, np.ma.masked_invalid(values.T), levels=6, colors=BLACK, linewidths=0.6)
-    axes.clabel(lines, fontsize=9, fmt=lambda level: number(level, 3))
+    known = np.ma.masked_invalid(values.T)
+    lines = axes.contour(grid.i_d, grid.i_q, known, levels=levels, colors=BLACK, linewidths=0.7)
+    axes.clabel(lines, fontsize=STYLE.small_pt - 1, fmt=lambda level: number(level, 3))
+
+
+def _varies(values: RealArray) -> bool:
+    low, high = np.nanmin(values), np.nanmax(values)
+    return bool(high - low > 1e-9 * max(abs(low), abs(high)))

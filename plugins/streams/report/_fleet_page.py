@@ -9,22 +9,22 @@ from orchestrator.fleet.statistics import SECTIONS, change_rows, count_rows, dat
 from orchestrator.formatting.quantities import plural
 from orchestrator.formatting.sentences import typographic
 from orchestrator.recording import replace_file, storage_error
+from plugins.streams.report._content import Picture
 from plugins.streams.report._fleet_figures import distance_figure, quantity_figure
 from plugins.streams.report._page import filled
-from plugins.streams.report._picture import Picture
 from protocols.fleet_report import FleetQuantity, FleetReport
 
 PAGE, DATA = "fleet-report.html", "fleet-report.json"
 _ABOUT = {
-    "Distributions": "Spread: 1.4826 times the median distance from the median. The last column: what the recordings "
-    "say of their own error.",
+    "Distributions": "Spread: 1.4826 times the median distance from the median. Last column: the 95 % interval "
+    "that a single recording reports.",
     "Limits": "Cpk by the whole sample’s standard deviation, interval by Bissell; share by Clopper and Pearson.",
-    "Outliers": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
-    "95 times of 100; by one quantity alone where it is not in the distance.",
+    "Outliers": "By robust distance (minimum covariance determinant): 95 of 100 fleets without faults have "
+    "no recording beyond the limit. Quantities outside the distance are tested singly.",
     "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: significant among all tested batches "
     "and quantities.",
     "Over time": "By the median of all slopes (Theil and Sen). Chart: an exponentially weighted moving average about "
-    "the median, with limits that it leaves once in 500 recordings by chance.",
+    "the median; by chance it exceeds its limits once in 500 recordings.",
 }
 
 
@@ -91,5 +91,5 @@ def _pictures(report: FleetReport, quantities: Sequence[FleetQuantity]) -> Itera
         yield Picture("Robust distance", caption, distance_figure(report.distances))
     for one in quantities:
         limits = " Dashed: the limits of the file." if one.capability is not None else ""
-        caption = f"Known of {one.count} of {one.asked} recordings.{limits}"
+        caption = f"Known in {one.count} of {one.asked} recordings.{limits}"
         yield Picture(one.label, caption, quantity_figure(one))

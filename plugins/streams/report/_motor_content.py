@@ -27,7 +27,8 @@ def motor_lines(material: Material) -> Iterator[Line]:
     report, motor = material.estimates, motor_of(material)
     if report is not None and report.resistance is not None:
         yield Line("R_s", resistance(report.resistance))
-        yield Line("R_s at 20 °C", _at_20_c(report.resistance, _ambient_c(material)))
+        ambient_c = None if material.record is None else material.record.procedure.about.ambient_c
+        yield Line("R_s at 20 °C", _at_20_c(report.resistance, ambient_c))
         yield Line("R_s over the run", resistance_course(report.resistance))
     shown = material.maps.get(report.method) if report is not None and report.method is not None else None
     if shown is not None and motor is not None:
@@ -41,10 +42,6 @@ def _magnet_by_emf(report: EstimationReport | None) -> tuple[float, float] | Non
         if remark.code == "spin.magnet_flux" and isinstance(flux, float) and isinstance(std, float):
             return flux, std
     return None
-
-
-def _ambient_c(material: Material) -> float | None:
-    return None if material.record is None else material.record.procedure.about.ambient_c
 
 
 def _at_20_c(estimate: ResistanceEstimate, ambient_c: float | None) -> str:

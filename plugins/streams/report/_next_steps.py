@@ -7,7 +7,6 @@ from orchestrator.formatting.quantities import duration
 from orchestrator.formatting.sentences import listed, typographic
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line
-from protocols import DiagnosisReport
 
 
 def next_steps(material: Material) -> list[Line]:
@@ -37,17 +36,13 @@ def _about_model(material: Material) -> str:
         first, second = map(plain, proposed.separates)
         takes = duration(60.0 * proposed.minutes)
         return f"fluxbench run --from {run} measures {takes} more, to tell {first} from {second}."
-    return _by_verdict(report, typographic(material.diagnosis.words.to_decide))
-
-
-def _by_verdict(report: DiagnosisReport, to_decide: str) -> str:
-    causes = listed([plain(effect.name) for effect in report.effects])
     match report.verdict:
         case "clean":
             return "nothing is missing in it."
         case "explained":
+            causes = listed([plain(effect.name) for effect in report.effects])
             return (
                 f"nothing is left to measure; compensate {causes} in the drive, or use model.json, which includes that."
             )
         case _:
-            return f"{to_decide}."
+            return f"{typographic(material.diagnosis.words.to_decide)}."

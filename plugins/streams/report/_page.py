@@ -11,19 +11,20 @@ import numpy as np
 
 from orchestrator.flux_maps.exporting import Trajectory, mtpa, mtpv
 from orchestrator.formatting.drawing import BASIS_LINES
-from orchestrator.formatting.names import MAP_QUANTITIES
-from orchestrator.formatting.sentences import cut, visible
+from orchestrator.formatting.explaining import accuracy_sentences, search_rows
+from orchestrator.formatting.names import MAP_QUANTITIES, VERDICTS, plain, slots
+from orchestrator.formatting.quantities import percent
+from orchestrator.formatting.sentences import cut, typographic, visible
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _figures as figures
-from plugins.streams.report import _motor_figures as motor_figures
 from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
+from plugins.streams.report._content import Picture
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
 from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
 from plugins.streams.report._next_steps import next_steps
-from plugins.streams.report._picture import Picture
 from protocols import Basis, FluxbenchError, FluxMap, Motor
 
 FILE_NAME = "report.html"
@@ -70,6 +71,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
     main = next(iter(material.maps.values()), None)
     events = content.events(material)
     created = material.manifest.created if material.manifest is not None else ""
+    stopped = f"Not drawn: the run was stopped. `fluxbench report {material.directory}` draws what was measured."
     return filled(
         "template.html",
         title=motor.name if motor is not None else material.directory.name,
@@ -87,7 +89,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         remarks=content.remarks(material),
         sensorless={"head": sensorless.HEAD, "rows": sensorless.rows(material), "note": sensorless.note(material)},
         formulas=list(content.formulas(material)),
-        pictures=list(_pictures(material, main)) if draws else [_undrawn(material)],
+        pictures=list(_pictures(material, main)) if draws else [Picture("Pictures", stopped)],
         quantities=list(MAP_QUANTITIES.values()),
         map_method=main.method if main is not None else "",
         map_rows=content.map_rows(main, motor) if main is not None else [],
@@ -121,26 +123,22 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
     diagnosis = material.diagnosis
     if diagnosis is None:
         return None
+    report = diagnosis.report
     return {
-        "verdict": findings.verdict(diagnosis),
-        "reasons": findings.reasons(diagnosis),
-        "slots": list(findings.filled_slots(diagnosis)),
-        "accuracy": findings.accuracy(diagnosis),
-        "search": findings.search_moves(diagnosis),
+        "verdict": VERDICTS[report.verdict],
+        "reasons": [findings.squared(reason.sentence) for reason in report.reasons],
+        "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words)],
+        "accuracy": " ".join(accuracy_sentences(report)),
+        "search": [tuple(map(findings.squared, row)) for row in search_rows(report.search)],
         "pictures": list(diagnosis_pictures(diagnosis)) if draws else [],
         "ladder": findings.ladder_rows(diagnosis),
         "effects": findings.effect_rows(diagnosis),
         "alike": findings.alike_rows(diagnosis),
-        "leftover": findings.leftover_rows(diagnosis),
+        "leftover": [(plain(s.group), percent(100.0 * (s.share or 0.0))) for s in report.unexplained.shape],
         "leftover_text": findings.leftover_text(diagnosis),
         "experiment": findings.experiment(diagnosis),
-        "remarks": findings.remarks(diagnosis),
+        "remarks": [typographic(remark.text) for remark in report.remarks],
     }
-
-
-def _undrawn(material: Material) -> Picture:
-    caption = f"Not drawn: the run was stopped. `fluxbench report {material.directory}` draws what was measured."
-    return Picture("Pictures", caption)
 
 
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
@@ -164,7 +162,7 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
         yield from _plane_pictures(main, content.motor_of(material))
     if len(material.paths.temperature_c) > 1:
         text = "Mean of each segment of direct current, as recorded."
-        yield Picture("Temperature over the run", text, motor_figures.temperature_figure(material.paths.temperature_c))
+        yield Picture("Temperature over the run", text, figures.temperature_figure(material.paths.temperature_c))
 
 
 def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
@@ -177,12 +175,12 @@ def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
             except FluxbenchError:  # no point with i_q > 0, or one line of points alone
                 best.append(None)
         text = "In Nm, with the most torque an ampere (MTPA) and a volt (MTPV), as far as they were measured."
-        yield Picture("Torque", text, motor_figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
+        yield Picture("Torque", text, figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
     for axis in ("d", "q"):
-        yield Picture(f"ψ_{axis} over the current plane", "In mWb.", motor_figures.flux_plane_figure(main, axis))
+        yield Picture(f"ψ_{axis} over the current plane", "In mWb.", figures.flux_plane_figure(main, axis))
     if np.isfinite(main.l_dd * main.l_qq * main.l_dq).any():
         text = "Electrical degrees from the d axis to that of least inductance: what a tracking by injection is off by."
-        yield Picture("Saliency angle", text, motor_figures.saliency_figure(main))
+        yield Picture("Saliency angle", text, figures.saliency_figure(main))
 
 
 def _paths_picture(material: Material) -> Picture:

@@ -14,7 +14,7 @@ from orchestrator.runs import RunDirectory
 from orchestrator.validation.plain_files import read_bytes
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole
-from protocols import Diagnosed, EstimationReport, FluxbenchError, Message, PointDone, RunEnded
+from protocols import Diagnosed, FluxbenchError, Message, PointDone, RunEnded
 
 DATASET = "runs"
 COLUMNS = ("run", "created", "motor", "drive", "points", "outcome", "r_s_ohm", "map_by", "usable", "verdict", "view")
@@ -28,7 +28,9 @@ def runs_in(folder: Path) -> list[Path]:
 def row(path: Path) -> dict[str, Any]:
     """One run's line of the table; null where it is not known."""
     cells: dict[str, Any] = dict.fromkeys(COLUMNS)
-    cells |= {"run": path.name, "outcome": "unreadable", "view": _view_of(path)}
+    file = path / FILE_NAME
+    view = "missing" if not file.is_file() else "whole" if is_whole(file) else "torn"
+    cells |= {"run": path.name, "outcome": "unreadable", "view": view}
     try:
         run = RunDirectory.open(path)
         messages = [record.message for record in run.journal.read()]
@@ -40,7 +42,9 @@ def row(path: Path) -> dict[str, Any]:
     cells |= {"points": sum(isinstance(m, PointDone) for m in messages)}
     cells["outcome"] = "unfinished" if ended is None else ended.outcome
     if ended is not None and ended.estimates is not None:
-        cells |= _estimates(ended.estimates)
+        found = ended.estimates
+        value = None if found.resistance is None else found.resistance.value_ohm
+        cells |= {"r_s_ohm": value, "map_by": found.method, "usable": found.usable}
     return cells | {"verdict": _verdict(path, messages)}
 
 
@@ -52,16 +56,6 @@ def _verdict(path: Path, messages: Sequence[Message]) -> Any:
     except (OSError, ValueError, AttributeError, KeyError, TypeError, RecursionError):
         verdicts = [m.report.verdict for m in messages if isinstance(m, Diagnosed)]
         return verdicts[-1] if verdicts else None
-
-
-def _estimates(report: EstimationReport) -> dict[str, Any]:
-    value = None if report.resistance is None else report.resistance.value_ohm
-    return {"r_s_ohm": value, "map_by": report.method, "usable": report.usable}
-
-
-def _view_of(path: Path) -> str:
-    file = path / FILE_NAME
-    return "missing" if not file.is_file() else "whole" if is_whole(file) else "torn"
 
 
 def as_text(rows: Sequence[dict[str, Any]]) -> str:

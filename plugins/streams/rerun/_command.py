@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,28 +14,26 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from orchestrator.formatting.sentences import shown, visible
+from plugins.command_line import entry_point
 from protocols import FluxbenchError, RecordingError
 
 if TYPE_CHECKING:
     from plugins.streams.rerun._making import Found
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
 MEMORY_LIMIT = "4GB"
 SUFFIX = ".rrd"
 
 
-@app.command()
 def view(
     paths: Annotated[
         list[Path],
         typer.Argument(help="A run, a recording, a .rrd file, a folder of runs; or several runs.", metavar="RUN..."),
     ],
-    web: Annotated[bool, typer.Option("--web", help="In the browser; so anyway where there is no display.")] = False,
-    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Of the viewer, or of its page.")] = None,
-    screenshot: Annotated[Path | None, typer.Option(help="Write a picture there instead of opening anything.")] = None,
-    tab: Annotated[str | None, typer.Option(help="Of the picture: the tab with this name.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="A folder's table as JSON, and nothing else.")] = False,
+    web: Annotated[bool, typer.Option("--web", help="Open in the browser; always so without a display.")] = False,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port of the viewer, or of its page.")] = None,
+    screenshot: Annotated[Path | None, typer.Option(help="Write a picture to this file and open nothing.")] = None,
+    tab: Annotated[str | None, typer.Option(help="Name of the tab that the picture shows.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print a folder's table as JSON only.")] = False,
 ) -> int:
     """See a run: while it happens, or afterwards; or several side by side."""
     for path in paths:
@@ -53,7 +51,9 @@ def view(
         refuse_unreadable(path)
         return _see(path, web, port, screenshot, tab)
     if is_viewable(path):
-        return _see_run(path, web, port, screenshot, tab)
+        from plugins.streams.rerun._making import whole_view
+
+        return _see_made(whole_view(path, _tell), web, port, screenshot, tab, of=path)
     runs = runs_in(path)
     if not runs:
         raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
@@ -67,13 +67,7 @@ def command(arguments: Sequence[str]) -> int:
     from plugins.streams.rerun._viewer import interruptible
 
     with interruptible():
-        return int(app(list(arguments), prog_name="fluxbench view", standalone_mode=False) or 0)
-
-
-def _see_run(path: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
-    from plugins.streams.rerun._making import whole_view
-
-    return _see_made(whole_view(path, _tell), web, port, screenshot, tab, of=path)
+        return entry_point(view)(arguments)
 
 
 def _see_made(
@@ -135,6 +129,7 @@ class Later:
 
 def _serve(source: Path | str, port: int | None, later: Later | None = None) -> int:
     """A page for the browser, until it is interrupted: of a file, or of the catalogue at an address."""
+    from plugins.streams.rerun._handing import handed_out
     from plugins.streams.rerun._live import free_port, wait_for_viewer
     from plugins.streams.rerun._viewer import has_ended, page_origin, page_url, start, stop, tied, viewer_words
 
@@ -143,7 +138,8 @@ def _serve(source: Path | str, port: int | None, later: Later | None = None) -> 
     try:
         if not wait_for_viewer(web_port, 30.0, lambda: has_ended(server)):
             raise RecordingError(str(source), "", f"the page's server does not start; is port {web_port} taken?")
-        with _found_by(source, page_origin(web_port)) as address:
+        found = handed_out(source, page_origin(web_port)) if isinstance(source, Path) else nullcontext(source)
+        with found as address:
             print(page_url(data_port, web_port, address), flush=True)
             _tell("open this address in a browser on this machine; Ctrl-C ends it")
             while not has_ended(server):
@@ -155,13 +151,6 @@ def _serve(source: Path | str, port: int | None, later: Later | None = None) -> 
     finally:
         stop(server)
     return 0
-
-
-def _found_by(source: Path | str, origin: str) -> AbstractContextManager[str]:
-    """The address by which the page of this origin finds what it is to show."""
-    from plugins.streams.rerun._handing import handed_out
-
-    return handed_out(source, origin) if isinstance(source, Path) else nullcontext(source)
 
 
 def _made_anew(later: Later) -> Later | None:

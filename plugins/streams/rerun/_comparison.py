@@ -13,7 +13,7 @@ from orchestrator.interface.api import compare_runs
 from orchestrator.interface.comparison import ComparedRuns, change_rows, run_rows
 from plugins.streams.rerun._blueprints import side_by_side
 from plugins.streams.rerun._maps import over_plane
-from plugins.streams.rerun._tape import Entry, Tape, When, blueprint, entry, titled
+from plugins.streams.rerun._tape import Entry, When, blueprint, entry, titled, write_file
 
 _NOW = When(experiment_s=0.0)
 """The viewer wants one time at least."""
@@ -21,12 +21,7 @@ _NOW = When(experiment_s=0.0)
 
 def write_comparison(paths: Sequence[Path], file: Path) -> None:
     """Hold runs against the first of them and draw it; raises `RecordingError` where one was not estimated."""
-    compared = compare_runs(*paths)
-    tape = Tape(file, name="comparison")
-    try:
-        tape.put(_entries(compared))
-    finally:
-        tape.close()
+    write_file(file, "comparison", _entries(compare_runs(*paths)))
 
 
 def _entries(compared: ComparedRuns) -> Iterator[Entry]:

@@ -90,7 +90,9 @@ class Diagnosis:
             # A step between two diagnoses is left free for the gap between their lines.
             self._base, self._rungs = (self._step + 2 if self._rungs else 0), []
             self._scales = _scales(step)
-            out.append(_gap_before(self._at_s, self._base))
+            # No line leads from the last error of an earlier diagnosis up to the first of this one.
+            gap = When(experiment_s=self._at_s - 0.5, step=self._base - 1 if self._base > 0 else None)
+            out.append(entry(_ERRORS, gap, rr.Clear(recursive=False)))
             out += plane("residual/plane/amperes", self._scales.reach_a)
         self._step = self._base + len(self._rungs)
         self._rungs.append(_without_arrays(step))
@@ -176,12 +178,6 @@ def furniture() -> list[Entry]:
     colours = [MODEL, MEASURED_ON_SCREEN, GUIDE]
     lines = rr.SeriesLines(names=names, colors=packed_all(colours), widths=[2.5, 2.5, 1.5])
     return [entry(_ERRORS, ALWAYS, lines)]
-
-
-def _gap_before(at_s: float, step: int) -> Entry:
-    """Ends the lines of an earlier diagnosis, so that nothing leads from its last error up to the first of this one."""
-    when = When(experiment_s=at_s - 0.5, step=step - 1 if step > 0 else None)
-    return entry(_ERRORS, when, rr.Clear(recursive=False))
 
 
 def _without_arrays(step: DiagnosisStep) -> DiagnosisStep:
@@ -270,10 +266,9 @@ def _loop(when: When, path: str, loop: FluxLoop, span_wb: tuple[float, float]) -
     name = "dq"[axis]
     span_mwb = (1e3 * span_wb[0], 1e3 * span_wb[1])
     chart = Chart(path, _around(current), span_mwb, f"i_{name} [A]", f"ψ_{name} − model [mWb]")
-    level = np.zeros(2)
     return [
         *chart.furniture(when, loop.segment),
-        chart.line("model", when, np.array(chart.x), level, MODEL),
+        chart.line("model", when, np.array(chart.x), np.zeros(2), MODEL),
         chart.line("measured", when, current, 1e3 * (apart - apart.mean()), MEASURED_ON_SCREEN, -1.4, 25.0),
         chart.legend(when, [("integrated voltage", MEASURED_ON_SCREEN), ("the model's map", MODEL)]),
     ]

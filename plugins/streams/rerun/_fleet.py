@@ -12,7 +12,7 @@ from orchestrator.fleet.statistics import SECTIONS, count_rows
 from orchestrator.formatting.colours import D_AXIS, GUIDE, MEASURED_ON_SCREEN, packed_all
 from orchestrator.formatting.sentences import markdown_table, shown
 from plugins.streams.rerun._blueprints import of_a_fleet
-from plugins.streams.rerun._tape import ALWAYS, Entry, Tape, When, blueprint, entry, properties, scalars, titled
+from plugins.streams.rerun._tape import ALWAYS, Entry, When, blueprint, entry, properties, scalars, titled, write_file
 from protocols.fleet_report import FleetQuantity, FleetReport
 
 _NOW = When(experiment_s=0.0)
@@ -23,11 +23,7 @@ _LINES = {"measured": MEASURED_ON_SCREEN, "average": D_AXIS, "lower limit": GUID
 def write_fleet_view(report: FleetReport, file: Path) -> None:
     """Draw a fleet's report; raises `StorageError` where the file cannot be written."""
     file.unlink(missing_ok=True)
-    tape = Tape(file, name="fleet")
-    try:
-        tape.put(_entries(report))
-    finally:
-        tape.close()
+    write_file(file, "fleet", _entries(report))
 
 
 def _entries(report: FleetReport, most_courses: int = 8) -> Iterator[Entry]:

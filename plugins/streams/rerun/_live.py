@@ -15,8 +15,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-import rerun as rr
-
 from plugins.streams.rerun._tape import Entry, new_stream
 
 HOST = "127.0.0.1"
@@ -50,20 +48,13 @@ class LiveFeed:
         self._shown: deque[Entry] = deque()
         self._lasting: dict[str, Entry] = {}
         self._size = 0
-        self._dropped = self._delivered = 0
+        self.dropped = 0
+        """Entries that no viewer has seen and none will see."""
+        self.delivered = 0
+        """Entries that were handed over, repetitions included."""
         self._closing = False
         self._thread = threading.Thread(target=self._work, name="rerun live", daemon=True)
         self._thread.start()
-
-    @property
-    def dropped(self) -> int:
-        """Entries that no viewer has seen and none will see."""
-        return self._dropped
-
-    @property
-    def delivered(self) -> int:
-        """Entries that were handed over, repetitions included."""
-        return self._delivered
 
     def put(self, item: Entry) -> None:
         """Keep an entry for the viewer; takes microseconds."""
@@ -87,7 +78,7 @@ class LiveFeed:
             sever(self._port)
             self._thread.join(timeout_s)
         with self._changed:
-            self._dropped += len(self._waiting)
+            self.dropped += len(self._waiting)
             self._waiting.clear()
             self._shown.clear()
 
@@ -97,7 +88,7 @@ class LiveFeed:
                 self._size -= self._shown.popleft().size
             else:
                 self._size -= self._waiting.popleft().size
-                self._dropped += 1
+                self.dropped += 1
 
     def _work(self) -> None:
         while not self._is_over():
@@ -130,13 +121,10 @@ class LiveFeed:
             for item in batch:
                 item.write(stream)
             with self._changed:
-                self._delivered += len(batch)
+                self.delivered += len(batch)
                 self._shown.extend(batch)
-        self._let_go(stream)
-
-    def _let_go(self, stream: rr.RecordingStream, within_s: float = 5.0) -> None:
         try:
-            stream.flush(timeout_sec=within_s)
+            stream.flush(timeout_sec=5.0)
         except (RuntimeError, ValueError):
             return  # the viewer went away with the last entries; it is given them again should it come back
         stream.disconnect()

@@ -6,14 +6,14 @@ import fcntl
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orchestrator.runs import is_run
-from plugins.streams.rerun._options import RerunOptions
-from plugins.streams.rerun._stream import RerunStream
+from plugins.streams.rerun._stream import RerunOptions, RerunStream
 from plugins.streams.rerun._tape import FILE_NAME, is_whole, refuse_foreign
 from protocols import RecordingError, StorageError, StreamSetup
 
@@ -81,7 +81,8 @@ def make_view(directory: Path) -> Found:
             with tempfile.TemporaryDirectory(prefix=".view-", dir=directory) as name:
                 view = _replayed(directory, Path(name))
                 return Found(view.replace(directory / FILE_NAME))
-        return _made_elsewhere(directory)
+        with _new_folder(directory.resolve().name) as folder:
+            return Found(_replayed(directory, folder), f"kept in {folder}: the recording is left as it is", folder)
     except OSError as error:
         raise StorageError(f"{directory / FILE_NAME}: cannot be written: {error.strerror or error}") from error
 
@@ -91,14 +92,10 @@ def comparison_view(directories: Sequence[Path]) -> Found:
     # A run that is measured needs nothing of what compares runs.
     from plugins.streams.rerun._comparison import write_comparison
 
-    folder = Path(tempfile.mkdtemp(prefix="comparison-"))
-    file = folder / "comparison.rrd"
-    try:
+    with _new_folder("comparison") as folder:
+        file = folder / "comparison.rrd"
         write_comparison(directories, file)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    return Found(file, f"kept in {folder}", folder)
+        return Found(file, f"kept in {folder}", folder)
 
 
 def make_fleet_view(report: FleetReport, file: Path) -> None:
@@ -108,10 +105,12 @@ def make_fleet_view(report: FleetReport, file: Path) -> None:
     write_fleet_view(report, file)
 
 
-def _made_elsewhere(directory: Path) -> Found:
-    folder = Path(tempfile.mkdtemp(prefix=f"{directory.resolve().name}-"))
+@contextmanager
+def _new_folder(name: str) -> Iterator[Path]:
+    """A folder for temporary files, which stays unless the block raises."""
+    folder = Path(tempfile.mkdtemp(prefix=f"{name}-"))
     try:
-        return Found(_replayed(directory, folder), f"kept in {folder}: the recording is left as it is", folder)
+        yield folder
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

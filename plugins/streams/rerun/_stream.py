@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 import rerun as rr
 import rerun.blueprint as rrb
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from orchestrator.formatting.sentences import shown
 from plugins.streams.rerun import _blueprints as blueprints
@@ -17,7 +17,6 @@ from plugins.streams.rerun import _diagnosis as diagnosis
 from plugins.streams.rerun._commissioning import Commissioning
 from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._live import LiveFeed
-from plugins.streams.rerun._options import RerunOptions
 from plugins.streams.rerun._tape import FILE_NAME, Tape, blueprint, entry
 from plugins.streams.rerun._viewer import best_view, page_url, start, stop, viewer_words
 from protocols import (
@@ -30,7 +29,24 @@ from protocols import (
     SamplesCaptured,
     StateChanged,
     StreamSetup,
+    Strict,
 )
+
+
+class RerunOptions(Strict):
+    """What is written always goes to ``view.rrd``; these say who may look on meanwhile."""
+
+    view: Literal["none", "auto", "spawn", "web", "connect"] = "none"
+    """none: the file alone. spawn: open the viewer. web: serve it to a browser on this machine. auto: spawn where there
+    is a display, else web. connect: follow into a viewer that somebody else starts, now or later, on `port`."""
+    port: Annotated[int, Field(ge=1, le=65535)] = 9876
+    """Of the viewer on 127.0.0.1."""
+    web_port: Annotated[int, Field(ge=1, le=65535)] = 9090
+    """Of the page, where `view` is web."""
+    memory_limit: Annotated[str, Field(pattern=r"^[1-9][0-9]*(MB|GB|MiB|GiB|%)$")] = "2GB"
+    """Most that a viewer started here may take."""
+    queue_mb: Annotated[float, Field(ge=0.1, le=1000)] = 48.0
+    """What may wait for the viewer; beyond it the oldest is dropped and counted."""
 
 
 class RerunStream:
@@ -65,7 +81,7 @@ class RerunStream:
         self._contents: diagnosis.Contents | None = None
         self._sent_at = 0.0
         self._tape.put([*self._commissioning.furniture(), *diagnosis.furniture()])
-        self._lay_out_commissioning()
+        self._lay_out(blueprints.COMMISSIONING, blueprints.commissioning)
 
     @property
     def dropped(self) -> int:
@@ -92,9 +108,10 @@ class RerunStream:
             isinstance(message, RunStarted) and message.points_done > 0
         )
         if isinstance(message, DiagnosisStep):
-            self._lay_out_diagnosis(message)
+            self._contents = contents = diagnosis.Contents.of(message)
+            self._lay_out(blueprints.DIAGNOSIS, lambda: blueprints.diagnosis(contents, measured=self._measured))
         elif isinstance(message, RunStarted | PointStarted):
-            self._lay_out_commissioning()
+            self._lay_out(blueprints.COMMISSIONING, blueprints.commissioning)
 
     def close(self) -> None:
         """Bring everything into the file, and what can be brought in time to the viewer."""
@@ -135,13 +152,6 @@ class RerunStream:
     def _hand_on_waveforms(self) -> None:
         self._tape.put(self._commissioning.waveforms())
         self._sent_at = self._wall()
-
-    def _lay_out_commissioning(self) -> None:
-        self._lay_out(blueprints.COMMISSIONING, blueprints.commissioning)
-
-    def _lay_out_diagnosis(self, step: DiagnosisStep) -> None:
-        self._contents = contents = diagnosis.Contents.of(step)
-        self._lay_out(blueprints.DIAGNOSIS, lambda: blueprints.diagnosis(contents, measured=self._measured))
 
     def _lay_out(self, job: str, make: Callable[[], rrb.Blueprint]) -> None:
         if self._layout != job:

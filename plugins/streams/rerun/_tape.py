@@ -6,6 +6,7 @@ import subprocess
 import uuid
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,8 @@ import rerun_bindings
 from rerun.chunk import RrdReader
 
 from orchestrator.formatting.sentences import shown
-from plugins.streams.rerun._programs import executable
 from plugins.streams.rerun._spool import Spool
-from protocols import RealArray, RecordingError
+from protocols import PluginError, RealArray, RecordingError
 
 APPLICATION = "fluxbench"
 FILE_NAME = "view.rrd"
@@ -160,6 +160,31 @@ class Tape:
         # The library keeps an unreferenced stream, and two threads, until it is disconnected (rerun-io/rerun 2116).
         rerun_bindings.flush_and_cleanup_orphaned_recordings()
         self._spool.close()
+
+
+def executable() -> str:
+    """The viewer's own program, as the package brings it.
+
+    Raises
+    ------
+    PluginError
+        Where it is not there.
+    """
+    spec = find_spec("rerun_cli")
+    folder = Path(spec.origin).parent if spec is not None and spec.origin else Path()
+    for place in (folder / "Rerun.app" / "Contents" / "MacOS" / "Rerun", folder / "rerun", folder / "rerun.exe"):
+        if place.is_file():
+            return str(place)
+    raise PluginError("stream rerun", "viewer", "rerun-sdk is installed without its viewer")
+
+
+def write_file(file: Path, name: str, entries: Iterable[Entry]) -> None:
+    """Write entries into a file of their own; raises `StorageError` where it cannot be written."""
+    tape = Tape(file, name=name)
+    try:
+        tape.put(entries)
+    finally:
+        tape.close()
 
 
 def take_over(file: Path, stream: rr.RecordingStream) -> None:

@@ -16,7 +16,7 @@ from typing import Literal
 from urllib.parse import quote
 
 from plugins.streams.rerun._live import HOST, address
-from plugins.streams.rerun._programs import executable
+from plugins.streams.rerun._tape import executable
 
 
 def has_display() -> bool:

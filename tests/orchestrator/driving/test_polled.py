@@ -14,6 +14,7 @@ from protocols import (
     Capabilities,
     Capture,
     DriveFault,
+    DriveRefused,
     DriveSetup,
     Excitation,
     FaultCause,
@@ -29,7 +30,17 @@ HOLD = Hold(current_d_a=3.0, current_q_a=4.0, settle_s=0.05, duration_s=0.5, rot
 TRIPPED = DriveFault(FaultCause.OVERCURRENT, "5 A")
 
 
-class Polled(PolledDrive):
+class Bench:
+    """A board without a link."""
+
+    def check(self) -> None:
+        return None
+
+    def close(self) -> None:
+        return None
+
+
+class Polled(PolledDrive[Bench]):
     """Holds what it is given, in rows of 100 Hz."""
 
     name: ClassVar[str] = "polled"
@@ -41,7 +52,7 @@ class Polled(PolledDrive):
         self.fault: DriveFault | None = None
 
     def open(self) -> Capabilities:
-        self.origin_s = time.monotonic()
+        self.board, self.origin_s = Bench(), time.monotonic()
         return Capabilities(
             name="polled",
             sampling_frequency_hz=100.0,
@@ -53,9 +64,6 @@ class Polled(PolledDrive):
             excitations=frozenset({"hold"}),
             watchdog_s=None,
         )
-
-    def connected(self) -> None:
-        return None
 
     def board_fault(self) -> DriveFault | None:
         return self.fault
@@ -122,3 +130,17 @@ def test_the_clock_goes_on_where_a_run_was_resumed(drive: Polled) -> None:
     assert isinstance(drive, ResumableDrive)
     drive.restore("hold-001", 40.0)
     assert 40.0 <= drive.telemetry().time_s < 41.0
+
+
+def test_a_drive_that_is_not_connected_refuses_and_one_that_is_closed_has_no_board(drive: Polled) -> None:
+    drive.close()
+    assert drive.board is None
+    with pytest.raises(DriveRefused, match="not connected"):
+        drive.connected()
+
+
+def test_a_current_that_does_not_fall_to_zero_is_a_fault(drive: Polled) -> None:
+    left = iter([True, True, False])
+    drive.await_zero_current(lambda: next(left), 1.0)
+    with pytest.raises(DriveFault, match=r"after 0.01 s of ramping down"):
+        drive.await_zero_current(lambda: True, 0.01)

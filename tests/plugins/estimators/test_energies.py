@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orchestrator.numerics.surface import inside_hull
-from plugins.estimators._energies import Measurements, energy_measurements, gridded, pm_flux
-from plugins.estimators._maps import InjectedFlux, SweptFlux
+from plugins.estimators._energies import Measurements, energy_measurements, gridded
+from plugins.estimators._maps import InjectedFlux, SweptFlux, pm_flux
 from protocols import EstimationContext, NotMeasuredError, SegmentStage
 from tests.orchestrator.analysis.campaign import MOTOR, MemoryRecording
 from tests.orchestrator.analysis.plant import Array

@@ -13,7 +13,7 @@ import pytest
 from markupsafe import Markup
 from matplotlib import pyplot
 
-from plugins.streams.report import ReportStream, _figures, _motor_figures, write_report
+from plugins.streams.report import ReportStream, _figures, write_report
 from plugins.streams.report._collect import collect
 from plugins.streams.report._content import checks, formulas, map_rows, remarks
 from plugins.streams.report._figures import (
@@ -92,7 +92,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of the words: figures are made, but not rendered."""
-    for module in ("_figures", "_diagnosis_figures", "_motor_figures"):
+    for module in ("_figures", "_diagnosis_figures"):
         monkeypatch.setattr(f"plugins.streams.report.{module}.uri", lambda figure: "data:image/svg+xml;base64,")
 
 
@@ -108,9 +108,8 @@ def run(undrawn: None, finished: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of texts beside pictures: figures are not even made."""
-    for module in (_figures, _motor_figures):
-        for name in [name for name in vars(module) if name.endswith("_figure") and name != "new_figure"]:
-            monkeypatch.setattr(module, name, lambda *_: "data:image/svg+xml;base64,")
+    for name in [name for name in vars(_figures) if name.endswith("_figure") and name != "new_figure"]:
+        monkeypatch.setattr(_figures, name, lambda *_: "data:image/svg+xml;base64,")
 
 
 def page_of(run: Path) -> Page:

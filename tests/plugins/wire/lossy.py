@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -11,6 +12,7 @@ from plugins.wire import (
     AckStatus,
     Answer,
     BlockLayout,
+    CaptureAssembly,
     CaptureSource,
     Frame,
     Op,
@@ -19,6 +21,7 @@ from plugins.wire import (
     decode,
     encode,
 )
+from protocols import DriveFault, FaultCause
 
 
 @dataclass
@@ -86,3 +89,39 @@ class Device:
         if isinstance(answer, Answer):
             return [*(Frame(self.layout.frame_id, payload) for payload in answer.payloads), encode(answer.end)]
         return [encode(Ack(0, request.window, Op.READ_BLOCK, AckStatus(answer), PowerState.HOLDING))]
+
+
+def upload(
+    assembly: CaptureAssembly,
+    send: Callable[[ReadBlock], None],
+    receive: Callable[[], Sequence[Frame]],
+    *,
+    clock: Callable[[], float] = time.monotonic,
+    repeat_s: float = 0.15,
+    timeout_s: float = 1.0,
+    rounds: int = 200,
+) -> memoryview:
+    """Ask and take until the capture is complete and verified.
+
+    Raises `DriveFault`: ``no_answer`` where nothing comes, ``wrong_data`` where the capture does not
+    fit its CRC or the drive refuses to hand it out.
+    """
+    idle, before = 0, -1
+    received_s = clock()
+    while (data := assembly.result()) is None:
+        if not assembly.waiting:
+            idle = 0 if assembly.received != before else idle + 1
+            before = assembly.received
+            if idle > rounds:
+                raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
+            for request in assembly.requests():
+                send(request)
+            requested_s = clock()
+        mine = assembly.take(receive())
+        now = clock()
+        received_s = now if mine else received_s
+        if now - received_s > timeout_s:
+            raise DriveFault(FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {timeout_s:g} s")
+        if now - max(received_s, requested_s) > repeat_s:
+            assembly.give_up()
+    return data

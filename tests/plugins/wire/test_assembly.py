@@ -28,10 +28,9 @@ from plugins.wire import (
     frame_id,
     serial_blocks,
     to_serial,
-    upload,
 )
 from protocols import DriveFault, FaultCause, InputError
-from tests.plugins.wire.lossy import Device, Lossy
+from tests.plugins.wire.lossy import Device, Lossy, upload
 from tests.support.cases import few
 
 SERIAL = serial_blocks(1020)

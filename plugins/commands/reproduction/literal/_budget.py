@@ -186,7 +186,11 @@ def _on(energy: PolynomialFit, current: Array) -> FluxPath:
 
 def gap_percent(injection: Sequence[FluxPath], classical: Sequence[FluxPath]) -> Array:
     """By how much the first's flux is larger, along the d and the q axis, by least squares through zero, shape (2,)."""
-    return np.array([_larger_percent(along(injection, k), along(classical, k), k) for k in range(2)])
+    larger = []
+    for column in range(2):
+        _, own, theirs = side_by_side(along(injection, column), along(classical, column), column)
+        larger.append(100.0 * (float(own @ theirs / (theirs @ theirs)) - 1.0))
+    return np.array(larger)
 
 
 def along(paths: Sequence[FluxPath], column: int) -> FluxPath:
@@ -194,9 +198,10 @@ def along(paths: Sequence[FluxPath], column: int) -> FluxPath:
     return min(paths, key=lambda path: float(np.abs(path.current[:, 1 - column]).max()))
 
 
-def _larger_percent(one: FluxPath, other: FluxPath, column: int) -> float:
+def side_by_side(one: FluxPath, other: FluxPath, column: int) -> tuple[Array, Array, Array]:
+    """Currents of the first path that the other one covers, and the flux of each there, shape (n,)."""
     order = np.argsort(other.current[:, column])
-    at, psi = other.current[order, column], other.psi[order, column]
+    at = other.current[order, column]
     inside = (one.current[:, column] >= at[0]) & (one.current[:, column] <= at[-1])
-    there = np.interp(one.current[inside, column], at, psi)
-    return 100.0 * (float(one.psi[inside, column] @ there / (there @ there)) - 1.0)
+    current = one.current[inside, column]
+    return current, one.psi[inside, column], np.interp(current, at, other.psi[order, column])

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orchestrator.analysis import FluxPath
 from orchestrator.formatting.colours import BLUE, GREEN, VERMILION
 from orchestrator.formatting.drawing import CURRENT_LABELS, STYLE, bare, empty_figure, name_axes
-from orchestrator.numerics.types import Array
-from plugins.commands.reproduction.literal._budget import Budget, along
+from plugins.commands.reproduction.literal._budget import Budget, along, side_by_side
 from plugins.commands.reproduction.literal._evaluation import Literal
 
 if TYPE_CHECKING:
@@ -59,16 +57,8 @@ def _gap(budget: Budget) -> Figure:
                 (bench.injection(), "-", "rectangles"),
                 (bench.by_regression(), "--", "improved"),
             ):
-                current, apart = _apart(along(paths, column), swept, column)
-                axes.plot(current, 1e3 * apart, line, color=colour, lw=1.3, label=f"{words}, {rule}")
+                current, own, theirs = side_by_side(along(paths, column), swept, column)
+                axes.plot(current, 1e3 * (own - theirs), line, color=colour, lw=1.3, label=f"{words}, {rule}")
         name_axes(bare(axes), CURRENT_LABELS[axis], rf"$\psi_{axis}$ by injection less by integration [mWb]")
     figure.axes[1].legend(frameon=False, fontsize=STYLE.small_pt)
     return figure
-
-
-def _apart(one: FluxPath, other: FluxPath, column: int) -> tuple[Array, Array]:
-    at, start = other.current[:, column], one.current[:, column]
-    order = np.argsort(at)
-    inside = (start >= at.min()) & (start <= at.max())
-    there = np.interp(start[inside], at[order], other.psi[order, column])
-    return start[inside], np.asarray(one.psi[inside, column] - there)

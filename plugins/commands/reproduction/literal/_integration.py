@@ -15,7 +15,6 @@ import numpy as np
 
 from orchestrator.analysis import FluxPath, trace_sweep
 from orchestrator.numerics.frames import to_dq
-from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError, Segment
 
 
@@ -89,10 +88,7 @@ def tied(sweeps: Sequence[SweptPath]) -> list[FluxPath]:
             continue
         other = through_zero.get("q" if one.axis == "d" else "d")
         if other is not None:
-            start = _flux_at(other, one.held_a, "dq".index("q" if one.axis == "d" else "d"))
+            across = other.current[:, "dq".index("q" if one.axis == "d" else "d")]
+            start = np.array([np.interp(one.held_a, across, psi) for psi in other.psi.T])
             out.append(FluxPath(one.path.current, one.path.psi + start, one.path.std))
     return out
-
-
-def _flux_at(path: FluxPath, current_a: float, column: int) -> Array:
-    return np.array([np.interp(current_a, path.current[:, column], psi) for psi in path.psi.T])

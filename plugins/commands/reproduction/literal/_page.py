@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
+from importlib.resources import files
 from pathlib import Path
 
 from orchestrator.formatting.names import PAPER_CROSSINGS
@@ -12,7 +13,6 @@ from orchestrator.formatting.sentences import markdown_table
 from orchestrator.numerics.types import Array
 from orchestrator.recording import replace_file
 from plugins.commands.reproduction.literal._budget import ALL, IRON, IRON_ALL, NOISE, RULE, Budget, Row
-from plugins.commands.reproduction.literal._differences import DIFFERENCES
 from plugins.commands.reproduction.literal._evaluation import Errors, Literal
 from plugins.commands.reproduction.literal._figures import GAP, SIGNAL, draw_all
 from plugins.commands.reproduction.literal._paths import parity_percent
@@ -32,96 +32,25 @@ def write_page(measured: Literal, budget: Budget, folder: Path) -> Path:
 def _text(measured: Literal, budget: Budget) -> str:
     rule = budget.row(RULE)
     iron = budget.sources.hysteresis
-    most = max(float(row.literal.crossings[1]) for row in budget.rows)
-    return f"""# The paper, literally
-
-The same experiment as on [the other page](README.md), evaluated as the paper prints it: R_s as voltage over
-current, no knowledge of the inverter, the printed demodulator with its misprint corrected, inductances summed by
-rectangles from zero flux outwards, and the polynomial energy fitted to second derivatives. Beside it what fluxbench
-makes of the same samples, and what makes the errors: each source switched on alone, on the simulated plant, an
-experiment to the letter each time.
-
-Written by `fluxbench reproduce --literal` on {time.strftime("%Y-%m-%d", time.gmtime())}. Percentages are of the rated
-flux, |psi(rated i_q) - psi(0, 0)|, unless they say otherwise.
-
-## The numbers
-
-{_numbers(measured, budget)}
-
-## What makes the errors
-
-Injection as printed. The paper's figures are 1.3 % on d and 2.9 % on q, and it does not say of what: "relative" may
-be to the flux where the paths cross, so both readings are given (the second where there is a quarter of the rated
-flux or more). The last columns are what the paper could not know: the distance from the plant's flux over all points.
-
-{_sources(budget)}
-
-The rule makes {_pair(rule.literal.crossings)} by itself, and nearly all of the map's error on a sound bench: each step
-takes the inductance at its outer end, which saturation has made the smaller one, so the flux comes out up to
-{_two(rule.literal.worst)} short. R_s, which the method never uses, and noise add nothing. The inverter does: dead time
-follows the ripple where a phase current passes zero. The largest psi_q of the table is {_two(most)}: what made the
-paper's 2.9 % is not known.
-
-Integration without a model of the inverter is worth nothing, as the paper's figure 2 shows:
-
-{_integration(budget)}
-
-## What each step of the method is worth
-
-{_steps(budget)}
-
-Vectors that stand, half of the time on d and half on q ("at least two independent vectors"), instead of one that
-turns, on the bench with all of it:
-
-{_vectors(budget)}
-
-A vector that turns averages over the directions in which dead time hurts.
-
-## Figure 7's gap
-
-By how much the flux of injection is above that of integration, by least squares along both axes; without an inverter,
-for integration is then right. Hysteresis: {1e3 * iron["half_width_a"]:.0f} mA of half width, a
-reversible inductance of {100.0 * iron["reversible_ratio"]:.0f} % of the slope.
-
-{_gaps(budget)}
-
-The paper suspects hysteresis. The sums by rectangles make a gap of the same sign without any: whoever looks for
-hysteresis in it has to take the rule out first.
-
-![gap]({GAP})
-
-*Flux by injection less flux by integration (figure 7's difference), with hysteresis and without, by rectangles and
-improved.*
-
-## Parity
-
-Largest departure from even (11, 22) and odd (12) in i_q, in percent of the mean of the diagonal: "experimentally
-satisfied, both for the Hessian matrix and its inverse".
-
-{_parity(measured, budget)}
-
-## The energy from second derivatives
-
-The paper's polynomial, x², y², x³, xy², x⁴, x²y², y⁴, fitted to the measured Hessians, and to the flux by rectangles.
-
-{_energies(budget)}
-
-"It is numerically better to fit the derivatives of a function than the function itself": so it is, for no sum is
-needed before. What is left on the bench without errors is the polynomial's own: the plant has terms of the sixth
-degree too.
-
-## The virtual measurement as a signal
-
-![signal]({SIGNAL})
-
-*Mean current and virtual measurement of the point whose ripple is least of a sine, one turn of the injected vector.
-Dashed: the fitted Hessian times that vector; what departs from it is the inverter's. At the beginning the offset of the
-wave that was switched on decays.*
-
-## In what fluxbench and these pages differ from the paper
-
-{markdown_table(("", "the paper", "this page", "fluxbench"), DIFFERENCES)}
-"""
+    values = {
+        "day": time.strftime("%Y-%m-%d", time.gmtime()),
+        "numbers": _numbers(measured, budget),
+        "sources": _sources(budget),
+        "rule_crossings": _pair(rule.literal.crossings),
+        "rule_worst": _two(rule.literal.worst),
+        "worst_crossing": _two(max(float(row.literal.crossings[1]) for row in budget.rows)),
+        "integration": _integration(budget),
+        "steps": _steps(budget),
+        "vectors": _vectors(budget),
+        "half_width_ma": 1e3 * iron["half_width_a"],
+        "reversible_percent": 100.0 * iron["reversible_ratio"],
+        "gaps": _gaps(budget),
+        "gap": GAP,
+        "parity": _parity(measured, budget),
+        "energies": _energies(budget),
+        "signal": SIGNAL,
+    }
+    return (files(__package__) / "page.md").read_text(encoding="utf-8").format(**values)
 
 
 def _numbers(measured: Literal, budget: Budget) -> str:
@@ -205,14 +134,13 @@ def _vectors(budget: Budget) -> str:
 
 
 def _gaps(budget: Budget) -> str:
-    rows = []
-    for name in (RULE, IRON):
-        gaps = budget.row(name).gap_percent
-        rows += [(_words(budget.row(name)), how, _signed(gaps[key])) for key, how in _HOW]
+    evaluations = {"literal": "as printed", "regression": "ripple regressed, trapezoids"}
+    rows = [
+        (_words(row), how, _signed(row.gap_percent[key]))
+        for row in (budget.row(RULE), budget.row(IRON))
+        for key, how in evaluations.items()
+    ]
     return _table(("switched on", "injection evaluated", "psi_d, psi_q against integration"), rows)
-
-
-_HOW = (("literal", "as printed"), ("regression", "ripple regressed, trapezoids"))
 
 
 def _parity(measured: Literal, budget: Budget) -> str:

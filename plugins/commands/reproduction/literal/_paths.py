@@ -138,7 +138,8 @@ def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Arr
     sign = np.array([1.0, 1.0, -1.0])
     apart = []
     for line in lines:
-        mirror = [one for one in lines if one.axis == line.axis and _mirrored(line, one)]
+        held_a = -line.held_a if line.axis == "d" else line.held_a  # of the line with i_q reversed
+        mirror = [one for one in lines if one.axis == line.axis and abs(one.held_a - held_a) < 1e-9]
         if line.axis == "dq" or not mirror:
             continue
         along, other = (current[one.points] @ one.swept for one in (line, mirror[0]))
@@ -149,9 +150,3 @@ def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Arr
         apart.append(0.5 * (columns[line.points] - sign * image)[inside])
     every = np.abs(np.concatenate(apart)).max(axis=0)
     return np.asarray(100.0 * every / np.abs(columns[:, :2]).mean())
-
-
-def _mirrored(line: Line, other: Line) -> bool:
-    """Whether `other` is what `line` becomes with i_q reversed."""
-    held = -line.held_a if line.axis == "d" else line.held_a
-    return abs(other.held_a - held) < 1e-9

@@ -45,10 +45,10 @@ from plugins.wire import (
     registers,
     serial_blocks,
     to_serial,
-    upload,
 )
 from plugins.wire import VECTORS as DEFAULT_CHANNELS
 from protocols import Excitation, Limits
+from tests.plugins.wire.lossy import upload
 from tests.support.processes import start_fluxbench
 
 FS = 10_000.0

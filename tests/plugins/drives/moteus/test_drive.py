@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from orchestrator.testing._drive_bench import Heart, measure
 from plugins.drives.moteus import MoteusDrive, MoteusOptions
-from plugins.drives.moteus._frame import Frame
+from plugins.drives.moteus._configuration import Frame
 from protocols import (
     DriveFault,
     DriveRefused,

@@ -14,7 +14,7 @@ from typing import Literal
 import pytest
 
 from plugins.drives.xcp import XcpOptions
-from plugins.drives.xcp._source import write_routine
+from plugins.drives.xcp._command import write_routine
 from plugins.wire._firmware import write_firmware
 from tests.support.emulator import free_port
 from tests.support.processes import wait_until

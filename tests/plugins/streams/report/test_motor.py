@@ -23,7 +23,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def material(run: Path, monkeypatch: pytest.MonkeyPatch) -> Material:
-    for module in ("_figures", "_diagnosis_figures", "_motor_figures"):
+    for module in ("_figures", "_diagnosis_figures"):
         monkeypatch.setattr(f"plugins.streams.report.{module}.uri", lambda figure: "data:image/svg+xml;base64,")
     return collect(run)
 

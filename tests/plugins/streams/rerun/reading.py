@@ -14,7 +14,7 @@ import pyarrow as pa
 from rerun.chunk import RrdReader
 
 from plugins.streams.rerun._live import HOST, wait_for_viewer
-from plugins.streams.rerun._programs import executable
+from plugins.streams.rerun._tape import executable
 
 
 def rows(file: Path, content: str) -> list[dict[str, Any]]:
