@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import numpy as np
-
-from protocols._base import ArrayModel, Samples, Shape, Strict, Vectors
+from protocols._base import ArrayModel, Phases, RealArray, Samples, Shape, Strict, Vectors
 from protocols._reports import CompareReport, DiagnosisReport, DiagnosisWords, NextExperiment
 
-Phases = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("n", 3))]
-Curve = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("m",))]
+Curve = Annotated[RealArray, Shape(("m",))]
 
 
 class CurrentExcerpt(ArrayModel):

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Annotated, Any, ClassVar, Protocol, TypeVar, runtime_checkable
-
-import numpy as np
+from typing import Annotated, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from protocols._base import ArrayModel, Lenient, RealArray, Shape, Strict, Vectors
 from protocols._recording import RecordingReader
 from protocols._remarks import Number, Remarks
 
-Grid = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("d", "q"))]
-AxisD = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("d",))]
-AxisQ = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("q",))]
+Grid = Annotated[RealArray, Shape(("d", "q"))]
+AxisD = Annotated[RealArray, Shape(("d",))]
+AxisQ = Annotated[RealArray, Shape(("q",))]
 
 
 class Interval(Strict):

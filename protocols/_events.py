@@ -174,7 +174,7 @@ class RunEnded(Strict):
     """None where nothing was estimated; older journals have an empty object there."""
 
 
-Message = (
+_Journalled = (
     RunStarted
     | StateChanged
     | StageStarted
@@ -182,38 +182,18 @@ Message = (
     | StageSufficed
     | PointStarted
     | PointDone
-    | SamplesCaptured
     | OperatorAsked
     | OperatorAnswered
     | LockChecked
     | ResistanceEstimated
-    | MapEstimated
     | Compared
-    | DiagnosisStep
     | Diagnosed
     | ExperimentProposed
     | Note
-    | UnderWay
     | RunEnded
 )
 
-JournalledMessage = Annotated[
-    RunStarted
-    | StateChanged
-    | StageStarted
-    | StagesAppended
-    | StageSufficed
-    | PointStarted
-    | PointDone
-    | OperatorAsked
-    | OperatorAnswered
-    | LockChecked
-    | ResistanceEstimated
-    | Compared
-    | Diagnosed
-    | ExperimentProposed
-    | Note
-    | RunEnded,
-    Field(discriminator="kind"),
-]
+JournalledMessage = Annotated[_Journalled, Field(discriminator="kind")]
 """The messages without arrays, as the journal keeps them."""
+
+Message = _Journalled | SamplesCaptured | MapEstimated | DiagnosisStep | UnderWay

@@ -18,11 +18,16 @@ from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
 from orchestrator.analysis._energy_search import fit_energy
-from orchestrator.analysis._heating import COPPER_PER_K, temperature_rise
 from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
-from orchestrator.analysis._known_resistance import UNSTATED, KnownResistance, known_resistance
 from orchestrator.analysis._next_point import Candidate, KnownMap, injected_points, known_map
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
+from orchestrator.analysis._resistance import (
+    COPPER_PER_K,
+    UNSTATED,
+    KnownResistance,
+    known_resistance,
+    temperature_rise,
+)
 from orchestrator.analysis._ripple import Ripple, axes_apart_rad, demodulate, injection_frequency, one_way_rad
 from orchestrator.analysis._ripple_regression import ONE_AXIS
 from orchestrator.analysis._rotor_lock import judge_lock

@@ -47,11 +47,16 @@ def reference_flux_wb(flux_map: FluxMap, motor: Motor) -> float | None:
 
 def flux_at(flux_map: FluxMap) -> Callable[[Array], Array]:
     """Function from currents, shape (n, 2), to fluxes, shape (n, 2): bilinear, NaN outside the map."""
+    return values_at(flux_map, "psi_d", "psi_q")
+
+
+def values_at(flux_map: FluxMap, *names: str) -> Callable[[Array], Array]:
+    """Function from currents, shape (n, 2), to a map's tables of these names, shape (n, k), as of `flux_at`."""
     from scipy.interpolate import RegularGridInterpolator
 
-    table = np.stack([flux_map.psi_d, flux_map.psi_q], axis=-1)
+    table = np.stack([getattr(flux_map, name) for name in names], axis=-1)
     lookup = RegularGridInterpolator((flux_map.i_d, flux_map.i_q), table, bounds_error=False, fill_value=np.nan)
-    return lambda i_dq: np.asarray(lookup(i_dq))
+    return lambda i_dq: np.asarray(lookup(i_dq), dtype=np.float64)
 
 
 def check_map(flux_map: FluxMap, rated_wb: float | None, misfit: Array | None) -> MapChecks:
@@ -103,11 +108,8 @@ def difference_percent(one: FluxMap, other: FluxMap, rated_wb: float | None) -> 
     """rms over `one`'s grid of |psi_one - psi_other|, each less its own psi(0, 0)."""
     if not rated_wb:
         return None
-    axes = (one.i_d.astype(np.float64), one.i_q.astype(np.float64))
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    zero = np.zeros((1, 2))
-    apart = [flux_at(m)(grid) - flux_at(m)(zero) for m in (one, other)]
-    squares = ((apart[0] - apart[1]) ** 2).sum(axis=1)
+    a, b = _flux_of_both(one, other)
+    squares = ((a - b) ** 2).sum(axis=1)
     if not np.isfinite(squares).any():
         return None
     return float(100.0 / rated_wb * np.sqrt(np.nanmean(squares)))
@@ -118,13 +120,18 @@ def flux_ratio(one: FluxMap, other: FluxMap) -> tuple[float, float] | None:
 
     The errors of a map count as fully correlated over it. None where the maps do not overlap.
     """
-    axes = (one.i_d.astype(np.float64), one.i_q.astype(np.float64))
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-    zero = np.zeros((1, 2))
-    a, b = (flux_at(m)(grid) - flux_at(m)(zero) for m in (one, other))
+    a, b = _flux_of_both(one, other)
     there = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
     size = float((b[there] ** 2).sum())
     if size == 0.0:
         return None
     spread = [float(np.nanmean(m.psi_d_std**2 + m.psi_q_std**2)) for m in (one, other)]
     return float((a[there] * b[there]).sum()) / size, float(np.sqrt(sum(spread) * there.sum() / size))
+
+
+def _flux_of_both(one: FluxMap, other: FluxMap) -> tuple[Array, Array]:
+    """Fluxes of both maps at the currents of `one`'s grid, each less its own psi(0, 0), shape (n, 2) each."""
+    axes = (one.i_d.astype(np.float64), one.i_q.astype(np.float64))
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    zero = np.zeros((1, 2))
+    return flux_at(one)(grid) - flux_at(one)(zero), flux_at(other)(grid) - flux_at(other)(zero)

@@ -9,7 +9,7 @@ smoothness of W (see `numerics.reml`), so the posterior covariance includes the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -59,13 +59,13 @@ class EnergyFit:
     angle_rad: float
     coefficients: Array
     covariance: Array
-    scales: Array
-    stiffening_per_h: float
-    correlation: float
-    inverter_step: float
-    taken_out: Array
-    taken_out_std: Array
-    trust: Array
+    scales: Array = field(default_factory=lambda: np.ones(4))
+    stiffening_per_h: float = 0.0
+    correlation: float = 0.0
+    inverter_step: float = 0.0
+    taken_out: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    taken_out_std: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    trust: Array = field(default_factory=lambda: np.ones(0))
 
     def flux(self, at: Array) -> tuple[Array, Array]:
         """psi(i) - psi(0) and its standard deviation, shape (n, 2) each [Wb]."""
@@ -200,7 +200,10 @@ class EnergyProblem:
         """Rows (n, 7, modes) and right-hand sides (n, 7) of the inductances and their slopes, in stated errors."""
         if self.points is None:
             return np.zeros((0, 7, self.modes.shape[1])), np.zeros((0, 7))
-        m, t = self._softened(self.points)
+        # Without hysteresis (L^-1 - s)^-1, the third derivatives of the energy unchanged.
+        softening = np.linalg.inv(np.eye(2) - self.stiffening_per_h * self.points.matrix)
+        m = self.points.matrix @ softening
+        t = np.einsum("nai,nbj,nck,nijk->nabc", softening, softening, softening, self.points.slope)
         target = np.column_stack(
             [m[:, 0, 0], m[:, 0, 1], m[:, 1, 1], t[:, 0, 0, 0], t[:, 0, 0, 1], t[:, 0, 1, 1], t[:, 1, 1, 1]]
         )
@@ -212,12 +215,6 @@ class EnergyProblem:
         root = np.linalg.cholesky(covariance + own[:, :, None] * np.eye(7))
         white = np.linalg.inv(root)
         return white @ self._inductance_rows, np.einsum("nij,nj->ni", white, target)
-
-    def _softened(self, points: Inductances) -> tuple[Array, Array]:
-        """L and dL/di without hysteresis: (L^-1 - s)^-1, with unchanged third derivatives of the energy."""
-        grown = np.linalg.inv(np.eye(2) - self.stiffening_per_h * points.matrix)
-        slope = np.einsum("nai,nbj,nck,nijk->nabc", grown, grown, grown, points.slope)
-        return np.asarray(points.matrix @ grown), slope
 
     def fluxes(self) -> tuple[Array, Array]:
         """Rows (p, 2 waves, modes) and right-hand sides (p, 2 waves) of the flux along all paths.
@@ -313,11 +310,11 @@ def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) ->
             growth += [1.0] * len(kinds)
             continue
         off = target - rows @ solution.modes
-        hat = np.square(rows @ solution.root).sum(axis=2)
+        leverage = np.square(rows @ solution.root).sum(axis=2)
         for kind in kinds:
             squares = float(np.square(off[:, kind] * root[:, None]).sum())
             count = float(off[:, kind].size)
-            free = max(count - float((hat[:, kind] * root[:, None] ** 2).sum()), 0.2 * count)
+            free = max(count - float((leverage[:, kind] * root[:, None] ** 2).sum()), 0.2 * count)
             growth.append((stated + squares) / (stated + free))
         size = np.square(off).sum(axis=1)
         weights.append(np.minimum(1.0, _limit(off.shape[1]) / np.maximum(size, 1e-300)))
@@ -327,8 +324,12 @@ def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) ->
 
 def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
     """The fit; correlated residuals of neighbours widen its covariance, as the data are effectively fewer."""
-    correlation = _neighbour_correlation(problem, solution)
-    count = 0 if problem.points is None else len(problem.points.current)
+    correlation, count = 0.0, 0
+    if problem.points is not None:
+        count = len(problem.points.current)
+        rows, target, weights = problem.blocks()[0]
+        off = (target[:, :3] - rows[:, :3] @ solution.modes) * weights[:, None]
+        correlation = neighbour_correlation(problem.points.current, off)
     sure = np.clip(correlation - 2.0 / np.sqrt(max(3 * count, 1)), 0.0, 0.95)
     modes = problem.modes
     root = modes @ solution.root
@@ -350,14 +351,13 @@ def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
     )
 
 
-def _neighbour_correlation(problem: EnergyProblem, solution: Solution) -> float:
+def neighbour_correlation(current: Array, off: Array) -> float:
+    """Correlation of the residuals of nearest neighbours, which a model's misfit causes."""
     from scipy.spatial import cKDTree
 
-    if problem.points is None or len(problem.points.current) < 3:
+    if len(current) < 3:
         return 0.0
-    rows, target, root = problem.blocks()[0]
-    off = (target[:, :3] - rows[:, :3] @ solution.modes) * root[:, None]
-    nearest = np.asarray(cKDTree(problem.points.current).query(problem.points.current, k=2)[1])[:, 1]
+    nearest = np.asarray(cKDTree(current).query(current, k=2)[1])[:, 1]
     return float((off * off[nearest]).sum() / max(float((off**2).sum()), 1e-300))
 
 

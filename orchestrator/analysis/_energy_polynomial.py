@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
-from orchestrator.analysis._energy_fit import EnergyFit
+from orchestrator.analysis._energy_fit import EnergyFit, neighbour_correlation
 from orchestrator.analysis._flux_errors import directions, sizes, waves, whitening
 from orchestrator.analysis._inductance_errors import GAIN_STD
-from orchestrator.analysis._integration import Inductances
+from orchestrator.analysis._integration import PAIRS, TRIPLES, Inductances
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
@@ -156,10 +156,6 @@ class _Derivatives:
         return out
 
 
-_PAIRS = np.array([[0, 1], [1, 2]])
-_TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
-
-
 @np.errstate(over="ignore", invalid="ignore")  # a later check finds values that diverge
 def _inverted(
     terms: Sequence[Term], coefficients: Array, current: Array, most_steps: int = 60, close: float = 1e-10
@@ -201,13 +197,13 @@ def _model(terms: Sequence[Term], coefficients: Array, current: Array) -> _Model
     """Everything at given currents; d psi/d alpha = -L d(grad H)/d alpha with the current held."""
     psi = _inverted(terms, coefficients, current)
     second = _powers(terms, psi, 2)
-    hessian = (second @ coefficients)[:, _PAIRS]
+    hessian = (second @ coefficients)[:, PAIRS]
     matrix = np.full_like(hessian, np.nan)
     there = np.isfinite(psi).all(axis=1)
     matrix[there] = np.linalg.inv(hessian[there])
     psi_by = -matrix @ _powers(terms, psi, 1)
-    third = (_powers(terms, psi, 3) @ coefficients)[:, _TRIPLES]
-    hessian_by = second[:, _PAIRS] + third @ psi_by[:, None]
+    third = (_powers(terms, psi, 3) @ coefficients)[:, TRIPLES]
+    hessian_by = second[:, PAIRS] + third @ psi_by[:, None]
     # L (d Hess H) L, the coefficients before the rows and columns
     inductance_by = matrix[:, None] @ np.moveaxis(hessian_by, 3, 1) @ matrix[:, None]
     return _Model(psi, matrix, psi_by, -np.moveaxis(inductance_by, 1, 3))
@@ -266,7 +262,7 @@ class _Data:
         region = every[:: max(1, len(every) // 400)]  # four hundred places show whether H is convex
         if points is None:
             return _Data(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), own, region)
-        measured = points.matrix - energy.taken_out[:, [[0, 1], [1, 2]]]
+        measured = points.matrix - energy.taken_out[:, PAIRS]
         softened = np.linalg.inv(np.linalg.inv(measured) - energy.stiffening_per_h * np.eye(2))
         matrix = turn.T @ softened @ turn
         mixing = _entries(np.einsum("ax,nxyk,yb->nabk", turn.T, _units(len(matrix)), turn))
@@ -408,7 +404,7 @@ def _described(
         off = data.inductance - _entries(model.inductance)
         mean = float(data.inductance[:, [0, 2]].mean())
         misfit = 100.0 * float(np.sqrt((off**2).mean())) / mean
-        correlation = _neighbours_alike(data.current, np.einsum("nij,nj->ni", data.white, off))
+        correlation = neighbour_correlation(data.current, np.einsum("nij,nj->ni", data.white, off))
     if data.paths:
         apart = []
         for path in data.paths:
@@ -420,13 +416,3 @@ def _described(
     gain = GAIN_STD * coefficients * np.array([m + n - 1.0 for m, n in terms])
     widened = covariance * ((1.0 + sure) / (1.0 - sure)) + np.outer(gain, gain)
     return PolynomialFit(terms, coefficients, widened, energy.angle_rad, misfit, flux_misfit, {})
-
-
-def _neighbours_alike(current: Array, off: Array) -> float:
-    """Correlation of the residuals of nearest neighbours, which the polynomial's misfit causes."""
-    from scipy.spatial import cKDTree
-
-    if len(current) < 3:
-        return 0.0
-    nearest = np.asarray(cKDTree(current).query(current, k=2)[1])[:, 1]
-    return float((off * off[nearest]).sum() / max(float((off**2).sum()), 1e-300))

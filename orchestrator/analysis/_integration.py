@@ -46,14 +46,15 @@ class Inductances:
     misfit: Array | None = None
 
 
-_PAIRS = np.array([[0, 1], [1, 2]])
-_TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
+PAIRS = np.array([[0, 1], [1, 2]])
+TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
+"""Places of a symmetric tensor's entries among its distinct ones, in falling order of d."""
 
 
 def invert(ripples: list[Ripple]) -> Inductances:
     """Inductances L = (Hess H)^-1 and their slopes dL_abc = -L_ai L_bj L_ck H_ijk, errors propagated."""
     h = np.stack([r.hessian for r in ripples])
-    third = np.stack([r.third for r in ripples])[:, _TRIPLES]
+    third = np.stack([r.third for r in ripples])[:, TRIPLES]
     matrix = np.linalg.inv(h).astype(np.float64)
     slope = -np.einsum("nai,nbj,nck,nijk->nabc", matrix, matrix, matrix, third)
     # d L = -L dH L; the slope's own errors are those of H_ijk, L being far better known.
@@ -61,12 +62,12 @@ def invert(ripples: list[Ripple]) -> Inductances:
     for m, (i, j) in enumerate(((0, 0), (0, 1), (1, 1))):
         for a in range(2):
             for b in range(2):
-                jacobian[:, m, _PAIRS[a, b]] -= matrix[:, i, a] * matrix[:, b, j]
+                jacobian[:, m, PAIRS[a, b]] -= matrix[:, i, a] * matrix[:, b, j]
     for m, (i, j, k) in enumerate(((0, 0, 0), (0, 0, 1), (0, 1, 1), (1, 1, 1))):
         for a in range(2):
             for b in range(2):
                 for c in range(2):
-                    jacobian[:, 3 + m, 3 + _TRIPLES[a, b, c]] -= matrix[:, i, a] * matrix[:, j, b] * matrix[:, k, c]
+                    jacobian[:, 3 + m, 3 + TRIPLES[a, b, c]] -= matrix[:, i, a] * matrix[:, j, b] * matrix[:, k, c]
     covariance = jacobian @ np.stack([r.covariance for r in ripples]) @ jacobian.transpose(0, 2, 1)
     missed = jacobian @ _missed(ripples) @ jacobian.transpose(0, 2, 1)
     misfit = np.sqrt(np.einsum("nii->ni", missed))

@@ -20,7 +20,7 @@ import numpy as np
 from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit, EnergyProblem, energy_rows, finished, pose
 from orchestrator.analysis._energy_search import behind_dead_time
-from orchestrator.analysis._integration import Inductances, invert
+from orchestrator.analysis._integration import PAIRS, TRIPLES, Inductances, invert
 from orchestrator.analysis._ripple import Ripple, demodulate
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError, RecordingReader, Segment
@@ -113,16 +113,11 @@ class KnownMap:
         away = np.linalg.norm(at[:, None] - self.problem.points.current, axis=2)
         capture_s = np.array([one.capture_s for one in candidates])
         noise = self.noise[np.argmin(away, axis=1)] / capture_s[:, None, None]
-        matrix = self.fit.inductance(at)[0][:, _PAIRS]
+        matrix = self.fit.inductance(at)[0][:, PAIRS]
         third = energy_rows(self.fit.spline, at, self.fit.angle_rad, 3) @ self.fit.coefficients
-        expected = Inductances(at, matrix, third[:, _TRIPLES], noise)
+        expected = Inductances(at, matrix, third[:, TRIPLES], noise)
         errors = replace(self.problem.errors, points=None, paths=None)
-        posed = replace(self.problem, points=expected, errors=errors, rotor_angle_rad=self.problem.rotor_angle_rad)
-        return posed.inductances()[0]
-
-
-_PAIRS = np.array([[0, 1], [1, 2]])
-_TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
+        return replace(self.problem, points=expected, errors=errors).inductances()[0]
 
 
 def injected_points(

@@ -20,7 +20,7 @@ import numpy as np
 
 from orchestrator.analysis._ripple import Ripple
 from orchestrator.analysis._rotor_direction import anisotropy, saliency_direction, saturation_direction, slope
-from orchestrator.numerics.types import Array
+from orchestrator.numerics.frames import to_dq
 
 MIN_SIGMAS = 3.0
 FOLLOWING_SHARE = 0.5
@@ -46,8 +46,10 @@ def follows(rest: Ripple, torques: Sequence[Ripple], tolerance_rad: float) -> bo
     eighth = math.sqrt(0.5)  # cosine of an eighth of a turn
     if seen and len(seen) == len(suspects) and min(low for low, _ in seen) > eighth:
         return False
+    most_a = max(float(np.linalg.norm(ripple.current_dq)) for ripple in suspects)
+    carries_current = float(np.linalg.norm(rest.current_dq)) > 0.1 * most_a
     # Beside a current at rest the magnet's share is an extrapolation: good enough to acquit, not to convict.
-    if not _carries_current(rest, suspects) and seen and max(high for _, high in seen) < FOLLOWING_SHARE * eighth:
+    if not carries_current and seen and max(high for _, high in seen) < FOLLOWING_SHARE * eighth:
         return True
     return True if any(_falls(rest, ripple) for ripple in suspects) else None
 
@@ -56,26 +58,14 @@ def _may_lie_on_current(rest: Ripple, ripple: Ripple, tolerance_rad: float) -> b
     """Whether the saliency under torque is one of a rotor whose d axis lies along the current."""
     before, scatter_before = anisotropy(rest)
     now, scatter = anisotropy(ripple)
-    along, across = _beside_current(ripple, now)
+    # (H_cc - H_nn, 2 H_cn) by the anisotropy in the believed frame
+    along, across = (float(x) for x in to_dq(now[None], 2.0 * _angle(ripple))[0])
     # What is across at rest, where the d axis is known to lie, is the sensors' unequal gain or the brake's turn.
     unknown = abs(float(before[1])) + MIN_SIGMAS * math.sqrt(float(np.linalg.eigvalsh(scatter + scatter_before)[-1]))
     if abs(across) > unknown + 2.0 * tolerance_rad * float(np.linalg.norm(now)):
         return False
     growth = float(np.trace(ripple.hessian) - np.trace(rest.hessian))
     return abs(along - float(before[0])) <= growth + unknown
-
-
-def _carries_current(rest: Ripple, torques: Sequence[Ripple]) -> bool:
-    """Whether the current at rest shares in the slope, by a tenth of that under torque or more."""
-    most_a = max(float(np.linalg.norm(ripple.current_dq)) for ripple in torques)
-    return float(np.linalg.norm(rest.current_dq)) > 0.1 * most_a
-
-
-def _beside_current(ripple: Ripple, vector: Array) -> tuple[float, float]:
-    """(H_cc - H_nn, 2 H_cn) by the anisotropy in the believed frame."""
-    angle = 2.0 * _angle(ripple)
-    c, s = math.cos(angle), math.sin(angle)
-    return float(c * vector[0] + s * vector[1]), float(c * vector[1] - s * vector[0])
 
 
 def _angle(ripple: Ripple) -> float:

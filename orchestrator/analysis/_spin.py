@@ -342,13 +342,6 @@ class _System:
             angle_rad=self.angle_rad,
             coefficients=space @ modes,
             covariance=(space @ root) @ (space @ root).T,
-            scales=np.ones(4),
-            stiffening_per_h=0.0,
-            correlation=0.0,
-            inverter_step=0.0,
-            taken_out=np.zeros((0, 7)),
-            taken_out_std=np.zeros((0, 7)),
-            trust=np.ones(0),
         )
         return SpinFit(
             energy=fit,

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from orchestrator.analysis._energy_fit import EnergyFit, energy_rows
-from orchestrator.analysis._known_resistance import UNSTATED
+from orchestrator.analysis._resistance import UNSTATED
 from orchestrator.analysis._step_trace import StepTrace
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.reml import Solution, most_likely
@@ -153,8 +153,9 @@ class _System:
     def solved(self, size: Array) -> Solution:
         """What is most likely where so much is left of each axis, shape (2,)."""
         width = self.rows.shape[2]
-        prior, expected = np.zeros((self.own.stop - self.own.start, width)), self._expected()
         std = self._std()
+        prior, expected = np.zeros((len(std), width)), np.zeros(len(std))
+        expected[0], expected[2] = self.beliefs.resistance_ohm, -self.angle_rad
         prior[:, self.own] = np.diag(1.0 / std)
         rows = np.concatenate([*(self.rows / size[:, None, None]), prior])
         target = np.concatenate([*(self.target / size[:, None]), expected / std])
@@ -165,11 +166,6 @@ class _System:
         biases = np.full(2 * len(self.traces), b.bias_share * volts)
         losses = np.full(self.knots, b.loss_share * volts)
         return np.concatenate([[b.resistance_std_ohm, b.lag_samples, b.angle_rad], losses, biases])
-
-    def _expected(self) -> Array:
-        out = np.zeros(self.own.stop - self.own.start)
-        out[0], out[2] = self.beliefs.resistance_ohm, -self.angle_rad
-        return out
 
     def determines_resistance(self, solution: Solution) -> bool:
         """Whether the loops tell R_s apart from what the inverter keeps, where a nameplate alone tells it otherwise.
@@ -216,13 +212,6 @@ class _System:
             angle_rad=self.angle_rad,
             coefficients=modes @ solution.modes[own],
             covariance=root @ root.T,
-            scales=np.ones(4),
-            stiffening_per_h=0.0,
-            correlation=0.0,
-            inverter_step=0.0,
-            taken_out=np.zeros((0, 7)),
-            taken_out_std=np.zeros((0, 7)),
-            trust=np.ones(0),
         )
 
     def finished(self, solution: Solution, size: Array) -> StepsFit:
@@ -249,7 +238,7 @@ class _System:
             loss_v=own[knots],
             loss_std_v=std[knots],
             left_wb=size,
-            paths=_some(tuple(self._paths(own, size * widened))),
+            paths=_thinned(tuple(self._paths(own, size * widened))),
             misfit=left[:, : count * quarter].reshape(2, count, quarter).mean(axis=2).T,
         )
 
@@ -271,8 +260,8 @@ def _goes_both_ways(current: Array, share: float = 0.2) -> bool:
     return bool(along.min() < -share * along.max())
 
 
-def _some(paths: tuple[FluxPath, ...], most: int = 120) -> tuple[FluxPath, ...]:
-    """So many of them, spread evenly: loops repeat themselves."""
+def _thinned(paths: tuple[FluxPath, ...], most: int = 120) -> tuple[FluxPath, ...]:
+    """At most so many of them, spread evenly: loops repeat themselves."""
     return paths[:: max(1, -(-len(paths) // most))]
 
 

@@ -285,7 +285,7 @@ def _branches(trace: SweepTrace, columns: Array) -> list[Array]:
         tail = [rows[slice(*flats[n])].mean(axis=0)] if n < len(flats) else []
         runs.append(np.array([*head, *rows[a:b], *tail]).reshape(-1, rows.shape[1]))
     # A triangle turns round without a rest, though it may begin and end with one.
-    runs = [piece for run in runs for piece in (_halves(run) if not flats or _turns_round(run) else [run])]
+    runs = [half for run in runs for half in (_halves(run) if not flats or _turns_round(run) else [run])]
     span = np.ptp(trace.travel)
     return [run for run in runs if len(run) > 2 and abs(run[-1, 0] - run[0, 0]) > 0.1 * span]
 
@@ -312,7 +312,7 @@ def _halves(run: Array) -> list[Array]:
     aside = np.flatnonzero(side)
     stays = np.split(aside, np.flatnonzero(np.diff(side[aside])) + 1)
     turns = [int(stay[np.argmax(np.abs(off[stay]))]) for stay in stays if len(stay)]
-    return [piece for piece in np.split(run, turns) if len(piece) > 2]
+    return [half for half in np.split(run, turns) if len(half) > 2]
 
 
 def _levels(branches: list[Array], where: str, count: int = 61) -> Array:

@@ -174,8 +174,8 @@ def _resistive(trace: SweepTrace, node_s: Array) -> Array:
     """Integral of the current, weighted by each node's share in R_s(t), shape (n, nodes, 2)."""
     time = trace.start_s + trace.time
     shares = np.stack([np.interp(time, node_s, one) for one in np.eye(len(node_s))], axis=1)
-    pieces = np.diff(trace.charge, axis=0, prepend=np.zeros((1, 2)))
-    return np.cumsum(shares[:, :, None] * pieces[:, None, :], axis=0)
+    steps = np.diff(trace.charge, axis=0, prepend=np.zeros((1, 2)))
+    return np.cumsum(shares[:, :, None] * steps[:, None, :], axis=0)
 
 
 def _disagreement(trace: SweepTrace, node_s: Array) -> tuple[Array, Array]:

@@ -16,10 +16,9 @@ from orchestrator.config._slips import nameplate_questions
 from orchestrator.registry.plugins import PluginKind, installed
 from orchestrator.stages import parse_stages
 from orchestrator.validation.messages import KeyPath, first_problem, suggestion
-from orchestrator.validation.plain_files import read_text
 from orchestrator.validation.plausibility import implausible
 from orchestrator.validation.quantities import read_quantities
-from orchestrator.validation.strict_yaml import Document, apply_override, parse_document
+from orchestrator.validation.strict_yaml import Document, apply_override, parse_document, read_document
 from protocols import (
     DriveChoice,
     InputError,
@@ -100,7 +99,7 @@ def read_procedure(
     """
     document = _read(source)
     if motor is not None:
-        _lay_over(document, parse_document(_text_of(motor), str(motor)))
+        _lay_over(document, read_document(motor, ProcedureError))
     if drive is not None:
         _choose_drive(document, drive)
     for override in overrides:
@@ -125,7 +124,7 @@ def load_motor(path: str | PathLike[str]) -> Motor:
     ProcedureError
         Where there is none, or it is wrong; in one line.
     """
-    document = parse_document(_text_of(Path(path)), str(path))
+    document = read_document(Path(path), ProcedureError)
     read_quantities(document)
     raw = document.data.get("motor")
     if raw is None:
@@ -142,7 +141,7 @@ def _read(source: str) -> Document:
         return parse_document(shipped_procedure(source), f"{source}.yaml (shipped)")
     path = Path(source)
     if path.suffix in (".yaml", ".yml") or path.name != source or _is_file(path):
-        return parse_document(_text_of(path), str(path))
+        return read_document(path, ProcedureError)
     names = shipped_procedures()
     problem = f"neither a file nor a shipped procedure ({', '.join(names)}); {suggestion(source, names)}"
     raise ProcedureError(source, "", problem)
@@ -153,17 +152,6 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:  # a name that cannot be one, such as a very long one
         return False
-
-
-def _text_of(path: Path) -> str:
-    try:
-        return read_text(path)
-    except OSError as error:
-        raise ProcedureError(str(path), "", f"cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise ProcedureError(str(path), "", f"not UTF-8 at byte {error.start}") from None
-    except ValueError as error:
-        raise ProcedureError(repr(str(path)), "", f"cannot be read: {error}") from None
 
 
 def _lay_over(document: Document, overlay: Document) -> None:

@@ -28,6 +28,29 @@ _NOT_EXACT = {
 
 
 @dataclass(frozen=True)
+class Ratio:
+    """A relation's left side over its right side, over motors.
+
+    Attributes
+    ----------
+    low, high : float
+        As far as motors go.
+    usual : float
+        Of most motors.
+    spread : float
+        Standard deviation of its natural logarithm, over motors whose values are exact; infinite: no measure.
+    steeper_below : float
+        So many times narrower motors are spread below the usual ratio than above it.
+    """
+
+    low: float
+    high: float
+    usual: float
+    spread: float
+    steeper_below: float = 1.0
+
+
+@dataclass(frozen=True)
 class Relation:
     """One equation between numbers of a nameplate.
 
@@ -44,14 +67,7 @@ class Relation:
         Its right side.
     reference_words : str
         How that is written.
-    low, high : float
-        Of the left side over the right one, as far as motors go.
-    usual : float
-        The same of most motors.
-    spread : float
-        Standard deviation of its natural logarithm, over motors whose values are exact; infinite: no measure.
-    steeper_below : float
-        So many times narrower motors are spread below the usual ratio than above it.
+    ratio : Ratio
     """
 
     words: str
@@ -60,24 +76,20 @@ class Relation:
     unit: str
     reference: Callable[[Values], float]
     reference_words: str
-    low: float
-    high: float
-    usual: float
-    spread: float
-    steeper_below: float = 1.0
+    ratio: Ratio
 
     def holds(self, values: Values) -> bool:
         """Also where a value is missing."""
-        return not self._applies(values) or self.low <= self._ratio(values) <= self.high
+        return not self._applies(values) or self.ratio.low <= self._value(values) <= self.ratio.high
 
     def counts(self, values: Values) -> bool:
         """Whether its distance from the usual is a measure, and its values are there."""
-        return math.isfinite(self.spread) and self._applies(values)
+        return math.isfinite(self.ratio.spread) and self._applies(values)
 
     def off_usual(self, values: Values) -> float:
         """Natural logarithm of its ratio over the usual one, stretched below that until both sides spread alike."""
-        off = math.log(max(self._ratio(values), 1e-12) / self.usual)
-        return off if off > 0.0 else self.steeper_below * off
+        off = math.log(max(self._value(values), 1e-12) / self.ratio.usual)
+        return off if off > 0.0 else self.ratio.steeper_below * off
 
     def describe(self, values: Values, derived: Collection[str] = ()) -> str:
         """The numbers of both sides; a field that was `derived` from others is marked so."""
@@ -91,7 +103,7 @@ class Relation:
     def _applies(self, values: Values) -> bool:
         return all(name in values for name in self.given)
 
-    def _ratio(self, values: Values) -> float:
+    def _value(self, values: Values) -> float:
         return self.computed(values) / self.reference(values)
 
 
@@ -145,24 +157,19 @@ def _usual_copper_loss(values: Values) -> float:
     return 0.2 * power * float((power / 100.0) ** -0.3)
 
 
-def _beside_voltage(
-    words: str, given: tuple[str, ...], computed: Callable[[Values], float], low: float, high: float, **usual: float
-) -> Relation:
+def _beside_voltage(words: str, given: tuple[str, ...], computed: Callable[[Values], float], ratio: Ratio) -> Relation:
     stated = "rated_voltage_rms_v is {rated_voltage_rms_v}, {phase_peak_v} V peak in a phase"
     fields = (*given, "rated_voltage_rms_v")
-    return Relation(words, fields, computed, "V", _phase_peak_v, stated, low, high, **usual)
+    return Relation(words, fields, computed, "V", _phase_peak_v, stated, ratio)
 
 
-def _reactance_drop(axis: str, usual: float, spread: float) -> Relation:
+def _reactance_drop(axis: str, ratio: Ratio) -> Relation:
     field = f"{axis}_inductance_h"
     return _beside_voltage(
         f"2 pi f {{{field}}} H x the peak current",
         ("rated_frequency_hz", field, "rated_current_rms_a"),
         lambda v: _omega(v) * v[field] * _peak_a(v),
-        0.005,
-        5.0,
-        usual=usual,
-        spread=spread,
+        ratio,
     )
 
 
@@ -174,10 +181,7 @@ RELATIONS = (
         "rpm",
         lambda v: v["rated_speed_rpm"],
         "rated_speed_rpm is {rated_speed_rpm}",
-        low=0.95,
-        high=1.05,
-        usual=1.0,
-        spread=0.015,
+        Ratio(0.95, 1.05, usual=1.0, spread=0.015),
     ),
     Relation(
         "{rated_torque_nm} Nm x 2 pi {rated_speed_rpm} rpm / 60",
@@ -186,10 +190,7 @@ RELATIONS = (
         "W",
         lambda v: v["rated_power_w"],
         "rated_power_w is {rated_power_w}",
-        low=0.8,
-        high=1.25,
-        usual=1.0,
-        spread=0.06,
+        Ratio(0.8, 1.25, usual=1.0, spread=0.06),
     ),
     Relation(
         "the largest torque of {pole_pairs} pole pairs, {pm_flux_wb} Wb and {rated_current_rms_a} A rms",
@@ -198,10 +199,7 @@ RELATIONS = (
         "Nm",
         lambda v: v["rated_torque_nm"],
         "rated_torque_nm is {rated_torque_nm}",
-        low=0.8,
-        high=1.9,
-        usual=1.1,
-        spread=0.12,
+        Ratio(0.8, 1.9, usual=1.1, spread=0.12),
     ),
     Relation(
         "{rated_power_w} W over sqrt 3 x {rated_voltage_rms_v} V x {rated_current_rms_a} A",
@@ -210,37 +208,25 @@ RELATIONS = (
         "",
         lambda _: 1.0,
         "power factor times efficiency are 0.35 to 1",
-        low=0.35,
-        high=1.2,
-        usual=0.7,
-        spread=0.2,
+        Ratio(0.35, 1.2, usual=0.7, spread=0.2),
     ),
     _beside_voltage(
         "2 pi {rated_frequency_hz} Hz x {pm_flux_wb} Wb",
         ("rated_frequency_hz", "pm_flux_wb"),
         lambda v: _omega(v) * v["pm_flux_wb"],
-        0.15,
-        1.3,
-        usual=0.65,
-        spread=0.8,
+        Ratio(0.15, 1.3, usual=0.65, spread=0.8),
     ),
     _beside_voltage(
         "the voltage of {pm_flux_wb} Wb, R_s and L with {rated_current_rms_a} A rms at {rated_frequency_hz} Hz",
         ("rated_frequency_hz", "pm_flux_wb", "rated_current_rms_a", "stator_resistance_ohm", "pole_pairs"),
         _needed_voltage,
-        0.3,
-        2.0,
-        usual=0.9,
-        spread=0.17,
+        Ratio(0.3, 2.0, usual=0.9, spread=0.17),
     ),
     _beside_voltage(
         "{stator_resistance_ohm} ohm x {rated_current_rms_a} A rms x 1.414",
         ("stator_resistance_ohm", "rated_current_rms_a"),
         lambda v: v["stator_resistance_ohm"] * _peak_a(v),
-        0.001,
-        0.6,
-        usual=0.06,
-        spread=1.2,
+        Ratio(0.001, 0.6, usual=0.06, spread=1.2),
     ),
     Relation(
         "copper loss 3 x {stator_resistance_ohm} ohm x ({rated_current_rms_a} A rms)^2",
@@ -249,14 +235,11 @@ RELATIONS = (
         "W",
         _usual_copper_loss,
         "motors of {rated_power_w} W lose {usual_copper_loss_w} W or so",
-        low=0.05,
-        high=5.0,
-        usual=0.8,
-        spread=0.7,
+        Ratio(0.05, 5.0, usual=0.8, spread=0.7),
     ),
-    _reactance_drop("d", 0.25, 1.5),
+    _reactance_drop("d", Ratio(0.005, 5.0, usual=0.25, spread=1.5)),
     # How q's spreads goes with d's: the next relation has what it does beside it.
-    _reactance_drop("q", 0.35, math.inf),
+    _reactance_drop("q", Ratio(0.005, 5.0, usual=0.35, spread=math.inf)),
     Relation(
         "q_inductance_h / d_inductance_h = {q_inductance_h} H / {d_inductance_h} H",
         ("d_inductance_h", "q_inductance_h", "pm_flux_wb"),
@@ -264,11 +247,7 @@ RELATIONS = (
         "",
         lambda _: 1.0,
         "across the magnet (q) it is 0.85 to 8 times that along it (d)",
-        low=0.85,
-        high=8.0,
-        usual=1.2,
-        spread=0.8,
-        steeper_below=5.0,
+        Ratio(0.85, 8.0, usual=1.2, spread=0.8, steeper_below=5.0),
     ),
     Relation(
         "L / R = {d_inductance_h} H / {stator_resistance_ohm} ohm",
@@ -277,10 +256,7 @@ RELATIONS = (
         "s",
         lambda _: 1.0,
         "windings have 10 us to 0.5 s",
-        low=1e-5,
-        high=0.5,
-        usual=3e-3,
-        spread=1.8,
+        Ratio(1e-5, 0.5, usual=3e-3, spread=1.8),
     ),
 )
 
@@ -338,7 +314,7 @@ def mismatch(values: Values) -> float:
         moved = completed({**values, name: values[name] * math.exp(step)})
         slopes.append((np.array([relation.off_usual(moved) for relation in held]) - x) / step)
     jacobian = np.array(slopes).reshape(len(slopes), len(held))
-    covariance = np.diag([relation.spread**2 for relation in held]) + VALUE_STD**2 * jacobian.T @ jacobian
+    covariance = np.diag([relation.ratio.spread**2 for relation in held]) + VALUE_STD**2 * jacobian.T @ jacobian
     return float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
 
 

@@ -13,7 +13,6 @@ from orchestrator.stages import parse_stages
 from protocols import (
     Capabilities,
     CapabilityError,
-    CurrentControl,
     GatesOff,
     Injection,
     Spin,
@@ -92,7 +91,9 @@ class Requirements:
         if point.stage_index in self._released:
             self._check_free_rotor(point)
         elif isinstance(point.excitation, Spin):
-            self._check_spinning_brake(point)
+            has_brake = self._drive is not None and self._drive.has_brake
+            if has_brake or point.stage_index in self._engaged:
+                raise self._at(point, "", "with the brake engaged; put a stage with brake: release before it")
         if isinstance(point.excitation, VoltageSteps):
             self._check_turns(point, point.excitation)
         if self._drive is None:
@@ -115,11 +116,6 @@ class Requirements:
             raise self._at(point, "", "with the brake released; put a stage with brake: engage before it")
         if point.target is not None and abs(point.target[1]) > _RULES.of_an_offset * math.hypot(*point.target):
             raise self._at(point, self._written(point).current_field, "torque current while the brake is released")
-
-    def _check_spinning_brake(self, point: PlannedPoint) -> None:
-        own_brake = self._drive is not None and self._drive.has_brake
-        if own_brake or point.stage_index in self._engaged:
-            raise self._at(point, "", "with the brake engaged; put a stage with brake: release before it")
 
     def _check_watchdog(self, drive: Capabilities) -> None:
         advice = "write accept_no_watchdog with its sentence to do without"
@@ -167,7 +163,8 @@ class Requirements:
     def _check_offered(self, point: PlannedPoint, drive: Capabilities) -> None:
         e = point.excitation
         if e.kind not in drive.excitations:
-            raise self._at(point, "", f"the drive {drive.name!r} has no {e.kind}; it has {_listed(drive.excitations)}")
+            kinds = ", ".join(sorted(drive.excitations))
+            raise self._at(point, "", f"the drive {drive.name!r} has no {e.kind}; it has {kinds}")
         if e.pwm_frequency_hz is not None and e.pwm_frequency_hz not in drive.pwm_frequencies_hz:
             offered = ", ".join(f"{f:g}" for f in drive.pwm_frequencies_hz)
             problem = f"{e.pwm_frequency_hz:g} Hz is not offered by the drive ({offered} Hz)"
@@ -198,8 +195,10 @@ class Requirements:
             raise self._at(point, field, problem)
         if isinstance(e, GatesOff):
             return
-        if self._drive is None or self._drive.heeds_bandwidth:
-            self._check_control(point, e.control, sampling_hz)
+        bandwidth, highest = e.control.bandwidth_hz, sampling_hz / _RULES.least_per_control_period
+        if bandwidth > highest and (self._drive is None or self._drive.heeds_bandwidth):
+            problem = f"{bandwidth:g} Hz is too fast at {sampling_hz:g} Hz sampling: at most {highest:g} Hz"
+            raise self._at(point, "control.bandwidth_hz", problem)
         if isinstance(e, Injection):
             self._check_injection(point, e, sampling_hz)
         if isinstance(e, VoltageSteps):
@@ -240,12 +239,6 @@ class Requirements:
             problem = f"has a back-EMF of {emf:.4g} V between terminals, which the diodes feed to a bus of {bus:g} V"
             raise self._at(point, "speeds_rpm", problem)
 
-    def _check_control(self, point: PlannedPoint, control: CurrentControl, sampling_hz: float) -> None:
-        highest = sampling_hz / _RULES.least_per_control_period
-        if control.bandwidth_hz > highest:
-            problem = f"{control.bandwidth_hz:g} Hz is too fast at {sampling_hz:g} Hz sampling: at most {highest:g} Hz"
-            raise self._at(point, "control.bandwidth_hz", problem)
-
     def _check_injection(self, point: PlannedPoint, injection: Injection, sampling_hz: float) -> None:
         # A square wave with an odd number of samples a period has a mean, and drives a direct current.
         unit = 2 if injection.waveform == "square" else 1
@@ -283,7 +276,3 @@ def _stages_with_brake(plan: Plan, state: Literal["engage", "release"]) -> set[i
         if last == state:
             found.add(index)
     return found
-
-
-def _listed(names: frozenset[str]) -> str:
-    return ", ".join(sorted(names))

@@ -56,10 +56,6 @@ def _times(fields: tuple[str, ...], factor: float, words: str, probability: floa
     return Slip(fields, words, lambda values: {name: factor * values[name] for name in fields}, probability)
 
 
-def _exchanged(first: str, second: str, words: str, needed: tuple[str, ...]) -> Slip:
-    return Slip((first, second), words, lambda values: {first: values[second], second: values[first]}, HABIT, needed)
-
-
 _R, _L_D, _L_Q, _PSI = "stator_resistance_ohm", "d_inductance_h", "q_inductance_h", "pm_flux_wb"
 _V, _I, _P, _T = "rated_voltage_rms_v", "rated_current_rms_a", "rated_power_w", "rated_torque_nm"
 _F, _N, _PAIRS = "rated_frequency_hz", "rated_speed_rpm", "pole_pairs"
@@ -72,7 +68,7 @@ SLIPS = (
     _times((_L_D, _L_Q), 0.5, _BETWEEN_LINES, HABIT),
     *(_times(fields, 0.1, "a decimal point off") for fields in ((_L_D, _L_Q), (_R,), (_PSI,))),
     *(_times(fields, 10.0, "a decimal point off") for fields in ((_L_D, _L_Q), (_R,), (_PSI,))),
-    _exchanged(_L_D, _L_Q, "d and q exchanged", needed=(_PSI,)),
+    Slip((_L_D, _L_Q), "d and q exchanged", lambda v: {_L_D: v[_L_Q], _L_Q: v[_L_D]}, HABIT, needed=(_PSI,)),
     _times((_R,), 1e-3, "in milliohm"),
     _times((_PSI,), 1e-3, "in mWb"),
     _times((_PSI,), math.sqrt(2.0), "the rms, not the peak value", HABIT),

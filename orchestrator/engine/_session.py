@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -160,14 +161,10 @@ def _go_on(run: RunDirectory, services: RunServices, more: tuple[StageEntry, ...
 def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Callable[[], Stream]]:
     makers: dict[str, Callable[[], Stream]] = {}
     for name, options in wanted.items():
-        plugin = load_plugin(PluginKind.STREAMS, name)
+        plugin: type[Stream] = load_plugin(PluginKind.STREAMS, name)
         setup = StreamSetup(run=path, options=make_options(plugin, dict(options), f"stream {name}"))
-        makers[name] = _maker(plugin, setup)
+        makers[name] = partial(plugin, setup)
     return makers
-
-
-def _maker(plugin: type[Stream], setup: StreamSetup) -> Callable[[], Stream]:
-    return lambda: plugin(setup)
 
 
 @contextmanager

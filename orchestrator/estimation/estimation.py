@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ from orchestrator.analysis._held_captures import HeldCaptures
 from orchestrator.estimation.delivery import earlier_model, join_model
 from orchestrator.estimation.judgement import Found, judged
 from orchestrator.estimation.nameplate import beside_nameplate
-from orchestrator.estimation.order import in_order
 from orchestrator.estimation.results import write_results
 from orchestrator.estimation.usability import unmet
 from orchestrator.recording._recording_checks import SoundRecording
@@ -72,7 +72,12 @@ def estimate_recording(
     against = _conventions(recording)
     made: list[tuple[Estimator, Estimate]] = []
     missing: list[Remark] = []
-    for estimator in in_order([one for one in estimators if _is_concerned(one, recording)]):
+    # An estimator that names no stages is always tried.
+    stages_read: list[tuple[SegmentStage, ...]] = [getattr(one, "reads", ()) for one in estimators]
+    concerned = [
+        one for one, reads in zip(estimators, stages_read, strict=True) if not reads or recording.segments(*reads)
+    ]
+    for estimator in in_order(concerned):
         context = EstimationContext(tuple(estimate for _, estimate in made))
         try:
             estimate = estimator.estimate(recording, context)
@@ -106,10 +111,23 @@ def estimate_recording(
     return write_results(report, by_method, out / "results", motor=motor.name, recording=recording.manifest.name)
 
 
-def _is_concerned(estimator: Estimator, recording: RecordingReader) -> bool:
-    """Whether there is a segment of a stage that it `reads`; one that names none is always tried."""
-    stages: tuple[SegmentStage, ...] = getattr(estimator, "reads", ())
-    return not stages or bool(recording.segments(*stages))
+def in_order(estimators: Sequence[Estimator]) -> list[Estimator]:
+    """Each after those whose products it requires; what does not depend on each other keeps its order.
+
+    Raises
+    ------
+    PluginError
+        Where estimators require each other in a circle.
+    """
+    makers = {
+        k: [m for m, other in enumerate(estimators) if m != k and issubclass(other.produces, one.requires)]
+        for k, one in enumerate(estimators)
+    }
+    try:
+        return [estimators[k] for k in TopologicalSorter(makers).static_order()]
+    except CycleError as error:
+        names = " -> ".join(estimators[k].name for k in error.args[1])
+        raise PluginError("estimators", "requires", f"a circle: {names}") from None
 
 
 def _conventions(recording: RecordingReader) -> list[Remark]:

@@ -77,7 +77,10 @@ def judged(found: Found, motor: Motor, criteria: MapCriteria) -> EstimationRepor
             *_unscaled(best, motor),
             *(remark.by(method) for method, made in found.maps.items() for remark in made.remarks),
         ),
-        maps={method: _map_report(made) for method, made in maps.items()},
+        maps={
+            method: MapReport(basis=m.map.basis, checks=m.checks, inductances=inductances_of(m.map), form=m.form)
+            for method, m in maps.items()
+        },
         seen_by_injection=seen_by_injection(tuple(maps.values())),
         criteria=criteria,
     )
@@ -140,10 +143,6 @@ def _unscaled(best: FluxMapEstimate | None, motor: Motor) -> list[Remark]:
         "flux at the map's edge"
     )
     return [Remark.of("rated_current_not_reached", text, reference_wb=reference)]
-
-
-def _map_report(made: FluxMapEstimate) -> MapReport:
-    return MapReport(basis=made.map.basis, checks=made.checks, inductances=inductances_of(made.map), form=made.form)
 
 
 def inductances_of(flux_map: FluxMap) -> InductanceRange | None:

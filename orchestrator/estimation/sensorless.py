@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from orchestrator.analysis._checks import values_at
 from orchestrator.numerics.saliency import Saliency, principal
-from orchestrator.numerics.types import Array
 from protocols import Basis, FluxMap, FluxMapEstimate, IncrementalInductances, SeenByInjection
 
 
@@ -29,7 +29,7 @@ def seen_by_injection(maps: Sequence[FluxMapEstimate]) -> tuple[SeenByInjection,
 
 def _beside(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjection | None:
     """None where the map covers none of the points."""
-    slopes = _slopes(large, np.asarray(ripple.i_dq))
+    slopes = values_at(large, "l_dd", "l_dq", "l_qq")(np.asarray(ripple.i_dq))
     known = np.isfinite(slopes).all(axis=1)
     if not known.any():
         return None
@@ -58,12 +58,3 @@ def _beside(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjection |
 def _range(seen: Saliency) -> tuple[float | None, float | None]:
     ratio = seen.ratio[np.isfinite(seen.ratio)]
     return (float(ratio.min()), float(ratio.max())) if len(ratio) else (None, None)
-
-
-def _slopes(large: FluxMap, current: Array) -> Array:
-    """(L_dd, L_dq, L_qq) of the map at currents (n, 2), shape (n, 3), bilinear; NaN beyond what it knows."""
-    from scipy.interpolate import RegularGridInterpolator
-
-    table = np.stack([large.l_dd, large.l_dq, large.l_qq], axis=-1)
-    look_up = RegularGridInterpolator((large.i_d, large.i_q), table, bounds_error=False)
-    return np.asarray(look_up(current), dtype=np.float64)

@@ -15,6 +15,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -134,8 +136,7 @@ def _crossings(evidence: MapEvidence) -> UsabilityCheck:
         # Where two methods agree on the flux it does not.
         return _missing("crossings", text, required=not another)
     text = "where current paths cross, psi_{axis} differs by {apart_percent:.1f} % of the rated flux"
-    remark = Remark.of("bad_crossings" if value > limit else "crossings", text, axis=axis, apart_percent=value)
-    return _within("crossings", value, limit, remark)
+    return _within("crossings", value, limit, text, {"axis": axis, "apart_percent": value}, bad="bad_crossings")
 
 
 def _parity(evidence: MapEvidence) -> UsabilityCheck:
@@ -148,8 +149,7 @@ def _parity(evidence: MapEvidence) -> UsabilityCheck:
         text = "psi_{axis} breaks its symmetry in i_q by {off_percent:.1f} % of the rated flux"
         if value > limit:
             text += ": is the rotor angle right?"
-        remark = Remark.of("bad_parity" if value > limit else "parity", text, axis=axis, off_percent=value)
-        return _within("parity", value, limit, remark)
+        return _within("parity", value, limit, text, {"axis": axis, "off_percent": value}, bad="bad_parity")
     if not evidence.measured and best.checks.crossings is not None and _is_mirrored(best.map):
         text = "readings on both sides of i_q = 0 fit one even energy: see the crossings"
         return met("parity", Remark.of("parity", text))
@@ -167,8 +167,7 @@ def _reciprocity(evidence: MapEvidence) -> UsabilityCheck:
     if value is None:
         return _missing("reciprocity", "no map here could break reciprocity", required=False)
     text = "the slopes of psi_d along i_q and of psi_q along i_d differ by {apart_percent:.0f} % of the inductance"
-    remark = Remark.of("bad_reciprocity" if value > limit else "reciprocity", text, apart_percent=value)
-    return _within("reciprocity", value, limit, remark)
+    return _within("reciprocity", value, limit, text, {"apart_percent": value}, bad="bad_reciprocity")
 
 
 def _methods(evidence: MapEvidence) -> UsabilityCheck:
@@ -195,14 +194,12 @@ def _methods(evidence: MapEvidence) -> UsabilityCheck:
             values |= {"injection_percent": bands[0], "classical_percent": bands[1]}
         elif differ:
             text += ": one of them is wrong, or they see different inductances; a diagnosis can tell"
-        remark = Remark.of("methods_differ" if differ else "methods", text, **values)
-        return _within("methods", value, criteria.accuracy_percent, remark, failed=differ)
+        return _within("methods", value, criteria.accuracy_percent, text, values, bad="methods_differ", failed=differ)
     frequencies = _frequency_difference_percent(evidence)
     if frequencies is not None:
         text = "injections of different frequency see inductances that differ by {apart_percent:.2g} % (mean)"
-        differ = frequencies > criteria.accuracy_percent
-        remark = Remark.of("methods_differ" if differ else "methods", text, apart_percent=frequencies)
-        return _within("methods", frequencies, criteria.accuracy_percent, remark)
+        values = {"apart_percent": frequencies}
+        return _within("methods", frequencies, criteria.accuracy_percent, text, values, bad="methods_differ")
     if not injected:
         return _missing("methods", "one method alone: the loops of the sweeps are its only check", required=False)
     text = (
@@ -223,9 +220,8 @@ def _energy(evidence: MapEvidence) -> UsabilityCheck:
         text = "the energy and the maps that it was fitted to have no currents in common"
         return _missing("energy_agreement", text, required=True)
     text = "the energy differs from the nearest measured map by {apart_percent:.2g} % of the rated flux (rms)"
-    limit = evidence.criteria.accuracy_percent
-    remark = Remark.of("energy_differs" if min(off) > limit else "energy_agreement", text, apart_percent=min(off))
-    return _within("energy_agreement", min(off), limit, remark)
+    limit, figures = evidence.criteria.accuracy_percent, {"apart_percent": min(off)}
+    return _within("energy_agreement", min(off), limit, text, figures, bad="energy_differs")
 
 
 def flux_band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriteria) -> UsabilityCheck:
@@ -234,9 +230,7 @@ def flux_band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriter
     if value is None:
         return _missing("flux_band", "the flux has no standard deviation", required=True)
     text = "the flux is known to +-{half_percent:.2g} % of the rated flux (95 %, rms over the map)"
-    wide = value > criteria.accuracy_percent
-    remark = Remark.of("uncertain_map" if wide else "flux_band", text, half_percent=value)
-    return _within("flux_band", value, criteria.accuracy_percent, remark)
+    return _within("flux_band", value, criteria.accuracy_percent, text, {"half_percent": value}, bad="uncertain_map")
 
 
 def _band_percent(flux_map: FluxMap, reference_wb: float | None) -> float | None:
@@ -258,26 +252,24 @@ def convex(flux_map: FluxMap) -> UsabilityCheck:
     text = "the inductances are positive definite in the whole map"
     if value:
         text = "in {nodes_percent:.2g} % of the map the inductances are not positive definite: no motor's energy"
-    remark = Remark.of("not_convex" if value else "convex", text, nodes_percent=value)
-    return _within("convex", value, 0.0, remark)
+    return _within("convex", value, 0.0, text, {"nodes_percent": value}, bad="not_convex")
 
 
 def _resistance_interval(resistance: ResistanceEstimate, criteria: MapCriteria) -> UsabilityCheck:
     value, low, high = resistance.value_ohm, resistance.low, resistance.high
+    name, limit = "resistance_interval", criteria.resistance_percent
     if value <= 0.0:
-        text = "R_s = {value_ohm:.3g} ohm is no resistance"
-        remark = Remark.of("bad_resistance", text, value_ohm=value)
-        return _within("resistance_interval", None, criteria.resistance_percent, remark, failed=True)
+        return _within(
+            name, None, limit, "R_s = {value_ohm:.3g} ohm is no resistance", {"value_ohm": value}, bad="bad_resistance"
+        )
     half = 50.0 * (high - low) / value
-    wide = half > criteria.resistance_percent
     text = "R_s = {value_ohm:.4g} ohm (95 %: {low:.3g} to {high:.3g}) is known to +-{half_percent:.2g} %"
     if low <= 0.0:
         text += ": the interval reaches zero"
-    elif wide:
+    elif half > limit:
         text += ", no better than a nameplate is believed"
     figures = {"value_ohm": value, "low": low, "high": high, "half_percent": half}
-    remark = Remark.of("uncertain_resistance" if wide else "resistance_interval", text, **figures)
-    return _within("resistance_interval", half, criteria.resistance_percent, remark)
+    return _within(name, half, limit, text, figures, bad="uncertain_resistance")
 
 
 def _resistance_scatter(resistance: ResistanceEstimate, criteria: MapCriteria) -> UsabilityCheck:
@@ -292,11 +284,10 @@ def _resistance_scatter(resistance: ResistanceEstimate, criteria: MapCriteria) -
     scatter = 100.0 * float(np.median(steps)) / 0.6745 / resistance.value_ohm
     errors = float(np.median(steps / own)) / 0.6745
     limit = criteria.resistance_percent / 1.96
-    bad = scatter > limit and errors > criteria.scatter_ratio
+    failed = scatter > limit and errors > criteria.scatter_ratio
     text = "readings of R_s scatter by {scatter_percent:.2g} %, {errors:.2g} times their own errors"
     figures = {"scatter_percent": scatter, "errors": errors}
-    remark = Remark.of("scattered_resistance" if bad else "resistance_scatter", text, **figures)
-    return _within("resistance_scatter", scatter, limit, remark, failed=bad)
+    return _within("resistance_scatter", scatter, limit, text, figures, bad="scattered_resistance", failed=failed)
 
 
 def _resistance_nameplate(resistance: ResistanceEstimate, motor: Motor, criteria: MapCriteria) -> UsabilityCheck:
@@ -304,16 +295,12 @@ def _resistance_nameplate(resistance: ResistanceEstimate, motor: Motor, criteria
     if not stated or resistance.value_ohm <= 0.0:
         return _missing("resistance_nameplate", "no resistance is stated to hold R_s beside", required=False)
     ratio = resistance.value_ohm / stated
-    factor = max(ratio, 1.0 / ratio)
-    bad = factor > criteria.resistance_factor
+    factor, limit = max(ratio, 1.0 / ratio), criteria.resistance_factor
     text = "R_s is {ratio:.3g} times the nameplate's {nameplate_ohm:.4g} ohm"
-    if bad:
+    if factor > limit:
         text += ": no convention and no tolerance makes that, the nameplate is wrong or the readings are"
-    remark = Remark.of(
-        "resistance_off_nameplate" if bad else "resistance_nameplate", text, ratio=ratio, nameplate_ohm=stated
-    )
-    check = _within("resistance_nameplate", factor, criteria.resistance_factor, remark)
-    return check.model_copy(update={"unit": "1"})
+    figures = {"ratio": ratio, "nameplate_ohm": stated}
+    return _within("resistance_nameplate", factor, limit, text, figures, bad="resistance_off_nameplate", unit="1")
 
 
 def _bands_percent(evidence: MapEvidence) -> tuple[float, float] | None:
@@ -326,11 +313,9 @@ def _bands_percent(evidence: MapEvidence) -> tuple[float, float] | None:
 
 def _frequency_difference_percent(evidence: MapEvidence) -> float | None:
     """Largest difference of mean inductances, of one axis, between injections whose frequencies are far apart."""
-    entries = [one for made in evidence.maps.values() for one in made.incremental]
     apart = [
         difference
-        for k, one in enumerate(entries)
-        for other in entries[k + 1 :]
+        for one, other in combinations((one for made in evidence.maps.values() for one in made.incremental), 2)
         if abs(math.log(one.frequency_hz / other.frequency_hz)) >= math.log(evidence.criteria.frequency_ratio)
         if (difference := _inductance_difference_percent(one, other)) is not None
     ]
@@ -369,12 +354,21 @@ def _worst(percent: AxisPercent | None) -> tuple[str, float | None]:
 
 
 def _within(
-    name: str, value: float | None, limit: float, remark: Remark, *, failed: bool | None = None
+    name: str,
+    value: float | None,
+    limit: float,
+    text: str,
+    figures: Mapping[str, Any],
+    *,
+    bad: str,
+    failed: bool | None = None,
+    unit: str = "%",
 ) -> UsabilityCheck:
-    """A check with a number [%]; it fails beyond its limit, unless stated otherwise."""
-    bad = failed if failed is not None else value is None or value > limit
-    outcome = CheckOutcome.FAILED if bad else CheckOutcome.PASSED
-    return UsabilityCheck(name=name, outcome=outcome, required=True, value=value, limit=limit, unit="%", remark=remark)
+    """A check with a number, which fails beyond its limit unless stated otherwise; its remark's code is `bad` then."""
+    fails = failed if failed is not None else value is None or value > limit
+    outcome = CheckOutcome.FAILED if fails else CheckOutcome.PASSED
+    remark = Remark.of(bad if fails else name, text, **figures)
+    return UsabilityCheck(name=name, outcome=outcome, required=True, value=value, limit=limit, unit=unit, remark=remark)
 
 
 def _missing(name: str, text: str, *, required: bool) -> UsabilityCheck:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from orchestrator.config import Plan, check_plan, make_plan
@@ -82,7 +83,12 @@ def additions(
 
 def allowed_stages(plan: Plan, drive: Capabilities, stages: Sequence[Stage]) -> list[Stage]:
     """The stages that limits and drive allow after a plan, each by itself, without the limits of the whole."""
-    return [stage for stage in stages if _is_allowed(plan, drive, stage)]
+    allowed = []
+    for stage in stages:
+        with suppress(InputError):
+            check_plan(extended_plan(plan, drive, [stage]), drive)
+            allowed.append(stage)
+    return allowed
 
 
 def extended_plan(plan: Plan, drive: Capabilities, stages: Sequence[Stage]) -> Plan:
@@ -90,11 +96,3 @@ def extended_plan(plan: Plan, drive: Capabilities, stages: Sequence[Stage]) -> P
     unlimited = plan.procedure.limits.model_copy(update={"energy_j": None, "duration_s": None})
     procedure = plan.procedure.model_copy(update={"limits": unlimited})
     return make_plan(procedure, drive, [StageEntry.model_validate(stage) for stage in stages])
-
-
-def _is_allowed(plan: Plan, drive: Capabilities, stage: Stage) -> bool:
-    try:
-        check_plan(extended_plan(plan, drive, [stage]), drive)
-    except InputError:
-        return False
-    return True

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.selection.contrasts import DIRECTIONS, LONG_HOLD_S, SMALL_CURRENTS
 from orchestrator.experiment_design.criteria import DesignCriteria
@@ -105,19 +107,8 @@ def round_for_people(value: float) -> float:
     return float(f"{value:.3g}") + 0.0 if abs(value) > 1e-9 else 0.0
 
 
-def _small_holds(bench: Bench) -> list[Stage]:
-    return [bench.holds((side * share, 0.0) for share in SMALL_CURRENTS for side in (1, -1))]
-
-
-def _pwm_holds(bench: Bench) -> list[Stage]:
-    points = [(side * share, 0.0) for share in PWM_CURRENTS for side in (1, -1)]
-    return [bench.holds(points, pwm_frequencies_hz=[bench.pwm_hz, 2.0 * bench.pwm_hz])]
-
-
-def _ring(bench: Bench) -> list[Stage]:
-    count = DIRECTIONS
-    angles = (2.0 * math.pi * k / count for k in range(count))
-    return [bench.holds((math.cos(angle), math.sin(angle)) for angle in angles)]
+def _both_ways(shares: Iterable[float]) -> list[tuple[float, float]]:
+    return [(side * share, 0.0) for share in shares for side in (1, -1)]
 
 
 def _other_frequencies(bench: Bench) -> list[Stage]:
@@ -128,9 +119,13 @@ def _other_frequencies(bench: Bench) -> list[Stage]:
 
 STAGES: Mapping[Contrast, Callable[[Bench], list[Stage]]] = {
     Contrast.GATES_OFF: lambda bench: [{"kind": "gates_off", "duration_s": GATES_OFF_S}],
-    Contrast.SMALL_CURRENTS: _small_holds,
-    Contrast.SECOND_PWM_FREQUENCY: _pwm_holds,
-    Contrast.DIRECTIONS: _ring,
+    Contrast.SMALL_CURRENTS: lambda bench: [bench.holds(_both_ways(SMALL_CURRENTS))],
+    Contrast.SECOND_PWM_FREQUENCY: lambda bench: [
+        bench.holds(_both_ways(PWM_CURRENTS), pwm_frequencies_hz=[bench.pwm_hz, 2.0 * bench.pwm_hz])
+    ],
+    Contrast.DIRECTIONS: lambda bench: [
+        bench.holds((math.cos(angle), math.sin(angle)) for angle in 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)
+    ],
     Contrast.ANCHOR: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=ANCHOR_S, anchor=True)],
     Contrast.LONG_HOLD: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=LONG_HOLD_S)],
     Contrast.SECOND_INJECTION_AMPLITUDE: lambda bench: [bench.injections(FEW_POINTS, 1.0, 0.5, 0.25)],

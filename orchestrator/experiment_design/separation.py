@@ -83,18 +83,22 @@ def confounded_pair(
     absent = EffectTerm(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
     coordinates = np.array([first.standardised_value(n) for n in first.candidate.amplitudes])
     others = model.with_active([a for a in model.active if a.name != first.name])
-    fitter = _part_of(setup)
+    pieces = setup.coarse_fitter.prepared.pieces
+    few = pieces[:: max(1, math.ceil(len(pieces) / MAX_SEGMENTS))]
+    fitter = replace(setup.coarse_fitter, prepared=replace(setup.coarse_fitter.prepared, pieces=few))
     trial = ConfoundedPair(others, absent, coordinates, np.zeros((0, 0)), answering)
     rival = second.absent()
-    normal = _normal(fitter, trial, fitter.prepared.pieces, [(rival, n) for n in second.amplitudes])
-    amplitudes = _imitation(normal, len(coordinates), len(second.amplitudes), coordinates)
+    normal = _normal(fitter, trial, few, [(rival, n) for n in second.amplitudes])
+    # The second effect's amplitudes that come nearest to the first effect.
+    inner, across = normal[: -len(coordinates), : -len(coordinates)], normal[: -len(coordinates), -len(coordinates) :]
+    amplitudes = np.linalg.solve(inner, across @ coordinates)[-len(second.amplitudes) :]
     for name, x in zip(second.amplitudes, amplitudes, strict=True):
         rival = rival.moved(name, float(x))
     if rival.is_absent:
         return None
     rival = rival.release(*second.of_role(ParameterRole.SHAPE))
     both = replace(trial, model=others.with_active([*others.active, rival]))
-    return replace(both, known=_normal(fitter, both, fitter.prepared.pieces))
+    return replace(both, known=_normal(fitter, both, few))
 
 
 def separation(setup: DiagnosisSetup, pair: ConfoundedPair, stage: dict[str, Any]) -> float:
@@ -103,13 +107,6 @@ def separation(setup: DiagnosisSetup, pair: ConfoundedPair, stage: dict[str, Any
     for piece, weight in planned_pieces(setup, pair.model, stage):
         more += weight * _normal(setup.fitter, pair, [piece], with_prior=False)
     return _remaining_chi2(pair.known + more, pair.coordinates) - _remaining_chi2(pair.known, pair.coordinates)
-
-
-def _part_of(setup: DiagnosisSetup) -> Fitter:
-    pieces = setup.coarse_fitter.prepared.pieces
-    stride = max(1, math.ceil(len(pieces) / MAX_SEGMENTS))
-    prepared = replace(setup.coarse_fitter.prepared, pieces=pieces[::stride])
-    return replace(setup.coarse_fitter, prepared=prepared)
 
 
 def _normal(
@@ -139,12 +136,6 @@ def _normal(
     return total
 
 
-def _imitation(normal: Array, imitated: int, rival: int, coordinates: Array) -> Array:
-    """The second effect's amplitudes that come nearest to the first effect."""
-    inner, across = normal[:-imitated, :-imitated], normal[:-imitated, -imitated:]
-    return np.asarray(np.linalg.solve(inner, across @ coordinates)[-rival:])
-
-
 def _remaining_chi2(normal: Array, coordinates: Array) -> float:
     imitated = len(coordinates)
     inner, across = normal[:-imitated, :-imitated], normal[:-imitated, -imitated:]
@@ -157,12 +148,11 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
     kind, lasting = SegmentStage(stage["kind"]), float(stage["duration_s"])
     fs = setup.prepared.manifest.drive.sampling_frequency_hz
     still = np.zeros((round(PLANNED_HOLD_S * fs), 2))
-    if kind is SegmentStage.GATES_OFF:
-        off = _piece(setup, model, kind, {}, still, still, lasting)
-        return [] if off is None else [(off, lasting / PLANNED_HOLD_S)]
     planned: list[tuple[SegmentData | None, float]] = []
+    if kind is SegmentStage.GATES_OFF:
+        planned.append((_piece(setup, model, kind, {}, still, still, lasting), lasting / PLANNED_HOLD_S))
     machine = Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics)
-    for point in stage["points_a"]:
+    for point in stage.get("points_a", ()):
         i_dq = np.array(point, dtype=np.float64)
         if kind is SegmentStage.RESISTANCE:
             current = still + i_dq
@@ -211,6 +201,11 @@ def _piece(
     end = s.start_s + len(s.v_dc) / s.sampling_frequency_hz + 1.0
     power = 1.5 * ((s.motor and s.motor.stator_resistance_ohm) or 1.0) * float(np.mean(np.sum(current**2, axis=1)))
     begin = end + 0.5 * lasting_s
+    losses = s.losses
+    if losses is not None:
+        heated = max(end, float(losses.time_s[-1]))
+        time_s = np.append(losses.time_s, [heated, heated + lasting_s])
+        losses = LossHistory(time_s=time_s, power_w=np.append(losses.power_w, [power, 0.0]))
     segment = Segment(
         id=f"planned-{kind.value}", stage=kind, start_s=begin, samples=n, rotor_angle_rad=angle, settings=settings
     )
@@ -225,7 +220,7 @@ def _piece(
         resistance_ohm=np.ones(n),
         i_m_ab=i_ab,
         heat_j=np.full(n, float(s.heat_j[-1]) + 0.5 * lasting_s * power),
-        losses=s.losses and _extended_losses(s.losses, end, lasting_s, power),
+        losses=losses,
         motor=s.motor,
         drive=s.drive,
         bridge_on=kind is not SegmentStage.GATES_OFF,
@@ -237,10 +232,3 @@ def _piece(
     return replace(
         last, segment=segment, held_out=False, signals=signals, windows=windows, averaged=1, before_ab=i_ab[0]
     )
-
-
-def _extended_losses(losses: LossHistory, begin_s: float, lasting_s: float, power_w: float) -> LossHistory:
-    """The loss history with a planned segment added."""
-    begin = max(begin_s, float(losses.time_s[-1]))
-    time = np.append(losses.time_s, [begin, begin + lasting_s])
-    return LossHistory(time_s=time, power_w=np.append(losses.power_w, [power_w, 0.0]))

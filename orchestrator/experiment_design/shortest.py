@@ -15,7 +15,7 @@ from orchestrator.config import PlannedPoint
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.judgement.sufficiency import OPERATING_POINTS_PER_SWEEP
 from orchestrator.diagnosis.selection.contrasts import SAME_CURRENT
-from orchestrator.experiment_design.information import Information, Places
+from orchestrator.experiment_design.information import Information
 from orchestrator.experiment_design.isolability import isolability, required_size
 from orchestrator.experiment_design.optimal import ApproximateDesign, optimal_weights
 from orchestrator.numerics.types import Array
@@ -100,7 +100,9 @@ def shortest(offer: Offer, size: float, criteria: Criteria, *, at_least_s: float
         Least duration of the approximate design, where a shorter one turned out not to suffice.
     """
     seconds = max(at_least_s, float(offer.seconds.min()))
-    columns, amplitudes = _typical_columns(offer.known)
+    effects = offer.known.effects.values()
+    columns = np.concatenate([np.arange(offer.known.machine), *(effect.in_typical_shape for effect in effects)])
+    amplitudes = np.flatnonzero(np.isin(columns, np.concatenate([effect.amplitudes for effect in effects])))
     block = np.ix_(columns, columns)
     rates = np.stack([piece[block] for piece in offer.known.pieces]) / offer.seconds[:, None, None]
     prior = offer.known.prior[block]
@@ -123,13 +125,6 @@ def shortest(offer: Offer, size: float, criteria: Criteria, *, at_least_s: float
         times[k] = max(times[k], 1.0)
     longest_first = sorted(order.tolist(), key=lambda k: (-offer.seconds[k], design.weights[k]))
     return ShortestPlan(_without_redundant(offer, times, size, criteria, longest_first), design, seconds)
-
-
-def _typical_columns(known: Information) -> tuple[Places, Places]:
-    """Columns of R_s, the map and every effect in its typical shape, and the indices of the amplitudes among them."""
-    effects = known.effects.values()
-    columns = np.concatenate([np.arange(known.machine), *(effect.in_typical_shape for effect in effects)])
-    return columns, np.flatnonzero(np.isin(columns, np.concatenate([effect.amplitudes for effect in effects])))
 
 
 def _without_redundant(offer: Offer, times: Array, size: float, criteria: Criteria, order: Sequence[int]) -> Array:

@@ -57,7 +57,9 @@ def find_sources(places: Iterable[str], *, files: bool, limit: int | None, tell:
     """
     found: dict[str, Source] = {}
     for place in places:
-        for source in sources_below(_absolute(place), files=files):
+        # Workers may start in another folder.
+        url = place if "://" in place or "::" in place else str(Path(place).resolve())
+        for source in sources_below(url, files=files):
             found[source.url] = source
             tell(f"{len(found)} found")
             if limit is not None and len(found) >= limit:
@@ -66,11 +68,6 @@ def find_sources(places: Iterable[str], *, files: bool, limit: int | None, tell:
         what = "measurement file" if files else "recording (recording.json or run.json)"
         raise InputError(", ".join(places), "", f"no {what} in or below it")
     return list(found.values())
-
-
-def _absolute(place: str) -> str:
-    """The place as an absolute path, because workers may start in another folder."""
-    return place if "://" in place or "::" in place else str(Path(place).resolve())
 
 
 class FleetJob:
@@ -159,7 +156,8 @@ class FleetJob:
     def _identified(self, done: Done) -> FleetRow | None:
         source: Source = done.task.arguments[0]
         identified = done.result or Identified(content_sha256=None, failed=done.failed)
-        key = self._key(identified.content_sha256 or f"{source.url}\n{source.fingerprint}")
+        content = identified.content_sha256 or f"{source.url}\n{source.fingerprint}"
+        key = hashlib.sha256(json.dumps([content, self._steps, self._version]).encode()).hexdigest()[:32]
         if key in self._table.keys or key in self._taken:
             self._same += 1
             self._progress.skip()
@@ -180,9 +178,6 @@ class FleetJob:
             self._failed.append(FailedSource(source=row.source, problem=row.failed))
         self._progress.done(row.failed is not None)
         return row
-
-    def _key(self, content: str) -> str:
-        return hashlib.sha256(json.dumps([content, self._steps, self._version]).encode()).hexdigest()[:32]
 
 
 def _step_names(plan: Plan) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from orchestrator.estimation import RECOMMENDED_MAP, load_estimates, load_flux_m
 from orchestrator.interface.comparison import RunSummary
 from orchestrator.recording import Recording
 from orchestrator.runs import RunDirectory, is_run
-from protocols import About, CompareReport, DiagnosisReport, FoundEffect
+from protocols import About, DiagnosisReport, FoundEffect
 from protocols.fleet import FleetEffect, FleetSetPoint
 
 RELATIVE_SET_POINTS = (
@@ -94,11 +94,6 @@ def _set_points(run: RunSummary, rated_a: float) -> Iterator[FleetSetPoint]:
             psi_d, psi_q = run.surface.psi(at[None])[0]
             i_d, i_q = map(float, at)
             yield FleetSetPoint(i_d_a=i_d, i_q_a=i_q, psi_d_wb=float(psi_d), psi_q_wb=float(psi_q))
-
-
-def comparison_fields(report: CompareReport) -> dict[str, Any]:
-    """Misfit of the model without effects."""
-    return {"chi2": report.chi2}
 
 
 def diagnosis_fields(report: DiagnosisReport) -> dict[str, Any]:

@@ -67,10 +67,12 @@ def sources_below(url: str, *, files: bool = False) -> Iterator[Source]:
 
 
 def _walk(fs: Any, root: str, files: bool) -> Iterator[Source]:
+    from orchestrator.importing import ENDINGS
+
     for folder, folders, here in fs.walk(root, detail=True, topdown=True):
         is_recording = RUN_FILES[0] in here or RUN_FILES[1] in here
         if files:
-            for name in sorted(name for name in here if _is_measured(name)):
+            for name in sorted(name for name in here if PurePosixPath(name).suffix.lower() in ENDINGS):
                 listed = [here[part] for part in parts_of_file(name) if part in here]
                 yield _source(fs, root, f"{folder.rstrip('/')}/{name}", listed)
         elif is_recording:
@@ -80,12 +82,6 @@ def _walk(fs: Any, root: str, files: bool) -> Iterator[Source]:
         kept = {name: folders[name] for name in sorted(folders) if enter and not name.startswith(".")}
         folders.clear()  # the walk enters the remaining folders only; those of a recording are its own
         folders.update(kept)
-
-
-def _is_measured(name: str) -> bool:
-    from orchestrator.importing import ENDINGS
-
-    return PurePosixPath(name).suffix.lower() in ENDINGS
 
 
 def parts_of_file(name: str) -> list[str]:
@@ -100,11 +96,8 @@ def parts_of_file(name: str) -> list[str]:
 def _source(fs: Any, root: str, path: str, listed: Sequence[dict[str, Any]]) -> Source:
     parent = PurePosixPath(path).parent
     batch = None if path == root or parent == PurePosixPath(root) else parent.name
-    return Source(url=_url_of(fs, path), fingerprint=_fingerprint(listed), batch=batch)
-
-
-def _url_of(fs: Any, path: str) -> str:
-    return path if is_local(fs) else str(fs.unstrip_protocol(path))
+    url = path if is_local(fs) else str(fs.unstrip_protocol(path))
+    return Source(url=url, fingerprint=_fingerprint(listed), batch=batch)
 
 
 def is_local(fs: Any) -> bool:

@@ -105,59 +105,41 @@ def _run_steps(order: Order, path: Path, scratch: Path, fields: dict[str, Any]) 
     """Run all steps in order; results before a failing step stay in `fields`."""
     from orchestrator.estimation import has_estimates
     from orchestrator.fleet import _rows as rows
+    from orchestrator.interface.api import chosen_effects
+    from orchestrator.registry.plugins import PluginKind, make_plugins
     from orchestrator.runs import open_any
 
     plan = order.plan
     out = scratch / "out" if plan.keep is None else plan.keep / order.key
     if plan.mapping is not None:
-        path = _imported(plan.mapping, path, scratch / IMPORTED)
+        from orchestrator.importing import import_files
+
+        import_files(plan.mapping, [path], scratch / IMPORTED)
+        path = scratch / IMPORTED
     recording = open_any(path)
     fields |= rows.identity(recording)
     fields |= rows.temperature(recording)
     if plan.mapping is not None:  # a mapping gives all files the same name
         fields["name"] = PurePosixPath(order.source.url).stem
     if "estimate" in plan.steps or "export" in plan.steps:
-        _estimate(recording, out)
+        from orchestrator.estimation import estimate_recording
+
+        estimate_recording(recording, make_plugins(PluginKind.ESTIMATORS), out)
         fields |= rows.estimate_fields(rows.summary_of(recording, out))
     if "compare" in plan.steps:
-        fields |= _compare(recording)
+        from orchestrator.diagnosis import compare_recording
+
+        fields["chi2"] = compare_recording(recording, chosen_effects(), model="saturated").chi2
     if "diagnose" in plan.steps:
-        fields |= _diagnose(recording, out)
+        from orchestrator.diagnosis import diagnose_and_keep
+        from orchestrator.experiment_design.proposal import next_experiment
+
+        diagnosed = diagnose_and_keep(recording, chosen_effects(), propose=next_experiment, out=out)[0]
+        fields |= rows.diagnosis_fields(diagnosed.report)
         if has_estimates(out):  # the model's map and R_s, if it has any
             fields |= rows.estimate_fields(rows.summary_of(recording, out))
     if "export" in plan.steps:
         _export(recording, out)
-
-
-def _imported(mapping: Path, file: Path, out: Path) -> Path:
-    from orchestrator.importing import import_files
-
-    import_files(mapping, [file], out)
-    return out
-
-
-def _estimate(recording: Any, out: Path) -> None:
-    from orchestrator.estimation import estimate_recording
-    from orchestrator.registry.plugins import PluginKind, make_plugins
-
-    estimate_recording(recording, make_plugins(PluginKind.ESTIMATORS, None), out)
-
-
-def _compare(recording: Any) -> dict[str, Any]:
-    from orchestrator.diagnosis import compare_recording
-    from orchestrator.fleet._rows import comparison_fields
-    from orchestrator.interface.api import chosen_effects
-
-    return comparison_fields(compare_recording(recording, chosen_effects(), model="saturated"))
-
-
-def _diagnose(recording: Any, out: Path) -> dict[str, Any]:
-    from orchestrator.diagnosis import diagnose_and_keep
-    from orchestrator.experiment_design.proposal import next_experiment
-    from orchestrator.fleet._rows import diagnosis_fields
-    from orchestrator.interface.api import chosen_effects
-
-    return diagnosis_fields(diagnose_and_keep(recording, chosen_effects(), propose=next_experiment, out=out)[0].report)
 
 
 def _export(recording: Any, out: Path) -> None:

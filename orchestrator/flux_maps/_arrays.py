@@ -49,6 +49,10 @@ def mat_arrays(path: Path) -> dict[str, Any]:
     return content
 
 
+READERS = {".npz": npz_arrays, ".mat": mat_arrays}
+"""The reader of each kind of file."""
+
+
 def first_line(error: Exception) -> str:
     """The first line of an error's message."""
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from orchestrator.flux_maps._checks import (
     enclosed,
     least_inductances,
+    magnet_direction,
     reciprocity,
     roughness,
     swing_of,
@@ -102,7 +101,8 @@ def audit_map(
     surface = MapSurface(flux_map)
     swing = swing_of(surface)
     floor = max(0.01 * criteria.material_percent * swing, criteria.deviations * _own_error(flux_map, surface.known))
-    gradient, symmetries = reciprocity(surface), _symmetries(surface, swing)
+    gradient, (wb, rad, quarter) = reciprocity(surface), magnet_direction(surface, swing)
+    symmetries = Symmetries(wb, rad, quarter, symmetry(surface, quarter), symmetry_axis(surface, quarter))
     least = least_inductances(surface)
     bad = least <= 0.0
     holes, rough = enclosed(surface.known), roughness(surface)
@@ -145,19 +145,6 @@ def _own_error(flux_map: FluxMap, known: Mask) -> float:
     """Median standard deviation of the map's points; zero where it has none."""
     stds = np.concatenate([table[known] for table in (flux_map.psi_d_std, flux_map.psi_q_std)])
     return float(np.median(stds[np.isfinite(stds)])) if np.isfinite(stds).any() else 0.0
-
-
-def _symmetries(surface: MapSurface, swing: float, least_share: float = 0.05) -> Symmetries:
-    """The map's symmetries; a flux at zero current below `least_share` of the swing is no magnet's."""
-    magnet_wb = magnet_rad = None
-    quarter = 0.0
-    if surface.inside(np.zeros((1, 2)))[0]:
-        at_rest = surface.psi(np.zeros((1, 2)))[0]
-        magnet_wb = float(np.linalg.norm(at_rest))
-        if magnet_wb > least_share * swing:
-            magnet_rad = math.atan2(at_rest[1], at_rest[0])
-            quarter = 0.5 * math.pi * round(magnet_rad / (0.5 * math.pi))
-    return Symmetries(magnet_wb, magnet_rad, quarter, symmetry(surface, quarter), symmetry_axis(surface, quarter))
 
 
 def _typical(rough: tuple[Array, Array]) -> float | None:

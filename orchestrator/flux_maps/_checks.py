@@ -6,6 +6,7 @@ where possible, so that a fault compares with the flux and with the map's own er
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -143,6 +144,25 @@ def least_inductances(surface: MapSurface) -> Array:
     cross = 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0])
     least: Array = mean - np.hypot(half, cross)
     return least
+
+
+def magnet_direction(
+    surface: MapSurface, swing: float, least_share: float = 0.05
+) -> tuple[float | None, float | None, float]:
+    """Flux at zero current [Wb], its angle from d, and the nearest quarter turn [rad].
+
+    The first is None where zero current was not measured; a flux below `least_share` of the swing is no magnet's, and
+    has neither angle nor quarter.
+    """
+    rest = np.zeros((1, 2))
+    if not surface.inside(rest)[0]:
+        return None, None, 0.0
+    flux = surface.psi(rest)[0]
+    size = float(np.linalg.norm(flux))
+    if size <= least_share * swing:
+        return size, None, 0.0
+    angle = math.atan2(flux[1], flux[0])
+    return size, angle, 0.5 * math.pi * round(angle / (0.5 * math.pi))
 
 
 def enclosed(known: Mask) -> Mask:

@@ -14,7 +14,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from pydantic import ValidationError, model_validator
 
-from orchestrator.flux_maps._arrays import mat_arrays, npz_arrays
+from orchestrator.flux_maps._arrays import READERS
 from orchestrator.flux_maps._gridding import TORQUE, MapFile, gridded
 from orchestrator.flux_maps._ripple import mean_over_angle
 from orchestrator.flux_maps._tables import as_points
@@ -30,7 +30,6 @@ FluxUnit = Literal["Wb", "mWb", "uWb", "Vs", "mVs", "uVs"]
 TorqueUnit = Literal["Nm", "mNm", "kNm"]
 AngleUnit = Literal["rad", "deg", "turn"]
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "k": 1e3}
-_ARRAYS = {".npz": npz_arrays, ".mat": mat_arrays}
 _MAX_VALUE = 1e12
 """Largest value in any unit: microamperes of a megaampere."""
 _QUARTER_RAD = 0.5 * np.pi
@@ -147,7 +146,7 @@ def read_mapped(path: Path) -> MapFile:
 
 def read_table_by(table: Path, mapping: MapMapping) -> MapFile:
     """The map in a table; raises `InputError`."""
-    arrays = _ARRAYS.get(table.suffix.lower())
+    arrays = READERS.get(table.suffix.lower())
     if arrays is None:
         return map_of(str(table), mapping, read_table(table, mapping.names(), mapping.csv))
     content = arrays(table)
@@ -157,7 +156,9 @@ def read_table_by(table: Path, mapping: MapMapping) -> MapFile:
 
 def map_of(where: str, mapping: MapMapping, found: Mapping[str, Array]) -> MapFile:
     """The map of columns by a mapping; raises `InputError`."""
-    _require_bounds(where, found)
+    for name, values in found.items():
+        if np.isinf(values).any() or not np.all(np.abs(values[np.isfinite(values)]) < _MAX_VALUE):
+            raise InputError(where, name, "too large for a motor")
     current, flux = mapping.current.columns, mapping.flux.columns
     tables = [mapping.torque.column] if mapping.torque else []
     inverse = all(_is_line(found[name]) for name in flux.values()) and not any(
@@ -201,12 +202,6 @@ def _mapping(path: Path) -> MapMapping:
     except ValidationError as error:
         problem = first_problem(error, MapMapping, document.data)
     raise InputError(document.place(problem.path), ".".join(map(str, problem.path)), problem.text)
-
-
-def _require_bounds(where: str, found: Mapping[str, Array]) -> None:
-    for name, values in found.items():
-        if np.isinf(values).any() or not np.all(np.abs(values[np.isfinite(values)]) < _MAX_VALUE):
-            raise InputError(where, name, "too large for a motor")
 
 
 def chosen_arrays(path: Path, content: Mapping[str, Any], names: Sequence[str]) -> dict[str, Array]:

@@ -40,7 +40,7 @@ def figure_of(flux_map: FluxMap, audit: MapAudit, repaired: FluxMap | None = Non
     figure = empty_figure(2.0 * STYLE.width_in, 2.0 * STYLE.height_in)
     axes = figure.subplots(2, 2)
     _fluxes(bare(axes[0, 0]), flux_map, repaired)
-    _plane(figure, bare(axes[0, 1]), surface, 1e3 * _at_points(surface, _cells_as_points(surface)), signed=True)
+    _plane(figure, bare(axes[0, 1]), surface, 1e3 * _cells_as_points(surface)[surface.known], signed=True)
     axes[0, 1].set_title("reciprocity: $L_{dq} - L_{qd}$ [mH]", fontsize=STYLE.normal_pt)
     uneven = np.linalg.norm(unevenness(surface, audit.axis_rad or 0.0), axis=1)
     _plane(figure, bare(axes[1, 0]), surface, 100.0 * uneven / audit.swing_wb, signed=False)
@@ -92,7 +92,3 @@ def _cells_as_points(surface: MapSurface) -> Any:
     around = np.stack([padded[:-1, :-1], padded[1:, :-1], padded[:-1, 1:], padded[1:, 1:]])
     count = np.isfinite(around).sum(axis=0)
     return np.where(count > 0, np.nansum(around, axis=0) / np.maximum(count, 1), np.nan)
-
-
-def _at_points(surface: MapSurface, table: Any) -> Any:
-    return table[surface.known]

@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from orchestrator.flux_maps._checks import swing_of, symmetry, symmetry_axis
+from orchestrator.flux_maps._checks import magnet_direction, swing_of, symmetry, symmetry_axis
 from orchestrator.flux_maps._surface import WHERE, MapSurface
 from orchestrator.numerics.surface import inside_hull
 from orchestrator.numerics.tensor_spline import EvenSpline
@@ -72,19 +72,15 @@ def repair_map(flux_map: FluxMap, criteria: RepairCriteria | None = None) -> Rep
     tables = {"psi_d": table(1, 0), "psi_q": table(0, 1)}
     tables |= {"l_dd": table(2, 0), "l_dq": table(1, 1), "l_qq": table(0, 2)}
     tables |= {f"{name}_std": np.full(shape, np.nan) for name in list(tables)}
-    apart = np.linalg.norm(_gradient(basis, coefficients, i_dq) - psi_dq, axis=1)
+    gradient = np.column_stack([basis.rows(i_dq, *order) @ coefficients for order in ((1, 0), (0, 1))])
+    apart = np.linalg.norm(gradient - psi_dq, axis=1)
     repaired = FluxMap(method=f"{flux_map.method} repaired", basis=Basis.ENERGY, i_d=axes[0], i_q=axes[1], **tables)
     return Repair(repaired, -turned, float(np.sqrt(np.mean(apart**2))), float(apart.max()))
 
 
-def _turn(surface: MapSurface, least_share: float = 0.05) -> float:
+def _turn(surface: MapSurface) -> float:
     """Angle of the axis of symmetry nearest to the magnet, or to d where no magnet is known."""
-    near, swing = 0.0, swing_of(surface)
-    rest = np.zeros((1, 2))
-    if surface.inside(rest)[0]:
-        flux = surface.psi(rest)[0]
-        if np.linalg.norm(flux) > least_share * swing:
-            near = 0.5 * math.pi * round(math.atan2(flux[1], flux[0]) / (0.5 * math.pi))
+    _, _, near = magnet_direction(surface, swing_of(surface))
     best, plain = symmetry_axis(surface, near), symmetry(surface, near)
     return near if best is None or plain is None or best.rms_wb > 0.5 * plain.rms_wb else best.axis_rad
 
@@ -110,12 +106,10 @@ def _basis(i_dq: Array, flux_map: FluxMap, criteria: RepairCriteria) -> EvenSpli
     return EvenSpline(low, high, reach, (min(d, most), min(q, 2 * most)))
 
 
-def _gradient(basis: EvenSpline, coefficients: Array, at: Array) -> Array:
-    return np.column_stack([basis.rows(at, *order) @ coefficients for order in ((1, 0), (0, 1))])
-
-
 def _fitted(basis: EvenSpline, i_dq: Array, psi_dq: Array, criteria: RepairCriteria) -> Array:
     """Least squares under the bounds on curvature that turn out to be needed."""
+    from scipy.linalg import cho_solve
+
     rows = np.vstack([basis.rows(i_dq, 1, 0), basis.rows(i_dq, 0, 1)])
     right = psi_dq.T.ravel()
     normal = rows.T @ rows
@@ -124,7 +118,7 @@ def _fitted(basis: EvenSpline, i_dq: Array, psi_dq: Array, criteria: RepairCrite
     normal += 1e-6 * np.trace(normal) / np.trace(smooth) * smooth
     normal += 1e-12 * np.trace(normal) / len(normal) * np.eye(len(normal))
     factor = np.asarray(np.linalg.cholesky(normal), dtype=np.float64)
-    free = _solve(factor, rows.T @ right)
+    free = np.asarray(cho_solve((factor, True), rows.T @ right), dtype=np.float64)
     places = _convexity_points(i_dq)
     curvatures = [basis.rows(places, *order) for order in ((2, 0), (1, 1), (0, 2))]
     bound = criteria.least_share * float(np.median(_least(curvatures, free)[0]))
@@ -177,9 +171,3 @@ def _constrained(factor: Array, free: Array, cuts: Array, bound: float) -> Array
     left = system @ weights - target
     step = scale * left[:-1] / -left[-1]
     return np.asarray(free + solve_triangular(factor, step, lower=True, trans="T"), dtype=np.float64)
-
-
-def _solve(factor: Array, right: Array) -> Array:
-    from scipy.linalg import cho_solve
-
-    return np.asarray(cho_solve((factor, True), right), dtype=np.float64)

@@ -9,16 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.flux_maps._arrays import mat_arrays, npz_arrays
+from orchestrator.flux_maps._arrays import READERS
 from orchestrator.flux_maps._gridding import MapFile
-from orchestrator.flux_maps._mapped import MapMapping, angle_unit, chosen_arrays, map_of
+from orchestrator.flux_maps._mapped import MapMapping, angle_unit, map_of
 from orchestrator.flux_maps._tables import motor_evidence
 from orchestrator.importing import CsvLayout, read_table
 from orchestrator.importing.guessing import MapRoles, columns_of, map_unit, roles_of_map
 from orchestrator.numerics.types import Array
 from protocols import InputError
 
-_ARRAYS = {".npz": npz_arrays, ".mat": mat_arrays}
 _MAX_CURRENT_A = 2000.0
 """Larger numbers count as milliamperes."""
 _MAX_FLUX_WB = 20.0
@@ -85,7 +84,10 @@ def suggest_mapping(path: Path) -> MapSuggestion:
         problem = f"the names do not show which columns are the {lacking}: write a mapping (docs/audit.md); it has"
         raise InputError(str(path), "", problem, names)
     chosen = [name for name in vars(roles).values() if name is not None]
-    contents = _read(path, contents, chosen)
+    if contents.arrays:
+        contents = replace(contents, arrays={name: contents.arrays[name].astype(np.float64) for name in chosen})
+    else:
+        contents = replace(contents, arrays=read_table(path, chosen, contents.csv))
     draft = _Draft({}, {}).having("format", "fluxbench-map", f"by the names and values in {path.name}")
     draft = draft.having("version", 1, "of the format").having("file", path.name, "beside this mapping")
     if contents.why_csv:
@@ -100,7 +102,7 @@ def suggest_mapping(path: Path) -> MapSuggestion:
 
 
 def _names_of(path: Path) -> tuple[list[str], _Contents]:
-    read = _ARRAYS.get(path.suffix.lower())
+    read = READERS.get(path.suffix.lower())
     if read is None:
         columns = columns_of(path)
         layout = columns.layout
@@ -119,23 +121,6 @@ def _flattened(prefix: str, content: Mapping[str, Any]) -> list[tuple[str, Array
         elif isinstance(value, np.ndarray) and value.dtype.kind in "fiu" and value.size > 1:
             arrays.append((f"{prefix}{key}", value))
     return arrays
-
-
-def _read(path: Path, contents: _Contents, names: list[str]) -> _Contents:
-    if contents.arrays:
-        return replace(contents, arrays=chosen_arrays(path, _nested(contents.arrays), names))
-    return replace(contents, arrays=read_table(path, names, contents.csv))
-
-
-def _nested(arrays: Mapping[str, Array]) -> dict[str, Any]:
-    nested: dict[str, Any] = {}
-    for name, value in arrays.items():
-        *above, last = name.split(".")
-        here = nested
-        for part in above:
-            here = here.setdefault(part, {})
-        here[last] = value
-    return nested
 
 
 def _with_flux(draft: _Draft, roles: MapRoles, contents: _Contents) -> _Draft:

@@ -98,17 +98,11 @@ def _most_like_a_motor(where: str, orders: Sequence[Sequence[str]], candidates: 
     return best
 
 
-def plane_slopes(currents: Array, fluxes: Array) -> Array:
-    """Inductances of the plane nearest the points, shape (2, 2) [H], from arrays of shape (n, 2)."""
-    known = np.isfinite(currents).all(axis=1) & np.isfinite(fluxes).all(axis=1)
-    i, psi = (x[known] - x[known].mean(axis=0) for x in (currents, fluxes))
-    slopes: Array = np.linalg.lstsq(i, psi, rcond=None)[0].T
-    return slopes
-
-
 def motor_evidence(currents: Array, fluxes: Array) -> float:
     """The trace of the inductances, over their size: near sqrt 2 of a motor, near 0 with d and q exchanged."""
-    slopes = plane_slopes(currents, fluxes)
+    known = np.isfinite(currents).all(axis=1) & np.isfinite(fluxes).all(axis=1)
+    i, psi = (x[known] - x[known].mean(axis=0) for x in (currents, fluxes))
+    slopes: Array = np.linalg.lstsq(i, psi, rcond=None)[0].T  # of the plane nearest the points
     size = float(np.linalg.norm(slopes))
     reach_wb = size * float(np.nanmax(np.abs(currents)))
     if not reach_wb > _MIN_FLUX_SHARE * float(np.nanmax(np.abs(fluxes))):

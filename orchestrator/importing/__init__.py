@@ -7,11 +7,10 @@ from orchestrator.importing._findings import Finding
 from orchestrator.importing._importing import ImportReport, import_files
 from orchestrator.importing._loading import MappingFile, read_mapping
 from orchestrator.importing._mapping import CsvLayout, ImportMapping, SegmentRule
-from orchestrator.importing._matlab_sizes import inflated_size
+from orchestrator.importing._matlab import inflated_size
 from orchestrator.importing._merging import merge_recordings
-from orchestrator.importing._opening import ENDINGS
+from orchestrator.importing._opening import ENDINGS, read_table
 from orchestrator.importing._signals import Column, NotZero, Scaling
-from orchestrator.importing._tables import read_table
 from orchestrator.importing._units import FACTORS, CurrentUnit
 from orchestrator.importing._vectors import TO_PEAK
 

@@ -35,7 +35,8 @@ class Beside:
 
 def paired(mappings: MappingFile, files: Sequence[Path]) -> dict[Path, list[Beside]]:
     """The primary files, each with the files to join to it; raises `InputError` where they do not pair."""
-    aside = [path for path in files if _beside_rule(mappings, path) is not None]
+    which = {path: mappings.first_rule(path) for path in files}
+    aside = [path for path, k in which.items() if k is not None and mappings.rules[k][0].beside is not None]
     pairs: dict[Path, list[Beside]] = {path: [] for path in files if path not in aside}
     for rule, mapping in mappings.rules:
         if rule.beside is None:
@@ -52,11 +53,6 @@ def paired(mappings: MappingFile, files: Sequence[Path]) -> dict[Path, list[Besi
         for path, main in zip(these, those, strict=True):
             pairs[main].append(Beside(path, rule, mapping))
     return pairs
-
-
-def _beside_rule(mappings: MappingFile, path: Path) -> FileRule | None:
-    rule = next((rule for rule, _ in mappings.rules if fnmatchcase(path.name, rule.file)), None)
-    return rule if rule is not None and rule.beside is not None else None
 
 
 def open_joined(

@@ -50,7 +50,8 @@ def _csv_blocks(path: Path, wanted: Wanted, layout: CsvLayout) -> Iterator[Block
         encoding={"utf-8": "utf8", "latin-1": "latin1", "utf-16": "utf16"}[layout.encoding],
     )
     parse = csv.ParseOptions(delimiter=layout.delimiter)
-    names = _csv_names(path, csv, read, parse)
+    with csv.open_csv(path, read_options=read, parse_options=parse) as reader:
+        names = list(reader.schema.names)
     _require_once(path, wanted, names)
     types = {name: pa.string() if name in (wanted.label, wanted.dates) else pa.float64() for name in wanted.all}
     convert = csv.ConvertOptions(
@@ -62,11 +63,6 @@ def _csv_blocks(path: Path, wanted: Wanted, layout: CsvLayout) -> Iterator[Block
                 yield _block(path, wanted, batch)
     except pa.ArrowInvalid as error:
         raise _csv_error(path, wanted, names, str(error)) from None
-
-
-def _csv_names(path: Path, csv: Any, read: Any, parse: Any) -> list[str]:
-    with csv.open_csv(path, read_options=read, parse_options=parse) as reader:
-        return list(reader.schema.names)
 
 
 def _csv_error(path: Path, wanted: Wanted, names: list[str], message: str) -> InputError:

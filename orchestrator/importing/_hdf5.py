@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +40,16 @@ def _blocks(path: Path, wanted: Wanted) -> Iterator[Block]:
         rows = same_length(path, {name: int(node.shape[0]) for name, (node, _) in found.items()})
         for start in range(0, rows, BLOCK_ROWS):
             part = slice(start, start + BLOCK_ROWS)
-            columns = {name: _rows(node, which, part) for name, (node, which) in found.items()}
-            numbers = {name: as_numbers(path, name, columns[name]) for name in wanted.numbers}
-            if wanted.dates is not None:
-                dates = as_labels(columns[wanted.dates])
-                numbers[wanted.dates] = dates_as_seconds(path, wanted.dates, dates.names)[dates.codes]
-            yield Block(numbers, None if wanted.label is None else as_labels(columns[wanted.label]))
+            yield block_of(path, wanted, {name: _rows(node, which, part) for name, (node, which) in found.items()})
+
+
+def block_of(path: Path, wanted: Wanted, columns: Mapping[str, NDArray[Any]]) -> Block:
+    """Arrays of the same rows as a block: numbers, dates in seconds, and labels; raises `InputError`."""
+    numbers = {name: as_numbers(path, name, columns[name]) for name in wanted.numbers}
+    if wanted.dates is not None:
+        dates = as_labels(columns[wanted.dates])
+        numbers[wanted.dates] = dates_as_seconds(path, wanted.dates, dates.names)[dates.codes]
+    return Block(numbers, None if wanted.label is None else as_labels(columns[wanted.label]))
 
 
 def _dataset(path: Path, file: Any, name: str) -> tuple[Any, int | str | None]:

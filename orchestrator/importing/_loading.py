@@ -13,9 +13,8 @@ from pydantic import BaseModel, ValidationError
 
 from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportMapping
 from orchestrator.validation.messages import KeyPath, first_problem
-from orchestrator.validation.plain_files import read_text
 from orchestrator.validation.quantities import read_quantities
-from orchestrator.validation.strict_yaml import Document, parse_document
+from orchestrator.validation.strict_yaml import Document, read_document
 from protocols import InputError, ProcedureError
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -35,9 +34,9 @@ class MappingFile:
 
     def of(self, path: Path) -> tuple[FileRule | None, ImportMapping]:
         """The first rule that a file matches, and its mapping; raises `InputError` where there is none."""
-        for rule, mapping in self.rules:
-            if fnmatchcase(path.name, rule.file):
-                return rule, mapping
+        index = self.first_rule(path)
+        if index is not None:
+            return self.rules[index]
         if self.complete is not None:
             raise InputError(str(path), "", f"fits no entry of files, and without one: {self.complete}")
         return None, self.common
@@ -45,10 +44,11 @@ class MappingFile:
     def check_all_used(self, mapping: Path, files: Sequence[Path]) -> None:
         """Raise `InputError` where a rule matches none of the files."""
         for index, (rule, _) in enumerate(self.rules):
-            if all(self._first(path) != index for path in files):
+            if all(self.first_rule(path) != index for path in files):
                 raise InputError(str(mapping), f"files.{index}", f"no file fits it ({rule.file!r})")
 
-    def _first(self, path: Path) -> int | None:
+    def first_rule(self, path: Path) -> int | None:
+        """Index of the first rule that a file matches."""
         return next((k for k, (rule, _) in enumerate(self.rules) if fnmatchcase(path.name, rule.file)), None)
 
 
@@ -62,7 +62,7 @@ def read_mapping(path: Path) -> MappingFile:
     InputError
         One line: file and line, key path, what is wrong, the nearest valid name.
     """
-    document = _parsed(path)
+    document = read_document(path)
     if document.data.get("format") == "fluxbench-map":
         raise InputError(str(path), "format", "the mapping of a flux map, not of waveforms: `fluxbench audit` reads it")
     for section in ("motor", "drive"):
@@ -100,21 +100,8 @@ def _laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, 
     return merged
 
 
-def _parsed(path: Path) -> Document:
-    try:
-        return parse_document(read_text(path), str(path))
-    except ProcedureError as error:
-        raise InputError(error.where, error.field, error.problem) from None
-    except OSError as error:
-        raise InputError(str(path), "", f"cannot be read: {error.strerror or error}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), "", f"not UTF-8 at byte {error.start}") from None
-    except ValueError as error:
-        raise InputError(repr(str(path)), "", f"cannot be read: {error}") from None
-
-
 def _lay_in(document: Document, section: str, path: Path) -> None:
-    other = _parsed(path)
+    other = read_document(path)
     if section not in other.data:
         raise InputError(other.name, section, "missing")
     places = {keys: place for keys, place in other.places.items() if keys[0] == section}

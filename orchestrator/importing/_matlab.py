@@ -7,31 +7,25 @@ struct array), ``data(:,3)`` (a matrix's column), ``ia.Data`` (of a timeseries),
 from __future__ import annotations
 
 import re
+import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.importing._hdf5 import block_of
 from orchestrator.importing._matlab_objects import holds_objects, load_with_objects, member
-from orchestrator.importing._matlab_sizes import inflated_size
-from orchestrator.importing._source import (
-    BLOCK_ROWS,
-    Block,
-    Source,
-    Wanted,
-    as_labels,
-    as_numbers,
-    guarded,
-    require_columns,
-    same_length,
-)
-from orchestrator.importing._stamps import dates_as_seconds
+from orchestrator.importing._source import BLOCK_ROWS, Block, Source, Wanted, guarded, require_columns, same_length
 from orchestrator.validation.memory import require_memory
 from protocols import InputError
 
+_HEADER_BYTES, _TAG, _COMPRESSED = 128, struct.Struct("II"), 15
+_CHUNK_BYTES = 1 << 20
+"""Bytes to read or inflate at a time."""
 _PART = re.compile(r"([A-Za-z]\w*)(?:\((:,)?([1-9]\d{0,8})\))?", re.ASCII)
 
 
@@ -49,9 +43,7 @@ def open_matlab(path: Path, wanted: Wanted) -> Source:
     import h5py
 
     is_hdf5 = h5py.is_hdf5(path)
-    blocks = _hdf5_blocks if is_hdf5 else _version_5_blocks
-    if holds_objects(path, is_hdf5):
-        blocks = _object_blocks
+    blocks = _object_blocks if holds_objects(path, is_hdf5) else _hdf5_blocks if is_hdf5 else _version_5_blocks
     return Source(guarded(path, "MATLAB", lambda: blocks(path, wanted)))
 
 
@@ -181,15 +173,37 @@ def _check_vector(path: Path, name: str, shape: tuple[int, ...]) -> None:
 
 
 def _block(path: Path, wanted: Wanted, columns: dict[str, NDArray[Any]]) -> Block:
-    labels = None if wanted.label is None else as_labels(_texts(columns[wanted.label]))
-    numbers = {name: as_numbers(path, name, columns[name]) for name in wanted.numbers}
-    if wanted.dates is not None:
-        numbers[wanted.dates] = dates_as_seconds(path, wanted.dates, _texts(columns[wanted.dates]).tolist())
-    return Block(numbers, labels)
+    for name in (wanted.label, wanted.dates):
+        if name is not None and columns[name].dtype.kind == "O":  # a cell array of texts
+            columns[name] = np.array(["".join(map(str, np.ravel(value))) for value in columns[name]])
+    return block_of(path, wanted, columns)
 
 
-def _texts(values: NDArray[Any]) -> NDArray[Any]:
-    """A cell array of texts as an array of texts; other values unchanged."""
-    if values.dtype.kind != "O":
-        return values
-    return np.array(["".join(map(str, np.ravel(value))) for value in values])
+def inflated_size(path: Path) -> int:
+    """Inflated bytes of all variables of version 5; of a damaged file, those before the damage. Raises OSError.
+
+    Each variable is compressed separately; a kilobyte may inflate to a megabyte (MathWorks, MAT-File Format, "Data
+    Element Format"). Nothing is kept.
+    """
+    size = 0
+    with path.open("rb") as file:
+        order = ">" if file.read(_HEADER_BYTES)[-2:] == b"MI" else "<"
+        while len(tag := file.read(_TAG.size)) == _TAG.size:
+            kind, length = struct.unpack(f"{order}II", tag)
+            end = file.tell() + length
+            size += _inflated(file, length) if kind == _COMPRESSED else length
+            file.seek(end)
+    return size
+
+
+def _inflated(file: BinaryIO, length: int) -> int:
+    inflating, size = zlib.decompressobj(), 0
+    try:
+        while length > 0 and (chunk := file.read(min(_CHUNK_BYTES, length))):
+            length -= len(chunk)
+            while chunk:
+                size += len(inflating.decompress(chunk, _CHUNK_BYTES))
+                chunk = inflating.unconsumed_tail
+    except zlib.error:
+        pass  # the reader of the variable reports the damage
+    return size

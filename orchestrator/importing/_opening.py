@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+
+import numpy as np
 
 from orchestrator.importing._columnar import open_csv, open_parquet
 from orchestrator.importing._hdf5 import open_hdf5
 from orchestrator.importing._mapping import CsvLayout, ImportMapping
 from orchestrator.importing._matlab import open_matlab
-from orchestrator.importing._mf4 import open_mf4
-from orchestrator.importing._recorders import open_comtrade, open_tdms
-from orchestrator.importing._source import Block, Source, Wanted
+from orchestrator.importing._recorders import open_comtrade, open_mf4, open_tdms
+from orchestrator.importing._source import Block, Numbers, Source, Wanted, held
 from protocols import InputError
 
 Reader = Callable[[Path, Wanted], Source]
@@ -65,11 +66,11 @@ def open_source(
     if all(name == there for name, there in called.items()):
         return source
     units = {name: source.units[there] for name, there in called.items() if there in source.units}
-    return Source((_renamed(block, called) for block in source.blocks), units)
-
-
-def _renamed(block: Block, called: Mapping[str, str]) -> Block:
-    return Block({n: block.numbers[there] for n, there in called.items() if there in block.numbers}, block.labels)
+    blocks = (
+        Block({name: block.numbers[there] for name, there in called.items() if there in block.numbers}, block.labels)
+        for block in source.blocks
+    )
+    return Source(blocks, units)
 
 
 def open_columns(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
@@ -80,6 +81,15 @@ def open_columns(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
     if ending in _READERS:
         return _READERS[ending](path, wanted)
     raise InputError(str(path), "", f"unknown kind of file; known: {', '.join(ENDINGS)}")
+
+
+def read_table(path: Path, names: Sequence[str], layout: CsvLayout) -> dict[str, Numbers]:
+    """Columns of a Parquet file, or of a text file with the given layout; raises `InputError`."""
+    wanted = Wanted(tuple(dict.fromkeys(names)))
+    is_parquet = path.suffix.lower() in (".parquet", ".pq")
+    source = open_parquet(path, wanted) if is_parquet else open_csv(path, wanted, layout)
+    blocks = list(held(path, source.blocks))
+    return {name: np.concatenate([block.numbers[name] for block in blocks] or [np.empty(0)]) for name in wanted.all}
 
 
 def check_file(path: Path) -> None:

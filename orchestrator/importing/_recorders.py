@@ -1,6 +1,7 @@
-"""Read recorder files with their own time raster: LabVIEW's TDMS by npTDMS, COMTRADE by comtrade.
+"""Read recorder files with their own time raster: ASAM's MDF by asammdf, TDMS by npTDMS, COMTRADE by comtrade.
 
-The raster is the column `timestamps`, in seconds; TDMS channels are named ``Group/Channel``.
+The raster is the column `timestamps`, in seconds, and has to be the same for all channels of an import; TDMS channels
+are named ``Group/Channel``.
 """
 
 from __future__ import annotations
@@ -25,6 +26,64 @@ from orchestrator.importing._source import (
 )
 from orchestrator.validation.plain_files import MAX_FILE_SIZES, read_bytes
 from protocols import InputError
+
+
+def open_mf4(path: Path, wanted: Wanted) -> Source:
+    """A measurement file in ASAM's MDF format; raises `InputError` where asammdf is not installed."""
+    try:
+        from asammdf import MDF
+    except ImportError as error:
+        raise _missing(path, "ASAM MDF", "asammdf", "mf4", error) from None
+    try:
+        with MDF(path) as file:
+            return channels_of(file, path, wanted)
+    except InputError:
+        raise
+    except Exception as error:  # asammdf raises MdfException, and other types for damaged files
+        raise unreadable(path, "MDF", error) from None
+
+
+def channels_of(file: Any, path: Path, wanted: Wanted) -> Source:
+    """The wanted channels of an opened `asammdf.MDF`.
+
+    Of its documented interface this uses `channels_db` (names, each with its places) and
+    `get(name, ignore_invalidation_bits=True)`, which returns a signal with `samples`, `timestamps`, `unit` and
+    `invalidation_bits`.
+
+    Raises
+    ------
+    InputError
+        Where a channel is missing or ambiguous, holds no numbers, or has other time stamps than the rest.
+    """
+    names = [name for name in wanted.all if name != TIMESTAMPS]
+    if wanted.dates is not None:
+        raise InputError(str(path), wanted.dates, "dates are for texts and tables; an MDF file has timestamps in s")
+    require_columns(path, names, list(file.channels_db))
+    for name in names:
+        if len(file.channels_db[name]) > 1:
+            raise InputError(str(path), name, f"{len(file.channels_db[name])} channels have this name")
+    # By default asammdf drops invalid samples; the channels would then differ in length.
+    signals = {name: file.get(name, ignore_invalidation_bits=True) for name in names}
+    columns = {name: np.asarray(signal.samples) for name, signal in signals.items()}
+    for name in wanted.numbers:
+        invalid = getattr(signals.get(name), "invalidation_bits", None)
+        if invalid is not None:
+            columns[name] = np.where(np.asarray(invalid, dtype=bool), np.nan, as_numbers(path, name, columns[name]))
+    columns[TIMESTAMPS] = _common_raster(path, signals)
+    return _source(path, wanted, columns, {name: str(signal.unit).strip() for name, signal in signals.items()})
+
+
+def _common_raster(path: Path, signals: dict[str, Any]) -> Numbers:
+    same_length(path, {name: len(signal.timestamps) for name, signal in signals.items()})
+    (first, reference), *others = ((n, np.asarray(s.timestamps, dtype=np.float64)) for n, s in signals.items())
+    shortest = float(np.min(np.abs(np.diff(reference)), initial=np.inf))
+    for name, stamps in others:
+        apart = float(np.max(np.abs(stamps - reference), initial=0.0))
+        if apart > 0.01 * shortest:  # within a hundredth of a sample the stamps count as equal
+            raise InputError(
+                str(path), name, f"its time stamps are up to {apart:.3g} s from those of {first}; export on one raster"
+            )
+    return reference
 
 
 def open_tdms(path: Path, wanted: Wanted) -> Source:
@@ -73,9 +132,8 @@ def open_comtrade(path: Path, wanted: Wanted) -> Source:
     record = Comtrade(ignore_warnings=True)
     try:
         if path.suffix.lower() == ".cfg":
-            read_bytes(
-                path, MAX_FILE_SIZES.written_bytes
-            )  # a table of channels; the library would read any text file to its end
+            # A table of channels; the library would read any text file to its end.
+            read_bytes(path, MAX_FILE_SIZES.written_bytes)
         record.load(str(path))
         names = [str(name).strip() for name in record.analog_channel_ids]
         units = {n: str(c.uu).strip() for n, c in zip(names, record.cfg.analog_channels, strict=True)}

@@ -51,7 +51,8 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
             f"expected a switching state from 0 to 7, got {columns[name][wrong]:g} in {at(piece, stretch.rows[wrong])}"
         )
         raise InputError(str(piece.path), name, problem)
-    dc_v = _bus(mapping, columns, len(stretch.rows))
+    nominal_v = mapping.drive.dc_bus_voltage_v
+    dc_v = np.full(len(stretch.rows), nominal_v) if mapping.bus is None else bus_v(mapping.bus, columns)
     i_abc = _phase_currents(mapping, columns)
     signals: dict[str, Numbers | None] = {
         "i_ab": vectors(mapping.current, columns, theta_rad, pole_pairs, dc_v),
@@ -63,7 +64,10 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
     if rule.stage is SegmentStage.SPIN and not isinstance(theta_rad, float):
         signals["theta_rad"] = np.unwrap(theta_rad)
     if stretch.uneven:
-        signals = _resampled(signals, piece.time_s[stretch.part], rate_hz)
+        time_s = piece.time_s[stretch.part]
+        for name, x in signals.items():
+            if x is not None:
+                signals[name] = (resampled_held if name == "v_ab" else resampled)(time_s, x, rate_hz)
     _check_bounds(signals, piece, stretch)
     if signals.get("theta_rad") is not None:
         # 32 bits would not resolve an angle of many turns.
@@ -93,19 +97,6 @@ def _phase_currents(mapping: ImportMapping, columns: Columns) -> Numbers | None:
     if mapping.current.frame == "abc" and len(mapping.current.columns) == 3:
         return phases(mapping.current, columns)
     return None
-
-
-def _bus(mapping: ImportMapping, columns: Columns, samples: int) -> Numbers:
-    if mapping.bus is not None:
-        return bus_v(mapping.bus, columns)
-    return np.full(samples, mapping.drive.dc_bus_voltage_v)
-
-
-def _resampled(signals: dict[str, Numbers | None], time_s: Numbers, rate_hz: float) -> dict[str, Numbers | None]:
-    return {
-        name: None if x is None else (resampled_held if name == "v_ab" else resampled)(time_s, x, rate_hz)
-        for name, x in signals.items()
-    }
 
 
 def _check_bounds(signals: dict[str, Numbers | None], piece: Piece, stretch: Stretch) -> None:

@@ -119,7 +119,12 @@ class Splitter:
 
     def pieces(self, path: Path, mapping: ImportMapping, blocks: Iterator[Block]) -> Iterator[Piece]:
         """The pieces of one file, by its mapping."""
-        rules, signals = self._rules_for(path), mapping.signal_columns()
+        rules = [
+            (index, rule)
+            for index, rule in enumerate(self._mapping.segments)
+            if rule.file is None or fnmatchcase(path.name, rule.file)
+        ]
+        signals = mapping.signal_columns()
         self._stamps.next_file()
         opened: _Open | None = None
         row = 0
@@ -155,10 +160,6 @@ class Splitter:
                 conditions = {name: getattr(rule, name) for name in ("file", "label", "from_s", "to_s")}
                 words = ", ".join(f"{name} {value!r}" for name, value in conditions.items() if value is not None)
                 raise InputError(where, f"segments.{index}", f"no row fits it ({words or 'an earlier one takes all'})")
-
-    def _rules_for(self, path: Path) -> Sequence[tuple[int, SegmentRule]]:
-        rules = enumerate(self._mapping.segments)
-        return [(index, rule) for index, rule in rules if rule.file is None or fnmatchcase(path.name, rule.file)]
 
     def _leave_out(self, path: Path, row: int, rows: int, label: str) -> None:
         self.leftover.rows += rows

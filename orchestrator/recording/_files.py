@@ -11,6 +11,11 @@ from protocols import StorageError
 PARTIAL_SUFFIX = ".partial"
 
 
+def capture_path(directory: Path, segment_id: str) -> Path:
+    """The file of a segment's waveforms in a recording."""
+    return directory / "captures" / f"{segment_id}.parquet"
+
+
 def replace_file(path: Path, content: bytes) -> None:
     """Write `content` to `path` so that a reader sees the old file or the new one, never a part.
 

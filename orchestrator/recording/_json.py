@@ -1,4 +1,4 @@
-"""The JSON files of a recording, read with errors of one line: file, field, expected value."""
+"""`recording.json` and `model.json`: read with errors of one line (file, field, expected value), written by rename."""
 
 from __future__ import annotations
 
@@ -9,11 +9,56 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
+from orchestrator.formatting.sentences import visible
+from orchestrator.recording._files import replace_file
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import MAX_FILE_SIZES, read_text
-from protocols import RecordingError
+from protocols import Manifest, MotorModel, RecordingError, StorageError
 
+MANIFEST_NAME, MODEL_NAME = "recording.json", "model.json"
 _Model = TypeVar("_Model", bound=BaseModel)
+
+
+def read_manifest(path: Path) -> Manifest:
+    """The validated manifest in the file `path`; raises `RecordingError` naming file and field."""
+    return read_json(path, Manifest)
+
+
+def write_manifest(directory: Path, manifest: Manifest) -> None:
+    """Replace the manifest of the recording in `directory`; raises `StorageError`."""
+    write_json(directory / MANIFEST_NAME, manifest)
+
+
+def has_model(directory: Path) -> bool:
+    """Whether a recording or run has a `model.json`."""
+    return (directory / MODEL_NAME).is_file()
+
+
+def read_model(path: Path) -> MotorModel:
+    """The model in a file, or in the `model.json` of a directory.
+
+    Raises
+    ------
+    RecordingError
+        Where there is none, or a field is wrong.
+    """
+    file = path / MODEL_NAME if path.is_dir() else path
+    return read_json(file, MotorModel, older="`fluxbench diagnose` writes it again")
+
+
+def write_model(directory: Path, model: MotorModel) -> None:
+    """Replace the `model.json` of a directory, which is created if missing; raises `StorageError`."""
+    path = directory / MODEL_NAME
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        write_json(path, model)
+    except (OSError, StorageError) as error:
+        raise StorageError(f"{path} was not written: {error}") from None
+
+
+def write_json(path: Path, model: BaseModel) -> None:
+    """Replace a file by a model's JSON, control characters escaped; raises `StorageError`."""
+    replace_file(path, (visible(model.model_dump_json(indent=1)) + "\n").encode())
 
 
 def read_json(path: Path, model: type[_Model], *, older: str = "") -> _Model:

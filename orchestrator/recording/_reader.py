@@ -20,7 +20,8 @@ from orchestrator.recording._columns import (
     VOLTAGE,
     first_non_finite,
 )
-from orchestrator.recording._manifest import MANIFEST_NAME, capture_path, read_manifest
+from orchestrator.recording._files import capture_path
+from orchestrator.recording._json import MANIFEST_NAME, read_manifest
 from orchestrator.validation.memory import require_memory
 from protocols import Capture, Manifest, RealArray, RecordingError, Segment, SegmentStage
 
@@ -72,7 +73,7 @@ class Recording:
             a sample are not what they should be.
         """
         path = capture_path(self.path, segment.id)
-        columns = _decode(path, _unchanged(path, segment), segment)
+        columns = _decode(path, _read(path, segment), segment)
         # Columns are released as they become vectors: that halves the memory of long segments.
         phases = [columns.pop(name) for name in PHASE_CURRENT if name in columns]
         return Capture(
@@ -87,8 +88,11 @@ class Recording:
         )
 
 
-def _unchanged(path: Path, segment: Segment) -> bytes:
-    content = _read(path)
+def _read(path: Path, segment: Segment) -> bytes:
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
     if segment.sha256 is not None and hashlib.sha256(content).hexdigest() != segment.sha256:
         raise RecordingError(str(path), "sha256", f"differs from the one in {MANIFEST_NAME}: the file was changed")
     return content
@@ -112,7 +116,8 @@ def open_recording(path: Path, *, make_manifest: Callable[[Path], object] | None
     directory = path.parent if path.name == MANIFEST_NAME else path
     if not directory.is_dir():
         raise RecordingError(str(directory), "", "no such directory")
-    if not (directory / MANIFEST_NAME).exists() and _is_run(directory):
+    is_run = all((directory / name).is_file() for name in ("journal.jsonl", "run.json"))
+    if is_run and not (directory / MANIFEST_NAME).exists():
         if make_manifest is None:
             raise RecordingError(
                 str(directory),
@@ -124,17 +129,6 @@ def open_recording(path: Path, *, make_manifest: Callable[[Path], object] | None
     for segment in manifest.segments:
         _check_file(capture_path(directory, segment.id), segment)
     return Recording(directory, manifest)
-
-
-def _is_run(directory: Path) -> bool:
-    return all((directory / name).is_file() for name in ("journal.jsonl", "run.json"))
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
 
 
 def _check_file(path: Path, segment: Segment) -> None:
@@ -218,10 +212,10 @@ def _column(path: Path, name: str, chunked: Any) -> RealArray:
 def _values(chunked: Any) -> RealArray:
     """The samples without a copy; pyarrow's own conversion imports pandas first."""
     kind = np.dtype(chunked.type.to_pandas_dtype())
-    pieces = [
+    chunks = [
         np.frombuffer(c.buffers()[1], dtype=kind, count=len(c), offset=c.offset * kind.itemsize) for c in chunked.chunks
     ]
-    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
+    return chunks[0] if len(chunks) == 1 else np.concatenate(chunks)
 
 
 def _stacked_columns(columns: Sequence[RealArray]) -> RealArray:

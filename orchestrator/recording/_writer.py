@@ -15,8 +15,7 @@ from typing import Any, Self
 import numpy as np
 
 from orchestrator.recording._columns import columns_of, first_non_finite
-from orchestrator.recording._files import partial_path, storage_error, sync_folder
-from orchestrator.recording._manifest import capture_path
+from orchestrator.recording._files import capture_path, partial_path, storage_error, sync_folder
 from protocols import Capture, DriveFault, FaultCause, RealArray
 
 ROWS_PER_GROUP = 1 << 16

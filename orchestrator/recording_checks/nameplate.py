@@ -49,14 +49,10 @@ def nameplate_remarks(responses: Responses) -> tuple[Remark, ...]:
     tolerance = math.log1p(MAX_NAMEPLATE_DEVIATION)
     both = math.sqrt(r_ratio * l_ratio)
     if abs(math.log(r_ratio / l_ratio)) > tolerance:
-        return (_unlike_factors(r_ratio, l_ratio),) if _far_apart(r_ratio, l_ratio) else ()
+        by_heat = 1.0 / MAX_RESISTANCE_RATIO <= r_ratio <= MAX_RESISTANCE_RATIO
+        by_saturation = 1.0 / MAX_INDUCTANCE_RATIO <= l_ratio <= MAX_INDUCTANCE_RATIO
+        return () if by_heat and by_saturation else (_unlike_factors(r_ratio, l_ratio),)
     return (_same_factor(responses, r_ratio, l_ratio),) if abs(math.log(both)) >= math.log(MIN_SCALE_RATIO) else ()
-
-
-def _far_apart(r_ratio: float, l_ratio: float) -> bool:
-    """Whether R deviates more than by heating, or L more than by saturation."""
-    max_r, max_l = MAX_RESISTANCE_RATIO, MAX_INDUCTANCE_RATIO
-    return not (1.0 / max_r <= r_ratio <= max_r and 1.0 / max_l <= l_ratio <= max_l)
 
 
 def _same_factor(responses: Responses, r_ratio: float, l_ratio: float) -> Remark:

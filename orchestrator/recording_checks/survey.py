@@ -94,13 +94,9 @@ class SegmentReadings:
     @property
     def set_point(self) -> complex | None:
         """The current's set-point in the stator's frame, by the manifest's angle; None where unknown."""
-        names = ("target_d_a", "target_q_a") if self.is_injection else ("current_d_a", "current_q_a")
-        d, q = (self.setting(name) for name in names)
+        prefix = "target" if self.segment.stage is SegmentStage.INJECTION else "current"
+        d, q = (self.setting(f"{prefix}_{axis}_a") for axis in "dq")
         return None if d is None or q is None else complex(d, q) * np.exp(1j * self.theta_rad)
-
-    @property
-    def is_injection(self) -> bool:
-        return self.segment.stage is SegmentStage.INJECTION
 
 
 @dataclass(frozen=True)
@@ -149,15 +145,11 @@ def survey(recording: RecordingReader, poll: Callable[[], None] = lambda: None) 
     seen = []
     for segment in chosen:
         poll()
-        seen.append(_read_segment(recording, segment))
+        capture, rows = recording.load(segment), slice(0, MAX_SAMPLES_PER_SEGMENT)
+        i, v = (_complex(x[rows]) for x in (capture.i_ab, capture.v_ab))
+        phases = None if capture.i_abc is None else capture.i_abc[rows]
+        seen.append(SegmentReadings(segment, i, v, phases, capture.v_dc[rows]))
     return Survey(recording.manifest, seen)
-
-
-def _read_segment(recording: RecordingReader, segment: Segment) -> SegmentReadings:
-    capture = recording.load(segment)
-    rows = slice(0, MAX_SAMPLES_PER_SEGMENT)
-    i, v = (_complex(x[rows]) for x in (capture.i_ab, capture.v_ab))
-    return SegmentReadings(segment, i, v, None if capture.i_abc is None else capture.i_abc[rows], capture.v_dc[rows])
 
 
 def _complex(x: NDArray[np.floating[Any]]) -> Vectors:

@@ -46,9 +46,9 @@ def sampling_rate(responses: Responses) -> Convention | None:
         known["L, compared with the nameplate"] = inductance
     if len(known) < 2:
         return None
-    factor = next((f for k in RATE_FACTORS for f in (k, 1.0 / k) if _all_near(known, f, MAX_RATE_ERROR)), None)
+    factor = next((f for k in RATE_FACTORS for f in (k, 1.0 / k) if _all_near(known, f)), None)
     if factor is None:
-        factor = _common_factor(from_set_points, MAX_RATE_ERROR)
+        factor = _common_factor(from_set_points)
     if factor is None:
         return None
     rate = survey.sampling_frequency_hz * factor
@@ -62,15 +62,15 @@ def sampling_rate(responses: Responses) -> Convention | None:
     )
 
 
-def _all_near(ratios: dict[str, float], factor: float, tolerance: float) -> bool:
+def _all_near(ratios: dict[str, float], factor: float) -> bool:
     """Whether the first ratio equals the factor within the tolerance, and the others are nearer to no other factor."""
     first, *others = ratios.values()
-    return abs(first / factor - 1.0) < tolerance and all(1.0 / 1.5 < other / factor < 1.5 for other in others)
+    return abs(first / factor - 1.0) < MAX_RATE_ERROR and all(1.0 / 1.5 < other / factor < 1.5 for other in others)
 
 
-def _common_factor(ratios: list[float], tolerance: float) -> float | None:
+def _common_factor(ratios: list[float]) -> float | None:
     """The factor that two or more ratios have in common; None where they differ or it is near one."""
-    if len(ratios) < 2 or max(ratios) / min(ratios) - 1.0 > tolerance:
+    if len(ratios) < 2 or max(ratios) / min(ratios) - 1.0 > MAX_RATE_ERROR:
         return None
     factor = float(np.median(ratios))
     return factor if abs(math.log(factor)) > math.log(MIN_RATE_RATIO) else None
@@ -138,15 +138,13 @@ def delay(responses: Responses) -> Convention | None:
     declared = responses.survey.manifest.drive.voltage_delay_samples or 0.0
     samples, way = f"{abs(off)} sample{'s' if abs(off) > 1 else ''}", "later" if off > 0 else "earlier"
     text = f"set drive.voltage_delay_samples to {declared + off:g}"
-    correction = ManifestCorrection(text=text, field="voltage_delay_samples", add=float(off))
     if declared + off < 0.0:
         text = f"shift the voltage's column by {samples}: row k has the voltage of the one before"
-        correction = ManifestCorrection(text=text, field="voltage_delay_samples", add=float(off))
     return Convention(
         kind="delay",
         what=f"the voltage acts {samples} {way} than voltage_delay_samples = {declared:g}",
         evidence=evidence,
-        correction=correction,
+        correction=ManifestCorrection(text=text, field="voltage_delay_samples", add=float(off)),
     )
 
 

@@ -19,19 +19,19 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
-from orchestrator.formatting.sentences import visible
 from orchestrator.recording import (
     MANIFEST_NAME,
     capture_path,
     read_manifest,
     remove_partial_files,
     replace_file,
+    write_json,
     write_manifest,
 )
 from orchestrator.registry.plugins import PluginInfo, PluginKind, installed
 from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
-from orchestrator.runs._record import RunRecord, hash_of, make_record, sealed_options_of, unsealed
+from orchestrator.runs._record import RunRecord, hash_of, make_record, unsealed
 from orchestrator.stages import parse_stages
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import read_bytes
@@ -108,8 +108,9 @@ class RunDirectory:
         StorageError
             Where it cannot be created.
         """
-        _refuse_non_empty(path)
-        hidden = sealed_options_of(procedure, sealed)
+        cls.refuse_occupied(path)
+        options = procedure.drive.options
+        hidden = {name: options[name] for name in options if name in set(sealed)}
         record = make_record(procedure, capabilities, provenance(_plugins_of(procedure)), hidden)
         run = cls(path.resolve(), record)
         secrets = run.private_directory / _OPTIONS
@@ -121,13 +122,14 @@ class RunDirectory:
         except OSError as error:
             raise StorageError(f"{run.path}: cannot be created: {error.strerror or error}") from error
         replace_file(secrets, (json.dumps(hidden, indent=1) + "\n").encode())
-        replace_file(run.path / _RECORD, (visible(record.model_dump_json(indent=1)) + "\n").encode())
+        write_json(run.path / _RECORD, record)
         return run
 
     @staticmethod
     def refuse_occupied(path: Path) -> None:
-        """Raise `RecordingError` where a new run cannot go to `path`: nothing is ever overwritten."""
-        _refuse_non_empty(path)
+        """Raise `RecordingError` unless `path` is missing, or empty except for its lock: nothing is overwritten."""
+        if path.exists() and (not path.is_dir() or any(file.name != _LOCK for file in path.iterdir())):
+            raise RecordingError(str(path), "", "exists and is not empty; nothing is overwritten: choose another")
 
     @staticmethod
     @contextmanager
@@ -307,21 +309,11 @@ def _rename_leftover(private: Path) -> None:
     private.rename(next(place for place in numbered if not place.exists()))
 
 
-def _refuse_non_empty(folder: Path) -> None:
-    """Raise `RecordingError` unless `folder` is missing, or empty except for its lock."""
-    if folder.exists() and (not folder.is_dir() or any(file.name != _LOCK for file in folder.iterdir())):
-        raise RecordingError(str(folder), "", "exists and is not empty; nothing is overwritten: choose another")
-
-
 def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
-    named = {(PluginKind.DRIVES.value, procedure.drive.name)}
-    every: set[str] = set()
+    used: set[tuple[str, str | None]] = {(PluginKind.DRIVES, procedure.drive.name)}
     for stage in parse_stages(procedure):
-        named.add((PluginKind.STAGES.value, stage.name))
-        for use in stage.uses():
-            every |= {use.kind} if use.name is None else set()
-            named |= {(use.kind, use.name)} if use.name is not None else set()
-    return [info for kind in PluginKind for info in installed(kind) if kind in every or (kind, info.name) in named]
+        used |= {(PluginKind.STAGES, stage.name), *((use.kind, use.name) for use in stage.uses())}
+    return [info for kind in PluginKind for info in installed(kind) if {(kind, None), (kind, info.name)} & used]
 
 
 def _read_json(file: Path) -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -59,12 +59,6 @@ def make_record(
         capabilities=capabilities,
         provenance=provenance,
     )
-
-
-def sealed_options_of(procedure: Procedure, sealed: Iterable[str]) -> dict[str, Any]:
-    """The options of the procedure's drive that are among `sealed`, in clear."""
-    names = set(sealed)
-    return {name: value for name, value in procedure.drive.options.items() if name in names}
 
 
 def unsealed(record: RunRecord, options: dict[str, Any], where: str) -> Procedure:

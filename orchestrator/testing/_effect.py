@@ -31,10 +31,6 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
         """Signals in which the effect shows."""
         return exciting_signals()
 
-    def _values(self, which: str) -> dict[str, float]:
-        """Every parameter at its ``neutral`` or ``typical`` value."""
-        return {parameter.name: getattr(parameter, which) for parameter in self.make_effect().Parameters.declared()}
-
     def _corrected(self, values: Mapping[str, float]) -> Signals:
         effect, signals = self.make_effect(), self.signals()
         return signals.corrected(effect.correct(signals, effect.Parameters(**values)))

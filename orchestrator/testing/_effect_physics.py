@@ -45,8 +45,9 @@ class EffectPhysicsChecks(ABC):
     @abstractmethod
     def signals(self) -> Signals: ...
 
-    def _typical(self) -> dict[str, float]:
-        return {p.name: p.typical for p in self.make_effect().Parameters.declared()}
+    def _values(self, which: str) -> dict[str, float]:
+        """Every parameter at its ``neutral`` or ``typical`` value."""
+        return {parameter.name: getattr(parameter, which) for parameter in self.make_effect().Parameters.declared()}
 
     def _amplitudes(self) -> list[EffectParameter]:
         return [p for p in self.make_effect().Parameters.declared() if p.role is ParameterRole.AMPLITUDE]
@@ -57,7 +58,7 @@ class EffectPhysicsChecks(ABC):
 
     def test_changes_only_what_its_layer_is_about(self) -> None:
         layer = self.make_effect().layer
-        others = sorted(set(self._correction(self.signals(), self._typical()).arrays) - CHANGES[layer])
+        others = sorted(set(self._correction(self.signals(), self._values("typical")).arrays) - CHANGES[layer])
         assert not others, f"an effect of the layer {layer.name} changes {', '.join(others)}: the layer is wrong"
 
     def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
@@ -65,7 +66,7 @@ class EffectPhysicsChecks(ABC):
         if effect.layer is not EffectLayer.CURRENT_SENSORS:
             return  # nothing to check
         off = replace(self.signals(), v_ab=np.zeros_like(self.signals().v_ab), bridge_on=False)
-        changed = sorted(set(self._correction(off, self._typical()).arrays) - {"i_ab"})
+        changed = sorted(set(self._correction(off, self._values("typical")).arrays) - {"i_ab"})
         assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"
 
     def test_a_machine_of_another_size_behaves_alike(self) -> None:
@@ -73,7 +74,7 @@ class EffectPhysicsChecks(ABC):
         effect, signals = self.make_effect(), self.signals()
         declared = effect.Parameters.declared()
         larger = {p.name: p.typical * _factor(p.unit) for p in declared}
-        here = signals.corrected(self._correction(signals, self._typical()))
+        here = signals.corrected(self._correction(signals, self._values("typical")))
         there = _scaled(signals)
         apart = largest_change(_scaled(here), there.corrected(self._correction(there, larger)))
         effect_size = largest_change(signals, here)
@@ -88,7 +89,7 @@ class EffectPhysicsChecks(ABC):
         signals = self.signals()
         for p in self._amplitudes():
             array = {"V": "v_ab", "A": "i_ab"}.get(p.unit)
-            changed = self._correction(signals, self._neutral() | self._shapes() | {p.name: p.typical}).arrays
+            changed = self._correction(signals, self._values("neutral") | self._shapes() | {p.name: p.typical}).arrays
             if array is None or array not in changed:
                 continue
             by = float(np.abs(changed[array] - getattr(signals, array)).max()) / abs(p.typical)
@@ -113,7 +114,8 @@ class EffectPhysicsChecks(ABC):
         """Length of the way between what two sizes of an amplitude make of the signals, the others typical."""
         signals = self.signals()
         a, b = (
-            signals.corrected(self._correction(signals, self._typical() | {p.name: _at(p, x)})) for x in (one, other)
+            signals.corrected(self._correction(signals, self._values("typical") | {p.name: _at(p, x)}))
+            for x in (one, other)
         )
         ways = [np.linalg.norm(getattr(b, n) - getattr(a, n)) / _size(getattr(signals, n)) for n in SIGNAL_ARRAYS]
         return float(np.linalg.norm(ways))
@@ -122,7 +124,7 @@ class EffectPhysicsChecks(ABC):
         if any("s" in unit_powers(p.unit) for p in self.make_effect().Parameters.declared()):
             return
         signals = self.signals()
-        now, then = (s.corrected(self._correction(s, self._typical())) for s in (signals, _later(signals)))
+        now, then = (s.corrected(self._correction(s, self._values("typical"))) for s in (signals, _later(signals)))
         change = largest_change(now, then)
         assert change <= 1e-9, (
             f"1000 s later it changes a signal by {change:.2g} otherwise, but none of its parameters is per second: "
@@ -132,10 +134,10 @@ class EffectPhysicsChecks(ABC):
     def test_no_earlier_segment_is_remembered(self) -> None:
         """Segments come in any order, and from several threads."""
         signals, used = _later(self.signals(), 1.0), self.make_effect()
-        parameters = used.Parameters(**self._typical())
+        parameters = used.Parameters(**self._values("typical"))
         for earlier in (self.signals(), exciting_signals(seed=7)):
             used.correct(earlier, parameters)
-        fresh = signals.corrected(self._correction(signals, self._typical()))
+        fresh = signals.corrected(self._correction(signals, self._values("typical")))
         assert largest_change(fresh, signals.corrected(used.correct(signals, parameters))) == 0.0, (
             "what came before a segment changes it: effects are pure functions"
         )
@@ -147,14 +149,11 @@ class EffectPhysicsChecks(ABC):
             len(took) < 4 and min(took) > MAX_EVALUATION_S and sum(took) < 8.0
         ):  # the first one may compile
             begun = time.perf_counter()
-            self._correction(signals, self._typical())
+            self._correction(signals, self._values("typical"))
             took.append(time.perf_counter() - begun)
         assert min(took) <= MAX_EVALUATION_S, (
             f"{min(took):.2f} s for a second of samples ({MAX_EVALUATION_S} s allowed)"
         )
-
-    def _neutral(self) -> dict[str, float]:
-        return {p.name: p.neutral for p in self.make_effect().Parameters.declared()}
 
     def _shapes(self) -> dict[str, float]:
         declared = self.make_effect().Parameters.declared()

@@ -88,18 +88,14 @@ def _is_list_for_number(found: Any) -> bool:
 
 
 def _path_of(found: Any, raw: Any) -> KeyPath:
-    return _path_in(raw, found["loc"], missing=found["type"] == "missing")
-
-
-def _path_in(raw: Any, location: Sequence[str | int], *, missing: bool) -> KeyPath:
+    location = found["loc"]
     path: list[str | int] = []
     for place, key in enumerate(location):
-        is_last = place == len(location) - 1
         in_dict = isinstance(raw, dict) and key in raw
         in_list = isinstance(raw, list) and isinstance(key, int) and key < len(raw)
         if in_dict or in_list:
             raw = raw[key]
-        elif not (missing and is_last):
+        elif not (found["type"] == "missing" and place == len(location) - 1):
             continue  # the tag of a union, not a key of the document
         path.append(key)
     return tuple(path)

@@ -11,10 +11,12 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from orchestrator.validation.messages import KeyPath
-from protocols import ProcedureError
+from orchestrator.validation.plain_files import read_text
+from protocols import InputError, ProcedureError
 
 _INT = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -69,6 +71,20 @@ def parse_document(text: str, name: str) -> Document:
             name, "", f"expected keys and values, got {'nothing' if data is None else repr(data)[:60]}"
         )
     return Document(name, data, reading.places)
+
+
+def read_document(path: Path, error: type[InputError] = InputError) -> Document:
+    """Read and parse a YAML file; where it cannot be read, or is no mapping, `error` names file and line."""
+    try:
+        return parse_document(read_text(path), str(path))
+    except ProcedureError as problem:
+        raise error(problem.where, problem.field, problem.problem) from None
+    except OSError as problem:
+        raise error(str(path), "", f"cannot be read: {problem.strerror or problem}") from None
+    except UnicodeDecodeError as problem:
+        raise error(str(path), "", f"not UTF-8 at byte {problem.start}") from None
+    except ValueError as problem:
+        raise error(repr(str(path)), "", f"cannot be read: {problem}") from None
 
 
 def apply_override(document: Document, override: str) -> None:

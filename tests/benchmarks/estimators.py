@@ -10,7 +10,7 @@ from pathlib import Path
 
 from orchestrator.config import load_procedure
 from orchestrator.engine import AbsentOperator, Interrupts, RunServices, start_run
-from orchestrator.estimation.order import in_order
+from orchestrator.estimation.estimation import in_order
 from orchestrator.recording import open_recording
 from orchestrator.registry.plugins import PluginKind, make_plugins
 from protocols import Estimate, EstimationContext, RecordingReader, SegmentStage

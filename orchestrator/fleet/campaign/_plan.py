@@ -18,8 +18,7 @@ from orchestrator.fleet import Plan
 from orchestrator.formatting.names import plain
 from orchestrator.interface.api import as_overrides
 from orchestrator.validation.messages import first_problem
-from orchestrator.validation.plain_files import read_text
-from orchestrator.validation.strict_yaml import parse_document
+from orchestrator.validation.strict_yaml import read_document
 from protocols import DriveChoice, InputError, Procedure, Strict
 from protocols.fleet import FleetStep, HiddenEffect
 
@@ -117,13 +116,7 @@ def load_campaign(path: Path, max_runs: int = 1_000_000) -> CampaignPlan:
     InputError
         With file and line, key, the error and the nearest valid name.
     """
-    try:
-        text = read_text(path)
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), "", f"not UTF-8 at byte {error.start}") from None
-    except OSError as error:
-        raise InputError(str(path), "", f"cannot be read: {error.strerror or error}") from None
-    document = parse_document(text, str(path))
+    document = read_document(path)
     try:
         plan = CampaignPlan.model_validate(document.data)
     except ValidationError as error:

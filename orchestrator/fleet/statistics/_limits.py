@@ -12,8 +12,7 @@ from orchestrator.fleet.statistics._table import Column, FleetTable
 from orchestrator.formatting.quantities import measured, quantity
 from orchestrator.numerics.process_control import capability, share_beyond
 from orchestrator.validation.messages import first_problem, nearest, suggestion
-from orchestrator.validation.plain_files import read_text
-from orchestrator.validation.strict_yaml import parse_document
+from orchestrator.validation.strict_yaml import read_document
 from protocols import InputError
 from protocols.fleet_report import (
     CapabilityIndex,
@@ -35,13 +34,7 @@ def read_limits(path: Path) -> FleetLimits:
     InputError
         One line: file and line, key, what is wrong, the nearest valid name.
     """
-    try:
-        text = read_text(path)
-    except UnicodeDecodeError as error:
-        raise InputError(str(path), "", f"not UTF-8 at byte {error.start}") from None
-    except OSError as error:
-        raise InputError(str(path), "", f"cannot be read: {error.strerror or error}") from None
-    document = parse_document(text, str(path))
+    document = read_document(path)
     try:
         return FleetLimits.model_validate(document.data)
     except ValidationError as error:

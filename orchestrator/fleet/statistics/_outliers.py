@@ -13,7 +13,7 @@ from orchestrator.formatting.quantities import plural, quantity
 from orchestrator.numerics.robust import spread
 from orchestrator.numerics.robust_scatter import Scatter, robust_scatter
 from orchestrator.numerics.types import Array, Mask
-from protocols.fleet_report import DistancePoint, Distances, FleetOutlier, FleetRecording, OutlierReason
+from protocols.fleet_report import DistancePoint, Distances, FleetOutlier, OutlierReason
 
 
 def outliers(table: FleetTable, criteria: FleetCriteria) -> tuple[Distances | None, tuple[FleetOutlier, ...]]:
@@ -39,7 +39,13 @@ def outliers(table: FleetTable, criteria: FleetCriteria) -> tuple[Distances | No
     by_quantity = [outlier for column in single for outlier in _single_outliers(column, len(single), criteria)]
     for k, reason in sorted(by_quantity, key=lambda outlier: -abs(outlier[1].sigma or 0.0)):
         reasons.setdefault(k, []).append(reason)
-    all_outliers = [_outlier(table.recordings[k], reached.get(k), why, criteria) for k, why in reasons.items()]
+    all_outliers = []
+    for k, why in reasons.items():
+        (distance, limit), recording = reached.get(k, (None, None)), table.recordings[k]
+        text = f"{name_of(recording)}: {'; '.join(reason_words(reason, criteria) for reason in why)}"
+        all_outliers.append(
+            FleetOutlier(recording=recording, distance=distance, limit=limit, reasons=tuple(why), text=text)
+        )
     return distances, tuple(sorted(all_outliers, key=_outlyingness, reverse=True))
 
 
@@ -143,17 +149,6 @@ def _reason(
         found_in=found_in,
         sure=bool(not low <= float(middle or 0.0) <= high) if has_interval else None,
     )
-
-
-def _outlier(
-    recording: FleetRecording,
-    reached: tuple[float, float] | None,
-    reasons: Sequence[OutlierReason],
-    criteria: FleetCriteria,
-) -> FleetOutlier:
-    distance, limit = reached or (None, None)
-    text = f"{name_of(recording)}: {'; '.join(reason_words(reason, criteria) for reason in reasons)}"
-    return FleetOutlier(recording=recording, distance=distance, limit=limit, reasons=tuple(reasons), text=text)
 
 
 def reason_words(reason: OutlierReason, criteria: FleetCriteria) -> str:

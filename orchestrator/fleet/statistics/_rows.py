@@ -7,7 +7,7 @@ from collections.abc import Callable
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import UNKNOWN, number, percent, quantity, value_and_error, value_and_interval
 from protocols.fleet_priors import FleetPriors
-from protocols.fleet_report import FleetJudgement, FleetPairs, FleetQuantity, FleetRecording, FleetReport
+from protocols.fleet_report import FleetJudgement, FleetPairs, FleetRecording, FleetReport
 
 Rows = list[tuple[str, ...]]
 _JUDGEMENTS = {"fail": "fails", "unsure": "undecided", "not_measured": "not measured", "pass": "passes"}
@@ -16,7 +16,14 @@ _JUDGEMENTS = {"fail": "fails", "unsure": "undecided", "not_measured": "not meas
 def distribution_rows(report: FleetReport) -> Rows:
     """Middle, spread and quantiles of each quantity."""
     head = ("quantity", "known of", "median", "spread", "1 %", "5 %", "95 %", "99 %", "own 95 % interval")
-    return [head, *(_distribution(one) for one in report.quantities)]
+    rows = []
+    for one in report.quantities:
+        at = {q.share: q.value for q in one.quantiles}
+        shown = (one.middle, one.spread, *(at.get(share) for share in (0.01, 0.05, 0.95, 0.99)))
+        half = UNKNOWN if one.typical_interval is None else f"± {quantity(one.typical_interval, one.unit, 2)}"
+        values = (quantity(value, one.unit, 4) for value in shown)
+        rows.append((one.label, f"{one.count} of {one.asked}", *values, half))
+    return [head, *rows]
 
 
 def course_rows(report: FleetReport) -> Rows:
@@ -156,18 +163,6 @@ def name_of(recording: FleetRecording) -> str:
 def date(at: object) -> str:
     """A time to the minute."""
     return str(at)[:16]
-
-
-def _distribution(one: FleetQuantity) -> tuple[str, ...]:
-    at = {q.share: q.value for q in one.quantiles}
-    shown = (one.middle, one.spread, *(at.get(share) for share in (0.01, 0.05, 0.95, 0.99)))
-    half = one.typical_interval
-    return (
-        one.label,
-        f"{one.count} of {one.asked}",
-        *(quantity(value, one.unit, 4) for value in shown),
-        UNKNOWN if half is None else f"± {quantity(half, one.unit, 2)}",
-    )
 
 
 def _yes(value: bool) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +83,9 @@ class Column:
     @property
     def deviations(self) -> Array:
         """Standard deviation of each value by its own interval; NaN where it has none."""
-        return np.asarray((self.high - self.low) / _interval_width(), dtype=np.float64)
+        from scipy.stats import norm
+
+        return np.asarray((self.high - self.low) / (2.0 * norm.ppf(0.975)), dtype=np.float64)
 
 
 @dataclass(frozen=True)
@@ -120,11 +123,11 @@ class FleetTable:
         """Some of the recordings alone."""
         return replace(
             self,
-            recordings=[one for one, kept in zip(self.recordings, rows, strict=True) if kept],
+            recordings=list(compress(self.recordings, rows)),
             seconds=self.seconds[rows],
-            motors=[one for one, kept in zip(self.motors, rows, strict=True) if kept],
-            verdicts=[one for one, kept in zip(self.verdicts, rows, strict=True) if kept],
-            usable=[one for one, kept in zip(self.usable, rows, strict=True) if kept],
+            motors=list(compress(self.motors, rows)),
+            verdicts=list(compress(self.verdicts, rows)),
+            usable=list(compress(self.usable, rows)),
             columns={name: column.of_rows(rows) for name, column in self.columns.items()},
         )
 
@@ -137,7 +140,19 @@ def read_fleet(place: str) -> FleetTable:
     InputError
         Where it cannot be read, or is no fleet's table.
     """
-    return fleet_of(_read(place), place)
+    import pyarrow as pa
+    import pyarrow.dataset as ds
+
+    path = Path(place)
+    if not path.exists():
+        raise InputError(place, "", "no such table")
+    names = arrow_schema().names
+    try:
+        dataset = ds.dataset(str(path), format="parquet", exclude_invalid_files=path.is_dir())
+        table = dataset.to_table(columns=[name for name in names if name in dataset.schema.names])
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError(place, "", f"cannot be read as Parquet: {str(error).splitlines()[0][:160]}") from None
+    return fleet_of(table, place)
 
 
 def fleet_of(table: pa.Table, place: str) -> FleetTable:
@@ -161,21 +176,6 @@ def fleet_of(table: pa.Table, place: str) -> FleetTable:
         {column.name: column for column in _columns(table)},
         failures,
     )
-
-
-def _read(place: str) -> pa.Table:
-    import pyarrow as pa
-    import pyarrow.dataset as ds
-
-    path = Path(place)
-    if not path.exists():
-        raise InputError(place, "", "no such table")
-    names = arrow_schema().names
-    try:
-        dataset = ds.dataset(str(path), format="parquet", exclude_invalid_files=path.is_dir())
-        return dataset.to_table(columns=[name for name in names if name in dataset.schema.names])
-    except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(place, "", f"cannot be read as Parquet: {str(error).splitlines()[0][:160]}") from None
 
 
 def _of_each_source(table: pa.Table) -> list[int]:
@@ -288,9 +288,3 @@ def _floats(column: Any) -> Array:
 
 def _seconds(at: datetime | None) -> float:
     return float("nan") if at is None else at.timestamp()
-
-
-def _interval_width() -> float:
-    from scipy.stats import norm
-
-    return float(2.0 * norm.ppf(0.975))

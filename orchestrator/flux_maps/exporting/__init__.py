@@ -5,8 +5,8 @@ Knows flux maps and nothing of recordings, drives or estimators. scipy and xarra
 
 from orchestrator.flux_maps.exporting._exporting import FORMATS, ExportedFile, ExportReport, export_map
 from orchestrator.flux_maps.exporting._inverse import InverseMap, invert
-from orchestrator.flux_maps.exporting._saliency import Saliency, saliency
-from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
+from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, saliency, torque_nm
+from orchestrator.numerics.saliency import Saliency
 
 __all__ = [
     "FORMATS",

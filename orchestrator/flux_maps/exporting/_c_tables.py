@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.flux_maps import fill_smoothly
-from orchestrator.flux_maps.exporting._lookup import lookup_error
-from orchestrator.flux_maps.exporting._products import Products
-from orchestrator.flux_maps.exporting._saliency import saliency
-from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv
+from orchestrator.flux_maps.exporting._products import Products, lookup_error
+from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, saliency
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
 
@@ -117,20 +115,17 @@ def _inductances(flux_map: FluxMap, d: Axis, q: Axis) -> list[Table]:
     if np.isfinite(flux_map.l_dd + flux_map.l_dq + flux_map.l_qq).sum() < 3:
         return []
     axes = (np.asarray(flux_map.i_d, dtype=np.float64), np.asarray(flux_map.i_q, dtype=np.float64))
-    places = np.stack(np.meshgrid(d.nodes, q.nodes, indexing="ij"), axis=-1)
+    low, high = np.array([axis[[0, -1]] for axis in axes]).T
+    places = np.clip(np.stack(np.meshgrid(d.nodes, q.nodes, indexing="ij"), axis=-1), low, high)
     inductances = {}
     for name in ("l_dd", "l_dq", "l_qq"):
         filled = fill_smoothly(*axes, np.asarray(getattr(flux_map, name), dtype=np.float64), name)
-        inductances[name] = np.asarray(RegularGridInterpolator(axes, filled)(np.clip(places, *_corners(axes))))
+        inductances[name] = np.asarray(RegularGridInterpolator(axes, filled)(places))
     angle = saliency(flux_map.model_copy(update=inductances)).angle_rad
     slopes = {"l_dd": "dpsi_d/di_d", "l_dq": "dpsi_d/di_q", "l_qq": "dpsi_q/di_q"}
     tables = [Table(n, "h", f"incremental inductance {slopes[n]}", values, (d, q)) for n, values in inductances.items()]
     meaning = "angle from the d axis to the axis of least incremental inductance, electrical"
     return [*tables, Table("saliency_angle", "rad", meaning, angle, (d, q))]
-
-
-def _corners(axes: tuple[Array, Array]) -> tuple[Array, Array]:
-    return np.array([axis[0] for axis in axes]), np.array([axis[-1] for axis in axes])
 
 
 def _curves(products: Products) -> list[Table]:

@@ -71,19 +71,9 @@ def _compile(source: bytes, header: bytes) -> bytes | None:
         folder = Path(name)
         (folder / "machine.c").write_bytes(source)
         (folder / "flux_map.h").write_bytes(header)
-        words = [
-            compiler,
-            "-shared",
-            "-fPIC",
-            "-O2",
-            "-std=c99",
-            "-fvisibility=hidden",
-            "machine.c",
-            "-o",
-            "machine.so",
-        ]
+        call = [compiler, "-shared", "-fPIC", "-O2", "-std=c99", "-fvisibility=hidden", "machine.c", "-o", "machine.so"]
         try:
-            subprocess.run(words, cwd=folder, check=True, capture_output=True, timeout=60)
+            subprocess.run(call, cwd=folder, check=True, capture_output=True, timeout=60)
         except (OSError, subprocess.SubprocessError):
             return None
         return (folder / "machine.so").read_bytes()

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.flux_maps.exporting._lookup import lookup_error
-from orchestrator.flux_maps.exporting._products import FileContent, Products
-from orchestrator.flux_maps.exporting._torque import Trajectory
+from orchestrator.flux_maps.exporting._products import FileContent, Products, lookup_error
 
 
 def syre_file(products: Products) -> FileContent:
@@ -63,18 +61,8 @@ def _extras(products: Products) -> dict[str, Any]:
     struct |= {"pole_pairs": float(products.motor.pole_pairs), **grids}
     for name, curve in (("mtpa", products.mtpa), ("mtpv", products.mtpv)):
         if curve is not None:
-            struct[name] = _curve(curve)
+            struct[name] = dict(vars(curve))
     return struct
-
-
-def _curve(curve: Trajectory) -> dict[str, Any]:
-    return {
-        "magnitude": curve.magnitude,
-        "i_dq": curve.i_dq,
-        "psi_dq": curve.psi_dq,
-        "torque_nm": curve.torque_nm,
-        "interior": curve.interior,
-    }
 
 
 def _savemat(content: dict[str, Any]) -> bytes:

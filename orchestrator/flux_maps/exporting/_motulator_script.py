@@ -9,7 +9,7 @@ _SCRIPT = '''\
 """{title}: a speed step and a load step in motulator (pip install motulator), under current-vector control.
 
 {notes}
-FileContent by fluxbench; reads flux_map.npz (`fluxbench export --format npz`) beside it. Recording: {recording}.
+Written by fluxbench; reads flux_map.npz (`fluxbench export --format npz`) beside it. Recording: {recording}.
 """
 
 from pathlib import Path

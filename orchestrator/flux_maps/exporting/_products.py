@@ -10,8 +10,8 @@ import numpy as np
 
 from orchestrator.flux_maps import MapAudit, MapSurface, audit_map
 from orchestrator.flux_maps.exporting._inverse import InverseMap, invert
-from orchestrator.flux_maps.exporting._saliency import Saliency, saliency
-from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
+from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, saliency, torque_nm
+from orchestrator.numerics.saliency import Saliency
 from orchestrator.numerics.types import Array
 from protocols import FluxMap, Motor
 
@@ -119,3 +119,22 @@ class Products:
     def motors(self) -> bool:
         """Whether a point with i_q > 0 was measured."""
         return bool((self.surface.currents[:, 1] > 0).any())
+
+
+def lookup_error(
+    rows: Array, columns: Array, tables: tuple[Array, Array], at: Array, truth: Array
+) -> tuple[float, float]:
+    """rms and largest length of the difference between bilinear lookups and the truth.
+
+    Parameters
+    ----------
+    rows, columns : array, shapes (n,), (m,)
+        Axes of the two tables, which have shape (n, m).
+    at, truth : array, shape (k, 2)
+        Points on the axes, and their true values.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
+    lookup = RegularGridInterpolator((rows, columns), np.stack(tables, axis=-1), bounds_error=False, fill_value=None)
+    apart = np.linalg.norm(np.asarray(lookup(at)) - truth, axis=1)
+    return float(np.sqrt((apart**2).mean())), float(apart.max())

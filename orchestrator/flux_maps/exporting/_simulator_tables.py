@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.flux_maps.exporting._c_tables import Axis, HeaderTables, Table, header_tables
-from orchestrator.flux_maps.exporting._lookup import lookup_error
-from orchestrator.flux_maps.exporting._products import FileContent, Products
+from orchestrator.flux_maps.exporting._products import FileContent, Products, lookup_error
 from orchestrator.numerics.types import Array
 
 _PAIRS = (("psi_d", "psi_q"), ("i_d", "i_q"))

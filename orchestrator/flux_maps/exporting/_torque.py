@@ -1,4 +1,4 @@
-"""Torque of a flux map, MTPA and MTPV trajectories; knows no limits of a drive."""
+"""Torque and saliency of a flux map, MTPA and MTPV trajectories; knows no limits of a drive."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from orchestrator.flux_maps import WHERE, MapSurface
 from orchestrator.flux_maps.exporting._inverse import currents_at
+from orchestrator.numerics.saliency import Saliency, principal
 from orchestrator.numerics.types import Array
 from protocols import FluxMap, InputError
 
@@ -35,6 +36,11 @@ def torque_nm(flux_map: FluxMap, pole_pairs: int) -> Array:
     i_d, i_q = (np.asarray(axis, dtype=np.float64) for axis in (flux_map.i_d, flux_map.i_q))
     torque: Array = 1.5 * pole_pairs * (flux_map.psi_d * i_q[None, :] - flux_map.psi_q * i_d[:, None])
     return torque
+
+
+def saliency(flux_map: FluxMap) -> Saliency:
+    """Saliency on a map's grid, shape (d, q); NaN where not measured."""
+    return principal(*(np.asarray(table, dtype=np.float64) for table in (flux_map.l_dd, flux_map.l_dq, flux_map.l_qq)))
 
 
 def mtpa(flux_map: FluxMap, pole_pairs: int, currents_a: Array | None = None) -> Trajectory:

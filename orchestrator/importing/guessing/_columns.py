@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.importing._hdf5 import list_datasets
-from orchestrator.importing._matlab_sizes import inflated_size
+from orchestrator.importing._matlab import inflated_size
 from orchestrator.importing._source import TIMESTAMPS
 from orchestrator.importing.guessing._layout import TextLayout, text_layout
 from orchestrator.importing.guessing._units import name_and_unit, unit_of

@@ -259,8 +259,8 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
     bus, pairs = mapping.bus, mapping.motor.pole_pairs
     dc_v = np.full(time_s.size, mapping.drive.dc_bus_voltage_v) if bus is None else columns[bus.column]
     i, v = (vectors(signal, columns, 0.0, pairs, dc_v) for signal in (mapping.current, mapping.voltage))
-    if mapping.rotor_angle.column is None and (found := turning(i, 1.0 / float(np.median(np.diff(time_s))))):
-        problem = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz, and no column is the rotor's angle"
+    if mapping.rotor_angle.column is None and (turned := turning(i, 1.0 / float(np.median(np.diff(time_s))))):
+        problem = f"the current turns {turned[0]:.0f} times at {turned[1]:.4g} Hz, and no column is the rotor's angle"
         raise InputError(str(path), "", problem)
     angle = mapping.rotor_angle
     is_spin = angle.column is not None and np.ptp(np.unwrap(angle_rad(angle, columns, pairs))) > 6.0 * np.pi
@@ -283,21 +283,18 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
     elif label is not None and by_label:
         lines.say_rules(rules_by_label(by_label))
     else:
-        lines.say_rules(rules_by_time(_stretches(path, stretches_of(time_s, i, v, largest))))
+        found = stretches_of(time_s, i, v, largest)
+        if len(found) > MAX_RULES:
+            problem = f"the kind of excitation changes {len(found) - 1} times, which is no log of experiments"
+            wanted = "add a column with one label for each kind of experiment (holds, sweeps, injections)"
+            raise InputError(str(path), "", f"{problem}; {wanted}")
+        lines.say_rules(rules_by_time(found))
 
 
 def _longest(time_s: Numbers, i: Numbers, v: Numbers, rows: Any, largest: tuple[float, float]) -> Stretch | None:
     """The stretch of the stage with the longest duration in the rows of one label."""
     found = stretches_of(time_s[rows], i[rows], v[rows], largest) if np.count_nonzero(rows) > 20 else []
     return max(found, key=lambda one: one.end_s - one.start_s, default=None)
-
-
-def _stretches(path: Path, found: list[Stretch]) -> list[Stretch]:
-    if len(found) > MAX_RULES:
-        problem = f"the kind of excitation changes {len(found) - 1} times, which is no log of experiments"
-        wanted = "add a column with one label for each kind of experiment (holds, sweeps, injections)"
-        raise InputError(str(path), "", f"{problem}; {wanted}")
-    return found
 
 
 def _try(path: Path, lines: _Lines) -> None:

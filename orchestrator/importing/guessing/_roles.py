@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from orchestrator.importing._signals import Axis, Frame
 from orchestrator.importing.guessing._units import name_and_unit
 
-_AXES: tuple[tuple[Frame, tuple[dict[Axis, str], ...]], ...] = (
+_Namings = tuple[tuple[Frame, tuple[dict[Axis, str], ...]], ...]
+"""Names of the axes of each frame."""
+_AXES: _Namings = (
     ("abc", ({"a": "a", "b": "b", "c": "c"}, {"a": "u", "b": "v", "c": "w"}, {"a": "1", "b": "2", "c": "3"})),
     ("abc", ({"a": "l1", "b": "l2", "c": "l3"}, {"a": "r", "b": "s", "c": "t"}, {"a": "r", "b": "y", "c": "b"})),
     (
@@ -18,7 +20,7 @@ _AXES: tuple[tuple[Frame, tuple[dict[Axis, str], ...]], ...] = (
     ),
     ("dq", ({"d": "d", "q": "q"},)),
 )
-_LINES: tuple[dict[Axis, str], ...] = ({"ab": "ab", "bc": "bc", "ca": "ca"}, {"ab": "uv", "bc": "vw", "ca": "wu"})
+_LINES: _Namings = (("line_to_line", ({"ab": "ab", "bc": "bc", "ca": "ca"}, {"ab": "uv", "bc": "vw", "ca": "wu"})),)
 _CURRENT = r"(?:i|cur|curr|current|strom|iphase|phasecurrent|is|im|imot|ichannel)"
 _VOLTAGE = r"(?:v|u|volt|voltage|spannung|vs|us|vphase|uphase|phasevoltage|vm|um)"
 _DUTY = r"(?:d|duty|dutycycle|pwm|dc)"
@@ -62,7 +64,11 @@ def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
             one[role] = found
     rest = {name: text for name, text in plain.items() if name not in one.values()}
     current = _signal(rest, _CURRENT, _ACTUAL)
-    voltage = _signal(rest, _VOLTAGE, _COMMAND) or _lines(rest) or _signal(rest, _VOLTAGE, _ACTUAL)
+    voltage = (
+        _signal(rest, _VOLTAGE, _COMMAND)
+        or _signal(rest, _VOLTAGE, _COMMAND, _LINES)
+        or _signal(rest, _VOLTAGE, _ACTUAL)
+    )
     if voltage is None:
         duty = _signal(plain, _DUTY, _COMMAND)
         if duty is not None and (duty.frame != "abc" or len(duty.columns) == 3):
@@ -75,22 +81,13 @@ def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9αβ]", "", name_and_unit(name)[0].rpartition("/")[2].rpartition(".")[2].lower())
 
 
-def _signal(plain: Mapping[str, str], quantity: str, suffix: str) -> Signal | None:
-    for frame, namings in _AXES:
+def _signal(plain: Mapping[str, str], quantity: str, suffix: str, axes: _Namings = _AXES) -> Signal | None:
+    for frame, namings in axes:
         for naming in namings:
             found = {axis: _named(plain, quantity, text, suffix) for axis, text in naming.items()}
             known = {axis: name for axis, name in found.items() if name is not None}
             if len(known) >= 2:
                 return Signal(frame, known)
-    return None
-
-
-def _lines(plain: Mapping[str, str]) -> Signal | None:
-    for naming in _LINES:
-        found = {axis: _named(plain, _VOLTAGE, text, _COMMAND) for axis, text in naming.items()}
-        known = {axis: name for axis, name in found.items() if name is not None}
-        if len(known) >= 2:
-            return Signal("line_to_line", known)
     return None
 
 

@@ -44,13 +44,12 @@ def export(
     path = Path(place)
     flux_map = load_map(path)
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "export"
-    return export_map(
-        flux_map, _motor_with_resistance(path, motor), folder, formats or None, recording=_recording(path)
-    )
+    motor_used, recording = _motor_and_recording(path, motor)
+    return export_map(flux_map, motor_used, folder, formats or None, recording=recording)
 
 
-def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None) -> Motor:
-    """The motor, with the measured R_s where there is one."""
+def _motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) -> tuple[Motor, str]:
+    """The motor, with the measured R_s where there is one, and the name of what was measured."""
     from orchestrator.config import load_motor
     from orchestrator.estimation import load_estimates
     from orchestrator.recording import read_model
@@ -59,11 +58,13 @@ def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None
 
     measured: float | None = None
     chosen: Motor | None = None
+    name = path.name
     if path.suffix == ".json":
         model = read_model(path)
-        chosen, measured = model.motor, model.r_s_ohm
+        name, chosen, measured = model.recording, model.motor, model.r_s_ohm
     elif path.is_dir():
-        chosen = open_any(path).manifest.motor
+        manifest = open_any(path).manifest
+        name, chosen = manifest.name, manifest.motor
         resistance = load_estimates(path).resistance
         measured = None if resistance is None else resistance.value_ohm
     elif path.suffix in (".yaml", ".yml") and "motor:" in read_text(path):
@@ -72,13 +73,4 @@ def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None
         chosen = motor if isinstance(motor, Motor) else load_motor(Path(motor))
     if chosen is None:
         raise InputError(str(path), "motor", "a map file has no motor: give it or its YAML file (--motor)")
-    return chosen if measured is None else chosen.model_copy(update={"stator_resistance_ohm": measured})
-
-
-def _recording(path: Path) -> str:
-    from orchestrator.recording import read_model
-    from orchestrator.runs import open_any
-
-    if path.suffix == ".json":
-        return read_model(path).recording
-    return open_any(path).manifest.name if path.is_dir() else path.name
+    return chosen if measured is None else chosen.model_copy(update={"stator_resistance_ohm": measured}), name

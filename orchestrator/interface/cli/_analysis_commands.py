@@ -15,6 +15,7 @@ from orchestrator.interface.cli._options import (
     OutOption,
     RecordingArgument,
 )
+from orchestrator.interface.cli._output import announce
 
 commands = typer.Typer()
 
@@ -34,8 +35,6 @@ def estimate_command(
 
     Stator resistance, flux and inductance maps, and checks of their consistency.
     """
-    from orchestrator.interface.cli._output import announce
-
     announce(recording, as_json)
     from orchestrator.interface.cli._results import estimate
 
@@ -60,8 +59,6 @@ def compare_command(
     """
     if len(recordings) > 1 and any(option is not None for option in (model, effects, out)):
         raise typer.BadParameter("require a single recording", param_hint="--model, --effects and --out")
-    from orchestrator.interface.cli._output import announce
-
     for recording in recordings:
         announce(recording, as_json)
     if len(recordings) > 1:
@@ -96,8 +93,6 @@ def diagnose_command(
     With their probability, the effects that cannot be distinguished from them, and the next experiment. Ctrl-C ends
     the search and reports the result so far; a second Ctrl-C ends at once.
     """
-    from orchestrator.interface.cli._output import announce
-
     announce(recording, as_json)
     from orchestrator.interface.cli._diagnosis import diagnose
 
@@ -128,8 +123,6 @@ def add_command(
 
     The model is fitted again; the ladder gets a step for each effect.
     """
-    from orchestrator.interface.cli._output import announce
-
     announce(recording, as_json)
     from orchestrator.interface.cli._diagnosis import add
 
@@ -145,8 +138,6 @@ def remove_command(
     as_json: JsonOption = False,
 ) -> int:
     """Remove an effect from the model."""
-    from orchestrator.interface.cli._output import announce
-
     announce(recording, as_json)
     from orchestrator.interface.cli._diagnosis import remove
 

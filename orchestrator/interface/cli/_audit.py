@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,8 @@ def audit(path: Path, motor_file: Path | None, repair: Path | None, picture: Pat
     if as_json:
         document: dict[str, Any] = result.model_dump(mode="json")
         if repaired is not None:
-            document["repair"] = _as_numbers(repaired, repair)
+            numbers = {name: getattr(repaired, name) for name in ("turned_rad", "rms_wb", "largest_wb")}
+            document["repair"] = {"file": str(repair), **numbers}
         say_document(json.dumps(document, indent=2))
         return 0
     _print(path, result)
@@ -121,19 +123,10 @@ def _rows(result: MapAudit) -> list[tuple[str, str]]:
 
 
 def _degrees(angle_rad: float | None) -> str:
-    return UNKNOWN if angle_rad is None else f"{number(round(angle_rad * 57.29577951308232, 3), 3)} degrees"
+    return UNKNOWN if angle_rad is None else f"{number(round(math.degrees(angle_rad), 3), 3)} degrees"
 
 
 def _print_repair(repair: Repair, result: MapAudit) -> None:
     turned = f", turned by {_degrees(repair.turned_rad)}" if abs(repair.turned_rad) > 1e-9 else ""
     rms, largest = percent(100.0 * repair.rms_wb / result.swing_wb), quantity(repair.largest_wb, "Wb")
     say(f"repaired: nearest map of a convex and even energy, {rms} of the range away, rms, {largest} at most{turned}")
-
-
-def _as_numbers(repair: Repair, path: Path | None) -> dict[str, Any]:
-    return {
-        "file": str(path),
-        "turned_rad": repair.turned_rad,
-        "rms_wb": repair.rms_wb,
-        "largest_wb": repair.largest_wb,
-    }

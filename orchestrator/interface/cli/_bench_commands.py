@@ -70,9 +70,8 @@ def run_command(
     """
     from orchestrator.interface.cli._commission import Audience, run, run_further
 
-    audience = Audience(
-        unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()), _remote_of(remote, unattended)
-    )
+    _check_options(log, remote, unattended)
+    audience = Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote)
     if source is None:
         if rounds is not None:
             raise typer.BadParameter("requires --from", param_hint="--rounds")
@@ -101,20 +100,15 @@ def resume_command(
     """
     from orchestrator.interface.cli._commission import Audience, resume
 
-    program = _remote_of(remote, unattended)
-    return resume(path, Audience(unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()), program))
+    _check_options(log, remote, unattended)
+    return resume(path, Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote))
 
 
-def _remote_of(remote: str | None, unattended: str | None) -> str | None:
-    if remote is not None and unattended is not None:
-        raise typer.BadParameter("excludes --unattended: an operator is present", param_hint="--remote")
-    return remote
-
-
-def _log_of(log: str) -> str:
+def _check_options(log: str, remote: str | None, unattended: str | None) -> None:
     if log not in ("text", "json"):
         raise typer.BadParameter(f"{log!r}; expected text or json", param_hint="--log")
-    return log
+    if remote is not None and unattended is not None:
+        raise typer.BadParameter("excludes --unattended: an operator is present", param_hint="--remote")
 
 
 @commands.command("check")

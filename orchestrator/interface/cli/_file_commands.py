@@ -94,7 +94,7 @@ def runs_command(
 
     Motor, serial number, operator, tags, notes, time and outcome of each.
     """
-    from orchestrator.interface.cli._runs import runs
+    from orchestrator.interface.cli._inspect import runs
 
     return runs(folder, words or [], as_json)
 

@@ -11,14 +11,7 @@ from orchestrator.interface.cli._output import say_document, stage_as_yaml
 from orchestrator.registry.plugins import PluginKind, make_plugins
 from orchestrator.runs import RunDirectory, is_run, open_any
 from orchestrator.stages import parse_stages, proposing_stage
-from protocols import (
-    Diagnosed,
-    DiagnosisReport,
-    InputError,
-    PointDone,
-    RecordingError,
-    StageEntry,
-)
+from protocols import Diagnosed, DiagnosisReport, InputError, PointDone, RecordingError, StageEntry
 
 DIAGNOSIS = Path("results") / "diagnosis.json"
 
@@ -39,7 +32,9 @@ def next_stages(source: Path, rounds: int) -> tuple[Path, tuple[StageEntry, ...]
         No experiment is proposed, or the recording is no run: then the stage is printed for a procedure.
     """
     path = source.parent.parent if source.is_file() and source.name == DIAGNOSIS.name else source
-    report = _newest_report(path)
+    report = _kept_report(path) or _journalled_report(path)
+    if report is None:
+        report = diagnose_recording(open_any(path), make_plugins(PluginKind.EFFECTS), propose=next_experiment).report
     if report.next_experiment is None:
         verdict = plain(report.verdict)
         raise InputError(str(path), "", f"nothing to decide: {verdict}, and no experiment is proposed")
@@ -51,14 +46,6 @@ def next_stages(source: Path, rounds: int) -> tuple[Path, tuple[StageEntry, ...]
     procedure = RunDirectory.open(path).procedure()
     more = proposing_stage(parse_stages(procedure)).going_on(experiment, procedure, rounds)
     return path, tuple(more)
-
-
-def _newest_report(path: Path) -> DiagnosisReport:
-    """The diagnosis of the whole recording: the stored one if it is current, else a new one."""
-    report = _kept_report(path) or _journalled_report(path)
-    if report is not None:
-        return report
-    return diagnose_recording(open_any(path), make_plugins(PluginKind.EFFECTS), propose=next_experiment).report
 
 
 def _kept_report(path: Path) -> DiagnosisReport | None:

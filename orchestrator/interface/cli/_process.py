@@ -16,11 +16,7 @@ def silence_libraries() -> None:
     """
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
-        sys.unraisablehook = _ignore
-
-
-def _ignore(unraisable: object) -> None:
-    """An error that could not be raised has changed nothing."""
+        sys.unraisablehook = lambda unraisable: None  # an error that could not be raised has changed nothing
 
 
 def leave(code: int) -> NoReturn:

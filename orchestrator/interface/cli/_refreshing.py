@@ -12,11 +12,6 @@ SOURCES = ("run.json", "journal.jsonl", "model.json", "results/*")
 """Sources of the page; changes of recording.json show in all results."""
 
 
-def has_report(directory: Path) -> bool:
-    """Whether the run has a report."""
-    return (directory / PAGE).is_file()
-
-
 def refresh_report(directory: Path, out: Path | None) -> None:
     """Have the stream `report` write its page again; an error is printed, and fails nothing.
 
@@ -24,7 +19,10 @@ def refresh_report(directory: Path, out: Path | None) -> None:
     sources.
     """
     page = directory / PAGE
-    if out is not None or not page.is_file() or not _is_older(page, directory):
+    if out is not None or not page.is_file():
+        return
+    written = page.stat().st_mtime_ns
+    if all(source.stat().st_mtime_ns <= written for name in SOURCES for source in directory.glob(name)):
         return
     from orchestrator.registry.plugins import PluginKind, load_plugin, make_options
 
@@ -33,8 +31,3 @@ def refresh_report(directory: Path, out: Path | None) -> None:
         plugin(StreamSetup(run=directory, options=make_options(plugin, {}, f"stream {REPORT}"))).close()
     except (FluxbenchError, OSError) as error:
         complain(f"{page} is older than these results: {error}")
-
-
-def _is_older(page: Path, directory: Path) -> bool:
-    written = page.stat().st_mtime_ns
-    return any(source.stat().st_mtime_ns > written for name in SOURCES for source in directory.glob(name))

@@ -16,7 +16,7 @@ from orchestrator.formatting.results import (
 )
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
-from orchestrator.interface.cli._refreshing import has_report, refresh_report
+from orchestrator.interface.cli._refreshing import PAGE, refresh_report
 from protocols import EstimationReport
 
 
@@ -28,7 +28,7 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
         say_document(report.model_dump_json(indent=2))
     else:
         _print_report(report, (out or path) / "results")
-        if out is None and not has_report(path):
+        if out is None and not (path / PAGE).is_file():
             say(f"as a page with pictures: fluxbench report {path}")
     return 0
 

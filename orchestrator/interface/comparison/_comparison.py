@@ -270,7 +270,9 @@ def _remarks(
     motors = {(m.name, m.pole_pairs, m.rated_current_rms_a) for m in (run.manifest.motor for run in runs)}
     one_motor = len(motors) == 1
     if not one_motor:
-        remarks.append(_other_motors(runs, names))
+        which = "; ".join(f"{name}: {run.manifest.motor.name}" for run, name in zip(runs, names, strict=True))
+        text = "different motors ({motors}): differences are between motors, and no changes of one"
+        remarks.append(Remark.of("other_motors", text, motors=which))
     for k, (run, name) in enumerate(zip(runs, names, strict=True)):
         if not run.estimates.usable:
             remarks.append(Remark.of("unusable", "the map of {run} is not reliable", run=name))
@@ -284,13 +286,6 @@ def _remarks(
         if quantities[0].changed[k] and one_motor:
             remarks.append(_warming(name, quantities[0].values[0], quantities[0].values[k]))
     return remarks
-
-
-def _other_motors(runs: Sequence[RunSummary], names: Sequence[str]) -> Remark:
-    """A remark that the runs are of different motors."""
-    motors = "; ".join(f"{name}: {run.manifest.motor.name}" for run, name in zip(runs, names, strict=True))
-    text = "different motors ({motors}): differences are between motors, and no changes of one"
-    return Remark.of("other_motors", text, motors=motors)
 
 
 def _change(name: str, changes: Sequence[str], map_: MapChange, *, one_motor: bool) -> Remark:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.formatting.quantities import UNKNOWN, measured, percent, quantity, vector
-from orchestrator.interface.comparison._comparison import MapChange, Quantity, RunsComparison
+from orchestrator.interface.comparison._comparison import MapChange, RunsComparison
 
 _WORDS = {None: UNKNOWN, True: "changed", False: "same"}
 
@@ -11,10 +11,10 @@ _WORDS = {None: UNKNOWN, True: "changed", False: "same"}
 def run_rows(comparison: RunsComparison) -> list[tuple[str, ...]]:
     """The runs, one per row."""
     head = ("run", "motor", "measured", "map", "verdict")
-    rows = [
-        (run.name, run.motor, run.created, _map_words(run.method, run.usable), run.verdict or "not diagnosed")
-        for run in comparison.runs
-    ]
+    rows = []
+    for run in comparison.runs:
+        flux_map = "none" if run.method is None else run.method if run.usable else f"{run.method}, not reliable"
+        rows.append((run.name, run.motor, run.created, flux_map, run.verdict or "not diagnosed"))
     return [head, *rows]
 
 
@@ -22,7 +22,10 @@ def change_rows(comparison: RunsComparison) -> list[tuple[str, ...]]:
     """Quantities, sizes of effects and maps: whether each differs from the first run's, then a column per run."""
     names = [run.name for run in comparison.runs]
     head = ("", *(f"{name} against {names[0]}" for name in names[1:]), *names)
-    rows = [_quantity_row(one) for one in (*comparison.quantities, *comparison.effects)]
+    rows = []
+    for row in (*comparison.quantities, *comparison.effects):
+        values = (UNKNOWN if v is None else measured(v.value, v.low, v.high, v.unit) for v in row.values)
+        rows.append((row.name, *(_WORDS[changed] for changed in row.changed[1:]), *values))
     for label, pick in (
         ("map change, rms", lambda m: percent(m.rms_percent)),
         ("largest difference", _largest),
@@ -36,15 +39,6 @@ def change_rows(comparison: RunsComparison) -> list[tuple[str, ...]]:
     return [head, *rows]
 
 
-def _quantity_row(row: Quantity) -> tuple[str, ...]:
-    values = (UNKNOWN if v is None else measured(v.value, v.low, v.high, v.unit) for v in row.values)
-    return row.name, *(_WORDS[changed] for changed in row.changed[1:]), *values
-
-
 def _largest(change: MapChange) -> str:
     at = "" if change.largest_at is None else f" at {vector(*change.largest_at)}"
     return percent(change.largest_percent) + at
-
-
-def _map_words(method: str | None, usable: bool) -> str:
-    return "none" if method is None else method if usable else f"{method}, not reliable"

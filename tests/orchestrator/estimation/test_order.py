@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import pytest
 
-from orchestrator.estimation.order import in_order
+from orchestrator.estimation.estimation import in_order
 from protocols import Estimate, Estimator, PluginError
 from tests.orchestrator.estimation.made_up import Injected, Mapper, OneEnergy, Resistance, Ripples, Sweeps
 
