@@ -224,7 +224,7 @@ class LinkDrive(DriveShell):
         if status is None or measurement is None:
             raise DriveFault(FaultCause.NO_ANSWER, "the drive sends no telemetry")
         scale, own = machine.facts.scales.current_a, machine.capabilities
-        asked_hz = host.read("pwm_frequency_asked_hz") if len(own.pwm_frequencies_hz) > 1 else 0.0
+        requested_hz = host.read("pwm_frequency_asked_hz") if len(own.pwm_frequencies_hz) > 1 else 0.0
         return Telemetry(
             state=_state_of(status),
             time_s=self._seconds(now),
@@ -232,7 +232,7 @@ class LinkDrive(DriveShell):
             i_q_a=scale * measurement.i_q,
             v_dc_v=measurement.v_dc,
             temperature_c=None if status.temperature == NO_TEMPERATURE_C else float(status.temperature),
-            pwm_frequency_hz=asked_hz or own.pwm_frequency_hz,
+            pwm_frequency_hz=requested_hz or own.pwm_frequency_hz,
             faults=fault_names(status),
             open_interlocks=open_interlocks(measurement.open_interlocks, own.interlocks),
         )
