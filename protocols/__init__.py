@@ -5,16 +5,7 @@ procedure is what a person writes, drive, stage, estimator, effect and stream ar
 events are what the engine says while it works.
 """
 
-from protocols._base import (
-    ArrayModel,
-    Lenient,
-    Phases,
-    RealArray,
-    Samples,
-    Shape,
-    Strict,
-    Vectors,
-)
+from protocols._base import ArrayModel, Lenient, Phases, RealArray, Samples, Shape, Strict, Vectors
 from protocols._diagnosis import (
     Compared,
     CurrentExcerpt,
@@ -143,11 +134,7 @@ from protocols._model import (
     Saturated,
     TimerPhases,
 )
-from protocols._motor import (
-    Motor,
-    Positive,
-    ProcedureMotor,
-)
+from protocols._motor import Motor, Positive, ProcedureMotor
 from protocols._procedure import (
     About,
     DriveChoice,
@@ -158,20 +145,8 @@ from protocols._procedure import (
     shipped_procedure,
     shipped_procedures,
 )
-from protocols._recording import (
-    Capture,
-    DriveRecord,
-    Manifest,
-    RecordingReader,
-    Segment,
-    SegmentId,
-    SegmentStage,
-)
-from protocols._remarks import (
-    Number,
-    Remark,
-    Remarks,
-)
+from protocols._recording import Capture, DriveRecord, Manifest, RecordingReader, Segment, SegmentId, SegmentStage
+from protocols._remarks import Number, Remark, Remarks
 from protocols._reports import (
     AddReport,
     CheckOutcome,
@@ -217,17 +192,8 @@ from protocols._stages import (
     StageRun,
     StageState,
 )
-from protocols._streams import (
-    Stream,
-    StreamSetup,
-)
-from protocols._verdict import (
-    Judgement,
-    Reason,
-    Verdict,
-    VerdictLimits,
-    VerdictRecord,
-)
+from protocols._streams import Stream, StreamSetup
+from protocols._verdict import Judgement, Reason, Verdict, VerdictLimits, VerdictRecord
 
 __all__ = [
     "EFFECT_HOOKS",

@@ -5,15 +5,8 @@ where they use them.
 """
 
 from orchestrator.analysis._between import steep_steps
-from orchestrator.analysis._checks import (
-    check_map,
-    difference_percent,
-    flux_at,
-    flux_ratio,
-    rated_flux_wb,
-    reference_flux_wb,
-)
-from orchestrator.analysis._crossings import Crossings, Network, crossings_of, join_paths
+from orchestrator.analysis._checks import check_map, difference_percent, flux_at, rated_flux_wb, reference_flux_wb
+from orchestrator.analysis._crossings import Network, crossings_of, join_paths
 from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
@@ -66,7 +59,6 @@ __all__ = [
     "UNSTATED",
     "Beliefs",
     "Candidate",
-    "Crossings",
     "Dwell",
     "EnergyFit",
     "FluxPath",
@@ -105,7 +97,6 @@ __all__ = [
     "flux_at",
     "flux_by_emf",
     "flux_by_rests",
-    "flux_ratio",
     "injected_points",
     "injection_frequency",
     "integrate",

@@ -38,7 +38,8 @@ def steep_steps(
     NotMeasuredError
         Where the points do not span an area of currents.
     """
-    start, end = np.unique(np.sort(np.concatenate([*_lines(current), _rim(current, where)]), axis=1), axis=0).T
+    hull = np.asarray(triangulate(current, where).convex_hull, dtype=np.intp)
+    start, end = np.unique(np.sort(np.concatenate([*_lines(current), hull]), axis=1), axis=0).T
     diagonal = np.abs(np.einsum("nii->ni", inductance))  # a faulty point may have any sign
     ratio = np.exp(np.abs(np.log(diagonal[end] / diagonal[start])).max(axis=1))
     step = current[end] - current[start]
@@ -56,8 +57,3 @@ def _lines(current: Array) -> list[NDArray[np.intp]]:
         shared = current[order[1:], 1 - axis] == current[order[:-1], 1 - axis]
         pairs.append(np.stack([order[:-1], order[1:]], axis=1)[shared])
     return pairs
-
-
-def _rim(current: Array, where: str) -> NDArray[np.intp]:
-    """Pairs of neighbours on the hull, shape (e, 2)."""
-    return np.asarray(triangulate(current, where).convex_hull, dtype=np.intp)

@@ -135,21 +135,21 @@ class EnergyProblem:
     def free(self) -> int:
         """Number of leading modes that are unpenalised or have their own prior."""
         # The energy's constant and the magnet's flux are unobservable.
-        return self.spline.smooth - 2 + self.wrong
+        return self.spline.smooth - 2 + self.error_mode_count
 
     @cached_property
-    def wrong(self) -> int:
+    def error_mode_count(self) -> int:
         """Number of measurement-error modes; they are the last of the free ones."""
-        return 0 if self.points is None else self._wrong.shape[2]
+        return 0 if self.points is None else self._error_modes.shape[2]
 
     @cached_property
     def modes(self) -> Array:
         """Coefficients of each mode's spline, shape (size, modes); zero for measurement-error modes."""
         own = self.spline.modes[:, 2:]
-        return np.insert(own, [self.free - self.wrong] * self.wrong, 0.0, axis=1)
+        return np.insert(own, [self.free - self.error_mode_count] * self.error_mode_count, 0.0, axis=1)
 
     @cached_property
-    def _wrong(self) -> Array:
+    def _error_modes(self) -> Array:
         assert self.points is not None
         return error_modes(self.points, np.broadcast_to(self.rotor_angle_rad, len(self.points.current)))
 
@@ -159,7 +159,7 @@ class EnergyProblem:
         at = self.points.current
         rows = np.concatenate([energy_rows(self.spline, at, self.angle_rad, order) for order in (2, 3)], axis=1)
         out = np.asarray(rows @ self.modes)
-        out[:, :, self.free - self.wrong : self.free] = self._wrong
+        out[:, :, self.free - self.error_mode_count : self.free] = self._error_modes
         return out
 
     @cached_property
@@ -183,7 +183,7 @@ class EnergyProblem:
             angle_rad=self.angle_rad if angle_rad is None else angle_rad,
             stiffening_per_h=self.stiffening_per_h if stiffening_per_h is None else stiffening_per_h,
         )
-        kept = ["wrong", "modes", "_wrong"]
+        kept = ["error_mode_count", "modes", "_error_modes"]
         if other.angle_rad == self.angle_rad:
             kept += ["_inductance_rows", "_path_rows"]
         other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
@@ -193,8 +193,8 @@ class EnergyProblem:
         """Fitted measurement errors of inductances and slopes, and their std, shape (n, 7) each."""
         if self.points is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
-        own = slice(self.free - self.wrong, self.free)
-        return self._wrong @ solution.modes[own], np.linalg.norm(self._wrong @ solution.root[own], axis=-1)
+        own = slice(self.free - self.error_mode_count, self.free)
+        return self._error_modes @ solution.modes[own], np.linalg.norm(self._error_modes @ solution.root[own], axis=-1)
 
     def inductances(self) -> tuple[Array, Array]:
         """Rows (n, 7, modes) and right-hand sides (n, 7) of the inductances and their slopes, in stated errors."""
@@ -234,8 +234,8 @@ class EnergyProblem:
         if self.points is None:
             return np.zeros((0, self.modes.shape[1])), 0.0
         # Absent effects get a small size, since the set of modes is fixed.
-        size = np.append(GAIN_STD, np.full(self.wrong - 1, max(self.errors.inverter_step, 1e-7)))
-        return np.eye(self.modes.shape[1])[self.free - self.wrong : self.free] / size[:, None], 2.0 * float(
+        size = np.append(GAIN_STD, np.full(self.error_mode_count - 1, max(self.errors.inverter_step, 1e-7)))
+        return np.eye(self.modes.shape[1])[self.free - self.error_mode_count : self.free] / size[:, None], 2.0 * float(
             np.log(size).sum()
         )
 
@@ -288,14 +288,14 @@ def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tu
     solution = smoothed(problem)
     for _ in range(rounds):
         before = np.array(problem.errors.scales)
-        problem = problem.varied(errors=_judged(problem, solution))
+        problem = problem.varied(errors=_errors_by_scatter(problem, solution))
         solution = smoothed(problem)
         if np.allclose(problem.errors.scales, before, rtol=change, atol=0.0):
             break
     return problem, solution
 
 
-def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) -> Errors:
+def _errors_by_scatter(problem: EnergyProblem, solution: Solution, stated: float = 20.0) -> Errors:
     """Errors that match the scatter of each kind's residuals, with reduced weights for outliers.
 
     The prior of their sizes counts as `stated` data.

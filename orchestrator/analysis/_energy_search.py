@@ -89,7 +89,7 @@ def fit_energy(
     rotor_angle_rad : float, or array of shape (n,)
         Of the believed d axis from phase a's, of all or of each of the points: dead time acts along the phases.
     """
-    few = _some(points)
+    few = _subset(points)
     angle, std = _angle(few, paths)
     posed = pose(points, paths, rotor_angle_rad).varied(angle_rad=angle)
     stiffening = _stiffening(points, paths, angle) if points is not None and paths else 0.0
@@ -141,7 +141,7 @@ def _finer(cells: tuple[int, int]) -> Iterator[tuple[int, int]]:
             yield finer
 
 
-def _some(points: Inductances | None) -> Inductances | None:
+def _subset(points: Inductances | None) -> Inductances | None:
     if points is None or len(points.current) <= CRITERIA.points:
         return points
     kept = np.linspace(0, len(points.current) - 1, CRITERIA.points).round().astype(int)
@@ -167,7 +167,7 @@ def _angle(points: Inductances | None, paths: Sequence[FluxPath]) -> tuple[float
 
 
 def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) -> float:
-    few = _some(points)
+    few = _subset(points)
     both = pose(few, paths).varied(angle_rad=angle)
     ripple, _ = settled(replace(both, paths=()))
     swept, _ = settled(replace(both, points=None))

@@ -69,12 +69,12 @@ def invert(ripples: list[Ripple]) -> Inductances:
                 for c in range(2):
                     jacobian[:, 3 + m, 3 + TRIPLES[a, b, c]] -= matrix[:, i, a] * matrix[:, j, b] * matrix[:, k, c]
     covariance = jacobian @ np.stack([r.covariance for r in ripples]) @ jacobian.transpose(0, 2, 1)
-    missed = jacobian @ _missed(ripples) @ jacobian.transpose(0, 2, 1)
+    missed = jacobian @ _misfit_covariance(ripples) @ jacobian.transpose(0, 2, 1)
     misfit = np.sqrt(np.einsum("nii->ni", missed))
     return Inductances(np.stack([r.current_dq for r in ripples]), matrix, slope, covariance, misfit)
 
 
-def _missed(ripples: list[Ripple], quiet: float = 0.25, sure: float = 3.0, worth: float = 45.0) -> Array:
+def _misfit_covariance(ripples: list[Ripple], quiet: float = 0.25, sure: float = 3.0, worth: float = 45.0) -> Array:
     """Covariance of the derivatives by what the regression misses at some of the points, shape (n, 7, 7).
 
     The noise is the same at all points, so a variance above the usual one is something that the regression does not
@@ -152,14 +152,14 @@ def integrate(points: Inductances, where: str) -> IntegratedFlux:
     n = len(points.current)
     incidence = np.zeros((len(edges), n))
     incidence[np.arange(len(edges)), b], incidence[np.arange(len(edges)), a] = 1.0, -1.0
-    origin, anchored = _origin(points, where)
+    weights_of_zero, offset, anchored = _origin(points, where)
     # Solved with the first point at zero, then moved so that zero current has zero flux.
     normal = (incidence.T * weight) @ incidence
     solver = np.zeros((n, len(edges)))
     solver[1:] = np.linalg.solve(normal[1:, 1:], (incidence.T * weight)[1:])
-    # psi(0) = sum over three corners of origin's weights * (psi + Taylor terms)
-    solver -= origin.weights @ solver
-    psi = solver @ rise - origin.offset
+    # psi(0) = sum over three corners of their weights * (psi + Taylor terms)
+    solver -= weights_of_zero @ solver
+    psi = solver @ rise - offset
     misfit = rise - incidence @ psi
     freedom = max(len(edges) - (n - 1), 1)
     closure = np.sqrt((weight[:, None] * misfit**2).sum(axis=0) / freedom)
@@ -186,15 +186,8 @@ def _edges(points: Array, where: str) -> NDArray[np.int64]:
     return np.array(sorted(neighbours), dtype=np.int64)
 
 
-@dataclass(frozen=True)
-class _Origin:
-    """psi at zero current is `weights` @ psi + `offset`."""
-
-    weights: Array
-    offset: Array
-
-
-def _origin(points: Inductances, where: str) -> tuple[_Origin, bool]:
+def _origin(points: Inductances, where: str) -> tuple[Array, Array, bool]:
+    """Weights and offset by which psi at zero current is `weights` @ psi + `offset`; whether the points surround it."""
     zero = np.zeros((1, 2))
     surface = TaylorSurface(points.current, zero, where)
     n = len(points.current)
@@ -202,11 +195,11 @@ def _origin(points: Inductances, where: str) -> tuple[_Origin, bool]:
         none, weights = np.zeros(n), np.zeros(n)
         weights[surface.corners[0]] = surface.weights[0]
         offset = [float(surface(none, points.matrix[:, k], points.slope[:, k])[0]) for k in range(2)]
-        return _Origin(weights, np.array(offset)), True
+        return weights, np.array(offset), True
     nearest = int(np.argmin(np.linalg.norm(points.current, axis=1)))
     step = -points.current[nearest]
     offset = points.matrix[nearest] @ step + 0.5 * points.slope[nearest] @ step @ step
-    return _Origin(np.eye(n)[nearest], np.asarray(offset)), False
+    return np.eye(n)[nearest], np.asarray(offset), False
 
 
 def _noise(points: Inductances, edges: NDArray[np.int64], step: Array, solver: Array) -> Array:

@@ -229,6 +229,7 @@ class _System:
         knots = slice(3, 3 + self.knots)
         quarter = max(1, round(0.25 * min(trace.swing for trace in self.traces)))
         count = left.shape[1] // quarter
+        paths = tuple(self._paths(own, size * widened))
         return StepsFit(
             energy=self._energy(solution, widened),
             resistance_ohm=float(own[0]),
@@ -238,7 +239,8 @@ class _System:
             loss_v=own[knots],
             loss_std_v=std[knots],
             left_wb=size,
-            paths=_thinned(tuple(self._paths(own, size * widened))),
+            # At most 120 of them, spread evenly: loops repeat themselves.
+            paths=paths[:: max(1, -(-len(paths) // 120))],
             misfit=left[:, : count * quarter].reshape(2, count, quarter).mean(axis=2).T,
         )
 
@@ -258,11 +260,6 @@ def _goes_both_ways(current: Array, share: float = 0.2) -> bool:
     longest = current[int(np.argmax(np.linalg.norm(current, axis=1)))]
     along = current @ longest
     return bool(along.min() < -share * along.max())
-
-
-def _thinned(paths: tuple[FluxPath, ...], most: int = 120) -> tuple[FluxPath, ...]:
-    """At most so many of them, spread evenly: loops repeat themselves."""
-    return paths[:: max(1, -(-len(paths) // most))]
 
 
 def _swings(trace: StepTrace, share: float = 0.5) -> Iterator[slice]:

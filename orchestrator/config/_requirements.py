@@ -10,16 +10,7 @@ from orchestrator.config._fitting import longest_capture_s, on_grid
 from orchestrator.config._loads import Load
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.stages import parse_stages
-from protocols import (
-    Capabilities,
-    CapabilityError,
-    GatesOff,
-    Injection,
-    Spin,
-    Stage,
-    Trapezoid,
-    VoltageSteps,
-)
+from protocols import Capabilities, CapabilityError, GatesOff, Injection, Spin, Stage, Trapezoid, VoltageSteps
 
 
 @dataclass(frozen=True)

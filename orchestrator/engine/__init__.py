@@ -16,15 +16,7 @@ from orchestrator.engine._session import (
     resume_run,
     start_run,
 )
-from orchestrator.engine._states import (
-    TERMINAL,
-    State,
-    StateMachine,
-    StateTable,
-    Trigger,
-    mermaid,
-    table_of,
-)
+from orchestrator.engine._states import TERMINAL, State, StateMachine, StateTable, Trigger, mermaid, table_of
 
 __all__ = [
     "NOTHING_LEFT",

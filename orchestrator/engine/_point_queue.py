@@ -7,16 +7,7 @@ from collections.abc import Sequence
 from orchestrator.config import Plan, PlannedPoint, check_plan, check_point, make_plan
 from orchestrator.engine._probing import factor_of
 from orchestrator.runs import RunDirectory
-from protocols import (
-    Capabilities,
-    Excitation,
-    PluginError,
-    Segment,
-    Stage,
-    StageEntry,
-    StagesAppended,
-    StageSufficed,
-)
+from protocols import Capabilities, Excitation, PluginError, Segment, Stage, StageEntry, StagesAppended, StageSufficed
 
 
 class PointQueue:

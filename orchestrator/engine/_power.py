@@ -144,9 +144,9 @@ class PowerStage:
         self._keeper = None
         failures = {"ramping down": failed_ramp, "disarming": self.unsafe}
         failed = "; ".join(f"{deed} failed ({error})" for deed, error in failures.items() if error is not None)
-        return f"{failed}; {self._what_is_left()}" if failed else DISARMED_TEXT
+        return f"{failed}; {self._remaining_safeguard()}" if failed else DISARMED_TEXT
 
-    def _what_is_left(self) -> str:
+    def _remaining_safeguard(self) -> str:
         """What makes a drive safe that ignored a command."""
         if isinstance(self.unsafe, DriveFault) and self.unsafe.cause is FaultCause.STILL_ARMED:
             return "THE DRIVE MAY STILL BE ARMED: CUT ITS POWER"

@@ -103,6 +103,8 @@ class Rehearsal:
         The machine, with a free map and without effects.
     weights : tuple of float
         Number of segments that each piece represents; 0 where it is held out of fits.
+    stages : tuple of int
+        Index in the plan of each piece's stage.
     noise_a : float
         Standard deviation of a phase current's reading.
     """
@@ -111,13 +113,8 @@ class Rehearsal:
     setup: DiagnosisSetup
     model: Model
     weights: tuple[float, ...]
+    stages: tuple[int, ...]
     noise_a: float
-
-    @property
-    def stages(self) -> list[int]:
-        """Index in the plan of each piece's stage."""
-        index = {point.id: point.stage_index for point in self.plan.points}
-        return [index[piece.segment.id] for piece in self.setup.prepared.pieces]
 
 
 def rehearse(
@@ -150,7 +147,9 @@ def rehearse(
     model = baseline_model(setup, Saturated())
     if machine.magnetics is not None:
         model = setup.fitter.fit(model, renewals=1).model
-    return Rehearsal(plan, setup, replace(model, r_s=machine.r_s), _weights(plan, setup), noise_a)
+    index = {point.id: point.stage_index for point in plan.points}
+    stages = tuple(index[piece.segment.id] for piece in setup.prepared.pieces)
+    return Rehearsal(plan, setup, replace(model, r_s=machine.r_s), _weights(plan, setup, stages), stages, noise_a)
 
 
 def machine_of(nameplate: Machine, plan: Plan, drive: Capabilities, model: FluxMap | MotorModel | str) -> Machine:
@@ -219,16 +218,15 @@ def _segment(point: PlannedPoint, excitation: Excitation, start_s: float, fs: fl
     )
 
 
-def _weights(plan: Plan, setup: DiagnosisSetup) -> tuple[float, ...]:
+def _weights(plan: Plan, setup: DiagnosisSetup, stages: Sequence[int]) -> tuple[float, ...]:
     """Captured time of a stage over the time of its rehearsed pieces, for each piece."""
-    stage_of = {point.id: point.stage_index for point in plan.points}
+    pieces = setup.prepared.pieces
     captured, rehearsed = defaultdict[int, float](float), defaultdict[int, float](float)
     for point in plan.points:
         captured[point.stage_index] += 0.0 if point.spare else point.captured_s
-    for piece in setup.prepared.pieces:
-        s = piece.signals
-        rehearsed[stage_of[piece.segment.id]] += len(s.v_dc) / s.sampling_frequency_hz
+    for piece, stage in zip(pieces, stages, strict=True):
+        rehearsed[stage] += len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
     return tuple(
-        0.0 if piece.held_out else captured[stage_of[piece.segment.id]] / rehearsed[stage_of[piece.segment.id]]
-        for piece in setup.prepared.pieces
+        0.0 if piece.held_out else captured[stage] / rehearsed[stage]
+        for piece, stage in zip(pieces, stages, strict=True)
     )

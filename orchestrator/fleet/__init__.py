@@ -5,7 +5,7 @@ Each recording is analysed as if it were alone; nothing here knows an estimator 
 
 from orchestrator.fleet._cluster import ClusterSettings, connected
 from orchestrator.fleet._engine import Done, EngineSettings, Task, work_through
-from orchestrator.fleet._fleet import FailedSource, FleetJob, JobReport, find_sources
+from orchestrator.fleet._fleet import FleetJob, JobReport, find_sources
 from orchestrator.fleet._progress import JobProgress
 from orchestrator.fleet._sources import Source, sources_below
 from orchestrator.fleet._table import FleetTable, TableSettings, parts_of, read_table
@@ -15,7 +15,6 @@ __all__ = [
     "ClusterSettings",
     "Done",
     "EngineSettings",
-    "FailedSource",
     "FleetJob",
     "FleetTable",
     "JobProgress",

@@ -4,27 +4,23 @@ Knows flux maps and nothing of recordings, drives or estimators. scipy and xarra
 """
 
 from orchestrator.flux_maps._audit import MapAudit, audit_map
-from orchestrator.flux_maps._faults import USES, AuditCriteria, Fault
+from orchestrator.flux_maps._faults import USES
 from orchestrator.flux_maps._filling import fill_smoothly
 from orchestrator.flux_maps._gridding import CSV_UNITS, MapFile
 from orchestrator.flux_maps._loading import UnknownLayoutError, load_map, read_map
 from orchestrator.flux_maps._picture import draw_audit
-from orchestrator.flux_maps._repair import Repair, RepairCriteria, repair_map
-from orchestrator.flux_maps._suggesting import MapSuggestion, suggest_mapping
+from orchestrator.flux_maps._repair import Repair, repair_map
+from orchestrator.flux_maps._suggesting import suggest_mapping
 from orchestrator.flux_maps._surface import WHERE, MapSurface
 
 __all__ = [
     "CSV_UNITS",
     "USES",
     "WHERE",
-    "AuditCriteria",
-    "Fault",
     "MapAudit",
     "MapFile",
-    "MapSuggestion",
     "MapSurface",
     "Repair",
-    "RepairCriteria",
     "UnknownLayoutError",
     "audit_map",
     "draw_audit",

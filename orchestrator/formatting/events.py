@@ -92,7 +92,10 @@ def describe(message: Message) -> EventText | None:
             after = f", after experiment {message.round}" if message.round else ""
             return EventText("diagnosis", verdict.name.lower() + after, verdict.mood)
         case ExperimentProposed():
-            return EventText("next experiment", _experiment(message))
+            kind, first, second = map(plain, (str(message.stage.get("kind")), *message.separates))
+            where = "the run continues with it" if message.accepted else "for another run"
+            text = f"{kind}, {duration(60.0 * message.minutes)}, separates {first} from {second}; {where}"
+            return EventText("next experiment", text)
         case StagesAppended():
             return EventText("stages", f"{len(message.stages)} appended")
         case StageSufficed():
@@ -113,13 +116,6 @@ def describe(message: Message) -> EventText | None:
 def step_error_v(step: DiagnosisStep) -> float:
     """The error of a ladder step: that of held-out stages, where there are any."""
     return step.rms_v if step.heldout_rms_v is None else step.heldout_rms_v
-
-
-def _experiment(message: ExperimentProposed) -> str:
-    first, second = map(plain, message.separates)
-    where = "the run continues with it" if message.accepted else "for another run"
-    kind = plain(str(message.stage.get("kind")))
-    return f"{kind}, {duration(60.0 * message.minutes)}, separates {first} from {second}; {where}"
 
 
 def _comparison(report: CompareReport) -> str:

@@ -28,7 +28,7 @@ def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
             _names(event),
             _scored(event.score, event.measure),
             _scored(event.threshold, event.measure),
-            _chi2(event),
+            " → ".join(number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None) or UNKNOWN,
             event.decision + (f": {event.note}" if event.note else ""),
         )
         for event in events
@@ -99,8 +99,3 @@ def _scored(value: float | None, measure: SearchMeasure | None) -> str:
     # For large values, digits after the point decide nothing.
     text = number(round(value) if abs(value) >= 1000.0 and math.isfinite(value) else value, 3)
     return {"log_evidence": f"{text} nat", "chi2_per_dof": f"chi2 {text}"}.get(measure, f"{text} of chi2")
-
-
-def _chi2(event: SearchEvent) -> str:
-    ends = [number(chi2, 4) for chi2 in (event.chi2_before, event.chi2_after) if chi2 is not None]
-    return " → ".join(ends) or UNKNOWN

@@ -6,7 +6,7 @@ Implausible data are refused or noted with their place; the import repairs only 
 from orchestrator.importing._findings import Finding
 from orchestrator.importing._importing import ImportReport, import_files
 from orchestrator.importing._loading import MappingFile, read_mapping
-from orchestrator.importing._mapping import CsvLayout, ImportMapping, SegmentRule
+from orchestrator.importing._mapping import CsvLayout, ImportMapping
 from orchestrator.importing._matlab import inflated_size
 from orchestrator.importing._merging import merge_recordings
 from orchestrator.importing._opening import ENDINGS, read_table
@@ -27,7 +27,6 @@ __all__ = [
     "MappingFile",
     "NotZero",
     "Scaling",
-    "SegmentRule",
     "import_files",
     "inflated_size",
     "merge_recordings",

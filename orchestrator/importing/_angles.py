@@ -11,7 +11,7 @@ from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._signals import Angle
 from orchestrator.importing._source import Numbers
-from orchestrator.importing._splitting import Piece
+from orchestrator.importing._splitting import RawSegment
 from orchestrator.importing._timing import at
 from orchestrator.importing._vectors import Columns, angle_rad
 from protocols import SegmentStage
@@ -33,7 +33,7 @@ def check_fixed_angles(mapping: ImportMapping, path: Path, findings: Findings) -
             findings.doubt(Finding.ANGLE_UNIT, str(path), name, _doubtful(angle.value))
 
 
-def check_angle_column(angle: Angle, piece: Piece, columns: Columns, findings: Findings) -> None:
+def check_angle_column(angle: Angle, raw: RawSegment, columns: Columns, findings: Findings) -> None:
     """Report a column of angles whose unit is implausible."""
     if angle.column is None:
         return
@@ -42,14 +42,14 @@ def check_angle_column(angle: Angle, piece: Piece, columns: Columns, findings: F
     if _beyond_a_turn(angle, abs(float(values[worst]))):
         findings.doubt(
             Finding.ANGLE_UNIT,
-            str(piece.path),
+            str(raw.path),
             angle.column,
-            f"{_doubtful(float(values[worst]))} (from {at(piece, 0)} on)",
+            f"{_doubtful(float(values[worst]))} (from {at(raw, 0)} on)",
         )
 
 
 def believed_angle_rad(
-    angle: Angle, stage: SegmentStage, piece: Piece, columns: Columns, pole_pairs: int, findings: Findings
+    angle: Angle, stage: SegmentStage, raw: RawSegment, columns: Columns, pole_pairs: int, findings: Findings
 ) -> tuple[float, float | Numbers]:
     """The segment's rotor angle for the manifest (circular mean of a column), and the angle per sample."""
     theta = angle_rad(angle, columns, pole_pairs)
@@ -60,9 +60,9 @@ def believed_angle_rad(
     if moved > 0.1 and stage not in _FREE_ROTOR_STAGES:
         findings.doubt(
             Finding.MOVING_ROTOR,
-            str(piece.path),
+            str(raw.path),
             angle.column or "",
-            f"a locked rotor's angle changes by {moved:.3g} rad in the segment from {at(piece, 0)} on",
+            f"a locked rotor's angle changes by {moved:.3g} rad in the segment from {at(raw, 0)} on",
         )
     return float(np.angle(np.mean(np.exp(1j * theta)))), theta
 

@@ -19,7 +19,7 @@ from orchestrator.importing._opening import check_file
 from orchestrator.importing._placing import Placing
 from orchestrator.importing._segments import segment_of
 from orchestrator.importing._source import Source
-from orchestrator.importing._splitting import Piece, Splitter
+from orchestrator.importing._splitting import RawSegment, Splitter
 from orchestrator.importing._timing import Clock
 from orchestrator.importing._waveform_checks import WaveformChecks
 from orchestrator.recording import SegmentWriter, open_recording, write_manifest
@@ -110,8 +110,8 @@ class _Import:
         self._check_units(path, mapping, source)
         self._placing.next_file()
         before = len(self._segments)
-        for piece in self._splitter.pieces(path, mapping, iter(source.blocks)):
-            self._take_piece(piece)
+        for raw in self._splitter.raw_segments(path, mapping, iter(source.blocks)):
+            self._take_segment(raw)
         if len(self._segments) == before:
             raise InputError(str(path), "", f"no segment in it; {self._left_over() or 'it holds no complete row'}")
 
@@ -141,23 +141,23 @@ class _Import:
         """Report of all files so far."""
         return self._splitter.rows
 
-    def _take_piece(self, piece: Piece) -> None:
-        for stretch in self._clock.stretches(piece):
+    def _take_segment(self, raw: RawSegment) -> None:
+        for stretch in self._clock.stretches(raw):
             rate, parts = self._clock.rate_hz, stretch.parts()
-            segment = segment_of(piece, parts[0], rate, self._findings)
+            segment = segment_of(raw, parts[0], rate, self._findings)
             self._checks.judge(segment.waveforms)
             samples = len(segment.capture) if len(parts) == 1 else len(stretch.rows)
-            segment_id, start_s = self._placing.place(piece, stretch, samples, rate)
+            segment_id, start_s = self._placing.place(raw, stretch, samples, rate)
             with SegmentWriter(self._directory, segment_id) as writer:
                 writer.append(segment.capture.model_copy(update={"start_s": start_s}))
                 rotor_angle_rad, written_rows = segment.rotor_angle_rad, len(segment.capture)
                 for part in parts[1:]:
-                    segment = segment_of(piece, part, rate, self._findings)
+                    segment = segment_of(raw, part, rate, self._findings)
                     self._checks.judge(segment.waveforms)
                     writer.append(segment.capture.model_copy(update={"start_s": start_s + written_rows / rate}))
                     written_rows += len(segment.capture)
                 written = writer.finish()
-            rule = self._mapping.segments[piece.rule]
+            rule = self._mapping.segments[raw.rule]
             self._segments.append(
                 Segment(
                     id=segment_id,

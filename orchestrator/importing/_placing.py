@@ -7,7 +7,7 @@ from collections import Counter
 
 from orchestrator.importing._findings import Findings
 from orchestrator.importing._mapping import ImportMapping
-from orchestrator.importing._splitting import Piece
+from orchestrator.importing._splitting import RawSegment
 from orchestrator.importing._timing import Stretch, at
 from protocols import InputError
 
@@ -27,15 +27,15 @@ class Placing:
         """Begin another file; its time stamps may restart."""
         self._offset_s, self._file_is_new = 0.0, True
 
-    def place(self, piece: Piece, stretch: Stretch, samples: int, rate_hz: float) -> tuple[str, float]:
+    def place(self, raw: RawSegment, stretch: Stretch, samples: int, rate_hz: float) -> tuple[str, float]:
         """Id and start [s] of the next segment; raises `InputError` where it overlaps an earlier one."""
-        start_s = self._start(piece, stretch, samples / rate_hz, 0.5 / rate_hz)
+        start_s = self._start(raw, stretch, samples / rate_hz, 0.5 / rate_hz)
         insort(self._spans, (start_s, start_s + samples / rate_hz))
         self._file_is_new = False
-        return self._id(piece), start_s
+        return self._id(raw), start_s
 
-    def _id(self, piece: Piece) -> str:
-        rule = self._mapping.segments[piece.rule]
+    def _id(self, raw: RawSegment) -> str:
+        rule = self._mapping.segments[raw.rule]
         wanted = rule.id
         if wanted is None:
             number = self._of_stage[rule.stage.value]
@@ -48,10 +48,10 @@ class Placing:
         self._taken.add(segment_id)
         return segment_id
 
-    def _start(self, piece: Piece, stretch: Stretch, seconds: float, slack_s: float) -> float:
-        rule, stamp_s = self._mapping.segments[piece.rule], float(piece.time_s[stretch.rows[0]])
-        if rule.start_s is not None and piece.rule not in self._started_rules:
-            self._started_rules.add(piece.rule)
+    def _start(self, raw: RawSegment, stretch: Stretch, seconds: float, slack_s: float) -> float:
+        rule, stamp_s = self._mapping.segments[raw.rule], float(raw.time_s[stretch.rows[0]])
+        if rule.start_s is not None and raw.rule not in self._started_rules:
+            self._started_rules.add(raw.rule)
             self._offset_s = rule.start_s - stamp_s
         start_s = stamp_s + self._offset_s
         if self._overlaps(start_s, seconds, slack_s) and self._file_is_new and rule.start_s is None:
@@ -60,14 +60,14 @@ class Placing:
             start_s = stamp_s + self._offset_s
             self._findings.note(
                 "time_anew",
-                f"{piece.path}: its time starts anew, placed right after the segment before; start_s of a segment says "
+                f"{raw.path}: its time starts anew, placed right after the segment before; start_s of a segment says "
                 "how long the pause was (windings cool in it)",
             )
         if self._overlaps(start_s, seconds, slack_s):
             raise InputError(
-                str(piece.path),
-                f"segments.{piece.rule}",
-                f"{at(piece, stretch.rows[0])} lies within an earlier segment",
+                str(raw.path),
+                f"segments.{raw.rule}",
+                f"{at(raw, stretch.rows[0])} lies within an earlier segment",
             )
         return start_s
 

@@ -10,7 +10,7 @@ from orchestrator.importing._angles import believed_angle_rad, check_angle_colum
 from orchestrator.importing._findings import Findings
 from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._source import Numbers
-from orchestrator.importing._splitting import Piece
+from orchestrator.importing._splitting import RawSegment
 from orchestrator.importing._timing import Stretch, at, resampled, resampled_held
 from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_c, vectors, wrong_state
 from orchestrator.importing._waveform_checks import Waveforms
@@ -28,7 +28,7 @@ class UnplacedSegment:
     rotor_angle_rad: float
 
 
-def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Findings) -> UnplacedSegment:
+def segment_of(raw: RawSegment, stretch: Stretch, rate_hz: float, findings: Findings) -> UnplacedSegment:
     """The capture of a stretch (float32), resampled where its time stamps are uneven.
 
     Raises
@@ -36,21 +36,21 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
     InputError
         Where an angle's unit is implausible, or a value is out of range.
     """
-    mapping = piece.mapping
-    columns = {name: values[stretch.part] for name, values in piece.columns.items()}
-    rule = mapping.segments[piece.rule]
+    mapping = raw.mapping
+    columns = {name: values[stretch.part] for name, values in raw.columns.items()}
+    rule = mapping.segments[raw.rule]
     rotor, pole_pairs = rule.rotor_angle or mapping.rotor_angle, mapping.motor.pole_pairs
     for angle in (rotor, mapping.current.angle, mapping.voltage.angle):
         if angle is not None:
-            check_angle_column(angle, piece, columns, findings)
-    believed_rad, theta_rad = believed_angle_rad(rotor, rule.stage, piece, columns, pole_pairs, findings)
+            check_angle_column(angle, raw, columns, findings)
+    believed_rad, theta_rad = believed_angle_rad(rotor, rule.stage, raw, columns, pole_pairs, findings)
     wrong = wrong_state(mapping.voltage, columns)
     if wrong is not None:
         name = mapping.voltage.columns["state"]
         problem = (
-            f"expected a switching state from 0 to 7, got {columns[name][wrong]:g} in {at(piece, stretch.rows[wrong])}"
+            f"expected a switching state from 0 to 7, got {columns[name][wrong]:g} in {at(raw, stretch.rows[wrong])}"
         )
-        raise InputError(str(piece.path), name, problem)
+        raise InputError(str(raw.path), name, problem)
     nominal_v = mapping.drive.dc_bus_voltage_v
     dc_v = np.full(len(stretch.rows), nominal_v) if mapping.bus is None else bus_v(mapping.bus, columns)
     i_abc = _phase_currents(mapping, columns)
@@ -64,20 +64,20 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
     if rule.stage is SegmentStage.SPIN and not isinstance(theta_rad, float):
         signals["theta_rad"] = np.unwrap(theta_rad)
     if stretch.uneven:
-        time_s = piece.time_s[stretch.part]
+        time_s = raw.time_s[stretch.part]
         for name, x in signals.items():
             if x is not None:
                 signals[name] = (resampled_held if name == "v_ab" else resampled)(time_s, x, rate_hz)
-    _check_bounds(signals, piece, stretch)
+    _check_bounds(signals, raw, stretch)
     if signals.get("theta_rad") is not None:
         # 32 bits would not resolve an angle of many turns.
         signals["theta_rad"] = np.mod(_there(signals["theta_rad"]), 2.0 * np.pi)
     columns32 = {name: None if x is None else x.astype(np.float32) for name, x in signals.items()}
-    capture = Capture(start_s=float(piece.time_s[stretch.rows[0]]), sampling_frequency_hz=rate_hz, **columns32)
+    capture = Capture(start_s=float(raw.time_s[stretch.rows[0]]), sampling_frequency_hz=rate_hz, **columns32)
     waveforms = Waveforms(
-        file=str(piece.path),
+        file=str(raw.path),
         mapping=mapping,
-        rows=at(piece, stretch.rows[0]),
+        rows=at(raw, stretch.rows[0]),
         stage=rule.stage,
         rate_hz=rate_hz,
         i_ab=_there(signals["i_ab"]),
@@ -99,13 +99,13 @@ def _phase_currents(mapping: ImportMapping, columns: Columns) -> Numbers | None:
     return None
 
 
-def _check_bounds(signals: dict[str, Numbers | None], piece: Piece, stretch: Stretch) -> None:
+def _check_bounds(signals: dict[str, Numbers | None], raw: RawSegment, stretch: Stretch) -> None:
     for name, values in signals.items():
         if values is not None and not np.max(np.abs(values)) < _MAX_FLOAT32:
             raise InputError(
-                str(piece.path),
+                str(raw.path),
                 name,
-                f"beyond what can be a measurement, in the segment from {at(piece, stretch.rows[0])} on",
+                f"beyond what can be a measurement, in the segment from {at(raw, stretch.rows[0])} on",
             )
 
 

@@ -22,12 +22,12 @@ _NO_RULE = -1
 
 
 @dataclass(frozen=True)
-class Piece:
+class RawSegment:
     """Consecutive rows of one file that make a segment."""
 
     path: Path
     mapping: ImportMapping
-    """Mapping of the piece's file."""
+    """Mapping of the file."""
     rule: int
     """Index of the rule among the mapping's segments."""
     first_row: int
@@ -78,7 +78,7 @@ class _Growing:
 
 @dataclass
 class _Open:
-    """A piece that may continue in the next block."""
+    """A segment that may continue in the next block."""
 
     key: tuple[int, str]
     first_row: int
@@ -94,13 +94,13 @@ class _Open:
             self.columns.setdefault(name, _Growing()).add(values[rows])
         self.time.add(time_s[rows])
 
-    def close(self, path: Path, mapping: ImportMapping) -> Piece:
+    def close(self, path: Path, mapping: ImportMapping) -> RawSegment:
         columns = {name: column.whole() for name, column in self.columns.items()}
-        return Piece(path, mapping, self.key[0], self.first_row, columns, self.time.whole())
+        return RawSegment(path, mapping, self.key[0], self.first_row, columns, self.time.whole())
 
 
 class Splitter:
-    """Cuts files into pieces, in the order of their rows; holds one piece at a time.
+    """Cuts files into segments, in the order of their rows; holds one segment at a time.
 
     Attributes
     ----------
@@ -117,8 +117,8 @@ class Splitter:
         self.leftover = Leftover()
         self.rows = 0
 
-    def pieces(self, path: Path, mapping: ImportMapping, blocks: Iterator[Block]) -> Iterator[Piece]:
-        """The pieces of one file, by its mapping."""
+    def raw_segments(self, path: Path, mapping: ImportMapping, blocks: Iterator[Block]) -> Iterator[RawSegment]:
+        """The segments of one file, by its mapping."""
         rules = [
             (index, rule)
             for index, rule in enumerate(self._mapping.segments)

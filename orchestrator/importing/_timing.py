@@ -1,4 +1,4 @@
-"""Check a piece's time stamps for missing samples, gaps and uneven spacing; resample where the mapping requests it.
+"""Check a segment's time stamps for missing samples, gaps and uneven spacing; resample where the mapping requests it.
 
 Voltages are held between samples, so they are resampled by their integral (volt-seconds are kept); everything else is
 interpolated linearly.
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._source import Numbers
-from orchestrator.importing._splitting import Piece
+from orchestrator.importing._splitting import RawSegment
 from orchestrator.importing._units import FACTORS, unit_that_fits
 from protocols import InputError
 
@@ -37,7 +37,7 @@ Rows = range | NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Stretch:
-    """Rows of a piece without a gap: indices into the piece, and whether they need resampling."""
+    """Rows of a segment without a gap: indices into the segment, and whether they need resampling."""
 
     rows: Rows
     uneven: bool
@@ -58,7 +58,7 @@ class Stretch:
 
 
 class Clock:
-    """Determines the sampling frequency from the first piece and checks every later piece against it."""
+    """Determines the sampling frequency from the first segment and checks every later segment against it."""
 
     def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
         self._findings = findings
@@ -66,69 +66,69 @@ class Clock:
 
     @property
     def rate_hz(self) -> float:
-        """The recording's sampling frequency, known after the first piece."""
+        """The recording's sampling frequency, known after the first segment."""
         assert self._rate_hz is not None
         return self._rate_hz
 
-    def stretches(self, piece: Piece) -> Iterator[Stretch]:
-        """The piece's uninterrupted stretches; raises `InputError` where gaps or uneven stamps are not allowed."""
-        complete = self._complete_rows(piece)
-        self._findings.dropped_rows["a value is missing"] += piece.time_s.size - len(complete)
+    def stretches(self, raw: RawSegment) -> Iterator[Stretch]:
+        """The segment's uninterrupted stretches; raises `InputError` where gaps or uneven stamps are not allowed."""
+        complete = self._complete_rows(raw)
+        self._findings.dropped_rows["a value is missing"] += raw.time_s.size - len(complete)
         if len(complete) < MIN_STRETCH_SAMPLES:
-            self._too_short(piece, len(complete))
+            self._too_short(raw, len(complete))
             return
-        time_s = piece.time_s if isinstance(complete, range) else piece.time_s[complete]
-        self._check_increasing(piece, complete, time_s)
-        self._learn_rate(piece, time_s)
-        for start, end in self._between_gaps(piece, complete, time_s):
+        time_s = raw.time_s if isinstance(complete, range) else raw.time_s[complete]
+        self._check_increasing(raw, complete, time_s)
+        self._learn_rate(raw, time_s)
+        for start, end in self._between_gaps(raw, complete, time_s):
             if end - start < MIN_STRETCH_SAMPLES:
-                self._too_short(piece, end - start)
+                self._too_short(raw, end - start)
                 continue
-            yield Stretch(complete[start:end], self._is_uneven(piece, complete[start:end], time_s[start:end]))
+            yield Stretch(complete[start:end], self._is_uneven(raw, complete[start:end], time_s[start:end]))
 
-    def _complete_rows(self, piece: Piece) -> Rows:
-        finite = np.isfinite(piece.time_s)
-        for name, values in ((_time_column(piece), piece.time_s), *piece.columns.items()):
+    def _complete_rows(self, raw: RawSegment) -> Rows:
+        finite = np.isfinite(raw.time_s)
+        for name, values in ((_time_column(raw), raw.time_s), *raw.columns.items()):
             here = np.isfinite(values)
-            if not here.all() and not piece.mapping.split_at_gaps:
+            if not here.all() and not raw.mapping.split_at_gaps:
                 row = int(np.argmin(here))
                 missing = int(here.size - np.count_nonzero(here))
                 raise InputError(
-                    str(piece.path),
+                    str(raw.path),
                     name,
-                    f"{at(piece, row)} has no finite value, the first of {missing} such rows in the segment; "
+                    f"{at(raw, row)} has no finite value, the first of {missing} such rows in the segment; "
                     "split_at_gaps: true ends a segment there and begins another",
                 )
             finite &= here
         return range(finite.size) if finite.all() else np.flatnonzero(finite)
 
-    def _check_increasing(self, piece: Piece, rows: Rows, time_s: Numbers) -> None:
+    def _check_increasing(self, raw: RawSegment, rows: Rows, time_s: Numbers) -> None:
         back = np.flatnonzero(time_s[1:] <= time_s[:-1])
         if back.size:
             worst = int(back[0])
             raise InputError(
-                str(piece.path),
-                _time_column(piece),
-                f"time does not increase: {at(piece, rows[worst + 1])} is {time_s[worst] - time_s[worst + 1]:.3g} s "
+                str(raw.path),
+                _time_column(raw),
+                f"time does not increase: {at(raw, rows[worst + 1])} is {time_s[worst] - time_s[worst + 1]:.3g} s "
                 "before the row above",
             )
 
-    def _learn_rate(self, piece: Piece, time_s: Numbers) -> None:
-        column = piece.mapping.time
+    def _learn_rate(self, raw: RawSegment, time_s: Numbers) -> None:
+        column = raw.mapping.time
         if column is None:
             return
         steps = np.diff(time_s)
         period_s = float(np.median(steps, overwrite_input=True))
         if self._rate_hz is not None:
-            self._check_unit(piece, column.unit, period_s, (0.5 / self._rate_hz, 2.0 / self._rate_hz))
+            self._check_unit(raw, column.unit, period_s, (0.5 / self._rate_hz, 2.0 / self._rate_hz))
             return
         low, high = _PLAUSIBLE_RATE_HZ
-        self._check_unit(piece, column.unit, period_s, (1.0 / high, 1.0 / low))
+        self._check_unit(raw, column.unit, period_s, (1.0 / high, 1.0 / low))
         steady = steps < _GAP * period_s
-        # Among rates within a twentieth of a sample over the whole piece, the roundest is the intended one.
+        # Among rates within a twentieth of a sample over the whole segment, the roundest is the intended one.
         self._rate_hz = _roundest(1.0 / float(np.mean(steps, where=steady)), 0.05 / np.count_nonzero(steady))
 
-    def _check_unit(self, piece: Piece, unit: str, period_s: float, plausible: tuple[float, float]) -> None:
+    def _check_unit(self, raw: RawSegment, unit: str, period_s: float, plausible: tuple[float, float]) -> None:
         if plausible[0] <= period_s <= plausible[1]:
             return
         fits = unit_that_fits(unit, period_s, *plausible)
@@ -136,28 +136,28 @@ class Clock:
         expected = "" if self._rate_hz is None else f", not {self._rate_hz:g} Hz"
         self._findings.doubt(
             Finding.TIME_UNIT,
-            str(piece.path),
-            _time_column(piece),
+            str(raw.path),
+            _time_column(raw),
             f"read in {unit}, the time stamps make {1 / period_s:.6g} Hz{expected}{hint}",
         )
 
-    def _between_gaps(self, piece: Piece, rows: Rows, time_s: Numbers) -> Sequence[tuple[int, int]]:
+    def _between_gaps(self, raw: RawSegment, rows: Rows, time_s: Numbers) -> Sequence[tuple[int, int]]:
         steps = np.diff(time_s)
         gaps = np.flatnonzero(steps > _GAP / self.rate_hz)
-        if gaps.size and not piece.mapping.split_at_gaps:
+        if gaps.size and not raw.mapping.split_at_gaps:
             first = int(gaps[0])
             raise InputError(
-                str(piece.path),
-                _time_column(piece),
-                f"{steps[first]:.3g} s without a sample before {at(piece, rows[first + 1])}, "
+                str(raw.path),
+                _time_column(raw),
+                f"{steps[first]:.3g} s without a sample before {at(raw, rows[first + 1])}, "
                 f"{gaps.size} such in the segment; split_at_gaps: true ends a segment there and begins another",
             )
         if gaps.size:
-            self._findings.note("gap", f"{piece.path}: gap before {at(piece, rows[gaps[0] + 1])}, segment split there")
+            self._findings.note("gap", f"{raw.path}: gap before {at(raw, rows[gaps[0] + 1])}, segment split there")
         edges = [0, *(gaps + 1).tolist(), time_s.size]
         return list(pairwise(edges))
 
-    def _is_uneven(self, piece: Piece, rows: Rows, time_s: Numbers) -> bool:
+    def _is_uneven(self, raw: RawSegment, rows: Rows, time_s: Numbers) -> bool:
         intervals = time_s.size - 1
         own_rate = intervals / float(time_s[-1] - time_s[0])
         # In place: for ten million rows each further array takes 80 MB.
@@ -170,42 +170,42 @@ class Clock:
         largest = float(off[worst]) * self.rate_hz
         drift = abs(own_rate / self.rate_hz - 1.0)
         # Crystals differ by less than a ten-thousandth.
-        jitters = largest > piece.mapping.jitter_tolerance_samples
-        drifts = drift > max(1e-4, piece.mapping.jitter_tolerance_samples / intervals)
+        jitters = largest > raw.mapping.jitter_tolerance_samples
+        drifts = drift > max(1e-4, raw.mapping.jitter_tolerance_samples / intervals)
         if not (jitters or drifts):
             return False
         what = (
-            f"time stamps are uneven: {at(piece, rows[worst])} is {largest / self.rate_hz:.3g} s "
+            f"time stamps are uneven: {at(raw, rows[worst])} is {largest / self.rate_hz:.3g} s "
             f"({largest:.2g} samples) from an even spacing, the largest deviation"
             if jitters
-            else f"sampled at {own_rate:.7g} Hz from {at(piece, rows[0])} on, the recording is at {self.rate_hz:.7g} Hz"
+            else f"sampled at {own_rate:.7g} Hz from {at(raw, rows[0])} on, the recording is at {self.rate_hz:.7g} Hz"
         )
-        if not piece.mapping.resample:
+        if not raw.mapping.resample:
             raise InputError(
-                str(piece.path),
-                _time_column(piece),
+                str(raw.path),
+                _time_column(raw),
                 f"{what}; resample: true interpolates, or sampling_frequency_hz without time where only the stamps "
                 "are coarse",
             )
-        self._findings.note("resampled", f"{piece.path}: {what}; resampled to {self.rate_hz:g} Hz")
+        self._findings.note("resampled", f"{raw.path}: {what}; resampled to {self.rate_hz:g} Hz")
         return True
 
-    def _too_short(self, piece: Piece, samples: int) -> None:
+    def _too_short(self, raw: RawSegment, samples: int) -> None:
         self._findings.dropped_rows[f"fewer than {MIN_STRETCH_SAMPLES} in a row"] += samples
         self._findings.note(
-            "short", f"{piece.path}: {samples} samples after {at(piece, 0)} are too few for a segment, left out"
+            "short", f"{raw.path}: {samples} samples after {at(raw, 0)} are too few for a segment, left out"
         )
 
 
-def _time_column(piece: Piece) -> str:
-    return "time" if piece.mapping.time is None else piece.mapping.time.column
+def _time_column(raw: RawSegment) -> str:
+    return "time" if raw.mapping.time is None else raw.mapping.time.column
 
 
-def at(piece: Piece, row: int | np.integer[Any]) -> str:
+def at(raw: RawSegment, row: int | np.integer[Any]) -> str:
     """The place of a row for a message; rows count from 1 below the names."""
-    time_s = float(piece.time_s[row])
+    time_s = float(raw.time_s[row])
     stamp = f" (t = {time_s:.6g} s)" if np.isfinite(time_s) else ""
-    return f"row {piece.first_row + int(row) + 1}{stamp}"
+    return f"row {raw.first_row + int(row) + 1}{stamp}"
 
 
 def resampled(time_s: Numbers, values: Numbers, rate_hz: float) -> Numbers:

@@ -1,12 +1,6 @@
 """Recordings on disk, format version 1: read strictly, written durably."""
 
-from orchestrator.recording._files import (
-    capture_path,
-    remove_partial_files,
-    replace_file,
-    storage_error,
-    sync_folder,
-)
+from orchestrator.recording._files import capture_path, remove_partial_files, replace_file, storage_error, sync_folder
 from orchestrator.recording._json import (
     MANIFEST_NAME,
     MODEL_NAME,

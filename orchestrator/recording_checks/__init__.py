@@ -7,13 +7,7 @@ from dataclasses import dataclass
 
 from orchestrator.recording._recording_checks import SoundRecording
 from orchestrator.recording_checks.axes import quarter_turn
-from orchestrator.recording_checks.channels import (
-    bus_spikes,
-    clipped,
-    dead_channel,
-    require_held,
-    require_response,
-)
+from orchestrator.recording_checks.channels import bus_spikes, clipped, dead_channel, require_held, require_response
 from orchestrator.recording_checks.correction import CorrectedRecording
 from orchestrator.recording_checks.nameplate import nameplate_remarks
 from orchestrator.recording_checks.responses import Responses
@@ -23,13 +17,7 @@ from orchestrator.recording_checks.survey import survey
 from orchestrator.recording_checks.time_base import delay, sampling_rate
 from protocols import Convention, RecordingReader, Remark
 
-__all__ = [
-    "CorrectedRecording",
-    "RecordingCheck",
-    "check_recording",
-    "convention_remark",
-    "find_convention",
-]
+__all__ = ["CorrectedRecording", "check_recording", "convention_remark", "find_convention"]
 
 HYPOTHESES: tuple[Callable[[Responses], Convention | None], ...] = (
     lambda responses: dead_channel(responses.survey),

@@ -13,11 +13,7 @@ import numpy as np
 
 from orchestrator.numerics.types import Array
 from orchestrator.recording_checks.responses import Responses
-from orchestrator.recording_checks.survey import (
-    MAX_CONDITION_NUMBER,
-    SegmentReadings,
-    parts,
-)
+from orchestrator.recording_checks.survey import MAX_CONDITION_NUMBER, SegmentReadings, parts
 from protocols import Convention, ManifestCorrection
 
 EVEN = ((0, 0), (2, 0), (0, 2), (1, 1))

@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
-from orchestrator.recording_checks.survey import (
-    MIN_EDGE_FRACTION,
-    MIN_SAMPLES,
-    SegmentReadings,
-    Survey,
-    parts,
-)
+from orchestrator.recording_checks.survey import MIN_EDGE_FRACTION, MIN_SAMPLES, SegmentReadings, Survey, parts
 from protocols import Convention, ManifestCorrection
 
 MAX_PLATEAU_STEP_FRACTION = 0.02

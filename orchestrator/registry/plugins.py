@@ -89,17 +89,15 @@ class Installed:
         """
         matching = [info for info in self._by_info if info.name == name]
         if not matching:
-            raise PluginError(self._kind.value, name, f"no such plugin is installed; {self._hint(name)}")
+            names = {info.name for info in self._by_info}
+            hint = suggestion(name, names) if names else f"none is registered in {self._kind.group}"
+            raise PluginError(self._kind.value, name, f"no such plugin is installed; {hint}")
         if len(matching) > 1:
             raise PluginError(self._kind.value, name, "provided twice: " + " and ".join(map(str, matching)))
         info = matching[0]
         plugin = _import(info, self._by_info[info])
         _check_contract(info, plugin)
         return plugin
-
-    def _hint(self, name: str) -> str:
-        names = {info.name for info in self._by_info}
-        return suggestion(name, names) if names else f"none is registered in {self._kind.group}"
 
 
 def installed(kind: PluginKind) -> list[PluginInfo]:

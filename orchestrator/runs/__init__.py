@@ -3,11 +3,10 @@
 from orchestrator.runs._directory import RunDirectory, is_run, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
 from orchestrator.runs._opening import open_any, refuse_file, run_rows
-from orchestrator.runs._provenance import GitState, Provenance, provenance
+from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
 
 __all__ = [
-    "GitState",
     "Journal",
     "JournalRecord",
     "Provenance",

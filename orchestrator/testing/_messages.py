@@ -223,11 +223,7 @@ def _point_started(k: int) -> PointStarted:
 
 
 def _ended(run: Path) -> RunEnded:
-    return RunEnded(outcome="finished", reason="all stages are done", run=str(run), estimates=_estimates())
-
-
-def _estimates() -> EstimationReport:
-    return EstimationReport(
+    estimates = EstimationReport(
         resistance=None,
         method="injection",
         crossings=None,
@@ -236,6 +232,7 @@ def _estimates() -> EstimationReport:
         classical_against_injection_percent=None,
         usable=True,
     )
+    return RunEnded(outcome="finished", reason="all stages are done", run=str(run), estimates=estimates)
 
 
 def _resistance() -> ResistanceEstimate:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from protocols import Strict
-from protocols.fleet import FleetEffect, FleetRow, HiddenEffect
+from protocols.fleet import FleetRow, HiddenEffect
 from protocols.fleet_report import CountOf
 
 
@@ -102,7 +102,7 @@ def _swept(hidden: Iterable[HiddenEffect]) -> list[HiddenEffect]:
 
 def _row(effect: str, condition: str, rows: Sequence[FleetRow]) -> PowerRow:
     truth = next(t for t in _swept(rows[0].hidden or ()) if t.name == effect)
-    matches = [_matching(effect, row.effects or ()) for row in rows]
+    matches = [[e for e in row.effects or () if effect in {e.name, *e.twins}] for row in rows]
     found, named = sum(map(bool, matches)), sum(any(e.material is not False for e in hits) for hits in matches)
     own = [e for hits in matches for e in hits if e.name == effect and e.parameter == truth.parameter]
     sized = [e.size / truth.size for e in own if e.size is not None and truth.size]
@@ -121,10 +121,6 @@ def _row(effect: str, condition: str, rows: Sequence[FleetRow]) -> PowerRow:
         ratio=float(np.median(sized)) if sized else None,
         inside=sum(bounded) if bounded else None,
     )
-
-
-def _matching(effect: str, effects: Iterable[FleetEffect]) -> list[FleetEffect]:
-    return [e for e in effects if e.name == effect or effect in e.twins]
 
 
 def _has_false_name(row: FleetRow) -> bool:

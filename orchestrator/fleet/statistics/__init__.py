@@ -14,13 +14,11 @@ from orchestrator.fleet.statistics._rows import (
     pair_rows,
     prior_rows,
 )
-from orchestrator.fleet.statistics._settings import FleetCriteria
 from orchestrator.fleet.statistics._table import FleetTable, fleet_of, read_fleet
 
 __all__ = [
     "SECTIONS",
     "WITHIN",
-    "FleetCriteria",
     "FleetTable",
     "change_rows",
     "count_rows",

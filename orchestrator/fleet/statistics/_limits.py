@@ -14,14 +14,7 @@ from orchestrator.numerics.process_control import capability, share_beyond
 from orchestrator.validation.messages import first_problem, nearest, suggestion
 from orchestrator.validation.strict_yaml import read_document
 from protocols import InputError
-from protocols.fleet_report import (
-    CapabilityIndex,
-    FleetJudgement,
-    FleetLimit,
-    FleetLimits,
-    Judgement,
-    NotPassed,
-)
+from protocols.fleet_report import CapabilityIndex, FleetJudgement, FleetLimit, FleetLimits, Judgement, NotPassed
 
 _SEVERITY: tuple[Judgement, ...] = ("pass", "unsure", "not_measured", "fail")
 

@@ -27,7 +27,7 @@ def outliers(table: FleetTable, criteria: FleetCriteria) -> tuple[Distances | No
         squares = scatter.squares(rows)
         known = np.maximum(np.isfinite(rows).sum(axis=1), 1)
         limits = scatter.limits(criteria.max_false_alarm / len(table), known)
-        for k in _places(squares > limits):
+        for k in np.flatnonzero(squares > limits).tolist():
             reached[k] = float(np.sqrt(squares[k])), float(np.sqrt(limits[k]))
             reasons[k] = _reasons(columns, scatter, rows[k], k, criteria)
         distances = Distances(
@@ -109,7 +109,7 @@ def _single_outliers(column: Column, tests: int, criteria: FleetCriteria) -> Ite
     known = np.flatnonzero(column.known)
     observable = int(column.observable.sum())
     if column.is_effect and observable >= criteria.min_values and len(known) <= criteria.max_rare_share * observable:
-        for k in _places(column.known):
+        for k in known.tolist():
             if column.low[k] > 0.0 or column.high[k] < 0.0:
                 yield k, _reason(column, k, None, None, None, found_in=len(known))
         return
@@ -160,10 +160,6 @@ def reason_words(reason: OutlierReason, criteria: FleetCriteria) -> str:
     if reason.share is not None and abs(reason.sigma) < criteria.min_outlier_sigma:
         text += ", unusual in combination with the others"
     return text + (", but its own interval contains the median" if reason.sure is False else "")
-
-
-def _places(mask: Mask) -> list[int]:
-    return [int(k) for k in np.flatnonzero(mask)]
 
 
 def _outlyingness(outlier: FleetOutlier) -> float:

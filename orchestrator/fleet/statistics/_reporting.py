@@ -18,14 +18,7 @@ from orchestrator.formatting.quantities import measured, number, plural
 from orchestrator.numerics.robust import spread
 from orchestrator.numerics.types import Array
 from protocols import InputError, Remark
-from protocols.fleet_report import (
-    CountOf,
-    FleetLimits,
-    FleetQuantity,
-    FleetReport,
-    Histogram,
-    Quantile,
-)
+from protocols.fleet_report import CountOf, FleetLimits, FleetQuantity, FleetReport, Histogram, Quantile
 
 
 def report_of(

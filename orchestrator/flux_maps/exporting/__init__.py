@@ -3,17 +3,13 @@
 Knows flux maps and nothing of recordings, drives or estimators. scipy and xarray are imported where they are used.
 """
 
-from orchestrator.flux_maps.exporting._exporting import FORMATS, ExportedFile, ExportReport, export_map
-from orchestrator.flux_maps.exporting._inverse import InverseMap, invert
+from orchestrator.flux_maps.exporting._exporting import FORMATS, ExportReport, export_map
+from orchestrator.flux_maps.exporting._inverse import invert
 from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, saliency, torque_nm
-from orchestrator.numerics.saliency import Saliency
 
 __all__ = [
     "FORMATS",
     "ExportReport",
-    "ExportedFile",
-    "InverseMap",
-    "Saliency",
     "Trajectory",
     "export_map",
     "invert",

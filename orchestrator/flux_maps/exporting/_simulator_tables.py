@@ -39,7 +39,7 @@ def plecs_file(products: Products) -> FileContent:
     lines += [f"{name}.p = {motor.pole_pairs};"]
     if motor.stator_resistance_ohm is not None:
         lines += [f"{name}.R_s = {motor.stator_resistance_ohm:.9g};"]
-    lines += [f"{name}.{axis.name} = {_vector(axis.nodes)};" for axis in _axes(held)]
+    lines += [f"{name}.{axis.name} = [{' '.join(f'{node:.9g}' for node in axis.nodes)}];" for axis in _axes(held)]
     for table in _tables(held):
         rows = ["    " + " ".join(f"{value:.9g}" for value in row) + ";" for row in table.values]
         lines += [
@@ -121,10 +121,6 @@ def _axes(held: HeaderTables) -> list[Axis]:
 
 def _over(table: Table) -> str:
     return ", ".join(f"{axis.name} [{_UNITS[axis.unit]}]" for axis in table.axes)
-
-
-def _vector(values: Array) -> str:
-    return "[" + " ".join(f"{value:.9g}" for value in values) + "]"
 
 
 def _written(products: Products, held: HeaderTables, lines: list[str], *notes: str) -> FileContent:

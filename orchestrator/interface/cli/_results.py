@@ -7,13 +7,7 @@ from pathlib import Path
 
 from orchestrator.formatting.names import PAPER_CROSSINGS
 from orchestrator.formatting.quantities import UNKNOWN, axes_percent
-from orchestrator.formatting.results import (
-    check_rows,
-    coefficient_rows,
-    resistance,
-    resistance_course,
-    usability_rows,
-)
+from orchestrator.formatting.results import check_rows, coefficient_rows, resistance, resistance_course, usability_rows
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
 from orchestrator.interface.cli._refreshing import PAGE, refresh_report
