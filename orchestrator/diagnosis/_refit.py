@@ -1,4 +1,4 @@
-"""A kept model refitted with one more effect, or with one less; the ladder goes on from where it was."""
+"""A saved model refitted with one more effect or one less; its ladder is continued."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from orchestrator.diagnosis.reporting.findings import found_effects, map_effects
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
-from orchestrator.diagnosis.selection.forward_search import Step, with_effect
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.sentences import listed
@@ -56,19 +56,19 @@ def add_effects(
     out: Path | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
-    """Refit with these effects beside those that the model has already; the ladder grows.
+    """Refit with these effects beside those that the model has already, and extend the ladder.
 
     Parameters
     ----------
     model : optional
-        Where the ladder starts; by default the model of `model.json` as it stands, else ``saturated``.
+        Start of the ladder; by default the model of `model.json`, else ``saturated``.
     tell : callable
         Called with what is under way, in a few words.
 
     Raises
     ------
     PluginError
-        Where a name is not in the library.
+        If a name is not in the library.
     """
     require_known([n for n in names if n not in MAP_RUNGS], effects)
     kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
@@ -93,7 +93,7 @@ def _added(
         steps = first_steps(setup, model, library)
     else:
         fit = setup.fitter.fit(restored(setup, kept, baseline, library))
-        steps = [Step(kept.ladder[-1].added, fit)]
+        steps = [AcceptedModel(kept.ladder[-1].added, fit)]
     remarks = list(setup.remarks)
     for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAP_RUNGS):
         fit = steps[-1].fit
@@ -101,11 +101,11 @@ def _added(
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
             tell(f"the model with {plain(name)}")
-            steps.append(Step(name, setup.fitter.fit(_with_effect(setup.fitter, fit, library[name]).model)))
+            steps.append(AcceptedModel(name, setup.fitter.fit(_with_effect(setup.fitter, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
             tell(f"the model with {plain(name)}")
-            steps.append(Step(name, with_map_step(setup, fit, baseline)))
+            steps.append(AcceptedModel(name, with_map_step(setup, fit, baseline)))
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
@@ -124,10 +124,10 @@ def _added(
 
 
 def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
-    """The model with one more effect.
+    """The model refitted with one more effect.
 
-    Shapes that made up for it so far may have run to where no descent leads back: where much is left, it is fitted from
-    the shapes that are usual as well, and the better fit stays.
+    Shapes that compensated for it may have moved far away: where a large misfit remains, the usual shapes are tried as
+    initial values too, and the better fit is returned.
     """
     grown = with_effect(fitter, fit, candidate)
     if grown.chi2_per_dof < fit.criteria.selection.detected_chi2:
@@ -136,18 +136,18 @@ def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
     again = with_effect(fitter, still, candidate)
     shapes = {a.name: [n for n in a.free if n in a.candidate.of_role(ParameterRole.SHAPE)] for a in fit.model.active}
     free = [a.release(*shapes.get(a.name, ())) for a in again.model.active]
-    again = fitter.fit(again.model.with_active(free), again.frame)
+    again = fitter.fit(again.model.with_active(free), again.linearisation)
     return min(grown, again, key=lambda f: f.chi2)
 
 
 def _refine_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
-    """The model on a map as fine as the data ask for now: beside what was missing, detail was not worth its freedom."""
+    """Refit on the finest map that the evidence now requires; a missing effect may have hidden its gain."""
     detailed = with_finest_map(setup, setup.fitter, fit)
-    return fit if detailed is fit else setup.fitter.fit(detailed.model, detailed.frame)
+    return fit if detailed is fit else setup.fitter.fit(detailed.model, detailed.linearisation)
 
 
 def _in_usual_shape(active: EffectTerm) -> EffectTerm:
-    """As large as it is, in its candidate's shape and simple form, its amplitudes free."""
+    """The effect with its amplitudes, its candidate's typical shape and simple form; only amplitudes are free."""
     usual = active.candidate.absent()
     amplitudes = {name: active.values[name] for name in active.candidate.amplitudes}
     return replace(usual, values={**usual.values, **amplitudes})
@@ -161,7 +161,7 @@ def remove_effect(
     out: Path | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
-    """Refit without one of the effects that `model.json` has; what was added before it stays as it was.
+    """Refit without one of the effects of `model.json`; earlier steps of the ladder are unchanged.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def remove_effect(
     Raises
     ------
     PluginError
-        Where the model has no such effect.
+        If the model has no such effect.
     """
     directory = out or recording.path
     kept = read_model(directory) if has_model(directory) else None
@@ -193,38 +193,38 @@ def _removed(
     setup = open_for_refit(recording, kept, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     before = setup.fitter.hold(restored(setup, kept, kept.baseline, library))
-    left, beside = ([n for n in names if n != name] for names in (_causes(kept), _without_rung(kept)))
-    # What is no cause has no rung of its own: the last one has them all.
-    at = next((k for k, r in enumerate(kept.ladder) if r.added == name), len(left) + 1)
+    causes, without_rung = ([n for n in names if n != name] for names in (_causes(kept), _without_rung(kept)))
+    # Effects that are no causes have no step of their own: they are in the last one.
+    at = next((k for k, r in enumerate(kept.ladder) if r.added == name), len(causes) + 1)
     steps = []
-    # From the rung below on, all is fitted anew: what was added later may take over what was taken out.
-    for count in range(at - 1, len(left) + 1):
-        names = [*left[:count], *(beside if count == len(left) else ())]
+    # All later steps are refitted: their effects may take over the one that is removed.
+    for count in range(at - 1, len(causes) + 1):
+        names = [*causes[:count], *(without_rung if count == len(causes) else ())]
         tell(f"the model with {listed([plain(n) for n in names])}" if names else "the model alone")
         baseline, model = _as_of(setup, reduced(kept, [name]), names, library)
         if not names and isinstance(baseline, Saturated):
             steps += first_steps(setup, "saturated", library)
         else:
-            steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
+            steps.append(AcceptedModel(causes[count - 1] if count else None, setup.fitter.fit(model)))
     ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
     remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks)
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
 
 def _causes(kept: MotorModel) -> list[str]:
-    """Names of the ladder's rungs, in their order."""
+    """Effects with a step of their own in the ladder, in its order."""
     return [rung.added for rung in kept.ladder if rung.added is not None]
 
 
 def _without_rung(kept: MotorModel) -> list[str]:
-    """Effects that are in the model without a rung of their own."""
+    """Effects of the model without a step of their own."""
     return [effect.name for effect in kept.effects if effect.name not in _causes(kept)]
 
 
 def _as_of(
     setup: DiagnosisSetup, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, CandidateEffect]
 ) -> tuple[Baseline, Model]:
-    """The model with no more than these rungs, as free as its map was then."""
+    """The baseline and model with only these steps of the ladder, and the map as free as it was then."""
     baseline = kept.baseline
     if isinstance(baseline, Nameplate):
         baseline = Nameplate(freed=tuple(n for n in baseline.freed if n in names))
@@ -244,7 +244,7 @@ def _keep_refit(
     remarks: Sequence[Remark],
     out: Path | None,
 ) -> AddReport:
-    """The model written to `model.json`, and what there is to say of it; raises `StorageError`."""
+    """Write the model to `model.json` and report on it; raises `StorageError`."""
     setup.fitter.tell("how sure is what was fitted?")
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
