@@ -56,7 +56,7 @@ class MachineScale:
         return math.prod(scales.get(symbol, 1.0) ** power for symbol, power in unit_powers(unit).items())
 
     def scaled(self, p: EffectParameter) -> EffectParameter:
-        """The parameter scaled to this machine; a shape's relative prior width does not change."""
+        """The parameter scaled to this machine; a shape's prior width, in its logit, does not change."""
         factor = self.of_unit(p.unit)
         names = ["typical", "low", "high", "neutral"]
         if p.role is not ParameterRole.SHAPE:

@@ -103,7 +103,7 @@ def form_std(fit: Fit, rows: Sequence[tuple[SegmentData, Array]]) -> Array:
 
 
 def _two_sided_refinements(active: EffectTerm) -> list[str]:
-    """Fixed refinements whose neutral value is inside their range."""
+    """Fixed refinements above their lower bound, which may be wrong in both directions."""
     names = active.candidate.of_role(ParameterRole.REFINEMENT)
     return [n for n in names if n not in active.free and active.values[n] > active.candidate.named(n).low]
 

@@ -108,7 +108,7 @@ class MapUncertainty:
         return INTERVAL_SIGMAS * math.sqrt(float(np.mean(spread**2)))
 
     def of_map(self, i_dq: Array) -> Array:
-        """Standard deviations (n, 5) of psi_d, psi_q (relative to zero current), L_dd, L_dq, L_qq at currents (n, 2)."""
+        """Standard deviations (n, 5) of psi_d, psi_q (from zero current), L_dd, L_dq, L_qq at currents (n, 2)."""
         space, at_rest = self.fit.model.space, np.zeros((1, 2))
         spreads = []
         for order in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)):

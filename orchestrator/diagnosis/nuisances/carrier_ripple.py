@@ -57,7 +57,7 @@ def carrier_ripple_voltage(piece: SegmentData, signals: Signals, magnetics: Magn
         x = _through(inductance, to_dq(spread[axis], angle))
         ahead, behind = (magnetics.flux_and_inductance(i_dq + side * x)[0] for side in (1.0, -1.0))
         bend = 0.5 * _through(inductance, ahead + behind - 2.0 * psi)
-        # A map under trial whose curvature exceeds the ripple itself is not evaluated.
+        # A map under trial may be too curved: its term is limited to the ripple itself.
         bent += np.clip(bend, -np.abs(x), np.abs(x))
     return np.ascontiguousarray(to_ab(ohm * (damped + bent), angle))
 

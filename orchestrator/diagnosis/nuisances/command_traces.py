@@ -167,8 +167,6 @@ def _without_slope(pull_ab: Array, command_ab: Array) -> Array:
         rows = slice(start, start + LINEAR_STRETCH_READINGS)
         moved = command_ab[rows] - command_ab[rows].mean(axis=0)
         size = float(np.einsum("ij,ij->", moved, moved))
-        slope = np.linalg.solve(
-            moved.T @ moved + (RELATIVE_RIDGE * size + 1e-300) * np.eye(2), moved.T @ pull_ab[rows]
-        )
+        slope = np.linalg.solve(moved.T @ moved + (RELATIVE_RIDGE * size + 1e-300) * np.eye(2), moved.T @ pull_ab[rows])
         residual[rows] = pull_ab[rows] - pull_ab[rows].mean(axis=0) - moved @ slope
     return residual

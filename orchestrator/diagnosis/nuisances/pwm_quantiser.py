@@ -1,8 +1,7 @@
 """Rounding of voltage commands by a modulator's timer, which quantises each edge of a pulse.
 
-With a leg's command x in steps of its mean voltage q = 2 t_q f_pwm V_dc, an edge is exact where x equals an integer plus
-the edge's phase; the phases of both edges are equal where one comparison makes both. In between, the leg's mean is off
-by
+With a leg's command x in steps of its mean voltage q = 2 t_q f_pwm V_dc, an edge is exact where x equals an integer
+plus the edge's phase; both phases are equal where one comparison makes both edges. In between, the leg's mean is off by
 
     -q/2 (S(x - x_rise) + S(x - x_fall)),    S(x) = x - floor(x) - 1/2
 

@@ -2,8 +2,8 @@
 
 Dwells give the first estimate while forms are still wrong (`quantiser_in_dwells`). The change of the equations by a
 timer's rounding is exact; R_s, the map and all free parameters adapt to first order (variable projection; G. Golub,
-V. Pereyra, doi:10.1137/0710036). With g the change of the whitened residual e, X the columns of the adapting parameters,
-N their normal matrix and C the curvature of the readings' likelihood of x,
+V. Pereyra, doi:10.1137/0710036). With g the change of the whitened residual e, X the columns of the adapting
+parameters, N their normal matrix and C the curvature of the readings' likelihood of x,
 
     cost(x) = 2 e^T g + g^T g - (X^T g)^T N^-1 (X^T g) + x^T C x
 """

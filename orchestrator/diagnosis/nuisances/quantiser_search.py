@@ -39,7 +39,7 @@ BACKGROUND_HALF_WIDTH = 400
 PEAKS_REFINED = 4
 """Number of lines that are refined with the complete sawtooth."""
 SAWTOOTH_HARMONICS = 4
-"""Harmonics of the sawtooth that are used: 94 % of its power."""
+"""Harmonics of the sawtooth that are used: 87 % of its power."""
 PHASES_PER_STEP = 32
 """Phases within a step that are tried for each edge."""
 LEAST_GAIN_RATIO_TO_BEST = 0.5
@@ -82,7 +82,8 @@ def detect_quantisation(
                 timer, likelier = _refine_line(all_sums, centred, float(tried), float(frequency[1] - frequency[0]))
                 is_line = likelier > threshold * chance[k]
                 if is_line and (consistency := _block_consistency(traces, timer, bus_v)) > min_evidence:
-                    estimate = _refine_estimate(all_sums, timer, likelier, min(likelier / float(chance[k]), consistency))
+                    certain = min(likelier / float(chance[k]), consistency)
+                    estimate = _refine_estimate(all_sums, timer, likelier, certain)
                     found.append((likelier, estimate))
     return _most_certain(found)
 

@@ -1,9 +1,9 @@
 """Random errors that are constant within a segment, with variances estimated by restricted likelihood.
 
 A current sensor's offset drifts during an experiment, and a constant voltage has the rounding error of the modulator's
-timer; a varying voltage is dithered, and one that responds to noise may be. With e the whitened residual of the training
-segments, X all columns (R_s, the map, every effect of the library) and U the columns of these two errors in each segment,
-per standard deviation,
+timer; a varying voltage is dithered, and one that responds to noise may be. With e the whitened residual of the
+training segments, X all columns (R_s, the map, every effect of the library) and U the columns of these two errors in
+each segment, per standard deviation,
 
     e = X b + U d + noise,    d ~ N(0, 1),    V = 1 + U U^T
     -2 log L = log det V + log det (X^T V^-1 X + P) + e^T V^-1 e - h^T (X^T V^-1 X + P)^-1 h

@@ -51,7 +51,7 @@ def flux_loops(fit: Fit) -> tuple[FluxLoop, ...]:
 
 
 def ripple_pair(pieces: Sequence[SegmentData], ratio: float) -> tuple[int, ...]:
-    """Indices of two injection segments at one point whose amplitudes differ by a ratio, smaller first; or one; or none."""
+    """Two injection segments at one point whose amplitudes differ by a ratio, smaller first; or one; or none."""
     points = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.INJECTION]
     if not points:
         return ()

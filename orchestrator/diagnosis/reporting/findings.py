@@ -28,6 +28,11 @@ from protocols import (
     hook_of,
 )
 
+TYPICAL_SATURATION: float = 0.4
+"""Typical relative variation of L_d and L_q over the measured currents; relative sizes refer to it."""
+TYPICAL_CROSS_SATURATION: float = 0.1
+"""Typical largest |L_dq| relative to the mean inductance; relative sizes refer to it."""
+
 
 def found_effects(
     fitter: Fitter,

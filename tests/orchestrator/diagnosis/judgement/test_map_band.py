@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.judgement.map_band import MapUncertainty, AbsentEffect, flux_rows
+from orchestrator.diagnosis.judgement.map_band import AbsentEffect, MapUncertainty, flux_rows
 from plugins.effects.resistance import WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch
 from plugins.effects.timing import CurrentFilter, VoltageDelay
