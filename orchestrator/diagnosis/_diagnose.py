@@ -12,7 +12,7 @@ from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import (
     MAP_RUNGS,
-    CandidateEffect,
+    Library,
     observable_effects,
     require_known,
     scaled_library,
@@ -30,7 +30,7 @@ from orchestrator.diagnosis.judgement.contributions import (
 from orchestrator.diagnosis.judgement.judge import judge
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.sufficiency import solvable
-from orchestrator.diagnosis.judgement.verdict import left_fraction, verdict_record
+from orchestrator.diagnosis.judgement.verdict import residual_fraction_of, verdict_record
 from orchestrator.diagnosis.nuisances.pwm_quantiser import nominal_leg_step_of
 from orchestrator.diagnosis.nuisances.segment_scatter import quantiser_step_s
 from orchestrator.diagnosis.reporting.convention import convention_report
@@ -87,7 +87,7 @@ from protocols.fleet_priors import FleetPriors
 LEAST_CHI2_OF_RANDOM_NOISE: float = 0.8
 """chi2 per degree of freedom below which the noise estimated from the readings' scatter is too large."""
 
-Proposer = Callable[[DiagnosisSetup, Fit, Sequence[CandidateEffect], str, str], NextExperiment | None]
+Proposer = Callable[[DiagnosisSetup, Fit, Library, str, str], NextExperiment | None]
 """Proposes an experiment that separates two effects of the library, given the fit; None where no stage can."""
 
 ENDED_EARLY = Remark.of("ended_early", "ended early by the user: the search was not finished")
@@ -116,7 +116,7 @@ class Diagnosis:
     report: DiagnosisReport
     setup: DiagnosisSetup | None
     search: SearchResult
-    library: Sequence[CandidateEffect]
+    library: Library
     delivery: Delivery | None = None
     estimates: EstimationReport | None = None
 
@@ -162,8 +162,7 @@ def diagnose_recording(
     priors : FleetPriors, optional
         Priors from other motors of this type. Effects whose size contradicts them are searched without them.
     propose : callable, optional
-        Chooses the next experiment, as `orchestrator.experiment_design.proposal.next_experiment` does. Without it
-        the report proposes none.
+        Chooses the next experiment, as `experiment_design.proposal.next_experiment` does; None for no proposal.
     workers : int
         Number of workers; the result does not depend on it.
     on_interim : callable
@@ -286,8 +285,8 @@ def _search(
     setup: DiagnosisSetup,
     request: _Request,
     model: ModelChoice,
-    every: Sequence[CandidateEffect],
-    library: Sequence[CandidateEffect],
+    every: Library,
+    library: Library,
     interim: InterimRecorder,
 ) -> _FinishedSearch:
     """Search to the end, including pruning."""
@@ -311,7 +310,7 @@ def _report(
     on_step: Callable[[DiagnosisStep], None] | None,
     result: _FinishedSearch,
     model: ModelChoice,
-    library: Sequence[CandidateEffect],
+    library: Library,
     began: float,
 ) -> Diagnosis:
     """The report of a finished search; its model is written to `model.json`."""
@@ -343,7 +342,7 @@ def _report(
     residual = unexplained(setup, first.chi2_per_dof, last)
     if periodic and not residual.shape:
         residual = Unexplained(fraction=residual.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
-    rest = left_fraction(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
+    rest = residual_fraction_of(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
     joint = joint_fit(setup.fitter, search, library)
     ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
     if on_step is not None:
@@ -437,11 +436,8 @@ def _remarks(
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
-    if (
-        verdict in ("explained", "mostly_explained")
-        and chi2 - 1.0 > limits.noise_accuracy_excess_chi2
-        and residual.shape
-    ):
+    is_beyond_noise = chi2 - 1.0 > limits.noise_accuracy_excess_chi2
+    if verdict in ("explained", "mostly_explained") and is_beyond_noise and residual.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=residual.shape[0].group))
     if verdict == "clean" and chi2 > limits.noise_chi2:
@@ -472,7 +468,7 @@ def _proposal(
     propose: Proposer | None,
     setup: DiagnosisSetup,
     fit: Fit,
-    library: Sequence[CandidateEffect],
+    library: Library,
     found: Sequence[FoundEffect],
     verdict: Verdict,
     suspects: Sequence[str],

@@ -27,8 +27,7 @@ from protocols import RecordingReader, Remark, Saturated, Signals
 from protocols.fleet_priors import FleetPriors
 
 MAX_RATED_CURRENT_FACTOR: float = 2.0
-"""Factor of the largest current used at which the current scale of the map's smoothness is limited, where the rated
-current is larger."""
+"""Factor of the largest current used that limits the rated current as the scale of the map's smoothness."""
 LEAST_RIPPLE_NOISE_RATIO: float = 1.1
 """Ratio of the readings' scatter under injection to that at rest from which a remark is made."""
 

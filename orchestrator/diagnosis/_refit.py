@@ -71,8 +71,8 @@ def add_effects(
         If a name is not in the library.
     """
     require_known([n for n in names if n not in MAP_RUNGS], effects)
-    kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
-    return _added(recording, names, effects, kept, model or "saturated", out, tell)
+    saved = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
+    return _added(recording, names, effects, saved, model or "saturated", out, tell)
 
 
 @solvable
@@ -80,20 +80,20 @@ def _added(
     recording: Recording,
     names: Sequence[str],
     effects: Sequence[Effect],
-    kept: MotorModel | None,
+    saved: MotorModel | None,
     model: ModelChoice,
     out: Path | None,
     tell: Callable[[str], None],
 ) -> AddReport:
-    setup = open_for_refit(recording, kept or model, tell)
+    setup = open_for_refit(recording, saved or model, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
-    baseline = kept.baseline if kept is not None else baseline_of(model)
+    baseline = saved.baseline if saved is not None else baseline_of(model)
     tell("the model without them")
-    if kept is None:
+    if saved is None:
         steps = first_steps(setup, model, library)
     else:
-        fit = setup.fitter.fit(restored(setup, kept, baseline, library))
-        steps = [AcceptedModel(kept.ladder[-1].added, fit)]
+        fit = setup.fitter.fit(restored(setup, saved, baseline, library))
+        steps = [AcceptedModel(saved.ladder[-1].added, fit)]
     remarks = list(setup.remarks)
     for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAP_RUNGS):
         fit = steps[-1].fit
@@ -112,8 +112,8 @@ def _added(
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
         tell("is a finer map worth its freedom?")
         steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
-    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup, steps))
-    report = _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+    ladder = (*(saved.ladder[:-1] if saved is not None else ()), *kept_rungs(setup, steps))
+    report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
     benefits = [
         added_remark(after.added, before.fit, after.fit, found.get(after.added))
@@ -174,11 +174,11 @@ def remove_effect(
         If the model has no such effect.
     """
     directory = out or recording.path
-    kept = read_model(directory) if has_model(directory) else None
-    have = [] if kept is None else [*_causes(kept), *_without_rung(kept)]
-    if kept is None or name not in have:
+    saved = read_model(directory) if has_model(directory) else None
+    have = [] if saved is None else [*_causes(saved), *_without_rung(saved)]
+    if saved is None or name not in have:
         raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
-    return _removed(recording, name, effects, kept, out, tell)
+    return _removed(recording, name, effects, saved, out, tell)
 
 
 @solvable
@@ -186,49 +186,49 @@ def _removed(
     recording: Recording,
     name: str,
     effects: Sequence[Effect],
-    kept: MotorModel,
+    saved: MotorModel,
     out: Path | None,
     tell: Callable[[str], None],
 ) -> AddReport:
-    setup = open_for_refit(recording, kept, tell)
+    setup = open_for_refit(recording, saved, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
-    before = setup.fitter.hold(restored(setup, kept, kept.baseline, library))
-    causes, without_rung = ([n for n in names if n != name] for names in (_causes(kept), _without_rung(kept)))
+    before = setup.fitter.hold(restored(setup, saved, saved.baseline, library))
+    causes, without_rung = ([n for n in names if n != name] for names in (_causes(saved), _without_rung(saved)))
     # Effects that are no causes have no step of their own: they are in the last one.
-    at = next((k for k, r in enumerate(kept.ladder) if r.added == name), len(causes) + 1)
+    at = next((k for k, r in enumerate(saved.ladder) if r.added == name), len(causes) + 1)
     steps = []
     # All later steps are refitted: their effects may take over the one that is removed.
     for count in range(at - 1, len(causes) + 1):
         names = [*causes[:count], *(without_rung if count == len(causes) else ())]
         tell(f"the model with {listed([plain(n) for n in names])}" if names else "the model alone")
-        baseline, model = _as_of(setup, reduced(kept, [name]), names, library)
+        baseline, model = _as_of(setup, reduced(saved, [name]), names, library)
         if not names and isinstance(baseline, Saturated):
             steps += first_steps(setup, "saturated", library)
         else:
             steps.append(AcceptedModel(causes[count - 1] if count else None, setup.fitter.fit(model)))
-    ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
+    ladder = (*saved.ladder[: at - 1], *kept_rungs(setup, steps))
     remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks)
-    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+    return _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out)
 
 
-def _causes(kept: MotorModel) -> list[str]:
+def _causes(saved: MotorModel) -> list[str]:
     """Effects with a step of their own in the ladder, in its order."""
-    return [rung.added for rung in kept.ladder if rung.added is not None]
+    return [rung.added for rung in saved.ladder if rung.added is not None]
 
 
-def _without_rung(kept: MotorModel) -> list[str]:
+def _without_rung(saved: MotorModel) -> list[str]:
     """Effects of the model without a step of their own."""
-    return [effect.name for effect in kept.effects if effect.name not in _causes(kept)]
+    return [effect.name for effect in saved.effects if effect.name not in _causes(saved)]
 
 
 def _as_of(
-    setup: DiagnosisSetup, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, CandidateEffect]
+    setup: DiagnosisSetup, saved: MotorModel, names: Sequence[str | None], library: Mapping[str, CandidateEffect]
 ) -> tuple[Baseline, Model]:
     """The baseline and model with only these steps of the ladder, and the map as free as it was then."""
-    baseline = kept.baseline
+    baseline = saved.baseline
     if isinstance(baseline, Nameplate):
         baseline = Nameplate(freed=tuple(n for n in baseline.freed if n in names))
-    model = restored(setup, kept, baseline, library)
+    model = restored(setup, saved, baseline, library)
     if isinstance(baseline, Nameplate):
         model = with_freed_map(setup, model, baseline)
     return baseline, model.with_active([a for a in model.active if a.name in names])
@@ -249,11 +249,11 @@ def _keep_refit(
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
     found = found_effects(setup.fitter, fit, evidence, twins)
-    kept = kept_model(setup, fit, baseline, found, ladder)
-    write_model(out or recording.path, kept)
+    saved = kept_model(setup, fit, baseline, found, ladder)
+    write_model(out or recording.path, saved)
     uncertainty = MapUncertainty.of(setup.fitter, fit)
     band_percent = 100.0 * uncertainty.band_wb(mean_currents(fit)) / rated_flux_wb(setup)
-    deliver(delivery_of(uncertainty, fit, kept, None, band_percent), recording, out)
+    deliver(delivery_of(uncertainty, fit, saved, None, band_percent), recording, out)
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(
         effects=map_effects(fit, dict.fromkeys(freed, 0.0)) + found,

@@ -38,8 +38,7 @@ class FittingCriteria(Strict):
     intervals: tuple[int, ...] = _is((6, 8, 10), "1", "simulated")
     """Spline intervals on each axis, in the order in which they are tried."""
     sharper_intervals: tuple[int, ...] = _is((14, 20, 28, 40), "1", "practice")
-    """Spline intervals along one axis for iron that saturates sharply: machines with bridges or barriers bend within a
-    tenth of the rated current."""
+    """Spline intervals along one axis for sharp saturation, within a tenth of the rated current at bridges."""
     most_map_numbers: int = _is(350, "1", "budget")
     """Maximum number of coefficients of such a fine map."""
     most_effort: float = _is(3e8, "1", "budget")
@@ -61,8 +60,7 @@ class SelectionCriteria(Strict):
     tie: float = _is(3.0, "nat", "theory")
     """Difference in log evidence below which two models are indistinguishable: odds of twenty to one."""
     named_share: float = _is(0.05, "1", "practice")
-    """Contribution of an effect in any kind of stage, relative to the first model's rms error, from which it is named
-    as a cause."""
+    """Contribution of an effect in any kind of stage over the first model's rms error from which it is a cause."""
     most_trials: int = _is(5, "1", "budget")
     """Maximum number of effects refitted in one round."""
     most_effects: int = _is(6, "1", "practice")
@@ -77,8 +75,7 @@ class MaterialityCriteria(Strict):
     material_flux: float = _is(0.002, "1", "practice")
     """Change of the map by an effect, relative to the rated flux, from which it is material."""
     material_voltage: float = _is(0.005, "1", "practice")
-    """Contribution of an effect in any kind of stage, relative to the excitation's rms voltage, from which it is
-    material."""
+    """Contribution of an effect in any kind of stage over the excitation's rms voltage from which it is material."""
 
 
 class VerdictCriteria(Strict):

@@ -1,7 +1,6 @@
 """Two-axis vectors in the stator's frame, in the rotor's dq frame, and as the three phases of a star connection.
 
-Vectors are amplitude-invariant: their length is the phases' peak. Versions for kernels, sample by sample, are in
-`orchestrator.numerics.kernels`.
+Vectors are amplitude-invariant: their length is the phases' peak. Versions for kernels are in `numerics.kernels`.
 """
 
 from __future__ import annotations

@@ -16,8 +16,7 @@ class Thinning:
     Attributes
     ----------
     max_values : int
-        Size to which a sample is reduced before its pairs are formed, by quantiles for shifts and by medians of
-        neighbours for slopes.
+        Size to which a sample is reduced, by quantiles for shifts and by medians of neighbours for slopes.
     """
 
     max_values: int = 1200

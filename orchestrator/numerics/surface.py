@@ -58,8 +58,7 @@ class TaylorSurface:
     ----------
     inside : array of bool, shape (m,)
     corners, weights : array, shape (m, 3)
-        Triangle of each point of evaluation, and barycentric coordinates; in a sliver those of the nearest point on its
-        two shorter sides.
+        Triangle and barycentric coordinates of each point; in a sliver, of the nearest point on its shorter sides.
     is_sliver : array of bool, shape (m,)
         Whether that triangle is a sliver at the hull, between nearly collinear points. The far end of its longest side
         has no information on values between the other two, and gradients do not hold across it.

@@ -19,8 +19,7 @@ from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signa
 class RotorMisalignment(BatchEffect):
     """True electrical angle = believed + delta [rad].
 
-    It is observable because the map is even in the true i_q: in the believed frame L_dq(i_d, 0) is about
-    (L_d - L_q) delta.
+    It is observable as the map is even in the true i_q: in the believed frame L_dq(i_d, 0) is about (L_d - L_q) delta.
     """
 
     name: ClassVar[str] = "rotor_misalignment"

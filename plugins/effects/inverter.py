@@ -170,9 +170,7 @@ class DeadTime(BatchEffect, RemarkingEffect):
     V_dt   voltage_v      lost voltage at the drive's nominal PWM frequency and bus voltage                    V
     i_th   threshold_a    current within which s crosses zero; C V_dc / t_d, C of both devices of a leg        A
     1/p    softness       rounding of the step                                                                 1
-    w_1    narrow         part of the step with a width of 0.5 i_th                                            1
-    w_2    wide           part of the step with a width of 1.5 i_th                                            1
-    w_3    wider          part of the step with a width of 3 i_th                                              1
+    w_1..3 narrow to ...  parts of the step with widths of 0.5 (`narrow`), 1.5 (`wide`) and 3 i_th (`wider`)   1
     c      charged        part with constant capacitances: s = x / 2 up to i_th, 1 - 1 / (2 x) above           1
     h      switched       part lost edge by edge at instantaneous currents (`plugins.effects._commutation`)    1
     m      grading        exponent of the capacitances' decrease with voltage (`switched`)                     1
@@ -340,9 +338,8 @@ def _warmth(batch: SignalBatch, lag_s: float) -> Array:
 class VoltageBias(BatchEffect):
     """Constant voltage error of each leg: e = T (b_a, b_b, -b_a - b_b) [V], while the bridge is on.
 
-    It is due to a constant error of the modulation or of the gate drivers' delays. Delays act at every edge: in the
-    flexible form the part `at_edges` is proportional to the PWM frequency, and `bias_a_v` and `bias_b_v` hold at the
-    drive's nominal one.
+    It is due to a constant error of the modulation or of the gate drivers' delays. In the flexible form the part
+    `at_edges`, by delays, is proportional to the PWM frequency; the biases hold at the drive's nominal one.
     """
 
     name: ClassVar[str] = "voltage_bias"

@@ -38,8 +38,7 @@ class EddyCurrents(BatchEffect):
     are delayed. In the flexible form the eddy current's path has an inductance, with a time constant `lag_s` of zero or
     a few sample periods: read in the zero vector, a current without a lag has almost decayed. The part `diffused`
     diffuses into a sheet, as a ladder of `EDDY_PATHS`: path m has 1/m^2 of the conductance and the time constant
-    lag_s / m^2. The conductance is (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 or -1 a damper on
-    one axis only.
+    lag_s / m^2. The conductance is (1 + `saliency`) / R_c on d, (1 - `saliency`) / R_c on q: at +-1 on one axis only.
     Sources: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238; the
     ladder is the diffusion equation's, the sum over m of 6 / (pi m)^2 / (1 + s tau / m^2).
     """

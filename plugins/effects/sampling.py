@@ -14,8 +14,7 @@ from plugins.effects._vectors import Starts, doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude
 
 MAP_ERROR_RATIO = 0.01
-"""Relative error of the map's inductance in corners of the plane that only a sweep's dwells reach, as seen on a
-simulated servo of 48 V."""
+"""Relative error of the map's inductance in corners that only a sweep's dwells reach, as seen on a simulated servo."""
 
 
 class SamplingOffset(RandomBatchEffect):

@@ -73,8 +73,7 @@ class CurrentFilter(BatchEffect):
 
     For a current linear between samples, d = i - m is d_k = E d_(k-1) + tau / T_s (1 - E) (i_k - i_(k-1)) with
     E = exp(-T_s / tau). For tau well below a sampling interval d is tau times the slope, like a delay of the voltage;
-    for a long tau it falls with the ripple's frequency, unlike a delay. tau is not negative: a wrong declared delay
-    belongs to the voltage.
+    for a long tau it falls with the ripple's frequency, unlike a delay. A wrong declared delay is the voltage's.
     """
 
     name: ClassVar[str] = "current_filter"

@@ -38,8 +38,7 @@ MAX_ROUGHNESS_STEP: float = 3.0
 MAX_ROUGHNESS_FACTOR: float = 100.0
 """Largest roughness of a finer map, relative to the usual one."""
 LEAST_RESIDUAL_SHARE_OF_FINE_MAP: float = 0.1
-"""Part of the excess chi2 that a finer map has to remove; it removes most where the map is too coarse, and little
-where an effect is missing."""
+"""Part of the excess chi2 that a finer map has to remove; it removes little where an effect is missing."""
 LEAST_FINAL_SHARE_OF_FINE_MAP: float = 0.5
 """Part of the excess chi2 that a fine map has to remove at the end, when all forms and the scatter are known."""
 GIVEN_MAP_INTERVALS: int = 28
@@ -52,8 +51,7 @@ linearly; the fitted rotor angle moves the currents after the map's range was ch
 LEAST_CHI2_FOR_FINER_MAP: float = 1.03
 """chi2 per degree of freedom above which a finer map is tried: noise alone stays within a few hundredths of one."""
 MAX_CHI2_FOR_FINER_MAP: float = 10.0
-"""chi2 per degree of freedom, on the whole recording, below which a finer map is tried: a larger misfit is not the
-map's detail."""
+"""chi2 per degree of freedom, on the whole recording, above which the misfit is a missing effect, not the map."""
 LEAST_GAIN_PER_MAP_FREEDOM: float = 6.0
 """Fall of the objective required per additional degree of freedom of a finer map; chance brings one."""
 LEAST_GAIN_OF_FINER_MAP: float = 30.0
@@ -250,8 +248,7 @@ def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """Refit on a map that covers the currents at the fitted rotor angle.
 
-    The first map covers them at the believed angle. A wider map is taken whatever its chi2, since beyond a map's edge
-    nothing is fitted.
+    The first map covers them at the believed angle. Its chi2 does not matter: beyond the edge nothing is fitted.
     """
     grid, space = _widened_grid(fit), fit.model.space
     if grid == space.grid or not space.is_free:

@@ -31,7 +31,6 @@ class CandidateEffect:
     """Prior means of amplitudes as standardised values, by name; zero where omitted."""
     prior_log_odds: float = 0.0
     """Prior log odds of presence from a fleet, relative to an effect without a prior [nat]."""
-
     included_a_priori: bool = False
     """Whether nearly all motors of a fleet have it: it is included until the data contradict it."""
 
@@ -70,6 +69,10 @@ class CandidateEffect:
             return None
         absent = self.absent()
         return replace(absent, values={**absent.values, **alternative})
+
+
+Library = Sequence[CandidateEffect]
+"""Candidate effects of a diagnosis, in the order of the effects."""
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,7 @@ current. A twist of 0.03 rad reduces the error by as much in each. One suffices 
 MAX_INDUCTANCE_CHANGE: float = 0.01
 """Relative change of the mean inductance up to which the noise covariance is reused."""
 MAX_INVERTER_CHANGE: float = 0.1
-"""Change of an inverter effect's standardised value x, relative to max(1, |x|), up to which the covariance is
-reused."""
+"""Change of an inverter effect's standardised value x over max(1, |x|) up to which the covariance is reused."""
 
 OBSERVER_TIME_CONSTANT_S: float = 0.005
 """Time constant with which the integrated flux approaches the map's [s]: much longer than a ripple period, and short
@@ -116,7 +115,7 @@ class WeakFormEquations:
         """Whitened `_common_rows` of each segment."""
         state = self.at(model, linearisation)
         slopes = self._slopes(linearisation.batch, linearisation.base, model)
-        return [kept.whitener(self._common_rows(state, j, slopes)) for j, kept in enumerate(linearisation.pieces)]
+        return [cached.whitener(self._common_rows(state, j, slopes)) for j, cached in enumerate(linearisation.pieces)]
 
     def _with_resistance(self, model: Model, batch: SegmentBatch) -> SignalBatch:
         """The measured signals with the model's resistance and its copper losses."""
@@ -144,8 +143,8 @@ class WeakFormEquations:
         if old is not None:
             same = self._same_noise(means, noise_parameters, old)
             found = [
-                (kept.whitener, kept.mean_inductance, kept.noise_parameters) if as_before else None
-                for kept, as_before in zip(old.pieces, same, strict=True)
+                (cached.whitener, cached.mean_inductance, cached.noise_parameters) if as_before else None
+                for cached, as_before in zip(old.pieces, same, strict=True)
             ]
         if all(one is not None for one in found):
             return [one for one in found if one is not None]
@@ -211,19 +210,18 @@ class WeakFormEquations:
     ) -> list[bool]:
         """For each segment, whether an earlier linearisation's noise covariance still holds."""
         is_same = dict[int, bool]()
-        before = np.stack([kept.mean_inductance for kept in old.pieces])
+        before = np.stack([cached.mean_inductance for cached in old.pieces])
         moved = np.abs(inductances - before).max(axis=1)
         bearable = MAX_INDUCTANCE_CHANGE * inductances[:, [0, 2]].min(axis=1)
         # Segments whose noise was computed in one call share the dictionary of parameters.
-        for kept in old.pieces:
-            if id(kept.noise_parameters) not in is_same:
-                is_same[id(kept.noise_parameters)] = noise_parameters.keys() == kept.noise_parameters.keys() and all(
-                    abs(x - kept.noise_parameters[k]) <= MAX_INVERTER_CHANGE * max(abs(x), 1.0)
-                    for k, x in noise_parameters.items()
+        for known in (cached.noise_parameters for cached in old.pieces):
+            if id(known) not in is_same:
+                is_same[id(known)] = noise_parameters.keys() == known.keys() and all(
+                    abs(x - known[k]) <= MAX_INVERTER_CHANGE * max(abs(x), 1.0) for k, x in noise_parameters.items()
                 )
         return [
-            bool(steady) and is_same[id(kept.noise_parameters)]
-            for kept, steady in zip(old.pieces, moved < bearable, strict=True)
+            bool(steady) and is_same[id(cached.noise_parameters)]
+            for cached, steady in zip(old.pieces, moved < bearable, strict=True)
         ]
 
     def _untouched_basis(self, batch: SegmentBatch, local: LocalMap, model: Model) -> list[Array]:
@@ -332,8 +330,8 @@ class WeakFormEquations:
         rows = self._white(at, columns)
         together = np.stack(additions, axis=-1) if additions else np.zeros((int(at.batch.layout.rows[-1]), 0))
         probes = []
-        for j, kept in enumerate(at.linearisation.pieces):
-            power = np.sum(kept.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)
+        for j, cached in enumerate(at.linearisation.pieces):
+            power = np.sum(cached.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)
             answers = {key: float(p) for key, p in zip(keys, power, strict=True)}
             probes.append(ColumnProbe(rows[j].columns, answers))
         return rows, probes
@@ -346,9 +344,9 @@ class WeakFormEquations:
         known = voltage + flux_terms(at.batch, at.local)
         columns.rows[:, 0], columns.rows[:, 1] = known, resistance
         rows = []
-        for j, kept in enumerate(at.linearisation.pieces):
+        for j, cached in enumerate(at.linearisation.pieces):
             own_rows = at.batch.rows_of(j)
-            rows.append(SegmentRows(known[own_rows], resistance[own_rows], kept.whitener(columns.rows[own_rows])))
+            rows.append(SegmentRows(known[own_rows], resistance[own_rows], cached.whitener(columns.rows[own_rows])))
         return rows
 
     def _column(

@@ -1,7 +1,6 @@
 """Protection of a recording's arrays from effects loaded from a user's file.
 
-Installed effects have passed the conformance kit, a user's file may not. Its effect gets read-only views of the
-signals.
+Installed effects have passed the conformance kit; one from a user's file gets read-only views of the signals.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """A fleet's statistics as priors of the fit: mean and width of amplitudes, and probability of effects.
 
-An amplitude is standardised by its prior's width; a fleet gives that width and the mean. Its probability changes the
-evidence required.
+A fleet gives the width that standardises an amplitude, its mean, and a probability that changes the evidence required.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Threads that evaluate a recording's batches: kernels and LAPACK release the interpreter's lock.
 
-Batches are independent and their results are combined in order, so that the result does not depend on the number of
-threads.
+Batches are independent and combined in order, so that the result does not depend on the number of threads.
 """
 
 from __future__ import annotations

@@ -25,8 +25,7 @@ class Contribution:
     Attributes
     ----------
     relative_to_error : float
-        Its rms over the rms of the first model's error; the largest of holds, sweeps, means under injection, and
-        ripple.
+        Its rms over that of the first model's error; the largest of holds, sweeps, means under injection, ripple.
     relative_to_excitation : float
         Its rms over the rms voltage of the same kind of rows.
     relative_to_flux : float

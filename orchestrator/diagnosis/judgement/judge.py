@@ -44,7 +44,7 @@ def judge(record: VerdictRecord, limits: VerdictLimits | None = None) -> Judgeme
     return Judgement(verdict="cannot_tell" if doubts else verdict, reasons=(*doubts, *reasons))
 
 
-def fraction_left(chi2_before: float, chi2_after: float, noise_chi2: float) -> float:
+def residual_fraction(chi2_before: float, chi2_after: float, noise_chi2: float) -> float:
     """Ratio of the final error to the first (of amplitudes); 0 where the first model fits within the noise."""
     if chi2_before <= noise_chi2:
         return 0.0
@@ -91,7 +91,7 @@ def _without_effects(record: VerdictRecord, limits: VerdictLimits, chance: float
 def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     """The verdict with effects, from the ratio of the final error to the first."""
     excess, largest_excess = _finite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
-    fraction = fraction_left(_finite(record.chi2_before), _finite(record.chi2_after), limits.noise_chi2)
+    fraction = residual_fraction(_finite(record.chi2_before), _finite(record.chi2_after), limits.noise_chi2)
     broken = []
     if record.fine_map and excess > limits.noise_accuracy_excess_chi2:
         broken.append(_of_fine_map(record, limits))

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, Library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, form_std, projected_rows
@@ -44,8 +43,7 @@ class MapUncertainty:
     covariance : array, shape (1 + free, 1 + free)
         Covariance by noise, inflated to the residual.
     pulls : array, shape (segments, 1 + free)
-        Estimates from each segment's residual alone, for the sandwich estimate with segments as clusters (H. White,
-        Econometrica 48 (1980), doi:10.2307/1912934).
+        Estimates from each segment alone, for the sandwich estimate (H. White 1980, doi:10.2307/1912934).
     forms : array, shape (coordinates, 1 + free)
         Change by the error of the effects' forms, a row for each free coordinate.
     absent : tuple of AbsentEffect
@@ -58,7 +56,7 @@ class MapUncertainty:
     absent: tuple[AbsentEffect, ...]
 
     @classmethod
-    def of(cls, fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect] = ()) -> MapUncertainty:
+    def of(cls, fitter: Fitter, fit: Fit, library: Library = ()) -> MapUncertainty:
         """Uncertainty of a fit; effects of the library that are not in the model may exist nevertheless."""
         width, count = fit.normal.shape[0], len(fit.model.free)
         absent = [c for c in library if c.name not in fit.model.names]

@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import excitation_v, gates_off_error, left_of_excitation
-from orchestrator.diagnosis.judgement.judge import fraction_left, jointly_implausible, judge
+from orchestrator.diagnosis.judgement.judge import jointly_implausible, judge, residual_fraction
 from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 from protocols import Verdict, VerdictLimits, VerdictRecord
 
@@ -94,9 +94,9 @@ def _of_fitted_stages(before: Fit, after: Fit, effects: int) -> dict[str, Any]:
     }
 
 
-def left_fraction(before_chi2: float, after: Fit) -> float:
+def residual_fraction_of(before_chi2: float, after: Fit) -> float:
     """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
-    return fraction_left(before_chi2, after.chi2_per_dof, after.criteria.verdict.noise_chi2)
+    return residual_fraction(before_chi2, after.chi2_per_dof, after.criteria.verdict.noise_chi2)
 
 
 def most_strained(fit: Fit) -> str | None:

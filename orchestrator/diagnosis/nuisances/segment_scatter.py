@@ -23,7 +23,7 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.equations import scatter_sizes
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
@@ -228,9 +228,7 @@ def with_scatter_as_noise(setup: DiagnosisSetup, likelihood: Likelihood) -> Diag
     return setup.with_noise(scatter.noise) if is_complete and _is_noise(scatter, setup) else None
 
 
-def with_scatter_beside(
-    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]
-) -> DiagnosisSetup | None:
+def with_scatter_beside(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Library) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where one is found around a fit; else None."""
     scatter = scatter_of(fitter, fit, library)
     return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
@@ -259,9 +257,7 @@ def quantiser_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
     return leg_step_v(noise.voltage_scatter_v) / nominal_leg_step_of(1.0, setup.prepared.manifest.drive)
 
 
-def scatter_of(
-    fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect], *, may_be_dithered: bool = True
-) -> Scatter:
+def scatter_of(fitter: Fitter, fit: Fit, library: Library, *, may_be_dithered: bool = True) -> Scatter:
     """The likeliest scatter around a fit's model, all effects of the library adapting.
 
     Parameters
@@ -289,7 +285,7 @@ def _most_likely_scatter(likelihood: Likelihood, *, may_be_dithered: bool = True
     return Scatter(best, 0.5 * (none - cost), likelihood.chi2_per_dof(best), likelihood.chance(best))
 
 
-def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> Likelihood:
+def likelihood_of(fitter: Fitter, fit: Fit, library: Library) -> Likelihood:
     """The likelihood of any scatter around a fit's model, all effects of the library adapting.
 
     Parameters

@@ -142,8 +142,7 @@ def _excerpt(
 def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
     """Predicted and measured current in the believed frame, (samples, 2) each.
 
-    The simulation gives the magnetising current in the true frame; its error there is rotated back and added to the
-    measured current.
+    The simulated magnetising current's error, in the true frame, is rotated back and added to the measured current.
     """
     piece = fit.prepared.pieces[index]
     predicted, corrected = simulated_current(fit, index, samples)

@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import Contribution, is_material
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, standardised_std
 from orchestrator.diagnosis.judgement.residual_pattern import residual_pattern
-from orchestrator.diagnosis.judgement.verdict import large_effects_together, left_fraction
+from orchestrator.diagnosis.judgement.verdict import large_effects_together, residual_fraction_of
 from orchestrator.diagnosis.selection.joint_search import probabilities
 from protocols import (
     DriveRecord,
@@ -75,8 +75,8 @@ def size_remarks(fit: Fit) -> list[Remark]:
     """A remark where implausibly many effects are large, which a single unmodelled cause may imitate."""
     large = large_effects_together(fit)
     text = (
-        "{effects}: each is larger than most drives have it; one thing may act like all of them, as a sensor does "
-        "that hears another phase's current: measure at a second angle, too"
+        "{effects}: each is larger than in most drives; one unmodelled cause may imitate all of them, such as "
+        "crosstalk between the current sensors: measure at a second angle, too"
     )
     return [Remark.of("rare_together", text, effects=", ".join(large))] if large else []
 
@@ -95,11 +95,7 @@ def _remarks_of_effect(active: EffectTerm) -> list[Remark]:
 
 
 def credible_effects(effects: Iterable[FoundEffect], min_share: float, max_share: float) -> tuple[FoundEffect, ...]:
-    """Effects whose share is at least `min_share` and, if that is positive, at most `max_share`.
-
-    With the residual as `min_share`: a smaller effect is not credible beside it, nor one so large that another balances
-    it.
-    """
+    """Effects with a share of at least `min_share`, the residual's, and, if that is positive, at most `max_share`."""
     highest = max_share if min_share > 0.0 else math.inf
     return tuple(e for e in effects if min_share <= (e.share or 0.0) <= highest)
 
@@ -140,7 +136,7 @@ def unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplai
     detected = last.chi2_per_dof > last.criteria.verdict.noise_chi2
     shape = residual_pattern(setup.fitter, last, setup.current_a) if detected else []
     return Unexplained(
-        fraction=left_fraction(first_chi2, last),
+        fraction=residual_fraction_of(first_chi2, last),
         shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),
     )
 
@@ -150,8 +146,7 @@ def derived_quantities(
 ) -> dict[str, ParameterValue]:
     """Quantities that an effect derives from its parameters and the drive's data; empty where it has none.
 
-    Intervals are propagated from the parameters' ends, one at a time and added in quadrature; correlations are
-    neglected.
+    Intervals are propagated one parameter at a time and added in quadrature; correlations are neglected.
 
     Raises
     ------

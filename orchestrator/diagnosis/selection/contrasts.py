@@ -135,8 +135,8 @@ CONTRASTS: Mapping[Contrast, Recognition] = {
 def separating_contrasts(first: Effect, second: Effect) -> tuple[Contrast, ...]:
     """The contrasts that separate two effects: those in the `needs` of both.
 
-    Effects that need the same contrast act alike in all other stages. Two effects that share no need, even if each has
-    one of its own, already act differently in the ordinary stages: the result is empty, and any recording will do.
+    Effects that need the same contrast act alike without it. Others, even if each has needs, act differently in the
+    ordinary stages: the result is empty, and any recording separates them.
     """
     return tuple(contrast for contrast in first.needs if contrast in second.needs)
 

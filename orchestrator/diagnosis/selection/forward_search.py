@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, CandidateEffect, EffectTerm
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import Contribution
@@ -98,7 +98,7 @@ class SearchResult:
 def forward(
     fitter: Fitter,
     steps: Sequence[AcceptedModel],
-    candidates: Sequence[CandidateEffect],
+    candidates: Library,
     *,
     indistinguishable: Mapping[str, Sequence[str]] | None = None,
     max_effects: int | None = None,
@@ -125,14 +125,14 @@ def forward(
     return search
 
 
-def _current_view(fitter: Fitter, search: SearchResult, candidates: Sequence[CandidateEffect]) -> LinearView:
+def _current_view(fitter: Fitter, search: SearchResult, candidates: Library) -> LinearView:
     """The linear view of the search's last fit, computed once."""
     if search.view is None or search.view.fit.model is not search.fit.model:
         search.view = linear_view(fitter, search.fit, candidates)
     return search.view
 
 
-def _add_best(fitter: Fitter, search: SearchResult, candidates: Sequence[CandidateEffect], rejected: set[str]) -> bool:
+def _add_best(fitter: Fitter, search: SearchResult, candidates: Library, rejected: set[str]) -> bool:
     """Add the effect with the largest evidence, or reject it; False where no candidate exceeds the thresholds."""
     fit, limits = search.fit, fitter.prepared.criteria.selection
     rejected |= _inseparable(fit, candidates)
@@ -193,9 +193,7 @@ def _add_best(fitter: Fitter, search: SearchResult, candidates: Sequence[Candida
     return True
 
 
-def _accept(
-    fitter: Fitter, search: SearchResult, step: AcceptedModel, candidates: Sequence[CandidateEffect], inflation: float
-) -> None:
+def _accept(fitter: Fitter, search: SearchResult, step: AcceptedModel, candidates: Library, inflation: float) -> None:
     """Add an effect to the model, and free refinements unless an absent effect explains more of the residual."""
     fit = fit_newest(fitter, step.fit)
     search.view = linear_view(fitter, fit, candidates, fixed_refinements(fit.model.active[-1:]))
@@ -225,7 +223,7 @@ def _outweighs_refinements(view: LinearView) -> bool:
     return bool(scores) and scores[0].gain > max(refinement_gain(view), min_gain)
 
 
-def _inseparable(fit: Fit, candidates: Sequence[CandidateEffect]) -> set[str]:
+def _inseparable(fit: Fit, candidates: Library) -> set[str]:
     """Candidates that this recording cannot separate from an effect of the model."""
     return {
         c.name

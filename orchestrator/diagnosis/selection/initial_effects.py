@@ -9,16 +9,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library, standardised
 from orchestrator.diagnosis.selection.forward_search import AcceptedModel
 from orchestrator.diagnosis.selection.refining import refit_newest
 from orchestrator.diagnosis.selection.scoring import log_evidence
 from protocols import ParameterRole, PluginError, Signals, hook_of
 
 
-def include_expected(
-    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Sequence[CandidateEffect]
-) -> list[AcceptedModel]:
+def include_expected(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> list[AcceptedModel]:
     """The ladder with each effect that the fleet's prior includes; the end of the search tests it."""
     given, steps = len(steps), list(steps)
     for candidate in library:
@@ -28,9 +26,8 @@ def include_expected(
         active = candidate.absent().release(*candidate.of_role(ParameterRole.SHAPE))
         for name, x in candidate.centres.items():
             active = active.moved(name, x)
-        fit = setup.fitter.fit(
-            before.model.with_active([*before.model.active, active]), before.linearisation, relinearisations=0
-        )
+        model = before.model.with_active([*before.model.active, active])
+        fit = setup.fitter.fit(model, before.linearisation, relinearisations=0)
         inflation = max(1.0, min(before.chi2_per_dof, fit.chi2_per_dof))
         gain = log_evidence(fit, inflation) - log_evidence(before, inflation)
         named, note = [candidate.name], "the fleet has it nearly always"
@@ -46,9 +43,7 @@ def include_expected(
     return steps
 
 
-def include_measured(
-    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Sequence[CandidateEffect]
-) -> list[AcceptedModel]:
+def include_measured(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> list[AcceptedModel]:
     """The ladder extended by each effect that measures itself from the readings, where the evidence confirms it.
 
     Raises

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import SearchResult
@@ -27,7 +27,7 @@ MAX_CHI2_CHANGE: float = 0.01
 """Relative change of chi2 beyond which effects have to be scored anew."""
 
 
-def joint_fit(fitter: Fitter, search: SearchResult, library: Sequence[CandidateEffect]) -> tuple[JointEntry, ...]:
+def joint_fit(fitter: Fitter, search: SearchResult, library: Library) -> tuple[JointEntry, ...]:
     """All effects at once, linearly around the model, under the priors; ranked by relative size."""
     view = search.view if search.view is not None and _still_holds(search.view, search.fit) else None
     view = view or linear_view(fitter, search.fit, library)

@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library, standardised
 from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian, trial_step
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
@@ -46,14 +46,13 @@ JOINT_TOLERANCE: float = 1e-2
 INDISTINGUISHABLE_SHARE: float = 0.8
 """Fall of chi2 by an alternative, relative to the best one's, from which they are indistinguishable."""
 MAX_EVIDENCE_DEFICIT: float = 0.1
-"""Part of an effect's log evidence that may be missing after one step with another in its place; beyond it the trial
-ends."""
+"""Part of an effect's log evidence missing after one step with another in its place, above which the trial ends."""
 MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
 """Factor of the first form's chi2 that the second may leave after one step; beyond, the trial ends. On switching
 benches it was 1.1 where the second form did better, and 90 where it did not."""
 
 
-def fit_full_model(fitter: Fitter, start: Model, library: Sequence[CandidateEffect]) -> Fit:
+def fit_full_model(fitter: Fitter, start: Model, library: Library) -> Fit:
     """Fit the amplitudes of all effects of the library together, each effect in the better of its forms.
 
     Parameters
@@ -82,7 +81,7 @@ def _record_form(fitter: Fitter, name: str, fit: Fit, trial: Fit, *, taken: bool
     )
 
 
-def with_all_effects(model: Model, library: Sequence[CandidateEffect]) -> Model:
+def with_all_effects(model: Model, library: Library) -> Model:
     """The model with all other effects of the library added at neutral."""
     present = {active.name: active for active in model.active}
     return model.with_active([present.get(c.name, c.absent()) for c in library])
@@ -106,7 +105,7 @@ def _record_shapes(fitter: Fitter, fit: Fit, freer: Fit) -> None:
     fitter.trace.record("free_shape", freed, before=fit, after=freer, measure="objective", score=gain, taken=True)
 
 
-def joint_search(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> tuple[Fit, dict[str, list[str]]]:
+def joint_search(fitter: Fitter, fit: Fit, library: Library) -> tuple[Fit, dict[str, list[str]]]:
     """Search from a joint fit: effects that the data require, and for each the alternatives that fit as well.
 
     Parameters
@@ -144,7 +143,7 @@ def refit_briefly(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit
     return fit_with_frozen_jacobian(fitter, model, rounds=MAX_JOINT_ROUNDS[0], tolerance=JOINT_TOLERANCE, known=known)
 
 
-def forward_step(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> Fit:
+def forward_step(fitter: Fitter, fit: Fit, library: Library) -> Fit:
     """Add the absent effects that are significant to first order beside the present fit.
 
     An effect whose first step went to the wrong side of a bound has stayed at neutral. Effects that gain much less than
@@ -191,8 +190,7 @@ def release_shapes(_: Fitter, fit: Fit) -> Model:
 def release_refinements(fitter: Fitter, fit: Fit, share: float | None = None) -> Model:
     """The model with flexible forms free where their linear gain is sufficient.
 
-    Only parameters that together bring nearly all of a form's gain are freed. Details must also remove a `share` of the
-    excess chi2.
+    Only parameters that bring nearly all of the gain are freed. Details must also remove a `share` of the excess chi2.
     """
     rigid = fixed_refinements(fit.model.active)
     view = fitter.evaluate(fit.model, fit.linearisation, rigid, known=fit).projected()
@@ -285,7 +283,7 @@ def redundant_terms(fit: Fit, *, with_block_scatter: bool = True) -> list[str]:
 
 
 def swap_step(
-    fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect], names: Sequence[str] | None = None
+    fitter: Fitter, fit: Fit, library: Library, names: Sequence[str] | None = None
 ) -> tuple[Fit, dict[str, list[str]]]:
     """Replace each effect by an absent one that fits better; returns also the alternatives that fit as well.
 
@@ -395,7 +393,7 @@ def _candidate(fit: Fit, name: str) -> CandidateEffect:
     return next(a.candidate for a in fit.model.active if a.name == name)
 
 
-def _swap_candidates(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> list[tuple[str, EffectTerm]]:
+def _swap_candidates(fitter: Fitter, fit: Fit, library: Library) -> list[tuple[str, EffectTerm]]:
     """Pairs of an effect and an absent one, at its linear estimate, that makes up for most of the effect's loss."""
     absent = [c for c in library if c.name not in fit.model.names]
     columns = absent_columns(absent)

@@ -12,12 +12,12 @@ from orchestrator.diagnosis.fitting.baseline import (
     on_usual_grid,
     with_finest_map,
 )
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.judgement.contributions import contributions, is_material
 from orchestrator.diagnosis.judgement.intervals import block_scatter_ratio, is_none_significant, possibly_absent
-from orchestrator.diagnosis.judgement.verdict import fitted_verdict, left_fraction
+from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of
 from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH, with_scatter_beside
 from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult, refit_steps
 from orchestrator.diagnosis.selection.interim import InterimRecorder
@@ -39,8 +39,7 @@ from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
 
 LEAST_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
-"""Factor of the final residual fraction that a cause has to explain: below it, an effect may merely compensate for
-another's wrong form."""
+"""Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
 MAX_SHARE_OF_ERROR: float = 10.0
 """Factor of the first model's error that an effect may remove while something unknown remains; one that removes more
 is balanced by another. Correct effects removed up to 1.7, a single confounded one 3.6, balanced ones 28 to 236."""
@@ -61,7 +60,7 @@ def search_jointly(
     setup: DiagnosisSetup,
     steps: Sequence[AcceptedModel],
     quick: SearchResult,
-    library: Sequence[CandidateEffect],
+    library: Library,
     interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, SearchResult] | None:
     """The setup and ladder of a joint search; None where it finds no effect.
@@ -154,7 +153,7 @@ def coarsen_joint_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
 
 
 def with_quantiser_of_fit(
-    setup: DiagnosisSetup, fit: Fit, indistinguishable: dict[str, list[str]], library: Sequence[CandidateEffect]
+    setup: DiagnosisSetup, fit: Fit, indistinguishable: dict[str, list[str]], library: Library
 ) -> tuple[DiagnosisSetup, Fit, dict[str, list[str]]]:
     """Setup, fit and alternatives with the timer estimated from the fit; a large change repeats the search.
 
@@ -177,9 +176,7 @@ def with_quantiser_of_fit(
     return (anew, fit, others) if gain > 0.0 else (setup, before, indistinguishable)
 
 
-def _search_again(
-    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]
-) -> tuple[Fit, dict[str, list[str]]]:
+def _search_again(setup: DiagnosisSetup, fit: Fit, library: Library) -> tuple[Fit, dict[str, list[str]]]:
     """Repeat the joint search after the quantiser has changed."""
     everything = setup.coarse_fitter.relinearise(with_all_effects(fit.model, library))
     return joint_search(setup.coarse_fitter, free_own_shapes(setup.coarse_fitter, everything), library)
@@ -206,7 +203,7 @@ def build_ladder(
     order = sorted(known, key=lambda name: -sizes[name].relative_to_error)
     limits = whole.criteria.selection
     min_share = max(
-        limits.named_share, LEAST_RATIO_OF_CAUSE_TO_RESIDUAL * left_fraction(steps[0].fit.chi2_per_dof, whole)
+        limits.named_share, LEAST_RATIO_OF_CAUSE_TO_RESIDUAL * residual_fraction_of(steps[0].fit.chi2_per_dof, whole)
     )
     # A cause's log evidence must exceed half the excess chi2: less may be another effect's form.
     min_factor = 0.5 * max(whole.chi2 - whole.dof, 0.0)
@@ -251,7 +248,7 @@ def drop_confounded(fitter: Fitter, search: SearchResult) -> tuple[SearchResult,
         return SearchResult(search.baseline_models, search.detected_not_named), list(last.model.names)
     if not search.contributions or fitted_verdict(first, last) == "explained":
         return search, []
-    drift, residual = block_scatter_ratio(search.fit), left_fraction(first.chi2_per_dof, last)
+    drift, residual = block_scatter_ratio(search.fit), residual_fraction_of(first.chi2_per_dof, last)
     causes, absent = (
         [n for n in last.model.names if n not in search.below_materiality],
         possibly_absent(fitter, search.fit),

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.command_traces import command_traces
@@ -20,7 +19,7 @@ MAX_QUANTISER_ROUNDS: int = 4
 """Maximum number of alternating estimates of quantiser and fit."""
 
 
-def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]) -> DiagnosisSetup:
+def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
     """The setup with voltages rounded by the modulator's timer, where the readings show one.
 
     For a PWM frequency with dwells only, the timer's phases are estimated beside a fit, all effects adapting.
@@ -39,7 +38,7 @@ def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Sequence[C
     return replace(setup.with_quantiser(timer), quantisers=quantisers)
 
 
-def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]) -> DiagnosisSetup:
+def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
     """The setup with the timer estimated from the dwells beside a fit; unchanged where there is none."""
     if not setup.quantisers:
         return setup
@@ -51,9 +50,7 @@ def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Sequence[
     return setup.with_quantiser(timer)
 
 
-def refine_quantiser_by_fit(
-    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]
-) -> tuple[DiagnosisSetup, Fit] | None:
+def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -> tuple[DiagnosisSetup, Fit] | None:
     """The setup with the timer estimated from all equations of a part's fit, and the fit with it.
 
     None where there is no timer, no misfit, or no significant gain by another timer.

@@ -33,9 +33,8 @@ def refit_newest(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
 
 def fit_newest(fitter: Fitter, fit: Fit) -> Fit:
     """Fit the newest effect to convergence in its present form."""
-    return fitter.fit(
-        fit.model, fitter.linearise(fit.model, fit.linearisation), steps=4, relinearisations=0, tolerance=1e-3
-    )
+    linearisation = fitter.linearise(fit.model, fit.linearisation)
+    return fitter.fit(fit.model, linearisation, steps=4, relinearisations=0, tolerance=1e-3)
 
 
 def extend_newest(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
@@ -151,9 +150,8 @@ def _extend_form(fitter: Fitter, fit: Fit, index: int, form: EffectTerm, best: F
             break
         form = form.release(*more)
         # A rough fit suffices for the decision; the last fit is taken to convergence.
-        trial = fitter.fit(
-            _with_term(whole, index, form), fit.linearisation, steps=5, relinearisations=0, tolerance=3e-3
-        )
+        model = _with_term(whole, index, form)
+        trial = fitter.fit(model, fit.linearisation, steps=5, relinearisations=0, tolerance=3e-3)
         form, reached = trial.model.active[index], trial.objective
         inflation = max(1.0, min(inflation, trial.chi2_per_dof))
     return trial if trial is not None and trial.objective < best.objective else None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.types import Array
@@ -82,7 +82,7 @@ def fits_as_well(rival: Fit, named: Fit) -> bool:
 def linear_view(
     fitter: Fitter,
     fit: Fit,
-    candidates: Sequence[CandidateEffect],
+    candidates: Library,
     refinement_columns: Sequence[tuple[EffectTerm, str]] = (),
 ) -> LinearView:
     """Linear view of a fit with all absent effects, and with some refinements of those present."""
@@ -125,16 +125,16 @@ def select_columns(normal: Array, right: Array, fitted: int, columns: Sequence[i
 
     Columns are dropped one by one, the smallest loss first; the first `fitted` columns are eliminated.
     """
-    kept = list(columns)
-    min_gain = linear_gain(normal, right, fitted, kept)[0] - spare if kept else 0.0
-    while kept:
-        without = [[k for k in kept if k != gone] for gone in kept]
+    selected = list(columns)
+    min_gain = linear_gain(normal, right, fitted, selected)[0] - spare if selected else 0.0
+    while selected:
+        without = [[k for k in selected if k != gone] for gone in selected]
         gains = [linear_gain(normal, right, fitted, some)[0] if some else 0.0 for some in without]
         best = int(np.argmax(gains))
         if gains[best] < min_gain:
             break
-        kept = without[best]
-    return kept
+        selected = without[best]
+    return selected
 
 
 def select_terms(

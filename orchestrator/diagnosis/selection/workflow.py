@@ -17,7 +17,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     on_usual_grid,
     with_freed_map,
 )
-from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, CandidateEffect, EffectTerm
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import certainty
@@ -70,8 +70,7 @@ where nothing is missing, before a modulator's timer is looked for, before effec
 whole, and when the search is over. Medians of benches of one and two effects."""
 
 MAX_CHI2_RATIO_WITH_QUANTISER = 1.2
-"""Largest ratio of chi2 with a detected timer's rounding to chi2 without; a false detection left a ratio of 3.2 on a
-simulated machine."""
+"""Largest ratio of chi2 with a detected timer's rounding to that without; a false detection had a ratio of 3.2."""
 
 
 def baseline_of(model: ModelChoice) -> Baseline:
@@ -143,7 +142,7 @@ def map_steps(
 
 
 def search_effects(
-    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Sequence[CandidateEffect], interim: InterimRecorder
+    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library, interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, SearchResult]:
     """Detect a modulator's timer where the baseline leaves a misfit, then search effects with its rounding applied."""
     first = steps[-1].fit
@@ -172,7 +171,7 @@ def search_effects(
 
 
 def _search(
-    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Sequence[CandidateEffect], interim: InterimRecorder
+    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library, interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, SearchResult]:
     """Search in a part of the recording, refit its effects to the whole, and search there for small ones.
 
@@ -203,7 +202,7 @@ def _after(
     quick: SearchResult,
     setup: DiagnosisSetup,
     steps: Sequence[AcceptedModel],
-    library: Sequence[CandidateEffect],
+    library: Library,
     interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, SearchResult]:
     """Joint search where the quick search has not explained its part, else its effects refitted to the whole."""
@@ -235,25 +234,20 @@ def fit_to_whole(
     for step in found:
         last = step is found[-1]
         linearisation = setup.fitter.linearise(step.fit.model, steps[-1].fit.linearisation)
-        fit = setup.fitter.fit(
-            step.fit.model, linearisation, steps=4 if last else 2, relinearisations=2 if last else 0, tolerance=3e-4
-        )
+        count, again = (4, 2) if last else (2, 0)
+        fit = setup.fitter.fit(step.fit.model, linearisation, steps=count, relinearisations=again, tolerance=3e-4)
         steps.append(AcceptedModel(step.added, fit, step.log_evidence))
     return steps
 
 
-def with_estimated_scatter(
-    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]
-) -> DiagnosisSetup | None:
+def with_estimated_scatter(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup | None:
     """The setup with estimated segment scatter as noise; None where that does not help."""
     if setup.fitter.noise.of_model.scatters:
         return None
     return with_scatter_as_noise(setup, likelihood_of(setup.coarse_fitter, fit, library))
 
 
-def _quick_search(
-    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Sequence[CandidateEffect]
-) -> SearchResult:
+def _quick_search(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> SearchResult:
     """Search the first few effects in a part of the recording, on a finer map where the data require it.
 
     The largest effect is found before a finer map can adapt to it; small ones may be due to a coarse map.
@@ -274,7 +268,7 @@ def _detailed(setup: DiagnosisSetup, fit: Fit) -> Fit:
 
 
 def _finer(
-    search: SearchResult, fit: Fit, fitter: Fitter, library: Sequence[CandidateEffect], max_effects: int | None = None
+    search: SearchResult, fit: Fit, fitter: Fitter, library: Library, max_effects: int | None = None
 ) -> SearchResult:
     """The search continued on a finer map; unchanged where the map is the same."""
     if fit is search.fit:
@@ -282,9 +276,7 @@ def _finer(
     return _continue_search(_with_last(search, fit), fitter, library, max_effects)
 
 
-def _continue_search(
-    search: SearchResult, fitter: Fitter, library: Sequence[CandidateEffect], max_effects: int | None
-) -> SearchResult:
+def _continue_search(search: SearchResult, fitter: Fitter, library: Library, max_effects: int | None) -> SearchResult:
     """The search continued from its last step."""
     again = forward(fitter, search.steps, library, indistinguishable=search.indistinguishable, max_effects=max_effects)
     again.detected_not_named = [*search.detected_not_named, *again.detected_not_named]

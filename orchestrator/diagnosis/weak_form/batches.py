@@ -1,7 +1,6 @@
 """Batches of segments: signals and windows concatenated, so that one kernel call evaluates all of them.
 
-A batch has about ten thousand samples: few enough for its arrays to stay in a processor's cache, and enough to make a
-call's overhead negligible.
+A batch has about ten thousand samples, which fit into a processor's cache and make a call's overhead negligible.
 """
 
 from __future__ import annotations

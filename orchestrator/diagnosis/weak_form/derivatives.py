@@ -39,13 +39,10 @@ def sum_basis(
         True minus believed angle, by which the flux is rotated into the believed frame [rad]; empty: zero.
     step, bins
         As in `Windows`.
-    numbers, counts
-        `EvenSpline.layout` of the map.
-    pieces : array, shape (6, 6)
-        Polynomial coefficients of the splines in a cell, `tensor_spline.CARDINAL`.
+    numbers, counts, pieces
+        `EvenSpline.layout` of the map, and `tensor_spline.CARDINAL`.
     overlap : float
-        Distance in cells up to which a cell's polynomial is used beyond it; the gradient's error grows as its fourth
-        power, to 9e-5.
+        Distance in cells for which a polynomial is used beyond its cell; the gradient's error is its fourth power.
     """
     n = i_dq.shape[0]
     nq = (counts.shape[0] - 2 + 1) // 2

@@ -82,8 +82,7 @@ def voltage_and_resistance(
 ) -> tuple[Array, Array]:
     """The weak form's part by voltage and rotation of the magnet, and its R_s column, shapes (rows,) and (rows,).
 
-    y = voltage + flux terms + R_s * column + basis @ (change of the coefficients), with `signals.resistance_ohm` in
-    units of R_s.
+    y = voltage + flux terms + R_s column + basis (change of coefficients); `signals.resistance_ohm` is over R_s.
     """
     motor = batch.signals.motor
     v, r = np.empty(batch.layout.rows[-1]), np.empty(batch.layout.rows[-1])

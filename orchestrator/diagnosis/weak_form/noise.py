@@ -296,8 +296,7 @@ def _independent(factor: Array, rows: Array) -> Array:
 def _factored(covariance: Array) -> Array:
     """Cholesky factor of a covariance in lower banded form.
 
-    Correlations beyond the band are neglected. With a steep map during a search the banded matrix may then be
-    indefinite: the off-diagonals are reduced until it is positive definite.
+    Correlations beyond the band are neglected. Where that makes it indefinite, the off-diagonals are reduced.
     """
     from scipy.linalg import cholesky_banded
 

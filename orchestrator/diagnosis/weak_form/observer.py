@@ -51,8 +51,7 @@ def smooth_flux(
     psi_ab, smooth_ab : array
         Flux linkage in the stator frame, magnet included [Wb].
     i_smooth_ab : array
-        i + L^-1 (psi_smooth - psi(i)) [A]; its deviation from i is limited to the segment's largest i, as a trial map
-        may be nearly flat.
+        i + L^-1 (psi_smooth - psi(i)) [A]; differs from i by no more than the largest i, for nearly flat trial maps.
     """
     n = psi_dq.shape[0]
     psi = np.empty((n, 2))

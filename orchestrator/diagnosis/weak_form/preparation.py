@@ -173,8 +173,7 @@ def _thinned(
 
 
 HULL_TOLERANCE = 0.1
-"""Distance beyond the hull, relative to the largest current, that is allowed; and the part of currents allowed beyond
-that."""
+"""Allowed distance beyond the hull over the largest current, and part of the currents that may exceed it."""
 
 
 def lies_among(current: Array, others: Sequence[Array]) -> bool:

@@ -239,10 +239,7 @@ def swept_axis(segment: Segment, i_ab: RealArray) -> Axis:
 
 
 def unread_axis(segment: Segment, i_ab: RealArray, v_ab: RealArray) -> int | None:
-    """The axis (0 for d, 1 for q) whose current and voltage are rounded zeros throughout; else None.
-
-    A sensor has noise: a constant zero was written, not measured.
-    """
+    """The axis (0: d, 1: q) whose current and voltage are zeros throughout, so written instead of measured; or None."""
     size = np.array([np.abs(to_dq(x, segment.rotor_angle_rad)).max(axis=0) for x in (i_ab, v_ab)])
     nothing = np.flatnonzero((size <= _ZERO_TOLERANCE * size.max(axis=1, keepdims=True)).all(axis=0))
     return int(nothing[0]) if len(nothing) == 1 else None

@@ -1,8 +1,7 @@
 """Windows of the weak form: overlapping test functions in time, times Fourier modes of an injection period.
 
 A weight is w_mk = s_j(k) c_h(b(k)): s_j a triangular test function, c_h a mode that depends only on the bin b(k) of
-interval k within the injection period. Samples are summed by (test function, bin) first; the modes are then one small
-matrix product.
+interval k within the injection period. Sums are by (test function, bin); the modes are one small product afterwards.
 """
 
 from __future__ import annotations

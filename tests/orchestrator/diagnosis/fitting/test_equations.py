@@ -153,10 +153,8 @@ def test_what_iron_may_remember_is_expected_as_noise() -> None:
     piece = next(p for p in made.prepared.pieces if p.stage is SegmentStage.CLASSICAL)
     batch = SegmentBatch.of([piece])
     state = made.equations.at(model, made.equations.relinearise(model, batch, None).linearisation)
-    aware, bare = (
-        f.pieces[0].whitener
-        for f in (state.linearisation, made.equations.relinearise(free_model(), batch, None).linearisation)
-    )
+    plain = made.equations.relinearise(free_model(), batch, None)
+    aware, bare = (s.linearisation.pieces[0].whitener for s in (state, plain))
     changes = list(state.cascade.random_directions())
     assert changes
     for change in changes:

@@ -32,9 +32,8 @@ BIAS: dict[str, Any] = {
 @pytest.fixture(scope="module")
 def search() -> SearchResult:
     """The map alone, then with the bias that is really there."""
-    return SearchResult(
-        [AcceptedModel(None, MAKER.fit(free_model())), AcceptedModel("voltage_bias", fitted_bias(MAKER))]
-    )
+    bare = AcceptedModel(None, MAKER.fit(free_model()))
+    return SearchResult([bare, AcceptedModel("voltage_bias", fitted_bias(MAKER))])
 
 
 def said(search: SearchResult, **changes: Any) -> Any:
@@ -47,9 +46,8 @@ def said(search: SearchResult, **changes: Any) -> Any:
 
 
 def test_a_clean_recording_has_nothing_to_say(search: SearchResult) -> None:
-    words = said(
-        SearchResult(search.steps[:1]), verdict="clean", effects=[], ladder=[rung(search.steps[0]).model_dump()]
-    )
+    ladder = [rung(search.steps[0]).model_dump()]
+    words = said(SearchResult(search.steps[:1]), verdict="clean", effects=[], ladder=ladder)
     assert words.where_it_fails == "nowhere beyond the noise"
     assert words.what_it_looks_like == "noise"
     assert words.likely_cause == "none: the model fits within the noise"
