@@ -104,7 +104,8 @@ class InterimRecorder:
         is_joint: bool = False,
     ) -> None:
         """Record the state of the search."""
-        # Copies, as the search continues with the same lists.        snapshot = replace(
+        # Copies, as the search continues with the same lists.
+        snapshot = replace(
             search,
             steps=list(search.steps),
             detected_not_named=list(search.detected_not_named),

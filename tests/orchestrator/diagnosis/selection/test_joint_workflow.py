@@ -78,7 +78,7 @@ def test_what_drifts_by_more_than_is_left_disagrees_on_something_else(
     setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
     search = joint_workflow.build_ladder(setup, [AcceptedModel(None, bare)], whole, {}, [])
     monkeypatch.setattr(joint_workflow, "fitted_verdict", lambda *_: "unknown_remains")
-    monkeypatch.setattr(joint_workflow, "left_fraction", lambda *_: left)
+    monkeypatch.setattr(joint_workflow, "residual_fraction_of", lambda *_: left)
     monkeypatch.setattr(joint_workflow, "block_scatter_ratio", lambda fit: dict.fromkeys(fit.model.names, 0.3))
     after, doubtful = joint_workflow.drop_confounded(setup.fitter, search)
     assert ("voltage_bias" in doubtful) != named
@@ -97,7 +97,7 @@ def test_what_takes_away_many_times_the_whole_error_or_twice_it_beside_another_i
     sizes = {"voltage_bias": taken, "current_gain_mismatch": by_another}
     larger = {name: replace(share, relative_to_error=sizes[name]) for name, share in search.contributions.items()}
     monkeypatch.setattr(joint_workflow, "fitted_verdict", lambda *_: "unknown_remains")
-    monkeypatch.setattr(joint_workflow, "left_fraction", lambda *_: 0.01)
+    monkeypatch.setattr(joint_workflow, "residual_fraction_of", lambda *_: 0.01)
     _, doubtful = joint_workflow.drop_confounded(setup.fitter, replace(search, contributions=larger))
     assert ("voltage_bias" not in doubtful) == named
 
