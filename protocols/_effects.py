@@ -66,7 +66,7 @@ class ParameterRole(StrEnum):
     AMPLITUDE = "amplitude"
     """Alone decides whether the effect is there: nothing happens while all amplitudes are neutral."""
     SHAPE = "shape"
-    """Says how the amplitude acts; has no effect of its own, and is positive (fitted on a log scale)."""
+    """Says how the amplitude acts; has no effect of its own, and is positive (fitted as a logit within its bounds)."""
     REFINEMENT = "refinement"
     """Makes the effect's form more flexible; neutral is the simple form."""
 
@@ -109,7 +109,7 @@ class EffectParameter:
     typical: float
     """The size met in practice; relative sizes refer to it."""
     prior_width: float
-    """Standard deviation of the prior about zero effect; of a shape in its logarithm."""
+    """Standard deviation of the prior about zero effect; for a shape, that of its logit about the typical value."""
     low: float
     high: float
     neutral: float

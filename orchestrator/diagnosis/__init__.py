@@ -1,7 +1,7 @@
 """Where the model fails, which physical effect is missing, and by how much the error falls when it is added.
 
 The method is a weak form of the voltage equation: R_s, a co-energy map and the effects' parameters are fitted to
-windowed integrals of the record, whitened by the sensors' own noise. Effects are handed in; nothing here knows one.
+windowed integrals of the record, whitened by the sensors' own noise. Effects are arguments; none is known by name.
 """
 
 from orchestrator.diagnosis._compare import compare_recording

@@ -1,4 +1,4 @@
-"""Comparison of a model with a recording: where it fails, in numbers. Looks for no cause."""
+"""Comparison of a model with a recording: its error per stage and segment, without a search for causes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from protocols import (
 )
 
 MAX_LISTED_SEGMENTS: int = 8
-"""Segments that a comparison lists."""
+"""Maximum number of segments that a comparison lists."""
 
 
 @solvable
@@ -50,20 +50,19 @@ def compare_recording(
     out: Path | None = None,
     candidates: Sequence[str] = (),
 ) -> CompareReport:
-    """Hold a model against a recording.
+    """Compare a model with a recording.
 
     Parameters
     ----------
     effects : sequence of Effect
         The library, for the effects that the model has.
     model : {"saturated", "linear"}, FluxMap or MotorModel, optional
-        A baseline, of which R_s and what is free in the map are fitted, or a whole model, of which nothing is; by
-        default the model of `model.json`, where there is one, else ``saturated``.
+        A baseline, whose R_s and free map are fitted, or a whole model, which is not fitted; by default the model of
+        `model.json`, where there is one, else ``saturated``.
     out : Path, optional
-        Directory whose `model.json` is taken; the recording's own by default.
+        Directory of `model.json`; the recording's by default.
     candidates : sequence of str
-        Effects of the library that are each added to the model, to see whether they help; a remark says so. Nothing of
-        it is kept.
+        Effects of the library that are tested one at a time; a remark reports whether each helps. No file is changed.
 
     Raises
     ------
@@ -106,7 +105,7 @@ def compare_recording(
 
 
 def _benefit(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Remark:
-    """Whether one more effect helps."""
+    """Remark on whether one more effect helps."""
     after = with_effect(setup.fitter, fit, candidate)
     found = next(e for e in found_effects(setup.fitter, after, {}, {}) if e.name == candidate.name)
     return added_remark(candidate.name, fit, after, found)
@@ -140,10 +139,10 @@ def _rated_flux(setup: DiagnosisSetup, fit: Fit) -> float:
 
 
 def _crossings(fit: Fit, rated_wb: float) -> AxisPercent:
-    """Largest wandering of the flux integrated along a trapezoid from the map's, per cent of the rated flux.
+    """Largest drift of the integrated flux from the map's along a trapezoid, per cent of the rated flux.
 
-    Where paths cross, two integrated fluxes differ by no more than twice this. A constant voltage error, which
-    makes the integral drift, is taken out of each path as an integrator would.
+    Where paths cross, two integrated fluxes differ by at most twice this. A constant voltage error, which makes the
+    integral drift, is removed from each path.
     """
     largest = np.zeros(2)
     seen = False

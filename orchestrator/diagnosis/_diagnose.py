@@ -1,4 +1,4 @@
-"""Diagnosis of a recording: what is missing, and what is left. Puts the parts together."""
+"""Diagnosis of a recording: the search for missing effects, the verdict on the residual, and the report."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import (
     MAP_RUNGS,
-    CandidateEffect,
+    Library,
     observable_effects,
     require_known,
     scaled_library,
@@ -30,13 +30,13 @@ from orchestrator.diagnosis.judgement.contributions import (
 from orchestrator.diagnosis.judgement.judge import judge
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.sufficiency import solvable
-from orchestrator.diagnosis.judgement.verdict import left_fraction, verdict_record
-from orchestrator.diagnosis.nuisances.pwm_quantiser import own_leg_step_of
+from orchestrator.diagnosis.judgement.verdict import residual_fraction_of, verdict_record
+from orchestrator.diagnosis.nuisances.pwm_quantiser import nominal_leg_step_of
 from orchestrator.diagnosis.nuisances.segment_scatter import quantiser_step_s
 from orchestrator.diagnosis.reporting.convention import convention_report
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import (
-    above_residual,
+    credible_effects,
     effect_remarks,
     found_effects,
     map_effects,
@@ -46,7 +46,7 @@ from orchestrator.diagnosis.reporting.findings import (
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.forward_search import SearchResult
 from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
@@ -85,10 +85,10 @@ from protocols import (
 from protocols.fleet_priors import FleetPriors
 
 LEAST_CHI2_OF_RANDOM_NOISE: float = 0.8
-"""chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
+"""chi2 per degree of freedom below which the noise estimated from the readings' scatter is too large."""
 
-Proposer = Callable[[DiagnosisSetup, Fit, Sequence[CandidateEffect], str, str], NextExperiment | None]
-"""Chooses the experiment that separates two effects of the library, by the fit; None where no stage can."""
+Proposer = Callable[[DiagnosisSetup, Fit, Library, str, str], NextExperiment | None]
+"""Proposes an experiment that separates two effects of the library, given the fit; None where no stage can."""
 
 ENDED_EARLY = Remark.of("ended_early", "ended early by the user: the search was not finished")
 REASON_ENDED_EARLY = Reason(quantity=ENDED_EARLY.code, value=None, limit=None, sentence=ENDED_EARLY.text)
@@ -96,27 +96,27 @@ REASON_ENDED_EARLY = Reason(quantity=ENDED_EARLY.code, value=None, limit=None, s
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """A diagnosis with the fits behind it, for pictures and words.
+    """A diagnosis with the fits behind it.
 
     Attributes
     ----------
     report : DiagnosisReport
     setup : DiagnosisSetup or None
-        None where the diagnosis ended with a convention: then nothing was fitted.
-    search : Search
-        Its steps are the rungs of the ladder.
+        None where inconsistent metadata ended the diagnosis before any fit.
+    search : SearchResult
+        Its models are the steps of the ladder.
     library : sequence of CandidateEffect
-        What was looked for.
+        The effects that were searched.
     delivery : Delivery or None
-        The map and R_s that it ends with; None where nothing was fitted.
+        Final map and R_s; None where nothing was fitted.
     estimates : EstimationReport or None
-        The results that these have been put among.
+        The estimators' results, with the delivered map and R_s added.
     """
 
     report: DiagnosisReport
     setup: DiagnosisSetup | None
-    search: Search
-    library: Sequence[CandidateEffect]
+    search: SearchResult
+    library: Library
     delivery: Delivery | None = None
     estimates: EstimationReport | None = None
 
@@ -139,49 +139,48 @@ def diagnose_recording(
     on_interim: Callable[[InterimResult], None] = lambda _: None,
     report_early: bool = False,
 ) -> Diagnosis:
-    """Find the effects that a recording asks for, and judge what is left.
+    """Find the effects that a recording requires, and judge the residual.
 
     Parameters
     ----------
     effects : sequence of Effect
         The library of candidates.
     model : {"saturated", "linear"}, FluxMap or MotorModel
-        Where the ladder starts.
+        Baseline of the ladder.
     without : sequence of str
-        Names taken out of the library.
+        Effects excluded from the library.
     out : Path, optional
-        Where `model.json` goes; the recording's own directory by default.
+        Directory for `model.json`; the recording's by default.
     on_step : callable, optional
-        Called with each rung of the ladder in order, once the search is over.
+        Called with each step of the ladder in order, after the search.
     poll : callable
-        Called several times a second; what it raises ends the diagnosis.
+        Called several times a second; an exception that it raises ends the diagnosis.
     tell : callable
-        Called with what is under way, in a few words.
+        Called with a short description of the current operation.
     criteria : Criteria, optional
-        Thresholds other than the default ones.
+        Thresholds; the defaults where omitted.
     priors : FleetPriors, optional
-        What other motors of its kind let expect. Effects whose size is none of theirs are found without.
+        Priors from other motors of this type. Effects whose size contradicts them are searched without them.
     propose : callable, optional
-        Chooses the next experiment, as `orchestrator.experiment_design.proposal.next_experiment` does. Without it
-        the report proposes none.
+        Chooses the next experiment, as `experiment_design.proposal.next_experiment` does; None for no proposal.
     workers : int
-        Threads that work on it; the result is the same.
+        Number of workers; the result does not depend on it.
     on_interim : callable
-        Called with what the search has found so far, whenever that has changed at the end of one of its steps.
+        Called with the interim result of the search whenever it has changed.
     report_early : bool
-        `KeyboardInterrupt` ends the search alone: the report is made from what was found so far, and says so. Where
-        nothing was found yet, and the second time, it is raised. What else `poll` raises always is.
+        `KeyboardInterrupt` only ends the search: the report covers what was found so far, and says so. It is raised
+        where nothing was found yet, and the second time. Other exceptions of `poll` are always raised.
 
     Raises
     ------
     InputError
-        Where the priors are another motor's, or of something that is no effect's amplitude.
+        If the priors are another motor's, or name something that is no effect's amplitude.
     RecordingError
-        Where a capture cannot be read.
+        If a capture cannot be read.
     NotMeasuredError
-        Where the recording holds too little to be diagnosed.
+        If the recording is too short or incomplete to be diagnosed.
     PluginError
-        Where `without` names an effect that is not in the library.
+        If `without` names an effect that is not in the library.
     """
     with executor_of(workers) as executor:
         request = _Request(
@@ -195,7 +194,7 @@ def diagnose_recording(
 def _diagnose_in_fleet(
     recording: Recording, request: _Request, on_step: Callable[[DiagnosisStep], None] | None, priors: FleetPriors
 ) -> Diagnosis:
-    """The diagnosis by what other motors of its kind let expect, and once more without what is none of theirs."""
+    """The diagnosis with the fleet's priors, repeated without those that this motor contradicts."""
     require_same_motor(priors, recording.manifest)
     found = _diagnose(recording, request, None, priors)
     if found.setup is None:
@@ -229,11 +228,11 @@ class _Request:
 
 
 @dataclass(frozen=True)
-class _SearchResult:
-    """What a search came to, and the effects that its end has set aside."""
+class _FinishedSearch:
+    """A finished search, and the effects rejected at its end as doubtful or redundant."""
 
     setup: DiagnosisSetup
-    search: Search
+    search: SearchResult
     doubtful: Sequence[str]
     removed: Sequence[str] = ()
     is_early: bool = False
@@ -253,7 +252,7 @@ def _diagnose(
     if checked.convention is not None:
         seconds = time.monotonic() - began
         report = convention_report(recording.manifest.name, checked.convention, criteria or Criteria(), seconds)
-        return Diagnosis(report, None, Search([]), ())
+        return Diagnosis(report, None, SearchResult([]), ())
     setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), fleet=priors, tell=tell)
     setup = replace(setup, remarks=(*checked.remarks, *setup.remarks)).with_executor(request.executor)
     every = scaled_library(request.effects, setup.prepared.manifest, without)
@@ -271,14 +270,14 @@ def _diagnose(
             raise
         tell("ended early: what was found so far is fitted to the whole recording")
         search, doubtful = unfinished_search(interim.checkpoint)
-        found = _SearchResult(interim.checkpoint.setup, search, doubtful, is_early=True)
+        found = _FinishedSearch(interim.checkpoint.setup, search, doubtful, is_early=True)
     found.setup.fitter.begin("how sure is what was found?", EVALUATIONS_LEFT_FROM_REPORT)
     try:
         return _report(recording, request, on_step, found, model, library, began)
     except KeyboardInterrupt:
         if not request.report_early or found.is_early:
             raise
-        # The search is over: whoever stops it now gets its report.
+        # The search is over: an interrupt from here on still yields its report.
         return _report(recording, request, on_step, found, model, library, began)
 
 
@@ -286,11 +285,11 @@ def _search(
     setup: DiagnosisSetup,
     request: _Request,
     model: ModelChoice,
-    every: Sequence[CandidateEffect],
-    library: Sequence[CandidateEffect],
+    every: Library,
+    library: Library,
     interim: InterimRecorder,
-) -> _SearchResult:
-    """Everything that the data ask for, looked for to the end."""
+) -> _FinishedSearch:
+    """Search to the end, including pruning."""
 
     steps = map_steps(setup, model, {c.name: c for c in every}, request.without)
     setup.fitter.budget.calibrate()
@@ -298,23 +297,23 @@ def _search(
     setup, search = search_effects(setup, include_expected(setup, steps, library), library, interim)
     if search.contributions:
         search, doubtful = drop_confounded(setup.fitter, search)
-        return _SearchResult(setup, search, doubtful)
-    first = search.bare_steps
+        return _FinishedSearch(setup, search, doubtful)
+    first = search.baseline_models
     search, removed = prune(setup, coarsen_map(setup, converged(setup, search)))
     interim.record(setup, first, search, is_part=False)
-    return _SearchResult(setup, search, [], removed)
+    return _FinishedSearch(setup, search, [], removed)
 
 
 def _report(
     recording: Recording,
     request: _Request,
     on_step: Callable[[DiagnosisStep], None] | None,
-    result: _SearchResult,
+    result: _FinishedSearch,
     model: ModelChoice,
-    library: Sequence[CandidateEffect],
+    library: Library,
     began: float,
 ) -> Diagnosis:
-    """The report of what a search came to, its model written to `model.json`."""
+    """The report of a finished search; its model is written to `model.json`."""
     setup, search, doubtful, removed = result.setup, result.search, result.doubtful, result.removed
     first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
@@ -325,7 +324,7 @@ def _report(
     found = of_map + tuple(e for e in active if e.name not in search.below_materiality)
     periodic = sum(not line.switching for line in setup.fitter.noise.lines)
     error = current_error(last)
-    # As whoever reads the model back will find it, not as the search left it.
+    # The model is reported as read back from the file, not as the search left it.
     held = setup.fitter.hold(last.model)
     uncertainty = MapUncertainty.of(setup.fitter, last, library)
     map_error = uncertainty.band_wb(mean_currents(last)) / rated_flux_wb(setup)
@@ -340,10 +339,10 @@ def _report(
     )
     judgement = judge(record)
     verdict = judgement.verdict
-    left = unexplained(setup, first.chi2_per_dof, last)
-    if periodic and not left.shape:
-        left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
-    rest = left_fraction(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
+    residual = unexplained(setup, first.chi2_per_dof, last)
+    if periodic and not residual.shape:
+        residual = Unexplained(fraction=residual.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
+    rest = residual_fraction_of(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
     joint = joint_fit(setup.fitter, search, library)
     ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
     if on_step is not None:
@@ -355,17 +354,17 @@ def _report(
         reasons=(*([REASON_ENDED_EARLY] if result.is_early else []), *judgement.reasons),
         verdict_record=record,
         effects=found,
-        minor=above_residual((e for e in active if e.name in search.below_materiality), rest, MAX_SHARE_OF_ERROR),
+        minor=credible_effects((e for e in active if e.name in search.below_materiality), rest, MAX_SHARE_OF_ERROR),
         traces=tuple(dict.fromkeys([*search.below_materiality, *doubtful, *removed, *search.detected_not_named])),
         joint=joint,
         ladder=ladder,
-        unexplained=left,
+        unexplained=residual,
         next_experiment=_proposal(
             request.propose, setup, last, library, found, verdict, [*doubtful, *search.detected_not_named]
         ),
         remarks=(
             *([ENDED_EARLY] if result.is_early else []),
-            *_remarks(setup, search, verdict, left, doubtful),
+            *_remarks(setup, search, verdict, residual, doubtful),
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
             *other_opinion(joint, active),
@@ -394,7 +393,7 @@ def _report(
 
 
 def _fleet_remarks(priors: FleetPriors, unlike: frozenset[str], report: DiagnosisReport) -> list[Remark]:
-    """That a fleet was believed, and where this motor is none of it."""
+    """Remarks on the use of fleet priors, and on effects that contradict them."""
     text = "with what {count} recordings of a fleet let expect ({table})"
     remarks = [Remark.of("fleet", text, count=priors.recordings, table=priors.table)]
     for name in sorted(unlike):
@@ -409,7 +408,7 @@ def _fleet_remarks(priors: FleetPriors, unlike: frozenset[str], report: Diagnosi
 
 
 def _remarks(
-    setup: DiagnosisSetup, search: Search, verdict: Verdict, left: Unexplained, doubtful: Sequence[str]
+    setup: DiagnosisSetup, search: SearchResult, verdict: Verdict, residual: Unexplained, doubtful: Sequence[str]
 ) -> list[Remark]:
     """Remarks beside the findings."""
     limits, chi2 = search.fit.criteria.verdict, search.fit.chi2_per_dof
@@ -423,7 +422,7 @@ def _remarks(
         text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: taken out"
         sizes = {
             "step_ns": 1e9 * timer.step_s,
-            "leg_mv": 0.5e3 * own_leg_step_of(timer.step_s, setup.prepared.manifest.drive),
+            "leg_mv": 0.5e3 * nominal_leg_step_of(timer.step_s, setup.prepared.manifest.drive),
         }
         remarks.append(Remark.of("timer", text, **sizes))
     if scatter.voltage_scatter_v > 0.0 and timer is not None:
@@ -437,13 +436,14 @@ def _remarks(
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
-    if verdict in ("explained", "mostly_explained") and chi2 - 1.0 > limits.noise_accuracy_excess_chi2 and left.shape:
+    is_beyond_noise = chi2 - 1.0 > limits.noise_accuracy_excess_chi2
+    if verdict in ("explained", "mostly_explained") and is_beyond_noise and residual.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
-        remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=left.shape[0].group))
+        remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=residual.shape[0].group))
     if verdict == "clean" and chi2 > limits.noise_chi2:
         text = "chi2 {chi2:.3g} is more than noise, but immaterial: {left_percent:.2g} % of the voltage"
         remarks.append(Remark.of("immaterial", text, chi2=chi2, left_percent=100.0 * left_of_excitation(search.fit)))
-    # What fits all together takes what it takes.
+    # A joint fit has no limit on its number of effects.
     if setup.fitter.budget.is_spent and not search.contributions:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
     if (at_rest := unexplained_at_rest_v(search.fit)) > 0.0:
@@ -456,7 +456,7 @@ def _remarks(
 
 
 def _show(
-    setup: DiagnosisSetup, search: Search, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]
+    setup: DiagnosisSetup, search: SearchResult, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]
 ) -> None:
     from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 
@@ -468,7 +468,7 @@ def _proposal(
     propose: Proposer | None,
     setup: DiagnosisSetup,
     fit: Fit,
-    library: Sequence[CandidateEffect],
+    library: Library,
     found: Sequence[FoundEffect],
     verdict: Verdict,
     suspects: Sequence[str],

@@ -1,4 +1,4 @@
-"""The door of a diagnosis: the recording read, held to be a motor's and enough to tell something, its noise found."""
+"""Preparation of a diagnosis: the recording is read and checked, and its noise estimated."""
 
 from __future__ import annotations
 
@@ -27,10 +27,9 @@ from protocols import RecordingReader, Remark, Saturated, Signals
 from protocols.fleet_priors import FleetPriors
 
 MAX_RATED_CURRENT_FACTOR: float = 2.0
-"""Factor of the largest current used up to which the rated current counts: the map is smooth on that current's
-scale."""
+"""Factor of the largest current used that limits the rated current as the scale of the map's smoothness."""
 LEAST_RIPPLE_NOISE_RATIO: float = 1.1
-"""Ratio of the readings' scatter under injection to that at rest from which a note says so."""
+"""Ratio of the readings' scatter under injection to that at rest from which a remark is made."""
 
 
 def open_for_diagnosis(
@@ -42,21 +41,21 @@ def open_for_diagnosis(
     fleet: FleetPriors | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisSetup:
-    """Read a recording and find its noise; what `poll` raises ends any fit of it.
+    """Read a recording and estimate its noise; an exception from `poll` ends any fit of it.
 
     Parameters
     ----------
     pm_flux_wb : float, optional
-        Of the model that the recording is held against; the nameplate's by default.
+        Magnet flux of the model compared with the recording; the nameplate's by default.
     fleet : FleetPriors, optional
-        What other motors of its kind let expect of R_s and of the inductances at rest.
+        Priors from other motors of this type on R_s and on the inductances at zero current.
 
     Raises
     ------
     RecordingError
-        Where the manifest or a capture is not what it should be.
+        If the manifest or a capture is invalid.
     NotMeasuredError
-        Where currents and voltages cannot be a motor's, or are too little to tell anything from.
+        If currents and voltages cannot be a motor's, or are too few to be diagnosed.
     """
     criteria = criteria or Criteria()
     watched = SoundRecording(recording)
@@ -80,10 +79,9 @@ def open_for_diagnosis(
 def open_for_refit(
     recording: RecordingReader, model: object, tell: Callable[[str], None] = lambda _: None
 ) -> DiagnosisSetup:
-    """The setup to hold a model against a recording, with what is noise to a whole model.
+    """The setup for fitting a model to a recording, with the model-error noise of a whole model.
 
-    A convention that the recording breaks is its first remark: what is fitted then means little. R and L that are not
-    the nameplate's are the next.
+    Its first remarks are inconsistent metadata, which make any fit doubtful, then R and L unlike the nameplate's.
     """
     tell("does the recording keep its manifest's conventions?")
     checked = check_recording(recording)
@@ -101,11 +99,11 @@ def setup_of(
     poll: Callable[[], None] = lambda: None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisSetup:
-    """What a diagnosis of prepared signals with a known noise starts from."""
+    """The setup of a diagnosis of prepared signals with a known noise."""
     motor, criteria = prepared.manifest.motor, prepared.criteria
     low, high, q = prepared.current_range
     reach = max(-low, high, q)
-    # The map is smooth on the scale of this current; where little of the plane was seen, that is not the rated one.
+    # Current scale of the map's smoothness: the rated one is too large where little of the plane was measured.
     current = min(motor.rated_current_a or reach, MAX_RATED_CURRENT_FACTOR * reach)
     l_d = motor.d_inductance_h or _rough_inductance(prepared)
     l_q = motor.q_inductance_h or l_d
@@ -120,7 +118,7 @@ def setup_of(
 
 
 def _noise_remarks(noise: SensorNoise) -> list[Remark]:
-    """What is unusual about the current readings' noise; all of it is allowed for."""
+    """Remarks on unusual noise of the current readings, all of which the noise model includes."""
     remarks = []
     if noise.correlation != 0.0:
         text = "the current readings' noise is correlated, {correlation:.2f} from one to the next"
@@ -138,7 +136,7 @@ def _noise_remarks(noise: SensorNoise) -> list[Remark]:
 
 
 def _gain_remarks(signals: Sequence[Signals]) -> list[Remark]:
-    """What three currents say of their sensors by not adding up to zero, where that is certain."""
+    """Remarks on unequal sensor gains, where the sum of three phase currents shows them significantly."""
     gains = gains_of(signals)
     if gains is None or all(gains.differ(pair) is None for pair in ((1, -1, 0), (0, 1, -1), (1, 0, -1))):
         return []
@@ -151,7 +149,7 @@ def _gain_remarks(signals: Sequence[Signals]) -> list[Remark]:
 
 
 def _rough_inductance(prepared: PreparedRecording) -> float:
-    """Flux swing over current swing of the best excited segment, by plain integration."""
+    """Flux swing over current swing of the most strongly excited segment, by plain integration [H]."""
     best, ratio = 0.0, 0.01
     for piece in prepared.pieces:
         s = piece.signals
@@ -165,12 +163,12 @@ def _rough_inductance(prepared: PreparedRecording) -> float:
 
 
 LEAST_RESISTIVE_RIPPLE: float = 0.02
-"""R_s over the inductance, times the carrier's period, from which R_s is included in the ripple within a period: its
-square over 24, 2e-5 of the voltage, is what the best recordings show."""
+"""R_s over the inductance, times the carrier's period, from which R_s is included in the ripple within a period: the
+ripple's effect is its square over 24, and 2e-5 of the voltage is the smallest that recordings resolve."""
 
 
 def with_carrier_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
-    """The setup as a bridge that switches has it, where that matters, unless the bare map says otherwise."""
+    """The setup with switching ripple, where it matters and does not worsen the fit of the map alone."""
     if not _matters(setup):
         return setup
     rippling = setup.with_ripple(ripples=True)
@@ -185,7 +183,7 @@ def _matters(setup: DiagnosisSetup) -> bool:
 
 
 def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:
-    return setup.coarse_fitter.fit(model, renewals=1)
+    return setup.coarse_fitter.fit(model, relinearisations=1)
 
 
 def _does_better(one: Fit, other: Fit) -> bool:

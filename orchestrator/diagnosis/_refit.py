@@ -1,4 +1,4 @@
-"""A kept model refitted with one more effect, or with one less; the ladder goes on from where it was."""
+"""A saved model refitted with one more effect or one less; its ladder is continued."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from orchestrator.diagnosis.reporting.findings import found_effects, map_effects
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
-from orchestrator.diagnosis.selection.forward_search import Step, with_effect
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.sentences import listed
@@ -56,23 +56,23 @@ def add_effects(
     out: Path | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
-    """Refit with these effects beside those that the model has already; the ladder grows.
+    """Refit with these effects beside those that the model has already, and extend the ladder.
 
     Parameters
     ----------
     model : optional
-        Where the ladder starts; by default the model of `model.json` as it stands, else ``saturated``.
+        Start of the ladder; by default the model of `model.json`, else ``saturated``.
     tell : callable
         Called with what is under way, in a few words.
 
     Raises
     ------
     PluginError
-        Where a name is not in the library.
+        If a name is not in the library.
     """
     require_known([n for n in names if n not in MAP_RUNGS], effects)
-    kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
-    return _added(recording, names, effects, kept, model or "saturated", out, tell)
+    saved = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
+    return _added(recording, names, effects, saved, model or "saturated", out, tell)
 
 
 @solvable
@@ -80,20 +80,20 @@ def _added(
     recording: Recording,
     names: Sequence[str],
     effects: Sequence[Effect],
-    kept: MotorModel | None,
+    saved: MotorModel | None,
     model: ModelChoice,
     out: Path | None,
     tell: Callable[[str], None],
 ) -> AddReport:
-    setup = open_for_refit(recording, kept or model, tell)
+    setup = open_for_refit(recording, saved or model, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
-    baseline = kept.baseline if kept is not None else baseline_of(model)
+    baseline = saved.baseline if saved is not None else baseline_of(model)
     tell("the model without them")
-    if kept is None:
+    if saved is None:
         steps = first_steps(setup, model, library)
     else:
-        fit = setup.fitter.fit(restored(setup, kept, baseline, library))
-        steps = [Step(kept.ladder[-1].added, fit)]
+        fit = setup.fitter.fit(restored(setup, saved, baseline, library))
+        steps = [AcceptedModel(saved.ladder[-1].added, fit)]
     remarks = list(setup.remarks)
     for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAP_RUNGS):
         fit = steps[-1].fit
@@ -101,19 +101,19 @@ def _added(
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
             tell(f"the model with {plain(name)}")
-            steps.append(Step(name, setup.fitter.fit(_with_effect(setup.fitter, fit, library[name]).model)))
+            steps.append(AcceptedModel(name, setup.fitter.fit(_with_effect(setup.fitter, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
             tell(f"the model with {plain(name)}")
-            steps.append(Step(name, with_map_step(setup, fit, baseline)))
+            steps.append(AcceptedModel(name, with_map_step(setup, fit, baseline)))
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
         tell("is a finer map worth its freedom?")
         steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
-    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup, steps))
-    report = _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+    ladder = (*(saved.ladder[:-1] if saved is not None else ()), *kept_rungs(setup, steps))
+    report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
     benefits = [
         added_remark(after.added, before.fit, after.fit, found.get(after.added))
@@ -124,10 +124,10 @@ def _added(
 
 
 def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
-    """The model with one more effect.
+    """The model refitted with one more effect.
 
-    Shapes that made up for it so far may have run to where no descent leads back: where much is left, it is fitted from
-    the shapes that are usual as well, and the better fit stays.
+    Shapes that compensated for it may have moved far away: where a large misfit remains, the usual shapes are tried as
+    initial values too, and the better fit is returned.
     """
     grown = with_effect(fitter, fit, candidate)
     if grown.chi2_per_dof < fit.criteria.selection.detected_chi2:
@@ -136,18 +136,18 @@ def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
     again = with_effect(fitter, still, candidate)
     shapes = {a.name: [n for n in a.free if n in a.candidate.of_role(ParameterRole.SHAPE)] for a in fit.model.active}
     free = [a.release(*shapes.get(a.name, ())) for a in again.model.active]
-    again = fitter.fit(again.model.with_active(free), again.frame)
+    again = fitter.fit(again.model.with_active(free), again.linearisation)
     return min(grown, again, key=lambda f: f.chi2)
 
 
 def _refine_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
-    """The model on a map as fine as the data ask for now: beside what was missing, detail was not worth its freedom."""
+    """Refit on the finest map that the evidence now requires; a missing effect may have hidden its gain."""
     detailed = with_finest_map(setup, setup.fitter, fit)
-    return fit if detailed is fit else setup.fitter.fit(detailed.model, detailed.frame)
+    return fit if detailed is fit else setup.fitter.fit(detailed.model, detailed.linearisation)
 
 
 def _in_usual_shape(active: EffectTerm) -> EffectTerm:
-    """As large as it is, in its candidate's shape and simple form, its amplitudes free."""
+    """The effect with its amplitudes, its candidate's typical shape and simple form; only amplitudes are free."""
     usual = active.candidate.absent()
     amplitudes = {name: active.values[name] for name in active.candidate.amplitudes}
     return replace(usual, values={**usual.values, **amplitudes})
@@ -161,7 +161,7 @@ def remove_effect(
     out: Path | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
-    """Refit without one of the effects that `model.json` has; what was added before it stays as it was.
+    """Refit without one of the effects of `model.json`; earlier steps of the ladder are unchanged.
 
     Parameters
     ----------
@@ -171,14 +171,14 @@ def remove_effect(
     Raises
     ------
     PluginError
-        Where the model has no such effect.
+        If the model has no such effect.
     """
     directory = out or recording.path
-    kept = read_model(directory) if has_model(directory) else None
-    have = [] if kept is None else [*_causes(kept), *_without_rung(kept)]
-    if kept is None or name not in have:
+    saved = read_model(directory) if has_model(directory) else None
+    have = [] if saved is None else [*_causes(saved), *_without_rung(saved)]
+    if saved is None or name not in have:
         raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
-    return _removed(recording, name, effects, kept, out, tell)
+    return _removed(recording, name, effects, saved, out, tell)
 
 
 @solvable
@@ -186,49 +186,49 @@ def _removed(
     recording: Recording,
     name: str,
     effects: Sequence[Effect],
-    kept: MotorModel,
+    saved: MotorModel,
     out: Path | None,
     tell: Callable[[str], None],
 ) -> AddReport:
-    setup = open_for_refit(recording, kept, tell)
+    setup = open_for_refit(recording, saved, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
-    before = setup.fitter.hold(restored(setup, kept, kept.baseline, library))
-    left, beside = ([n for n in names if n != name] for names in (_causes(kept), _without_rung(kept)))
-    # What is no cause has no rung of its own: the last one has them all.
-    at = next((k for k, r in enumerate(kept.ladder) if r.added == name), len(left) + 1)
+    before = setup.fitter.hold(restored(setup, saved, saved.baseline, library))
+    causes, without_rung = ([n for n in names if n != name] for names in (_causes(saved), _without_rung(saved)))
+    # Effects that are no causes have no step of their own: they are in the last one.
+    at = next((k for k, r in enumerate(saved.ladder) if r.added == name), len(causes) + 1)
     steps = []
-    # From the rung below on, all is fitted anew: what was added later may take over what was taken out.
-    for count in range(at - 1, len(left) + 1):
-        names = [*left[:count], *(beside if count == len(left) else ())]
+    # All later steps are refitted: their effects may take over the one that is removed.
+    for count in range(at - 1, len(causes) + 1):
+        names = [*causes[:count], *(without_rung if count == len(causes) else ())]
         tell(f"the model with {listed([plain(n) for n in names])}" if names else "the model alone")
-        baseline, model = _as_of(setup, reduced(kept, [name]), names, library)
+        baseline, model = _as_of(setup, reduced(saved, [name]), names, library)
         if not names and isinstance(baseline, Saturated):
             steps += first_steps(setup, "saturated", library)
         else:
-            steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
-    ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
+            steps.append(AcceptedModel(causes[count - 1] if count else None, setup.fitter.fit(model)))
+    ladder = (*saved.ladder[: at - 1], *kept_rungs(setup, steps))
     remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks)
-    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+    return _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out)
 
 
-def _causes(kept: MotorModel) -> list[str]:
-    """Names of the ladder's rungs, in their order."""
-    return [rung.added for rung in kept.ladder if rung.added is not None]
+def _causes(saved: MotorModel) -> list[str]:
+    """Effects with a step of their own in the ladder, in its order."""
+    return [rung.added for rung in saved.ladder if rung.added is not None]
 
 
-def _without_rung(kept: MotorModel) -> list[str]:
-    """Effects that are in the model without a rung of their own."""
-    return [effect.name for effect in kept.effects if effect.name not in _causes(kept)]
+def _without_rung(saved: MotorModel) -> list[str]:
+    """Effects of the model without a step of their own."""
+    return [effect.name for effect in saved.effects if effect.name not in _causes(saved)]
 
 
 def _as_of(
-    setup: DiagnosisSetup, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, CandidateEffect]
+    setup: DiagnosisSetup, saved: MotorModel, names: Sequence[str | None], library: Mapping[str, CandidateEffect]
 ) -> tuple[Baseline, Model]:
-    """The model with no more than these rungs, as free as its map was then."""
-    baseline = kept.baseline
+    """The baseline and model with only these steps of the ladder, and the map as free as it was then."""
+    baseline = saved.baseline
     if isinstance(baseline, Nameplate):
         baseline = Nameplate(freed=tuple(n for n in baseline.freed if n in names))
-    model = restored(setup, kept, baseline, library)
+    model = restored(setup, saved, baseline, library)
     if isinstance(baseline, Nameplate):
         model = with_freed_map(setup, model, baseline)
     return baseline, model.with_active([a for a in model.active if a.name in names])
@@ -244,16 +244,16 @@ def _keep_refit(
     remarks: Sequence[Remark],
     out: Path | None,
 ) -> AddReport:
-    """The model written to `model.json`, and what there is to say of it; raises `StorageError`."""
+    """Write the model to `model.json` and report on it; raises `StorageError`."""
     setup.fitter.tell("how sure is what was fitted?")
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
     found = found_effects(setup.fitter, fit, evidence, twins)
-    kept = kept_model(setup, fit, baseline, found, ladder)
-    write_model(out or recording.path, kept)
+    saved = kept_model(setup, fit, baseline, found, ladder)
+    write_model(out or recording.path, saved)
     uncertainty = MapUncertainty.of(setup.fitter, fit)
     band_percent = 100.0 * uncertainty.band_wb(mean_currents(fit)) / rated_flux_wb(setup)
-    deliver(delivery_of(uncertainty, fit, kept, None, band_percent), recording, out)
+    deliver(delivery_of(uncertainty, fit, saved, None, band_percent), recording, out)
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(
         effects=map_effects(fit, dict.fromkeys(freed, 0.0)) + found,

@@ -1,4 +1,4 @@
-"""Record of what a search tries, for the report. Decides nothing, and costs a few numbers for each move."""
+"""Record of a search's moves, for the report."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class SearchRecorder:
     Attributes
     ----------
     budget : Budget
-        Of all fits of the diagnosis.
+        Computation budget of all fits of the diagnosis.
     samples : int
-        Of the whole recording; the unit of `SearchEvent.evaluations`.
+        Samples of the whole recording; the unit of `SearchEvent.evaluations`.
     is_part : bool
-        Whether fits are to a part of the recording.
+        Whether a part of the recording is fitted.
     events : list of SearchEvent
-        Shared by the recorders of the whole and of its part.
+        The moves, shared by the recorders of the whole and of its part.
     """
 
     budget: Budget = field(default_factory=Budget)
@@ -37,7 +37,7 @@ class SearchRecorder:
     begun_s: float = field(default_factory=time.monotonic)
 
     def of_part(self) -> SearchRecorder:
-        """A recorder for fits to a part of the recording, which writes into the same events."""
+        """A recorder for fits to a part of the recording, with the same list of events."""
         return replace(self, is_part=True)
 
     def record(
@@ -53,7 +53,7 @@ class SearchRecorder:
         taken: bool | None = None,
         note: str = "",
     ) -> None:
-        """Record one move; `taken` is None where nothing was decided yet."""
+        """Record one move; `taken` is None for a move without a decision."""
         decision: SearchDecision = "tried" if taken is None else "taken" if taken else "refused"
         event = SearchEvent(
             step=len(self.events) + 1,

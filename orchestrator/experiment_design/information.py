@@ -137,8 +137,10 @@ def information(
     for candidate in library:
         effects[candidate.name] = columns = EffectColumns.of(candidate, end, ALTERNATIVE_SHAPES)
         end += len(columns.all)
-    frame = fitter.frame(model)
-    normals = {k: one for batch in frame.batches for k, one in batch_information(rehearsal, effects.values(), batch)}
+    linearisation = fitter.linearise(model)
+    normals = {
+        k: one for batch in linearisation.batches for k, one in batch_information(rehearsal, effects.values(), batch)
+    }
     pieces = [rehearsal.weights[at] * normals[k] for k, at in enumerate(use)]
     prior = np.eye(pieces[0].shape[0])
     prior[0, 0] = 0.0
@@ -147,18 +149,18 @@ def information(
 
 
 def batch_information(
-    rehearsal: Rehearsal, effects: Collection[EffectColumns], frame: BatchLinearisation
+    rehearsal: Rehearsal, effects: Collection[EffectColumns], linearisation: BatchLinearisation
 ) -> Iterator[tuple[int, Array]]:
     """Normal matrix of each segment of a batch, with its index among the rehearsed ones."""
     model, equations = rehearsal.model, rehearsal.setup.fitter.equations
     amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.there.candidate.amplitudes]
-    whole = equations.rows(equations.at(model, frame), amplitudes)
+    whole = equations.rows(equations.at(model, linearisation), amplitudes)
     forms = {}
     for e in effects:
         if e.forms_named:
-            there = equations.at(model.with_active([e.there]), frame)
+            there = equations.at(model.with_active([e.there]), linearisation)
             forms[e.there.name] = equations.rows(there, [(e.there, n) for n in e.forms_named])
-    for j, (place, kept) in enumerate(zip(frame.batch.places, frame.pieces, strict=True)):
+    for j, (place, kept) in enumerate(zip(linearisation.batch.places, linearisation.pieces, strict=True)):
         white = whole[j].white[:, 1:]
         columns, start = [white[:, :1], kept.white_basis], 1
         for e in effects:

@@ -146,7 +146,7 @@ def rehearse(
     setup = setup_of(prepared, SensorNoise(covariance, covariance, 0.0))
     model = baseline_model(setup, Saturated())
     if machine.magnetics is not None:
-        model = setup.fitter.fit(model, renewals=1).model
+        model = setup.fitter.fit(model, relinearisations=1).model
     index = {point.id: point.stage_index for point in plan.points}
     stages = tuple(index[piece.segment.id] for piece in setup.prepared.pieces)
     return Rehearsal(plan, setup, replace(model, r_s=machine.r_s), _weights(plan, setup, stages), stages, noise_a)

@@ -125,8 +125,8 @@ def _normal(
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
     for batch in in_batches(pieces)[1]:
-        state = equations.renewed(model, batch, None)
-        for rows_of, kept in zip(equations.rows(state, wanted, responding), state.frame.pieces, strict=True):
+        state = equations.relinearise(model, batch, None)
+        for rows_of, kept in zip(equations.rows(state, wanted, responding), state.linearisation.pieces, strict=True):
             rows = np.column_stack([rows_of.white[:, 1], kept.white_basis, rows_of.white[:, 2:]])
             total += rows.T @ rows
     if with_prior:

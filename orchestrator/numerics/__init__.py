@@ -1,1 +1,1 @@
-"""Mathematics without motors: frames, splines, surfaces, and least squares with variances estimated from the data."""
+"""General mathematics: frames, splines, surfaces, statistics, and least squares with estimated variances."""

@@ -1,7 +1,7 @@
-"""The lag between the columns of voltage and current, by the equation of a winding.
+"""Lag between the columns of voltage and current, from the equation of a winding.
 
-Where the voltage has edges no value of the motor is needed: whatever the inductance and resistance, the voltage of one
-or two rows causes the current's step from one row to the next. For a sine the resistance has to be known.
+With voltage edges no motor parameter is needed: for any inductance and resistance, the voltage of one or two rows
+causes the current's step from one row to the next. For a sine the resistance has to be known.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ Numbers = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Alignment:
-    """The lag of the voltage's column against the current's."""
+    """Lag of the voltage's column behind the current's."""
 
     lag_rows: float
-    """The n of "v[k] acts from t_k + n Ts"."""
+    """n rows: v[k] acts from t_k + n Ts."""
     explained: float
     """Share of the current's steps that the voltage at this lag explains."""
     by_edges: bool = True
-    """False: by the phase of a sine, which iron loss shifts as well."""
+    """False: from the phase of a sine, which iron loss shifts too."""
 
 
 def alignment_of(
@@ -34,28 +34,28 @@ def alignment_of(
     earliest: int = -3,
     latest: int = 6,
     max_samples: int = 8_000,
-    explained: float = 0.5,
+    min_explained: float = 0.5,
     ohm: float | None = None,
 ) -> Alignment | None:
     """The lag at which the voltage explains the current best; None where it is not identifiable.
 
-    A resistance has the effect of a lag on a sine, so that it has to be given for a voltage without edges.
+    A resistance acts like a lag on a sine, so that it has to be given for a voltage without edges.
 
     ``i[k+1] - i[k] = g ((1-f) v[k-m] + f v[k-m-1]) - r i[k]``, with n = m + f. For each m, g, f and r follow by least
-    squares; the m counts that leaves least and has f in [0, 1].
+    squares, and the best m with f > -0.05 is taken; a slightly negative f, due to noise, counts as 0.
 
     Parameters
     ----------
     i_ab, v_ab : array, shape (n, 2)
         Currents and voltages of a segment with injection.
     earliest, latest : int
-        The m that are tried.
+        Range of m.
     max_samples : int
-        Samples that are used: some hundred periods of an injection.
-    explained : float
-        Share of the current's steps that has to be explained.
+        Maximum number of samples: about a hundred injection periods.
+    min_explained : float
+        Minimum share of the current's steps that the voltage has to explain.
     ohm : float, optional
-        The winding's resistance: r is then g R_s for a sine.
+        Resistance of the winding, for a sine: r is then g R_s.
     """
     i, v = (_centred(x[:max_samples]) for x in (i_ab, v_ab))
     inner = slice(latest + 1, i.size + earliest - 1)
@@ -67,7 +67,7 @@ def alignment_of(
     places = np.arange(inner.start, inner.stop)
     steps = i[places + 1] - i[places]
     power = float(np.vdot(steps, steps).real)
-    best = None
+    best, best_share = None, min_explained
     for late in range(earliest, latest + 1):
         parts = np.stack([v[places - late], v[places - late - 1], i[places]])
         if sine:
@@ -75,26 +75,26 @@ def alignment_of(
         gram, along = (parts @ parts.conj().T).real, (parts @ steps.conj()).real
         gains = np.linalg.lstsq(gram, along, rcond=1e-12)[0]
         share = float(gains @ along) / power if power > 0.0 else 0.0
-        if share > explained and gains[0] > 0.0 and gains[1] > -0.05 * gains[0]:
-            second, explained = max(float(gains[1]), 0.0), share
+        if share > best_share and gains[0] > 0.0 and gains[1] > -0.05 * gains[0]:
+            second, best_share = max(float(gains[1]), 0.0), share
             best = Alignment(late + second / (float(gains[0]) + second), share, not sine)
     return best
 
 
 def _is_smooth(v: NDArray[np.complex128], pure: float = 0.3, even: float = 0.3) -> bool:
-    """Whether the voltage has no edges: a sine, whatever a current controller adds to it.
+    """Whether the voltage is a sine without edges, apart from what a current controller adds.
 
-    Each row of a sine follows from the two before it, v[k+1] + v[k-1] = 2 cos(w) v[k]. This holds for a square wave of
-    many rows too, most of whose steps however are far smaller than the largest, unlike those of a sine.
+    A sine satisfies v[k+1] + v[k-1] = 2 cos(w) v[k]. So does a square wave of many rows, nearly; but most of its steps
+    are far smaller than the largest, unlike those of a sine.
     """
     ahead, sides = v[1:-1], v[2:] + v[:-2]
     power = float(np.vdot(ahead, ahead).real)
     if power == 0.0:
         return False
-    left = sides - float(np.vdot(ahead, sides).real) / power * ahead
+    residual = sides - float(np.vdot(ahead, sides).real) / power * ahead
     steps = np.abs(np.diff(v))
-    alike = float(np.median(steps)) > even * float(np.quantile(steps, 0.99))
-    return alike and float(np.vdot(left, left).real) < pure * power
+    is_even = float(np.median(steps)) > even * float(np.quantile(steps, 0.99))
+    return is_even and float(np.vdot(residual, residual).real) < pure * power
 
 
 def _centred(x: Numbers) -> NDArray[np.complex128]:

@@ -1,9 +1,9 @@
-"""Random-effects model: mean and spread of a population from values with known errors. Knows no physics.
+"""Random-effects model: mean and spread of a population from values with known errors.
 
     y_k = mu + b_k + e_k,      b_k ~ N(0, tau^2),      e_k ~ N(0, s_k^2),      s_k known
 
 mu is integrated out, and tau is weighted by its marginal likelihood under a flat prior (Gelman 2006,
-doi:10.1214/06-BA117A): the most likely tau of few values is often zero, which underestimates the next one's spread.
+doi:10.1214/06-BA117A): the most likely tau of few values is often zero, which underestimates the spread of the next.
 """
 
 from __future__ import annotations

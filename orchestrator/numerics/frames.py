@@ -1,7 +1,6 @@
 """Two-axis vectors in the stator's frame, in the rotor's dq frame, and as the three phases of a star connection.
 
-Vectors are amplitude-invariant: as long as the phases' peak. What kernels need of this, sample by sample, is in
-`orchestrator.numerics.kernels`.
+Vectors are amplitude-invariant: their length is the phases' peak. Versions for kernels are in `numerics.kernels`.
 """
 
 from __future__ import annotations
@@ -48,9 +47,9 @@ def _rotated(x: NDArray[np.floating[Any]], angle: Array) -> Array:
     # A C-contiguous (n, 2) array of doubles is an (n,) array of complex numbers, whose rotation is one product.
     vectors = np.ascontiguousarray(x, dtype=np.float64).view(np.complex128)[:, 0]
     if angle.size > 1 and (angle == angle[0]).all():
-        # A locked rotor stands still, and one angle serves all samples.
+        # A locked rotor has one angle for all samples.
         angle = angle[:1]
-    # Stages turn the vectors of a locked rotor while the drive is armed, when no kernel may be loaded.
+    # Stages rotate vectors while the drive is armed, when no kernel may be loaded.
     turns = unit_vectors(angle).view(np.complex128)[:, 0] if angle.size > 1 else np.exp(1j * angle)
     turned: Array = (vectors * turns).view(np.float64).reshape(-1, 2)
     return turned

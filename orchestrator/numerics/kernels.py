@@ -15,7 +15,7 @@ Samples = NDArray[np.floating[Any]]
 
 
 def for_kernels(*waveforms: Samples) -> tuple[Samples, ...]:
-    """The same arrays C-contiguous, all of float32 or all of float64.
+    """The arrays C-contiguous, all of float32 or all of float64.
 
     A copy in double precision costs as much as half a pass, and kernels are compiled for these two kinds only.
     """
@@ -50,7 +50,7 @@ _MAX_SERIES_ANGLE_RAD = 0.25
 
 @njit(cache=True, nogil=True)
 def unit_vectors(angle_rad: Array) -> Array:
-    """Cosine and sine (n, 2) of angles (n,), by a short series where they hardly vary, as with a yielding brake."""
+    """Cosine and sine (n, 2) of angles (n,), by a short series where they hardly vary, as with a compliant brake."""
     n = angle_rad.shape[0]
     out = np.empty((n, 2))
     first, furthest = angle_rad[0], 0.0
@@ -72,19 +72,19 @@ def unit_vectors(angle_rad: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def delayed_means(x: Array, width: int, late_by: int, part: float) -> Array:
-    """Sums of late rows between the middles of blocks of `width` rows, over `width`; the last is its block's mean.
+    """Means of delayed rows between the middles of successive blocks of `width` rows; the last is its block's mean.
 
     Parameters
     ----------
     x : array, shape (n, m)
     width : int
     late_by, part : int, float
-        Whole and fractional rows by which each is late; the first row stands for those before it.
+        Delay in whole and fractional rows; the first row is repeated for times before it.
 
     Returns
     -------
     array, shape (n // width, m)
-        Of block b and the next: the mean, over the readings of both, of what happened from one to the other.
+        For block b and the next: mean over their pairs of readings of the sum in between, over `width`.
     """
     blocks, columns, last = x.shape[0] // width, x.shape[1], x.shape[0] - 1
     out = np.empty((blocks, columns))

@@ -1,4 +1,4 @@
-"""Statistical process control: capability, and control charts. Knows no physics."""
+"""Statistical process control: capability, and control charts."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class EwmaSettings:
 
 @dataclass(frozen=True)
 class EwmaChart:
-    """An exponentially weighted moving average and its limits, in order of time.
+    """An exponentially weighted moving average and its limits, in temporal order.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class EwmaChart:
 
 
 def ewma(values: Array, target: float, deviation: float, settings: EwmaSettings | None = None) -> EwmaChart:
-    """z_k = w x_k + (1 - w) z_k-1 from the target on, with limits that widen with k.
+    """z_k = w x_k + (1 - w) z_k-1 starting at the target, with limits that widen with k.
 
     Roberts 1959, doi:10.1080/00401706.1959.10489860.
     """
@@ -88,7 +88,7 @@ def ewma(values: Array, target: float, deviation: float, settings: EwmaSettings 
 
 
 def deviation_between_neighbours(values: Array) -> float:
-    """Standard deviation by the median step from one value to the next, which slow drift does not widen."""
+    """Standard deviation from the median step between successive values, which slow drift does not increase."""
     from scipy.stats import norm
 
     steps = np.abs(np.diff(values))

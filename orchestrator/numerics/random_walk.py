@@ -1,8 +1,8 @@
-"""Least squares with a random walk whose size is estimated from the data. Knows no physics.
+"""Least squares with a random walk whose size is estimated from the data.
 
     y = X b + Z d + e,      d ~ N(0, s^2 t),      e ~ N(0, s^2)
 
-Z d are the walk's steps; s is profiled, t is that of the largest restricted likelihood (`reml`).
+Z d are the walk's steps; s is profiled, and t maximises the restricted likelihood (`reml`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Walk:
     seen : array, shape (m,)
         Sum of squares of each column.
     ratio : float
-        t: variance of the steps to that of the data.
+        t, the variance of the steps over that of the data.
     """
 
     steps: Array
@@ -39,7 +39,7 @@ class Walk:
         return float(np.sum(self.ratio * self.seen / (1.0 + self.ratio * self.seen)))
 
     def weighed(self, x: Array, y: Array) -> Array:
-        """x' V^-1 y, V being the covariance of the data in units of s^2."""
+        """x' V^-1 y with V the covariance of the data in units of s^2."""
         share = self.ratio / (1.0 + self.ratio * self.seen)
         out: Array = x.T @ y - ((x.T @ self.steps) * share) @ (self.steps.T @ y)
         return out
@@ -72,12 +72,12 @@ class Walk:
         return np.asarray(out / np.outer(size, size), dtype=np.float64)
 
     def likeliest(self, design: Array, target: Array) -> Walk:
-        """The walk with the ratio of the largest restricted likelihood."""
+        """The walk with the ratio that maximises the restricted likelihood."""
         if not self.seen.size:
             return self
         rows = np.concatenate([design / _sizes(design), self.steps], axis=1)
         likelihood = RestrictedLikelihood(rows, target, design.shape[1], noise_known=False)
-        # From a negligible walk to one that follows each datum.
+        # Range from a negligible walk to one that follows each datum.
         unit = max(float(self.seen.max()), 1e-300)
         return replace(self, ratio=1.0 / likelihood.likeliest((-2.5, 9.5), unit, tolerance=1e-5))
 
@@ -99,7 +99,7 @@ def random_walk(time: Array, gain: Array, counted: Mask, nodes: int = 24) -> Wal
     ----------
     time : array, shape (n,)
     gain : array, shape (n, k)
-        Influence of w = 1 on each of an instant's k data, which are then the rows n * k.
+        Influence of w = 1 on each of an instant's k data; the model has n * k rows.
     counted : array of bool, shape (n,)
     nodes : int
         Nodes of the walk, with equally many data between them, linear in between.

@@ -1,16 +1,16 @@
-"""Least squares with free modes and random modes, whose variance is estimated from the data (REML). Pure algebra.
+"""Least squares with fixed and random effects, the latter with a variance estimated from the data (REML).
 
     y = X b + Z d + e,      d ~ N(0, s^2 t),      e ~ N(0, s^2)
 
-t is that of the largest restricted likelihood, the free modes integrated out (G. Wahba, "Spline Models for
+t maximises the restricted likelihood, with the fixed effects b integrated out (G. Wahba, "Spline Models for
 Observational Data", SIAM 1990, doi:10.1137/1.9781611970128, section 4.8; H. D. Patterson, R. Thompson, "Recovery of
 inter-block information when block sizes are unequal", Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545).
-s is known to be one, or profiled. With M what projects X away, twice the negative logarithm of the likelihood is
+s is one, or profiled. With M the projection orthogonal to X, twice the negative log likelihood is
 
     log |X'X| + sum log(1 + t g) + Q / s^2,      Q = y'M y - sum a^2 / (1/t + g),
 
-g being the eigenvalues of Z'M Z and a the data along its eigenvectors; or (n - p) log Q in place of Q / s^2. Splines
-that are not alike in anything but their free modes may be compared by it.
+with g the eigenvalues of Z'M Z and a the data along its eigenvectors; for a profiled s, (n - p) log Q replaces Q / s^2.
+Values are comparable only between models with equal fixed effects.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Solution:
-    """The solution for all modes.
+    """The solution for all effects.
 
     Attributes
     ----------
     modes : array, shape (k,)
     root : array, shape (k, k)
-        Root of the covariance: its product with its transpose is the covariance.
+        Root R of the covariance R R^T.
     cost : float
-        Minus twice the logarithm of the restricted likelihood, but for constants of the data.
+        Minus twice the log restricted likelihood, up to a constant of the data.
     """
 
     modes: Array
@@ -47,30 +47,30 @@ class RestrictedLikelihood:
     Parameters
     ----------
     rows : array, shape (n, k)
-        Influence of each mode on each datum; the first `free` modes are free.
+        Influence of each effect on each datum; the first `free` are fixed effects.
     target : array, shape (n,)
     free : int
     noise_known : bool
         Whether s is one, for data in units of their standard deviation; else it is profiled.
-    unseen : float
-        Information of a free mode without data, relative to one with data: as little as doubles resolve.
+    ridge : float
+        Relative information added to each fixed effect, for those without data.
     """
 
     def __init__(
-        self, rows: Array, target: Array, free: int, *, noise_known: bool = True, unseen: float = 1e-12
+        self, rows: Array, target: Array, free: int, *, noise_known: bool = True, ridge: float = 1e-12
     ) -> None:
         from scipy.linalg import cho_factor, cho_solve, eigh
 
         normal, right = rows.T @ rows, rows.T @ target
-        # Modes are of very different sizes; only their scaled information can be inverted.
+        # Effects differ greatly in scale; only their scaled information can be inverted.
         self._size = np.sqrt(np.maximum(np.diag(normal)[:free], 1e-300))
-        scaled = normal[:free, :free] / np.outer(self._size, self._size) + unseen * np.eye(free)
+        scaled = normal[:free, :free] / np.outer(self._size, self._size) + ridge * np.eye(free)
         self._factor = cho_factor(scaled, lower=True)
         self._across = normal[:free, free:] / self._size[:, None]
         self._level = right[:free] / self._size
-        left = normal[free:, free:] - self._across.T @ cho_solve(self._factor, self._across)
+        schur = normal[free:, free:] - self._across.T @ cho_solve(self._factor, self._across)
         along = right[free:] - self._across.T @ cho_solve(self._factor, self._level)
-        information, self._turn = eigh(0.5 * (left + left.T), driver="evd")
+        information, self._turn = eigh(0.5 * (schur + schur.T), driver="evd")
         self._information = np.maximum(information, 0.0)
         self._along = self._turn.T @ along
         self._squares = float(target @ target - self._level @ cho_solve(self._factor, self._level))
@@ -78,7 +78,7 @@ class RestrictedLikelihood:
 
     @property
     def largest_information(self) -> float:
-        """Information of the random mode that the data determine best."""
+        """Information of the random effect that the data determine best."""
         return max(float(self._information[-1]), 1e-300) if len(self._information) else 1.0
 
     @cached_property
@@ -86,7 +86,7 @@ class RestrictedLikelihood:
         return 2.0 * float(np.log(np.diag(self._factor[0])).sum() + np.log(self._size).sum())
 
     def cost(self, precision: float) -> float:
-        """Minus twice the logarithm of the restricted likelihood at a 1/t, but for constants of the data."""
+        """Minus twice the log restricted likelihood at a 1/t, up to a constant of the data."""
         return float(self._costs(np.array([precision]))[0])
 
     def _costs(self, precision: Array) -> Array:
@@ -97,11 +97,11 @@ class RestrictedLikelihood:
         grown = np.log(precision[:, None] * variance).sum(axis=1)
         if self._freedom is None:
             return np.asarray(self._squares - explained + self._determinant - grown)
-        left = np.maximum(self._squares - explained, 1e-300)
-        return np.asarray(self._freedom * np.log(left) + self._determinant - grown)
+        residual = np.maximum(self._squares - explained, 1e-300)
+        return np.asarray(self._freedom * np.log(residual) + self._determinant - grown)
 
     def likeliest(self, decades: tuple[float, float], unit: float, tolerance: float) -> float:
-        """The 1/t of the largest likelihood.
+        """The 1/t with the largest likelihood.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class RestrictedLikelihood:
         return float(10.0 ** -float(best.x) * unit)
 
     def solution(self, precision: float) -> Solution:
-        """All modes at a 1/t, for noise of variance one."""
+        """All effects at a 1/t, for noise of variance one."""
         from scipy.linalg import cho_solve, solve_triangular
 
         free, size = len(self._size), self._size[:, None]
@@ -139,15 +139,15 @@ class RestrictedLikelihood:
 
 
 def most_likely(rows: Array, target: Array, free: int) -> Solution:
-    """Solve for all modes, the noise being known.
+    """Solve for all effects with known noise.
 
     Parameters
     ----------
     rows : array, shape (n, k)
-        Influence of each mode on each datum, in units of its standard deviation; the first `free` modes are free.
+        Influence of each effect on each datum in standard deviations; the first `free` are fixed effects.
     target : array, shape (n,)
     free : int
     """
     likelihood = RestrictedLikelihood(rows, target, free)
-    # From negligible modes to practically free ones; the likelihood is flat beyond.
+    # Range from negligible random effects to practically free ones; the likelihood is flat beyond.
     return likelihood.solution(likelihood.likeliest((-6.0, 16.0), likelihood.largest_information, tolerance=0.02))

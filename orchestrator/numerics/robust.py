@@ -1,4 +1,4 @@
-"""Robust medians, spreads, shifts and slopes with their intervals. Knows no physics."""
+"""Robust medians, spreads, shifts and slopes with their intervals."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ class Thinning:
     Attributes
     ----------
     max_values : int
-        Of a sample, before all its pairs are formed: a million and a half pairs. Shifts take quantiles, slopes medians
-        of neighbours.
+        Size to which a sample is reduced, by quantiles for shifts and by medians of neighbours for slopes.
     """
 
     max_values: int = 1200

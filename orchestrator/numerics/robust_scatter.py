@@ -1,11 +1,10 @@
-"""Robust centre and scatter of multivariate data with up to nearly half of outliers. Knows no physics.
+"""Robust centre and scatter of multivariate data with up to nearly half of outliers.
 
 The minimum covariance determinant: of all halves of the rows the one whose covariance has the least determinant, found
 by concentration steps from random starts (FAST-MCD, Rousseeuw and Van Driessen 1999,
 doi:10.1080/00401706.1999.10485670), scaled so that the median distance is a normal sample's, then reweighted once.
-Whatever linear map the data went through, the distances are the same. How far a clean row may lie is F distributed:
-from the raw half (Hardin and Rocke 2005, doi:10.1198/106186005X77685), and after reweighting (Cerioli 2010,
-doi:10.1198/jasa.2009.tm09147).
+Distances are invariant under linear maps of the data. Those of clean rows are F distributed: from the raw half (Hardin
+and Rocke 2005, doi:10.1198/106186005X77685), and after reweighting (Cerioli 2010, doi:10.1198/jasa.2009.tm09147).
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ class Concentration:
     ----------
     starts, kept : int
         Random starts of two steps each, and the number of best ones to finish: 500 and 10 in the paper.
-    most_rows : int
+    max_rows : int
         Limit of rows for the starts, which use a random part of more; the best finish on all rows.
-    most_steps : int
+    max_steps : int
         Limit of steps.
     inlier : float
         Probability within which a row counts in the reweighting.
@@ -37,8 +36,8 @@ class Concentration:
 
     starts: int = 500
     kept: int = 10
-    most_rows: int = 600
-    most_steps: int = 100
+    max_rows: int = 600
+    max_steps: int = 100
     inlier: float = 0.975
     seed: int = 1999
 
@@ -65,9 +64,9 @@ class Scatter:
         known = np.isfinite(rows)
         for pattern in np.unique(known, axis=0):
             if pattern.any():
-                here = (known == pattern).all(axis=1)
+                has_pattern = (known == pattern).all(axis=1)
                 part = self.covariance[np.ix_(pattern, pattern)]
-                out[here] = _squares(rows[here][:, pattern], self.middle[pattern], part)
+                out[has_pattern] = _squares(rows[has_pattern][:, pattern], self.middle[pattern], part)
         return out
 
     def parts(self, row: Array) -> Array:
@@ -128,8 +127,8 @@ def _concentrated(rows: Array, half: int, settings: Concentration) -> tuple[Arra
     rng = np.random.default_rng(settings.seed)
     count, size = rows.shape
     part = rows
-    if count > settings.most_rows:
-        part = rows[rng.choice(count, settings.most_rows, replace=False)]
+    if count > settings.max_rows:
+        part = rows[rng.choice(count, settings.max_rows, replace=False)]
     part_half = max(size + 1, round(half * len(part) / count))
     found = _starts(part, part_half, settings.starts, rng)
     for _ in range(2):
@@ -137,14 +136,14 @@ def _concentrated(rows: Array, half: int, settings: Concentration) -> tuple[Arra
     best = np.argsort(_log_determinants(found[1]), kind="stable")[: settings.kept]
     found = (found[0][best], found[1][best])
     last = np.full(len(best), np.inf)
-    for _ in range(settings.most_steps):
+    for _ in range(settings.max_steps):
         found = _step(rows, found, half)
         now = _log_determinants(found[1])
         if not (now < last).any():
             break
         last = now
-    least = int(np.argmin(_log_determinants(found[1])))
-    middle, covariance = found[0][least], found[1][least]
+    smallest = int(np.argmin(_log_determinants(found[1])))
+    middle, covariance = found[0][smallest], found[1][smallest]
     if not np.isfinite(_log_determinants(covariance)):
         raise np.linalg.LinAlgError("half of the rows lie in one plane")
     return middle, covariance

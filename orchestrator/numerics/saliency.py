@@ -19,7 +19,7 @@ class Saliency:
     ratio: Array
     """l_max / l_min; NaN where l_min is not positive."""
     angle_rad: Array
-    """From the d axis to the axis of least inductance, electrical, -pi/2 to pi/2."""
+    """Electrical angle from the d axis to the axis of least inductance, -pi/2 to pi/2."""
 
 
 def principal(l_dd: Array, l_dq: Array, l_qq: Array) -> Saliency:

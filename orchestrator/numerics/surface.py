@@ -1,4 +1,4 @@
-"""Surfaces over the current plane from scattered points, inside their hull only; knows no physics.
+"""Surfaces over the current plane from scattered points, inside their hull only.
 
 `TaylorSurface` is for values with measured derivatives, `SmoothSurface` for values alone.
 """
@@ -23,7 +23,7 @@ def triangulate(points: Array, where: str) -> Delaunay:
     Raises
     ------
     NotMeasuredError
-        Where they do not span an area.
+        If they do not span an area.
     """
     from scipy.spatial import Delaunay, QhullError
 
@@ -58,11 +58,10 @@ class TaylorSurface:
     ----------
     inside : array of bool, shape (m,)
     corners, weights : array, shape (m, 3)
-        The triangle that each place is in, and its barycentric coordinates there; in a splinter those of the nearest
-        place on its two shorter sides.
-    slender : array of bool, shape (m,)
-        Whether that triangle is a splinter, between points that are nearly in line, along the hull. The far end of its
-        longest side says nothing of what is between the other two, and slopes do not hold across it.
+        Triangle and barycentric coordinates of each point; in a sliver, of the nearest point on its shorter sides.
+    is_sliver : array of bool, shape (m,)
+        Whether that triangle is a sliver at the hull, between nearly collinear points. The far end of its longest side
+        has no information on values between the other two, and gradients do not hold across it.
     """
 
     def __init__(self, points: Array, at: Array, where: str) -> None:
@@ -76,11 +75,11 @@ class TaylorSurface:
         self.corners = mesh.simplices[simplex]
         self.weights[~self.inside] = np.nan
         triangles = points[self.corners]
-        self.slender = self.inside & _are_splinters(triangles)
-        self.weights[self.slender] = _along_short_sides(triangles[self.slender], at[self.slender])
+        self.is_sliver = self.inside & _are_slivers(triangles)
+        self.weights[self.is_sliver] = _along_short_sides(triangles[self.is_sliver], at[self.is_sliver])
         on_mesh = np.einsum("mc,mci->mi", self.weights, triangles)
         self._steps = on_mesh[:, None, :] - triangles
-        self._beside = at - on_mesh  # zero but in a splinter
+        self._beside = at - on_mesh  # zero except in a sliver
 
     def __call__(self, value: Array, gradient: Array | None = None, second: Array | None = None) -> Array:
         """Values at the points of evaluation, shape (m,); NaN outside the hull.
@@ -101,16 +100,16 @@ class TaylorSurface:
         return out
 
 
-def _are_splinters(triangles: Array, thinnest: float = 0.05) -> NDArray[np.bool_]:
+def _are_slivers(triangles: Array, max_ratio: float = 0.05) -> NDArray[np.bool_]:
     """Whether a triangle's area is less than this part of its longest side's square; shapes (m, 3, 2) -> (m,)."""
     sides = np.roll(triangles, -1, axis=1) - triangles
     area = 0.5 * np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-    out: NDArray[np.bool_] = area < thinnest * (sides**2).sum(axis=-1).max(axis=-1)
+    out: NDArray[np.bool_] = area < max_ratio * (sides**2).sum(axis=-1).max(axis=-1)
     return out
 
 
 def _along_short_sides(triangles: Array, at: Array) -> Array:
-    """Barycentric coordinates of the nearest place on the two shorter sides; shapes (m, 3, 2), (m, 2) -> (m, 3)."""
+    """Barycentric coordinates of the nearest point on the two shorter sides; shapes (m, 3, 2), (m, 2) -> (m, 3)."""
     rows = np.arange(len(at))
     opposite = np.linalg.norm(np.roll(triangles, -2, axis=1) - np.roll(triangles, -1, axis=1), axis=2)
     middle = opposite.argmax(axis=1)
@@ -158,13 +157,13 @@ class SmoothSurface:
 
 
 def inside_hull(points: Array, at: Array, where: str) -> NDArray[np.bool_]:
-    """Whether places lie in the convex hull of the points."""
+    """Whether points of evaluation lie in the convex hull of the points."""
     inside: NDArray[np.bool_] = triangulate(points, where).find_simplex(at, tol=1e-9) >= 0
     return inside
 
 
 def current_axes(points: Array) -> tuple[Array, Array]:
-    """Round-numbered axes that cover scattered currents: about sixty steps, zero on both where they hold it."""
+    """Round-numbered axes that cover scattered currents in about sixty steps, with zero on each if it is in range."""
     return _round_axis(points[:, 0]), _round_axis(points[:, 1])
 
 

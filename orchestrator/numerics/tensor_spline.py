@@ -1,9 +1,8 @@
-"""A function of two variables as a tensor product of quintic B-splines, even in the second; knows no physics.
+"""A function of two variables as a tensor product of quintic B-splines, even in the second.
 
-Knots are uniform, so every spline is the same piecewise polynomial (the cardinal spline, C. de Boor, "A Practical
-Guide to Splines", Springer 1978, chapter IX), and the function is one polynomial in each cell. Beyond its rectangle
-the basis is that of the cell at the edge. The size of the fifth derivatives, which are still functions, is its
-roughness.
+Knots are uniform, so that all splines are shifts of the cardinal spline (C. de Boor, "A Practical Guide to Splines",
+Springer 1978, chapter IX), and the function is a polynomial in each cell. Beyond its rectangle the polynomial of the
+cell at the edge continues. Its roughness is the integral of the squared fifth derivatives, which are still functions.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def _cardinal() -> Array:
 
 
 CARDINAL = _cardinal()
-"""The six splines that are not zero in a cell: coefficient of t^p of the r-th, t from 0 to 1 within the cell."""
+"""Coefficients [r, p] of t^p in the six splines r that are nonzero in a cell, t from 0 to 1 within it."""
 
 
 @dataclass(frozen=True)
@@ -67,36 +66,36 @@ class EvenSpline:
 
     @property
     def size(self) -> int:
-        """Number of coefficients; those of one spline along the first variable follow each other."""
+        """Number of coefficients; the index along the second variable runs fastest."""
         return self.functions[0] * self.functions[1]
 
     @property
     def fold(self) -> NDArray[np.int64]:
-        """Which even function of the second variable each spline along it belongs to."""
+        """Index of the even function of the second variable that each spline along it belongs to."""
         full = np.arange(self.cells[1] + DEGREE)
         return np.minimum(full, full[::-1])
 
     @property
     def layout(self) -> tuple[Array, NDArray[np.int64]]:
-        """Arguments of kernels: lower end and cell's side along both variables; the cells along both, and `fold`."""
+        """Arguments of kernels: [low, step, -reach, step] along both variables, and [*cells, *fold]."""
         numbers = np.array([self.low, self.steps[0], -self.reach, self.steps[1]])
         return numbers, np.array([*self.cells, *self.fold], dtype=np.int64)
 
     def rows(self, at: Array, along_first: int, along_second: int) -> Array:
-        """The basis' mixed derivative at places of shape (m, 2), shape (m, size)."""
+        """Mixed derivative of the basis functions at points (m, 2), shape (m, size)."""
         first = self._along_first(at[:, 0], along_first)
         second = self._along_second(at[:, 1], along_second) @ self._unfold
         out: Array = np.einsum("mi,mj->mij", first, second).reshape(len(at), self.size)
         return out
 
     def patches(self, coefficients: Array) -> Array:
-        """The function as polynomials: coefficients of t^m s^n, shape (*cells, 6, 6), for `derivatives_at`."""
+        """Polynomial coefficients of t^m s^n in each cell, shape (*cells, 6, 6), for `derivatives_at`."""
         full = coefficients.reshape(self.functions)[:, self.fold]
         cells = np.lib.stride_tricks.sliding_window_view(full, (_SUPPORT, _SUPPORT))
         return np.ascontiguousarray(np.einsum("rm,abrs,sn->abmn", CARDINAL, cells, CARDINAL, optimize=True))
 
     def squares(self) -> tuple[Array, Array]:
-        """Coefficients of x^2 and of y^2, exactly: Greville's abscissa squared less a constant (by blossoming)."""
+        """Exact coefficients of x^2 and y^2: squared Greville abscissae less a constant (by blossoming)."""
 
         def square(low: float, step: float, functions: int) -> Array:
             greville = low + step * (np.arange(functions) - (DEGREE - 1) / 2.0)
@@ -107,7 +106,7 @@ class EvenSpline:
         return np.repeat(x, ny), np.tile(y, nx)
 
     def on(self, other: EvenSpline, coefficients: Array) -> Array:
-        """Coefficients in another basis, by least squares along each; beyond this one slopes go on linearly."""
+        """Coefficients in another basis, by least squares; beyond this rectangle gradients continue linearly."""
         many = 8 * np.maximum(self.cells, other.cells)
         x = np.linspace(other.low, other.high, many[0])
         y = np.linspace(-other.reach, other.reach, many[1])
@@ -119,10 +118,10 @@ class EvenSpline:
         return np.ascontiguousarray((first @ full @ second.T)[:, : other.functions[1]]).reshape(-1)
 
     def differences(self, order: int) -> list[Array]:
-        """All mixed derivatives of one order as differences of the coefficients, (rows, size) each.
+        """All mixed derivatives of one order as differences of the coefficients, each of shape (rows, size).
 
-        Each is multiplied by the root of how often it occurs, so that the sum of their squares does not depend on the
-        directions of the axes; the pure one along the first variable comes first.
+        Each is weighted by the root of its multiplicity, so that the sum of squares does not depend on the axes'
+        directions; the pure derivative along the first variable comes first.
         """
         (nx, _), (x_step, y_step), full = self.functions, self.steps, len(self.fold)
         blocks = []
@@ -137,7 +136,7 @@ class EvenSpline:
 
     @cached_property
     def roughness(self) -> Array:
-        """Matrix of the integral of all squared fifth derivatives, in units of the half ranges; (size, size)."""
+        """Matrix (size, size) of the integral of all squared fifth derivatives, in units of the half ranges."""
         half = 0.5 * (self.high - self.low)
         firsts = _squared_derivatives(self.cells[0], self.steps[0] / half)
         seconds = _squared_derivatives(self.cells[1], self.steps[1] / self.reach)
@@ -153,11 +152,10 @@ class EvenSpline:
 
     @cached_property
     def modes(self) -> Array:
-        """Coefficients of all functions in another basis, shape (size, size), one mode a column.
+        """Another basis, shape (size, size), one function per column.
 
-        First come `smooth` polynomials, by degree: the constant, the first variable, its square, the second's square
-        and so on, in units of the half ranges. The others are orthogonal to them (as coefficients), and the sum of
-        their squares is the roughness.
+        First come `smooth` polynomials by degree (1, x, x^2, y^2, ...), in units of the half ranges. The coefficient
+        vectors of the others are orthogonal to them, and the sum of squares of their amplitudes is the roughness.
         """
         smooth = self._polynomials()
         rest = np.linalg.qr(smooth, mode="complete")[0][:, self.smooth :]
@@ -175,7 +173,7 @@ class EvenSpline:
 
     @cached_property
     def _unfold(self) -> Array:
-        """The splines along the second variable from its even functions: both of a pair have one coefficient."""
+        """Matrix from even functions of the second variable to its splines, of which mirrored pairs are equal."""
         out = np.zeros((len(self.fold), self.functions[1]))
         out[np.arange(len(self.fold)), self.fold] = 1.0
         return out
@@ -188,7 +186,7 @@ class EvenSpline:
 
 
 def _values(u: Array, cells: int, order: int) -> Array:
-    """A derivative of all splines along one variable, in units of cells, shape (points, cells + DEGREE)."""
+    """A derivative of all splines along one variable, in cell units, shape (points, cells + DEGREE)."""
     cell = np.clip(np.floor(u).astype(np.int64), 0, cells - 1)
     powers = (u - cell)[:, None] ** np.arange(_SUPPORT - order)
     falling = [math.perm(p, order) for p in range(order, _SUPPORT)]
@@ -198,7 +196,7 @@ def _values(u: Array, cells: int, order: int) -> Array:
 
 
 def _continued(along: Callable[[Array, int], Array], x: Array, low: float, high: float) -> Array:
-    """The splines along one variable, each a parabola beyond its range."""
+    """The splines along one variable, continued as parabolas beyond its range."""
     edge = np.clip(x, low, high)
     beyond = (x - edge)[:, None]
     return along(edge, 0) + beyond * (along(edge, 1) + 0.5 * beyond * along(edge, 2))
@@ -215,14 +213,14 @@ def _squared_derivatives(cells: int, step: float) -> list[Array]:
 
 @njit(cache=True, nogil=True, inline="always")
 def derivatives_at(x: float, y: float, patches: Array, numbers: Array) -> tuple[float, float, float, float, float]:
-    """f_x, f_y, f_xx, f_xy, f_yy at one place; beyond the rectangle the slopes go on linearly from its edge."""
+    """f_x, f_y, f_xx, f_xy, f_yy at one point; beyond the rectangle the gradient continues linearly from its edge."""
     u = (x - numbers[0]) / numbers[1]
     v = (y - numbers[2]) / numbers[3]
     m = min(max(int(u), 0), patches.shape[0] - 1)
     n = min(max(int(v), 0), patches.shape[1] - 1)
     s = min(max(u - m, 0.0), 1.0)
     t = min(max(v - n, 0.0), 1.0)
-    # Horner's scheme along the first variable for f, f_y and f_yy / 2, each row of which is Horner's along the second.
+    # Horner's scheme along the first variable, of f, f_y and f_yy / 2 from Horner's scheme along the second.
     f = 0.0
     f_x = 0.0
     f_xx = 0.0
@@ -255,7 +253,7 @@ def derivatives_at(x: float, y: float, patches: Array, numbers: Array) -> tuple[
 
 @njit(cache=True, nogil=True)
 def derivatives(at: Array, patches: Array, numbers: Array) -> tuple[Array, Array]:
-    """`derivatives_at` many places (n, 2): the first (n, 2), and the second (n, 3)."""
+    """`derivatives_at` many points (n, 2): the first (n, 2), and the second (n, 3)."""
     n = at.shape[0]
     slopes = np.empty((n, 2))
     curvatures = np.empty((n, 3))

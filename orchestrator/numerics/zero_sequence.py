@@ -32,25 +32,25 @@ class Gains:
     std: Array
 
     def differ(self, weights: tuple[float, float, float]) -> float | None:
-        """A sum of the three by weights that add up to zero; None where it is not significant."""
+        """A contrast of the three deviations (weights that add up to zero); None where it is insignificant."""
         value = float(np.dot(weights, self.off_mean))
-        least = max(_MIN_DIFFERENCE_SIGMAS * float(np.dot(np.abs(weights), self.std)), _MIN_DIFFERENCE)
-        return value if abs(value) > least else None
+        min_difference = max(_MIN_DIFFERENCE_SIGMAS * float(np.dot(np.abs(weights), self.std)), _MIN_DIFFERENCE)
+        return value if abs(value) > min_difference else None
 
 
 def gains_of(signals: Sequence[Signals]) -> Gains | None:
-    """Gains by segments with three readings and the bridge on; None where there are none, or no current."""
+    """Gains from segments with three readings and the bridge on; None where there are none, or no current."""
     normal, right, power, rows = np.zeros((3, 3)), np.zeros(3), 0.0, 0
-    for one in signals:
-        if one.i_abc is None or not one.clarke_of_three or not one.bridge_on:
+    for segment in signals:
+        if segment.i_abc is None or not segment.clarke_of_three or not segment.bridge_on:
             continue
-        x = np.column_stack([to_phases(one.i_ab)[:, :2], np.ones(len(one.v_dc))])
-        y = np.asarray(one.i_abc, dtype=np.float64).sum(axis=1)
+        x = np.column_stack([to_phases(segment.i_ab)[:, :2], np.ones(len(segment.v_dc))])
+        y = np.asarray(segment.i_abc, dtype=np.float64).sum(axis=1)
         normal, right, power, rows = normal + x.T @ x, right + x.T @ y, power + float(y @ y), rows + len(y)
     if rows <= 3 or np.linalg.cond(normal) > 1e12:
         return None
     solution = np.linalg.solve(normal, right)
     variance = max(power - float(right @ solution), 0.0) / (rows - 3) * np.linalg.inv(normal)
-    # From differences to sensor c to deviations from the mean.
+    # Converts differences from sensor c to deviations from the mean.
     turn = np.array([[2.0, -1.0], [-1.0, 2.0], [-1.0, -1.0]]) / 3.0
     return Gains(turn @ solution[:2], np.sqrt(np.diag(turn @ variance[:2, :2] @ turn.T)))

@@ -1,4 +1,4 @@
-"""What the built-in effects have in common: each is written for a batch of segments, and serves one segment by it."""
+"""Base classes of the built-in effects, which are evaluated for batches, and common quantities of a batch."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ class BatchEffect(protocols.BatchEffect, ABC):
 
     @abstractmethod
     def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
-        """What becomes of the signals, each segment by itself, when this effect is accounted for."""
+        """The signals corrected for this effect, each segment independently."""
 
     def correct(self, signals: Signals, p: Any) -> Correction:
-        """The same of one segment."""
+        """`correct_batch` of one segment."""
         return self.correct_batch(SignalBatch.of([signals]), p)
 
 
 class RandomBatchEffect(BatchEffect, RandomDirectionsEffect, RandomDirectionsBatchEffect):
-    """Base of one that, besides, cannot know all of what it does."""
+    """Base of an effect with random directions."""
 
     @abstractmethod
     def random_directions_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
-        """What a standard deviation of each thing that is not known would change, in each segment by its own."""
+        """Change of each segment by one standard deviation of each of its unknown quantities."""
 
     def random_directions(self, signals: Signals, p: Any) -> Sequence[Correction]:
-        """The same of one segment."""
+        """`random_directions_batch` of one segment."""
         return self.random_directions_batch(SignalBatch.of([signals]), p)
 
 
 def by_value(values: RealArray) -> Iterator[tuple[float, Indices]]:
-    """Each distinct value of (segments,), and which segments have it."""
+    """Each distinct value of an array (segments,), with the indices of its segments."""
     if (values == values[0]).all():
         yield float(values[0]), np.arange(len(values))
         return
@@ -54,7 +54,7 @@ def by_value(values: RealArray) -> Iterator[tuple[float, Indices]]:
 
 
 def per_segment(values: RealArray, of: Callable[[float], RealArray]) -> Array:
-    """An array of each segment's own, shape (segments, ...), worked out once for each distinct value (segments,)."""
+    """A function's arrays for each segment, shape (segments, ...), evaluated once per distinct value (segments,)."""
     groups = [(np.asarray(of(value)), which) for value, which in by_value(values)]
     out = np.empty((len(values), *groups[0][0].shape))
     for array, which in groups:
@@ -63,16 +63,16 @@ def per_segment(values: RealArray, of: Callable[[float], RealArray]) -> Array:
 
 
 def pwm_share(batch: SignalBatch) -> Array:
-    """Each segment's PWM frequency in units of the drive's own, (segments,); 1 where that is not known."""
-    own = batch.drive.pwm_frequency_hz if batch.drive is not None else None
-    return np.asarray(batch.pwm_frequency_hz / (own or batch.pwm_frequency_hz))
+    """Each segment's PWM frequency over the drive's nominal one, (segments,); 1 where that is unknown."""
+    nominal_hz = batch.drive.pwm_frequency_hz if batch.drive is not None else None
+    return np.asarray(batch.pwm_frequency_hz / (nominal_hz or batch.pwm_frequency_hz))
 
 
 def rated_current_a(batch: SignalBatch) -> float:
-    """The motor's rated current; 0 if unknown."""
+    """The motor's rated current [A]; 0 if unknown."""
     return (batch.motor.rated_current_a if batch.motor is not None else None) or 0.0
 
 
 def of_three_readings(batch: SignalBatch) -> Indices:
-    """1 where the vector was made of three readings, else 0; shape (segments,)."""
+    """1 where the vector was computed from three readings, else 0; shape (segments,)."""
     return np.array([s.clarke_of_three is True for s in batch.segments], dtype=np.intp)

@@ -1,31 +1,29 @@
-"""What the edges of a switching leg lose to dead time, as numba kernels; they know nothing of recordings.
+"""Voltage lost to dead time at the edges of a switching leg, as numba kernels.
 
 A leg that switches against its current waits for the dead time t_d; one that switches with it commutates at once,
 as fast as the current i charges the output capacitances of both its devices, together C: dv/dt = i / C. At
-i_k = C V_dc / t_d the swing just ends within t_d; below, the other switch cuts it short. In parts of t_d, the mean of
-the edge is late by
+i_k = C V_dc / t_d the swing just ends within t_d; below, the other switch cuts it short. In units of t_d, the mean of
+the edge is delayed by
 
-    late = int_0^1 (1 - u) ds,    dq/ds = x = i / i_k,    u(q) the node's part of the bus, 0 <= q <= 1
+    late = int_0^1 (1 - u) ds,    dq/ds = x = i / i_k,    u(q) the node's voltage over the bus, 0 <= q <= 1
 
-for the current i out of the leg at a falling edge and into it at a rising one, s in parts of t_d, q the part of a
-swing's charge that has flown; the leg loses V_dt (late_rising - late_falling). With constant capacitances u = q. Those
-of junctions fall as v^-m with the voltage v across each, and are largest at both rails:
+for the current i out of the leg at a falling edge and into it at a rising one, s in units of t_d, q the charge moved
+over a full swing's; the leg loses V_dt (late_rising - late_falling). With constant capacitances u = q. Those of
+junctions fall as v^-m with the voltage v across each, and are largest at both rails:
 
     q(u) = (u^(1-m) + 1 - (1-u)^(1-m)) / 2
 
-Against its current, a leg's node stands until the switch that closes has taken that current over, which takes the
-longer the larger it is: late = 1 - r x (B. J. Baliga, Fundamentals of Power Semiconductor Devices,
-doi:10.1007/978-0-387-47314-7).
+Against its current, a leg's node waits until the closing switch has taken over that current, in a time proportional to
+it: late = 1 - r x (B. J. Baliga, Fundamentals of Power Semiconductor Devices, doi:10.1007/978-0-387-47314-7).
 
 Source: S. M. Sze, K. K. Ng, Physics of Semiconductor Devices, section 2.2.2 (m = 1/2 of an abrupt junction, 1/3 of a
 graded one; more of a compensated one), doi:10.1002/0470068329.
 
-x is not of the mean current. Each leg's edge steps the voltage on the other phases; rises are about a quarter, falls
-about three quarters through a symmetric carrier's period. With the time of its edge, dead time included, known of every
-leg, the current in a swing is that of the valley or the peak before it, with a ramp from every edge that comes before
-the swing ends, less what the node's own rise takes. In a microsecond a winding with its cable is not the inductance
-that it is in a carrier's period; how far it is, is a number of its own. How late one edge is decides how late others
-are: few passes settle it.
+x is the instantaneous current, not the mean. Each leg's edge steps the voltage on the other phases; rises are at about
+a quarter, falls at about three quarters of a symmetric carrier's period. Given all edge times, dead time included, the
+current in a swing is that of the preceding valley or peak, plus a ramp from every edge before the swing's end, minus
+the effect of the node's rise. Within a microsecond a winding with its cable does not act like its inductance;
+`Swing.yielding` is the part of that response. The delays of edges depend on each other: a few passes converge.
 """
 
 from __future__ import annotations
@@ -46,30 +44,30 @@ Legs = tuple[float, float, float]
 _SQRT3 = math.sqrt(3.0)
 
 QUICK_SWING_KNEES = 3.0
-"""Current in knees, above which a swing is computed from its mean current: it ends within a third of the dead time."""
+"""Current over i_k above which a swing is computed from its mean current: it ends within a third of the dead time."""
 
 SWING_STEPS = 5
-"""Steps of a swing by a constant current; a dead time has at least twice as many."""
+"""Integration steps of a swing with a constant current; a dead time has at least twice as many."""
 
 MAX_EDGE_PASSES = 4
 EDGE_TOLERANCE_RATIO = 1e-3
-"""Shift of an edge over the dead time, below which the passes end: the knees hide its effect on the others."""
+"""Shift of an edge over the dead time below which the passes end, as its effect on the others is negligible."""
 
 
 class Swing(NamedTuple):
-    """What a leg's node does between a command and the end of its dead time."""
+    """Parameters of a leg's node between a command and the end of its dead time."""
 
     lines: Array
     """See `swing_lines`."""
     takeover: float = 0.0
-    """r: of the dead time, that a switch takes to take over the current of a knee."""
+    """r, the time in which a switch takes over the current i_k, over the dead time."""
     yielding: float = 0.0
-    """How far the currents go on within a swing as the inductance says; 0: they are those of the command."""
+    """Response of the currents within a swing, relative to the inductance's; 0: they stay those of the command."""
 
 
 @lru_cache(maxsize=32)
 def swing_course(grading: float, entries: int = 256) -> Array:
-    """A node's part u of the bus over the part q = 0..1 of a swing's charge that has flown, and u's mean since q = 0.
+    """A node's voltage u over the bus voltage at charges q = 0..1 of a swing, and the mean of u since q = 0.
 
     Shape (2, entries + 1).
     """
@@ -77,7 +75,7 @@ def swing_course(grading: float, entries: int = 256) -> Array:
     power = 1.0 - grading
     charge = 0.5 * (u**power + 1.0 - (1.0 - u) ** power)
     q = np.linspace(0.0, 1.0, entries + 1)
-    # The integral of u over the charge is u q less that of q over u.
+    # Integration by parts: the integral of u over the charge is u q minus that of q over u.
     below = 0.5 * (u + (u ** (1.0 + power) + (1.0 - u) ** (1.0 + power) - 1.0) / (1.0 + power))
     area = np.interp(q, charge, u * charge - below)
     return np.stack([np.interp(q, charge, u), area / np.maximum(q, q[1])])
@@ -85,9 +83,9 @@ def swing_course(grading: float, entries: int = 256) -> Array:
 
 @lru_cache(maxsize=32)
 def swing_lines(grading: float) -> Array:
-    """`swing_course` as lines from each of its places to the next, shape (2, places + 1, 2).
+    """`swing_course` as line segments between its entries, shape (2, entries + 1, 2).
 
-    Each is given by its value at the place 0 and its slope; the last one twice.
+    Each is given by its value extrapolated to entry 0 and its slope; the last one is repeated.
     """
     course = swing_course(grading)
     slopes = np.diff(course, axis=1)
@@ -97,7 +95,7 @@ def swing_lines(grading: float) -> Array:
 
 @njit(cache=True, nogil=True, inline="always")
 def _mean_until(charge: float, lines: Array) -> float:
-    """Mean of the node's part of the bus until so much of a swing's charge has flown."""
+    """Mean of the node's voltage over the bus voltage up to a charge of the swing."""
     place = charge * (lines.shape[1] - 1)
     row = np.uintp(int(place))
     return float(lines[1, row, 0] + lines[1, row, 1] * place)
@@ -105,7 +103,7 @@ def _mean_until(charge: float, lines: Array) -> float:
 
 @njit(cache=True, nogil=True, inline="always")
 def _late_by(helping: float, leg: float, swing: Swing) -> float:
-    """`_late` by the current of the command alone."""
+    """`_late` for the constant current of the command."""
     x = helping * leg
     if x <= 0.0:
         return leg - swing.takeover * helping
@@ -114,37 +112,37 @@ def _late_by(helping: float, leg: float, swing: Swing) -> float:
 
 @njit(cache=True, nogil=True, inline="always")
 def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, swing: Swing) -> float:
-    """Delay of an edge's mean in parts of the dead time.
+    """Delay of an edge's mean over the dead time.
 
     Parameters
     ----------
     helping : float
-        The current [knees] that helps the edge at its command, but for what other legs' edges make of it.
+        Current over i_k that helps the edge at its command, without the effect of the other legs' edges.
     pull : tuple
-        What a volt on each leg's terminal takes of it over a carrier's period; the leg's own first.
+        Decrease of it by a volt on each leg's terminal over a carrier's period, this leg's first.
     due : tuple
-        When the others' edges come after the command, as the volts that a pulse gains by that time.
+        Time of the others' edges after the command, as the mean voltage that a pulse gains by it.
     volts : float
-        The same of the dead time.
+        The dead time as such a voltage.
     leg : float
-        The leg's own dead time.
+        This leg's dead time over the mean.
     swing : Swing
     """
     now = helping - pull[1] * max(0.0, -due[0]) - pull[2] * max(0.0, -due[1])
     if swing.yielding == 0.0:
         return _late_by(now, leg, swing)
     helping = now + swing.yielding * (helping - now)
-    own, first, second = swing.yielding * pull[0], swing.yielding * pull[1], swing.yielding * pull[2]
+    self_pull, first, second = swing.yielding * pull[0], swing.yielding * pull[1], swing.yielding * pull[2]
     if now * leg > QUICK_SWING_KNEES:
-        # As of an even swing: what the currents do within it is small.
+        # A linear swing: the change of the current within it is small.
         width = volts / now
         mean = helping - first * _ramp(due[0], width) - second * _ramp(due[1], width)
-        return (0.5 + own * width / (24.0 * now)) / max(mean, 0.5 * now)
+        return (0.5 + self_pull * width / (24.0 * now)) / max(mean, 0.5 * now)
     wait = volts * leg
     then = helping - first * max(0.0, wait - due[0]) - second * max(0.0, wait - due[1])
     if now + abs(wait) * (abs(first) + abs(second)) <= 0.0:
         return leg - swing.takeover * then
-    late, in_time = _swing_late(helping, now, (own, first, second), due, volts, leg, swing.lines)
+    late, in_time = _swing_late(helping, now, (self_pull, first, second), due, volts, leg, swing.lines)
     return late if in_time else late - swing.takeover * min(0.0, then)
 
 
@@ -152,12 +150,12 @@ def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, le
 def _swing_late(
     helping: float, now: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, lines: Array
 ) -> tuple[float, bool]:
-    """The same of a swing that takes a good part of the dead time, followed in steps; and whether it ends within."""
+    """`_late` of a slow swing, integrated in steps; and whether it ends within the dead time."""
     if math.isnan(now):
         return now, True
     steps = math.ceil(SWING_STEPS * max(2.0, now * leg))
     step = leg / steps
-    # Charge is counted in places of the course; of a place and of a current, what a step and half of one add.
+    # Charge is in entries of the course; `push` and `half_push` are the entries per step and half step.
     places = float(lines.shape[1] - 1)
     push, half_push, own_volts = places * step, 0.5 * places * step, volts * pull[0]
     by_risen, half_by_risen, by_node = push * own_volts, half_push * own_volts, half_push * own_volts * step
@@ -172,7 +170,7 @@ def _swing_late(
         if whole >= places:
             part = (places - charge) / (whole - charge)
             return step * m - risen + step * part * (0.5 - 0.5 * node), True
-        # Places that cannot be negative need not be counted from an array's end.
+        # Unsigned indices avoid the check for negative ones.
         at_half, at_end = np.uintp(int(half)), np.uintp(int(whole))
         risen += step * (lines[0, at_half, 0] + lines[0, at_half, 1] * half)
         charge, node = whole, lines[0, at_end, 0] + lines[0, at_end, 1] * whole
@@ -181,18 +179,18 @@ def _swing_late(
 
 @njit(cache=True, nogil=True, inline="always")
 def _ramp(start: float, width: float) -> float:
-    """Mean of max(0, s - start) over a swing 0..width, each instant weighted by what is left of it."""
+    """Mean of max(0, s - start) over a swing 0..width, each instant weighted by the remaining time."""
     if start >= width:
         return 0.0
     if start <= 0.0:
         return width / 3.0 - start
-    left = width - start
-    return left * left * left / (3.0 * width * width)
+    remaining = width - start
+    return remaining * remaining * remaining / (3.0 * width * width)
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _pulls(inductance: Array, scale: float) -> tuple[Legs, Legs, Legs]:
-    """By how much a volt on each leg's terminal moves each phase's current, over a time; a leg's own comes first."""
+    """Change of each phase's current by a volt on each leg's terminal, times `scale`; the phase's own leg first."""
     aa, ab, bb = inductance[0], inductance[1], inductance[2]
     half = scale / (3.0 * (aa * bb - ab * ab))
     own_a, across, other = 2.0 * half * bb, half * _SQRT3 * ab, half * 1.5 * aa
@@ -214,24 +212,24 @@ def lost_at_edges(
     cycles: Starts,
     swing: Swing,
 ) -> Array:
-    """Voltage (N, 2) that dead time takes over each interval.
+    """Voltage (N, 2) lost to dead time in each interval.
 
     Parameters
     ----------
     v_ab, i_ab : array, shape (N, 2)
     volts : array, shape (N,)
-        V_dt in each interval: dead time as a part of the carrier's period, times V_dc.
+        V_dt in each interval: dead time over the carrier's period, times V_dc.
     starts : array of int64, shape (segments + 1,)
     legs : array, shape (3,)
-        Each leg's own dead time in parts of that.
+        Each leg's dead time over their mean.
     knees_per_a : float
         1 / i_k.
     inductance_ab : array, shape (N, 3) or (1, 3)
         L_aa, L_ab, L_bb of the motor in the stator frame, at every interval or at all of them.
     periods_s : array, shape (segments,)
-        Of the carrier.
+        Carrier period.
     cycles : array of int64, shape (segments,)
-        Carrier periods in an interval.
+        Carrier periods per interval.
     swing : Swing
     """
     out = np.empty_like(v_ab)
@@ -244,7 +242,7 @@ def lost_at_edges(
             a, b, c = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
             step_a, step_b, step_c = phases_of(by * (i_ab[after, 0] - i_ab[k, 0]), by * (i_ab[after, 1] - i_ab[k, 1]))
             v_a, v_b, v_c = phases_of(v_ab[k, 0], v_ab[k, 1])
-            # What is the same in every pass: each current's own drift, and the legs' edges without their delays.
+            # Constant over all passes: each current's drift, and the edges without their delays.
             drift_a = step_a - by_a[0] * v_a - by_a[1] * v_b - by_a[2] * v_c
             drift_b = step_b - by_b[0] * v_b - by_b[1] * v_c - by_b[2] * v_a
             drift_c = step_c - by_c[0] * v_c - by_c[1] * v_a - by_c[2] * v_b
@@ -281,25 +279,24 @@ def _edges(
     valley: float,
     drift: float,
     pull: Legs,
-    apart: tuple[float, float],
+    leads: tuple[float, float],
     rises: Legs,
     falls: Legs,
     volts: float,
     leg: float,
     swing: Swing,
 ) -> tuple[float, float]:
-    """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
+    """Delays of a leg's rise and fall in a period over the dead time, from those of all legs in the last pass.
 
-    Of three legs, the leg's own comes first. Times are given as the volts that a pulse gains or loses by them; `drift`
-    is what its current does in a period, and `apart` how much sooner than its own rise the others are commanded, both
-    without any delay.
+    This leg comes first of three. Times are given as the mean voltage that a pulse gains by them. Without delays,
+    `drift` is the change of its current in a period, and `leads` the time by which the others' rises are earlier.
     """
     lost = pull[0] * (rises[0] - falls[0]) + pull[1] * (rises[1] - falls[1]) + pull[2] * (rises[2] - falls[2])
     drift += volts * lost
     rising, falling = valley + 0.25 * drift, valley + 0.75 * drift
-    falling += pull[1] * (apart[0] + volts * (rises[0] - rises[1]))
-    falling += pull[2] * (apart[1] + volts * (rises[0] - rises[2]))
-    up = (volts * rises[1] - apart[0], volts * rises[2] - apart[1])
-    down = (volts * falls[1] + apart[0], volts * falls[2] + apart[1])
+    falling += pull[1] * (leads[0] + volts * (rises[0] - rises[1]))
+    falling += pull[2] * (leads[1] + volts * (rises[0] - rises[2]))
+    up = (volts * rises[1] - leads[0], volts * rises[2] - leads[1])
+    down = (volts * falls[1] + leads[0], volts * falls[2] + leads[1])
     rise = _late(-rising, pull, up, volts, leg, swing)
     return rise, _late(falling, pull, down, volts, leg, swing)

@@ -1,4 +1,4 @@
-"""First-order lags and high passes along time, as numba kernels; they know nothing of motors."""
+"""First-order lags, high passes and second-order filters along time, as numba kernels."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from protocols import RealArray
 
 @njit(cache=True, nogil=True, inline="always")
 def _weights(rate: float) -> tuple[float, float]:
-    """What a lag keeps of itself over an interval of so many time constants, and takes of a change within it."""
+    """Decay of a lag over an interval of `rate` time constants, and its response to a linear change within it."""
     decay = math.exp(-rate)
     return decay, 1.0 - (1.0 - decay) / rate
 
 
 @njit(cache=True, nogil=True)
 def low_pass(x: Array, starts: Starts, rates: Array) -> Array:
-    """First-order lag (N,) of x (N,), in each segment from its first value; exact for what is linear between samples.
+    """First-order lag (N,) of x (N,), starting at each segment's first value; exact for x linear between samples.
 
     `rates` (segments,) are sampling intervals in time constants.
     """
@@ -36,9 +36,9 @@ def low_pass(x: Array, starts: Starts, rates: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def high_pass_means(x: Array, starts: Starts, rates: Array) -> Array:
-    """Mean over each interval of x (N, m) less its lag, a segment's last as the one before; exact as `low_pass`.
+    """Mean over each interval of x (N, m) minus its lag; a segment's last repeats the one before. Exact as `low_pass`.
 
-    By the lag's own equation, tau y' = x - y, that is what y changes by, over the interval in time constants.
+    By the lag's equation tau y' = x - y, it is the change of y over the interval in time constants.
     """
     out = np.empty_like(x)
     for s in range(starts.shape[0] - 1):
@@ -58,16 +58,16 @@ def high_pass_means(x: Array, starts: Starts, rates: Array) -> Array:
 def second_order(
     y: Array, x: Array, starts: Starts, which: Indices, above: Array, below: Array, resting: Array
 ) -> None:
-    """A filter of second order, written into y (N,) for some segments of x (N,), each from rest at its first value.
+    """Second-order filter of x (N,) into y (N,) for some segments, each in steady state at its first value.
 
     Parameters
     ----------
     which : array
-        The segments.
+        Indices of the segments.
     above, below : array, shape (3,)
-        Its transfer function's coefficients in falling powers of z, the first of `below` 1.
+        Numerator and denominator in falling powers of z, with below[0] = 1.
     resting : array, shape (2,)
-        Its state where x is 1 and has always been, as of `scipy.signal.lfilter_zi`.
+        Steady state for x = 1, as from `scipy.signal.lfilter_zi`.
     """
     for s in which:
         one, two = resting[0] * x[starts[s]], resting[1] * x[starts[s]]

@@ -1,4 +1,4 @@
-"""The flux of a batch's segments, and the way on which each of them came to where it begins."""
+"""Flux linkage of a batch's segments, and its path before each of them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from plugins.effects._vectors import Starts, doubles
 from protocols import RealArray, SignalBatch
 
 STEPS_PER_WAY = 8
-"""Steps between two corners of a way."""
+"""Steps between two corners of a path."""
 
 
-def ways_here(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array, Starts]:
-    """The flux (M, 2) on each segment's way to where it begins, of psi (N, 2): from where the current was; and bounds.
+def initial_paths(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array, Starts]:
+    """Path of the flux (M, 2) to the start of each segment, from the current's history, and its bounds.
 
-    Straight from point to point; last it goes beyond, by a part of the way from there, and back. Where the way is not
-    known, the end of a periodic record is what came before its start.
+    It is straight between points, and at the end overshoots by a part of the last section and returns. Where the
+    history is unknown, the end of a periodic record precedes its start.
     """
     came_from = [np.zeros((0, 2)) if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
     points = np.array([len(one) for one in came_from])
@@ -48,14 +48,14 @@ def _ways(
     axis: Array,
     overshoot: float,
 ) -> Array:
-    """The flux (M, 2) of `ways_here`.
+    """The flux (M, 2) of `initial_paths`.
 
     Parameters
     ----------
     came_from_ab : array, shape (sum of points, 2)
-        Where the current was; `points` (segments,) of each segment, none where its way is not known.
+        History of the current, with `points` (segments,) entries per segment, none where it is unknown.
     i_ab, inductance, axis : array, shape (segments, 2)
-        The current where a segment begins, L_d and L_q there, cosine and sine of the d axis' angle.
+        Current at a segment's start, L_d and L_q there, cosine and sine of the d axis' angle.
     """
     out = np.empty((way_starts[-1], 2))
     point = 0
@@ -85,7 +85,7 @@ def _ways(
 
 
 def flux_of(batch: SignalBatch) -> Array:
-    """Flux linkage (N, 2), up to a constant of each segment."""
+    """Flux linkage (N, 2), up to a constant per segment [Wb]."""
     if batch.psi_smooth_ab is not None:
         return doubles(batch.psi_smooth_ab)
     drops = (doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm))
@@ -94,7 +94,7 @@ def flux_of(batch: SignalBatch) -> Array:
 
 @njit(cache=True, nogil=True)
 def _summed(v_ab: Array, i_ab: Array, ohm: Array, starts: Starts, rates_hz: Array) -> Array:
-    """The volt-seconds of v - R i from each segment's beginning, shape (N, 2)."""
+    """Integral of v - R i from each segment's start, shape (N, 2) [Wb]."""
     out = np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
         sum_a, sum_b = 0.0, 0.0
@@ -106,12 +106,12 @@ def _summed(v_ab: Array, i_ab: Array, ohm: Array, starts: Starts, rates_hz: Arra
 
 
 def magnet_wb(batch: SignalBatch) -> float:
-    """The nameplate's flux of the magnet; 0 where it has none."""
+    """The nameplate's magnet flux [Wb]; 0 where it has none."""
     return (batch.motor.pm_flux_wb if batch.motor is not None else None) or 0.0
 
 
 def typical_inductance(batch: SignalBatch) -> Array:
-    """A typical one of each segment: the nameplate's, or else the swing of flux over that of current [H]."""
+    """Typical inductance of each segment [H]: the nameplate's, else the swing of flux over that of current."""
     motor = batch.motor
     if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
         return np.full(len(batch.segments), math.sqrt(motor.d_inductance_h * motor.q_inductance_h))
@@ -120,6 +120,6 @@ def typical_inductance(batch: SignalBatch) -> Array:
 
 
 def _swing(x: RealArray, starts: Starts) -> Array:
-    """Between the largest and the smallest of each segment, on the axis where that is more, shape (segments,)."""
+    """Largest minus smallest value of each segment, on the axis with the larger difference, shape (segments,)."""
     span = np.maximum.reduceat(x, starts[:-1]) - np.minimum.reduceat(x, starts[:-1])
     return np.asarray(span.max(axis=1), dtype=np.float64)

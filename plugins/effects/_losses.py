@@ -1,4 +1,4 @@
-"""What warms up with the losses of the whole experiment, read at the samples of a batch."""
+"""Temperature-like quantities driven by the losses of the whole experiment, at the samples of a batch."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from protocols import LossHistory, SignalBatch
 def along_losses(
     batch: SignalBatch, warm: Callable[[LossHistory], Array], otherwise: Callable[[], Array | float]
 ) -> Array:
-    """What a history of losses has warmed at each sample, shape (N,).
+    """A function of the loss history at each sample, shape (N,).
 
     Parameters
     ----------
     warm : callable
-        The same at the times of a history; evaluated once for each, linear between them and constant beyond.
+        Its values at the times of a history; interpolated linearly, constant beyond.
     otherwise : callable
-        The value in segments without a history, (N,) or one number; unused where all have one.
+        Value for segments without a history, (N,) or a number; not called where all have one.
     """
     out = np.empty(batch.samples)
     # Segments of one recording share one history.
@@ -51,7 +51,7 @@ def _read(
         for k in range(starts[s], starts[s + 1]):
             now = start_s[s] + (k - starts[s]) / rate_hz[s]
             if now >= high:
-                # So many times are not later.
+                # The number of times that are not later.
                 m = np.searchsorted(time_s, now, side="right") - 1
                 before, low = values[m], time_s[m]
                 high = time_s[m + 1] if m < end else np.inf

@@ -1,4 +1,4 @@
-"""Vector stop operators: what is held of a course up to a limit, along whichever way it goes. They know no iron.
+"""Vector stop operators: elastic up to a limit and then yielding, in any direction.
 
 Source: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng. Mech.
 Div. 102 (1976) 249.
@@ -17,48 +17,48 @@ from orchestrator.numerics.types import Array
 from plugins.effects._vectors import Starts
 
 YIELD_STEPS = 1024
-"""Steps of `yields_of`, read linearly between them: 3e-6 of what stops hold, from a softness of 0.1 on."""
+"""Steps of `yields_of`; linear interpolation is accurate to 3e-6 of the limits for a softness of 0.1 or more."""
 
 
 @lru_cache(maxsize=32)
 def yields_of(softness: float) -> Array:
-    """The part of an outward step that a stop yields, by size / limit in `YIELD_STEPS` steps, and one beyond.
+    """The part of an outward step that a stop yields, tabulated by size / limit in `YIELD_STEPS` steps, plus one.
 
-    Nothing, of shape (0,), where it yields at its limit alone.
+    Of shape (0,) where it yields only at its limit.
     """
-    # A hundredth power is as sharp as none.
+    # A hundredth power is practically a sharp limit.
     full = np.minimum(np.arange(YIELD_STEPS + 2) / YIELD_STEPS, 1.0) if softness > 1e-2 else np.zeros(0)
     return np.asarray(full ** (1.0 / max(softness, 1e-2)))
 
 
 class Course(NamedTuple):
-    """What stops follow, segment by segment: a way of its own to where it begins, and the values there."""
+    """Input of stops by segment: a path to its start, and its values."""
 
     values: Array
     """Shape (N, 2)."""
     starts: Starts
     """Values `starts[s]` up to `starts[s + 1]` are those of segment s."""
     ways: Array
-    """What was before, oldest first, shape (M, 2)."""
+    """Paths before the segments, oldest first, shape (M, 2)."""
     way_starts: Starts
-    """The same bounds of these; a way may be empty."""
+    """Bounds of the paths; a path may be empty."""
 
 
 @njit(cache=True, nogil=True)
 def stops(course: Course, stiffness: Array, limits: Array, yields: Array, giving: float, off: Array) -> Array:
-    """Sum of vector stop operators of a course, segment by segment.
+    """Sum of vector stop operators, segment by segment.
 
-    Where a way began, nothing was remembered.
+    The state at the start of a path is zero.
 
     Parameters
     ----------
     off : array, shape (segments, stops, 2)
-        What is remembered beside that where a segment's values begin, in the stops' limits.
+        State added at the start of a segment's values, in the stops' limits.
     yields : array
-        Of `yields_of`: outwards a stop moves by what it does not yield of what is elastic; without any, by all of it as
-        long as it is below its limit.
+        Table of `yields_of`: outwards a stop moves by the part of the elastic step that it does not yield; without a
+        table it moves by all of it below its limit.
     giving : float
-        Which part of what it yields it does so whatever the direction.
+        Part of the yielding that is independent of the direction.
 
     Returns
     -------
@@ -81,13 +81,13 @@ def stops(course: Course, stiffness: Array, limits: Array, yields: Array, giving
             step_a, step_b = (new_a - old_a, new_b - old_b) if k > 0 else (0.0, 0.0)
             old_a, old_b = new_a, new_b
             length = math.sqrt(step_a * step_a + step_b * step_b) if soft else 0.0
-            # A stop waits for its own last step alone: side by side they take less time than one after the other.
+            # A stop depends only on its own last step, so that all are advanced together.
             for m in range(limits.shape[0]):
                 a, b, limit = held[m, 0], held[m, 1], limits[m]
                 if not soft:
                     held[m, 0], held[m, 1] = _within(a + stiffness[m] * step_a, b + stiffness[m] * step_b, limit)
                     continue
-                # A step of the course may be as large as what a stop yields in.
+                # A step of the input may exceed the range in which a stop yields.
                 parts = 1 + min(int(8.0 * length * fillings[m]), 3)
                 share = stiffness[m] / parts
                 da, db, far = share * step_a, share * step_b, share * length
@@ -96,7 +96,7 @@ def stops(course: Course, stiffness: Array, limits: Array, yields: Array, giving
                     if along > 0.0 or giving > 0.0:
                         size = max(math.sqrt(a * a + b * b), 1e-12 * limit)
                         outwards = max(along / size, 0.0)
-                        # Half of the way out stands for all of it. Read here, for arrays handed on are counted.
+                        # Midpoint rule over the outward step; inlined, as passing arrays costs reference counting.
                         full = min(1.0, abs(size + 0.5 * along / size) / limit) * YIELD_STEPS
                         below = int(full)
                         part = yields[below] + (full - below) * (yields[below + 1] - yields[below])
@@ -116,10 +116,10 @@ def stops(course: Course, stiffness: Array, limits: Array, yields: Array, giving
 
 @njit(cache=True, nogil=True)
 def _remember(held: Array, off: Array, limits: Array) -> None:
-    """What stops hold, in place, with what is remembered beside: both (stops, 2), `off` in the stops' limits."""
+    """Add a state to the stops in place: both (stops, 2), `off` in the stops' limits."""
     for m in range(limits.shape[0]):
         a, b = held[m, 0], held[m, 1]
-        # Beyond its limit a stop holds no more: what leads there stands for as much inwards.
+        # A state that would exceed the limit is added with the opposite sign.
         more_a, more_b = off[m, 0] * limits[m], off[m, 1] * limits[m]
         side = -1.0 if (a + more_a) ** 2 + (b + more_b) ** 2 > limits[m] ** 2 else 1.0
         a, b = a + side * more_a, b + side * more_b
@@ -129,7 +129,7 @@ def _remember(held: Array, off: Array, limits: Array) -> None:
 
 @njit(cache=True, nogil=True)
 def _within(a: float, b: float, limit: float) -> tuple[float, float]:
-    """A vector (a, b), as far as a limit."""
+    """A vector (a, b), limited in length."""
     square = a * a + b * b
     if square > limit * limit:
         scale = limit / math.sqrt(square)

@@ -1,6 +1,6 @@
-"""Vectors along time, shape (N, 2), changed in one pass by numba kernels; they know nothing of motors.
+"""One-pass numba kernels on vectors along time, shape (N, 2).
 
-Segments lie end to end: samples `starts[s]` up to `starts[s + 1]` are those of segment s.
+Segments are concatenated: samples `starts[s]` up to `starts[s + 1]` are those of segment s.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Starts = NDArray[np.int64]
 
 
 def doubles(x: RealArray) -> Array:
-    """As kernels are compiled for: float64 without gaps; the same array where it is that."""
+    """A contiguous float64 array as kernels expect; the same object where it is one already."""
     return np.ascontiguousarray(x, dtype=np.float64)
 
 
@@ -63,7 +63,7 @@ def _plus_along_d(x: Array, starts: Starts, sizes: Array, theta_rad: Array) -> A
     out = np.empty_like(x)
     for s in range(starts.shape[0] - 1):
         first = starts[s]
-        # Around its own first angle that of a segment hardly moves.
+        # A segment's angle hardly changes from its first value.
         axis = unit_vectors(theta_rad[first : starts[s + 1]])
         for k in range(first, starts[s + 1]):
             out[k, 0] = x[k, 0] + sizes[k] * axis[k - first, 0]
@@ -72,7 +72,7 @@ def _plus_along_d(x: Array, starts: Starts, sizes: Array, theta_rad: Array) -> A
 
 
 def less_of_means(x: RealArray, starts: Starts, y: RealArray, matrix: RealArray) -> Array:
-    """x_k - (y_k + y_k+1) / 2 M, M of shape (2, 2): beyond a segment's end y stays as it is."""
+    """x_k - (y_k + y_k+1) / 2 M, M of shape (2, 2); y is constant beyond a segment's end."""
     return _less_of_means(doubles(x), starts, doubles(y), doubles(matrix))
 
 

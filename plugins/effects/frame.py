@@ -1,4 +1,4 @@
-"""Angles that are not what the operator believes: a misaligned rotor, a brake that gives way, or has play."""
+"""Errors of the rotor angle: a misaligned rotor, and a brake with compliance or backlash."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signa
 class RotorMisalignment(BatchEffect):
     """True electrical angle = believed + delta [rad].
 
-    It shows only because the machine is even in the true i_q: in the believed frame the map then has
-    L_dq(i_d, 0) of about (L_d - L_q) delta.
+    It is observable as the map is even in the true i_q: in the believed frame L_dq(i_d, 0) is about (L_d - L_q) delta.
     """
 
     name: ClassVar[str] = "rotor_misalignment"
@@ -34,18 +33,18 @@ class RotorMisalignment(BatchEffect):
         angle_rad: float = amplitude("rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Turn the d axis to where it is."""
+        """Rotate the d axis to its true angle."""
         return Correction(theta_rad=batch.theta_rad + p.angle_rad)
 
 
 class BrakeCompliance(BatchEffect):
-    """A brake that gives way: delta = kappa T_e, T_e = 3/2 n (psi_d i_q - psi_q i_d) [Nm].
+    """A compliant brake: delta = kappa T_e, T_e = 3/2 n (psi_d i_q - psi_q i_d) [Nm].
 
     kappa is in electrical radians per Nm.
 
-    A twist that follows the torque turns the magnet's flux and so induces a voltage. It lags the torque by the
-    time that friction asks for: without a lag it would be one more q-axis inductance. In the flexible form the rotor
-    has inertia and swings on the brake's spring, delta + lag_s delta' + inertia_s2 delta'' = kappa T_e.
+    The twist rotates the magnet's flux and induces a voltage. It lags the torque due to friction; without a lag it
+    would be equivalent to a q-axis inductance. In the flexible form the rotor has inertia and oscillates on the brake's
+    spring, delta + lag_s delta' + inertia_s2 delta'' = kappa T_e.
     """
 
     name: ClassVar[str] = "brake_compliance"
@@ -61,7 +60,7 @@ class BrakeCompliance(BatchEffect):
         inertia_s2: float = refinement("s^2", neutral=0.0, prior_width=1e-6, low=0.0, high=1e-3, other_form=3e-8)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Add the twist to the angle; without a flux in the signals there is no torque, and nothing changes."""
+        """Add the twist to the angle; nothing changes without a flux in the signals."""
         torque = _torque_nm(batch)
         if torque is None:
             return Correction()
@@ -72,10 +71,10 @@ class BrakeCompliance(BatchEffect):
 
 
 class BrakeBacklash(BatchEffect):
-    """A brake with play: the rotor lies at either end of a gap, delta = gap/2 s(T_e / T_f), with a lag.
+    """A brake with backlash: the rotor lies at either end of a gap, delta = gap/2 s(T_e / T_f), with a lag.
 
-    The gap is in electrical radians; within the torque T_f [Nm], friction's, it is crossed by
-    s(x) = x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
+    The gap is in electrical radians; it is crossed within the friction torque T_f [Nm] by s(x) = x / (1 + |x|^p)^(1/p),
+    p = 1 / `softness`.
     """
 
     name: ClassVar[str] = "brake_backlash"
@@ -92,7 +91,7 @@ class BrakeBacklash(BatchEffect):
         softness: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.1, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Add to the angle where in its gap the rotor lies; without a flux in the signals nothing changes."""
+        """Add the position in the gap to the angle; nothing changes without a flux in the signals."""
         torque = _torque_nm(batch)
         if torque is None:
             return Correction()
@@ -103,10 +102,10 @@ class BrakeBacklash(BatchEffect):
 
 
 def _ends(torque_nm: Array, friction_nm: float, softness: float) -> Array:
-    """Where in its gap a rotor would lie, (N,), from -1 at one end to 1 at the other."""
+    """Static position of the rotor in its gap, (N,), from -1 at one end to 1 at the other."""
     x = torque_nm / friction_nm
     large = np.abs(x)
-    # Powers of what is below one alone, so that none overflows.
+    # Only powers of numbers below one are taken, so that none overflows.
     share = np.minimum(large, 1.0)
     np.maximum(large, 1.0, out=large)
     large **= -1.0 / softness
@@ -118,7 +117,7 @@ def _ends(torque_nm: Array, friction_nm: float, softness: float) -> Array:
 
 def _torque_nm(batch: SignalBatch) -> Array | None:
     """T_e = 3/2 n (psi_d i_q - psi_q i_d), shape (N,); None without a flux."""
-    # A torque with the readings' noise in it would turn the frame to and fro with every sample.
+    # A torque with the readings' noise would rotate the frame at every sample.
     psi, i = batch.psi_smooth_ab, batch.i_smooth_ab
     if psi is None or i is None:
         psi, i = batch.psi_ab, batch.i_ab
@@ -137,12 +136,12 @@ def _torques(psi_ab: Array, i_ab: Array, factor: float) -> Array:
 
 
 MIN_LAG_SAMPLES = 1e-3
-"""A shorter lag counts as none, since no matrix exponential resolves it beside a lag of many samples."""
+"""Lag below which it is neglected, as the matrix exponential cannot resolve it beside a lag of many samples."""
 
 
 def _swinging(x: Array, lag_s: float, inertia_s2: float, batch: SignalBatch) -> Array:
-    """y (N,) of y + lag y' + inertia y'' = x, from rest at each segment's x_0; exact for what is linear between."""
-    # A lag alone wherever the inertia is none beside a sample period.
+    """y (N,) of y + lag y' + inertia y'' = x, in steady state at each segment's x_0; exact for x linear in between."""
+    # Only a lag where the inertia is negligible within a sample period.
     y = _late(x, lag_s, batch)
     for rate_hz, segments in by_value(batch.sampling_frequency_hz):
         step_s = 1.0 / rate_hz
@@ -152,8 +151,8 @@ def _swinging(x: Array, lag_s: float, inertia_s2: float, batch: SignalBatch) -> 
 
 
 def _spring(lag_s: float, inertia_s2: float, step_s: float) -> tuple[Array, Array, Array]:
-    """The filter of `_swinging` for one sampling interval, as `second_order` asks for it."""
-    # In y and its rate over the natural frequency both states are of one size, however fast they are.
+    """The filter of `_swinging` for one sampling interval, as arguments of `second_order`."""
+    # With y and its rate over the natural frequency as states, both have the same scale.
     natural = 1.0 / math.sqrt(inertia_s2)
     state = np.array([[0.0, natural], [-natural, -lag_s * natural**2]])
     force, output = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]])
@@ -163,5 +162,5 @@ def _spring(lag_s: float, inertia_s2: float, step_s: float) -> tuple[Array, Arra
 
 
 def _late(x: Array, lag_s: float, batch: SignalBatch) -> Array:
-    """The same (N,) behind a first-order lag."""
+    """x (N,) behind a first-order lag."""
     return np.asarray(low_pass(x, batch.starts, doubles(1.0 / (lag_s * batch.sampling_frequency_hz))))

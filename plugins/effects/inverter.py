@@ -34,20 +34,20 @@ from protocols import (
 )
 
 PART_WIDTHS = (0.5, 1.5, 3.0)
-"""Widths, in thresholds, of the parts that a step of `Knee` may have beside its main one."""
+"""Widths, in thresholds, of the additional components of a `Knee`."""
 PART_EXPONENT = 3.0
-"""Exponent of these parts. With them the hyperbolic and the circular tangent, Langevin's and the Gaussian step, an
-exponential, straight and rounded ramps, and mixtures of them are met to 1.5e-3 of the step (rms to six thresholds)."""
+"""Exponent of these components. With them tanh, arctan, Langevin's and the Gaussian step, an exponential, straight and
+rounded ramps, and mixtures of them are approximated to 1.5e-3 of the step (rms to six thresholds)."""
 
 MIN_LEG_DIFFERENCE_RATIO = 0.03
-"""Difference of a leg's dead time over the mean that a remark names: more than gate drivers of one kind differ."""
+"""Relative difference of a leg's dead time from which a remark is made: gate drivers of one type differ less."""
 
 COARSE_TABLE_RATIO = 32.0
-"""How much coarser a second table is, for currents far beyond the step: a logarithm there is straight to 1e-5."""
+"""Ratio of the second table's step, for currents far beyond the knee, where a logarithm is linear to 1e-5."""
 
 
 def _soft_sign(x: Array, softness: float, parts: tuple[float, ...]) -> Array:
-    """s(x), x at least 0: x / (1 + x^p)^(1/p), but for the `parts` of it that happen within `PART_WIDTHS`."""
+    """s(x) for x >= 0: x / (1 + x^p)^(1/p), mixed with `parts` of the widths `PART_WIDTHS`."""
     whole = (1.0 - sum(parts)) * _knee(x, 1.0 / softness)
     for part, width in zip(parts, PART_WIDTHS, strict=True):
         if part != 0.0:
@@ -56,7 +56,7 @@ def _soft_sign(x: Array, softness: float, parts: tuple[float, ...]) -> Array:
 
 
 def _charging(x: Array) -> Array:
-    """What a dead time takes where capacitances have to be charged: they swing in a straight line, 1 within it."""
+    """Lost voltage with linear capacitive commutation, whose swing takes the dead time at x = 1."""
     return np.asarray(np.where(x < 1.0, 0.5 * x, 1.0 - 0.5 / np.maximum(x, 1.0)), dtype=np.float64)
 
 
@@ -70,9 +70,9 @@ def _knee(x: Array, sharpness: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _tables(softness: float, parts: tuple[float, ...], charged: float, growth: float, step: float, end: float) -> Array:
-    """Tables of a step of these parts, one up to `end`, one `COARSE_TABLE_RATIO` times as coarse and long; (2, m).
+    """Tables of s, one up to `end`, one `COARSE_TABLE_RATIO` times as coarse and long; shape (2, m).
 
-    The part `charged` goes as `_charging`, the part `growth` as log(1 + x), what is left as `_soft_sign`.
+    The part `charged` is `_charging`, the part `growth` log(1 + x), and the remainder `_soft_sign`.
     """
 
     def whole(x: Array) -> Array:
@@ -85,7 +85,7 @@ def _tables(softness: float, parts: tuple[float, ...], charged: float, growth: f
 
 @njit(cache=True, nogil=True)
 def _look_up(tables: Array, place: float, growth: float) -> float:
-    """s at a place in the first table's steps, odd; beyond both tables it grows so much with each factor e."""
+    """Odd function s at a current in steps of the first table; beyond both, extrapolated by `growth` log(x)."""
     size, end = abs(place), tables.shape[1] - 1
     if size < end:
         m = int(size)
@@ -105,7 +105,7 @@ def _look_up(tables: Array, place: float, growth: float) -> float:
 def _without_sign(
     v_ab: Array, i_ab: Array, starts: Starts, volts: Array, legs: Array, steps: float, tables: Array, growth: float
 ) -> Array:
-    """v - volts s, s averaged over each interval by Simpson's rule; `steps` of the first table are one ampere."""
+    """v - volts s, s averaged over each interval by Simpson's rule; `steps` is the number of table steps per ampere."""
     out = np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
         first, last = starts[s], starts[s + 1] - 1
@@ -128,7 +128,7 @@ def _without_sign(
 
 
 class Knee(EffectParameters):
-    """How the step at zero current is rounded, beside the current within which it happens."""
+    """Shape of the step at zero current."""
 
     softness: float = refinement("1", neutral=0.5, prior_width=0.3, low=0.02, high=1.0)
     narrow: float = refinement("1", neutral=0.0, prior_width=0.3, low=-1.0, high=1.0, detail=True)
@@ -148,9 +148,9 @@ def _less_step(
     step: float = 0.01,
     end: float = 40.0,
 ) -> Array:
-    """The voltage without `volts` (N,) against the sign of each phase current, in each leg times its part (3,).
+    """The voltage minus `volts` (N,) with the sign of each phase current, in each leg times its factor `legs` (3,).
 
-    It is read, linearly between entries, from `_tables` of this `step` and `end`, in thresholds.
+    s is interpolated from `_tables` with this `step` and `end`, in thresholds.
     """
     tables = _tables(knee.softness, (knee.narrow, knee.wide, knee.wider), charged, growth, step, end)
     steps = 1.0 / (threshold_a * step)
@@ -161,21 +161,25 @@ def _less_step(
 class DeadTime(BatchEffect, RemarkingEffect):
     """Blanking time between the switches of a leg.
 
-    e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
-    is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
-    capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
-    In the flexible form the softness is free, and parts of the step happen within half, one and a half and three i_th
-    (`narrow`, `wide`, `wider`): the capacitances are not constant. The part `charged` goes as where they are: a leg
-    swings in a straight line, within the dead time at i_th, and of it |i| / 2 i_th is lost below, 1 - i_th / 2 |i|
-    above. A share `switched` of the voltage is lost as at the
-    edges of a switching leg, each with the current of its own instant, ripple included
-    (`plugins.effects._commutation`). i_th is then C V_dc / t_d with C of both devices of a leg, the same at every PWM
-    frequency, and i_th t_d the charge of a swing; `grading` is by which power their capacitances fall with the voltage,
-    and `takeover` the part of the dead time by which an edge against the motor's rated current is later still.
-    `yielding` is how far the currents follow the edges within a swing itself as the inductance has them: 0 where they
-    are those of the command, 1 where a winding is its inductance in a microsecond, too.
-    `leg_a_longer` is by how much of the legs' mean leg a's own dead time is, which the other two make up for alike, and
-    `leg_b_over_c` by how much of it b's is above, and c's below theirs.
+    e = T V_dt s(x), x = i_abc / i_th, V_dt = t_d f_pwm V_dc; the impressed voltage is v* - e. The capacitances of a leg
+    make s cross zero within i_th; in the simple form s(x) = x / (1 + |x|^p)^(1/p).
+
+    ====== ============== ==================================================================================== ====
+    symbol name           meaning                                                                              unit
+    ====== ============== ==================================================================================== ====
+    V_dt   voltage_v      lost voltage at the drive's nominal PWM frequency and bus voltage                    V
+    i_th   threshold_a    current within which s crosses zero; C V_dc / t_d, C of both devices of a leg        A
+    1/p    softness       rounding of the step                                                                 1
+    w_1..3 narrow to ...  parts of the step with widths of 0.5 (`narrow`), 1.5 (`wide`) and 3 i_th (`wider`)   1
+    c      charged        part with constant capacitances: s = x / 2 up to i_th, 1 - 1 / (2 x) above           1
+    h      switched       part lost edge by edge at instantaneous currents (`plugins.effects._commutation`)    1
+    m      grading        exponent of the capacitances' decrease with voltage (`switched`)                     1
+    r      takeover       extra delay of an edge against the motor's rated current, over t_d (`switched`)      1
+    y      yielding       response of currents within a swing over the inductance's (`switched`)               1
+    a      leg_a_longer   leg a's dead time minus the mean, over the mean; b and c each have -a / 2            1
+    b      leg_b_over_c   half the difference of b's and c's dead times, over the mean                         1
+    ====== ============== ==================================================================================== ====
+
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
@@ -203,8 +207,8 @@ class DeadTime(BatchEffect, RemarkingEffect):
         v_ab = batch.v_ab
         legs = np.maximum([1.0 + longer for longer in _longer(p)], 0.0)
         if p.switched < 1.0:
-            rest = volts if p.switched == 0.0 else (1.0 - p.switched) * volts
-            v_ab = _less_step(batch, rest, p.threshold_a, p, legs, charged=p.charged)
+            unswitched = volts if p.switched == 0.0 else (1.0 - p.switched) * volts
+            v_ab = _less_step(batch, unswitched, p.threshold_a, p, legs, charged=p.charged)
         if p.switched > 0.0:
             lost = _lost_at_edges(batch, volts, legs, p)
             lost *= -p.switched
@@ -213,7 +217,7 @@ class DeadTime(BatchEffect, RemarkingEffect):
         return Correction(v_ab=v_ab)
 
     def derived(self, p: Parameters, drive: DriveRecord) -> dict[str, tuple[float, str]]:
-        """The dead time t_d = V_dt / (f_pwm V_dc), and the charge i_th t_d of a swing where its form shows that."""
+        """The dead time t_d = V_dt / (f_pwm V_dc), and the charge i_th t_d of a swing with capacitive commutation."""
         if drive.pwm_frequency_hz is None:
             return {}
         dead_time_s = p.voltage_v / (drive.pwm_frequency_hz * drive.dc_bus_voltage_v)
@@ -223,7 +227,7 @@ class DeadTime(BatchEffect, RemarkingEffect):
         return quantities
 
     def remarks(self, p: Parameters) -> list[Remark]:
-        """Which leg's dead time is none of the others'."""
+        """A remark on the leg whose dead time differs most from the mean."""
         legs = dict(zip("abc", _longer(p), strict=True))
         leg = max(legs, key=lambda one: abs(legs[one]))
         if abs(legs[leg]) < MIN_LEG_DIFFERENCE_RATIO:
@@ -234,15 +238,15 @@ class DeadTime(BatchEffect, RemarkingEffect):
 
 
 def _nominal_bus_v(batch: SignalBatch) -> RealArray | float:
-    """The drive's, or else the mean over each segment (segments,)."""
+    """The drive's nominal bus voltage, or else the mean over each segment (segments,)."""
     if batch.drive is not None:
         return batch.drive.dc_bus_voltage_v
     return np.array([np.mean(batch.v_dc[batch.slice_of(k)]) for k in range(len(batch.segments))])
 
 
 def _lost_at_edges(batch: SignalBatch, volts: Array, legs: Array, p: DeadTime.Parameters) -> Array:
-    """What a leg that switches loses of its V_dt, `volts` (N,), shape (N, 2)."""
-    # Current between samples hardly bends: two carrier periods stand for all of them.
+    """Voltage (N, 2) lost edge by edge, for V_dt = `volts` (N,)."""
+    # The current is nearly linear between samples: two carrier periods represent all of them.
     cycles = np.clip(np.round(batch.pwm_frequency_hz / batch.sampling_frequency_hz), 1, 2).astype(np.int64)
     takeover = p.takeover * p.threshold_a / (rated_current_a(batch) or p.threshold_a)
     swing = Swing(swing_lines(p.grading), takeover, p.yielding)
@@ -252,20 +256,20 @@ def _lost_at_edges(batch: SignalBatch, volts: Array, legs: Array, p: DeadTime.Pa
 
 
 def _longer(p: DeadTime.Parameters) -> tuple[float, float, float]:
-    """By how much of the legs' mean dead time each one's own is longer."""
+    """Each leg's dead time minus the mean, over the mean."""
     others = -0.5 * p.leg_a_longer
     return p.leg_a_longer, others + p.leg_b_over_c, others - p.leg_b_over_c
 
 
 def _without_noise(batch: SignalBatch) -> Array:
-    """The stator current; a bend near zero would turn its noise into a mean."""
+    """The stator current without noise where known: the curvature near zero would rectify noise."""
     return doubles(batch.i_ab if batch.i_quiet_ab is None else batch.i_quiet_ab)
 
 
 def _inductance(batch: SignalBatch) -> Array:
-    """L_aa, L_ab, L_bb in the stator frame [H], by the model or else the nameplate; endless where neither is known.
+    """L_aa, L_ab, L_bb in the stator frame [H], from the model or else the nameplate; 1e9 H where neither is known.
 
-    Of shape (N, 3), or (1, 3) where all are the same.
+    Shape (N, 3), or (1, 3) if constant.
     """
     if batch.inductance_ab is not None:
         return doubles(batch.inductance_ab)
@@ -279,15 +283,15 @@ def _inductance(batch: SignalBatch) -> Array:
 class DeviceDrop(BatchEffect):
     """Forward drop of transistors and diodes.
 
-    e = T V_0 s(i_abc / i_th) [V], whatever the PWM frequency; the part proportional to the current,
-    r_on i, counts as R_s. In the flexible form the drop goes on growing beyond its knee as over any junction,
-    whose drop is log(1 + i / i_s) times n k T / q: from a mere step at `growth` 0 to that logarithm alone at 1,
+    e = T V_0 s(i_abc / i_th) [V] at any PWM frequency; the ohmic part r_on i counts as R_s. In the flexible form the
+    drop grows beyond its knee like a junction's, n k T / q log(1 + i / i_s): from a step at `growth` 0 to that
+    logarithm alone at 1,
 
         e = T V_0 ((1 - growth) s(x) + growth log(1 + |x|) sign x) / (1 - growth + growth log(1 + x_r)),
 
-    x = i_abc / i_th, so that `voltage_v` is the drop at the motor's rated current, x_r thresholds. And devices warm by
-    what they carry, through a lag of `warming_s`: where they are warmest in the experiment, the drop has changed by the
-    part `warming`, some -2 mV/K of a junction.
+    x = i_abc / i_th, so that `voltage_v` is the drop at the motor's rated current x_r i_th. The devices' losses heat
+    them with a lag of `warming_s`; `warming` is the relative change of the drop at the highest temperature in the
+    experiment (a junction has about -2 mV/K).
     Sources: as `DeadTime`; W. Shockley, Bell Syst. Tech. J. 28 (1949), doi:10.1002/j.1538-7305.1949.tb03645.x.
     """
 
@@ -306,12 +310,12 @@ class DeviceDrop(BatchEffect):
         warming_s: float = refinement("s", neutral=3.0, prior_width=3.0, low=0.1, high=100.0)
 
     def derived(self, p: Parameters, drive: DriveRecord) -> dict[str, tuple[float, str]]:
-        """The forward voltage, which data sheets give beside an on-resistance."""
+        """The forward voltage, which data sheets give together with an on-resistance."""
         return {"forward_voltage": (p.voltage_v, "V")}
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
-        # A logarithm alone is nothing at the current zero, which an unknown rated one would be.
+        # Avoids division by log1p(0) where the rated current is unknown.
         rated = math.log1p((rated_current_a(batch) or p.threshold_a) / p.threshold_a)
         at_knee = p.voltage_v / (1.0 - p.growth + p.growth * rated)
         volts = np.full(batch.samples, at_knee)
@@ -321,10 +325,10 @@ class DeviceDrop(BatchEffect):
 
 
 def _warmth(batch: SignalBatch, lag_s: float) -> Array:
-    """How warm devices are that lose power with their current, (N,), in parts of the most; 0 where that is unknown."""
+    """Temperature rise of devices with losses proportional to current, over its maximum, (N,); 0 where unknown."""
 
     def warm(losses: LossHistory) -> Array:
-        # A nearly constant drop times the current, of which the copper loss goes with the square.
+        # The loss of a nearly constant drop is proportional to the current, the root of the copper loss.
         warm = lagged_steps(losses.time_s, np.sqrt(losses.power_w), lag_s)
         return np.asarray(warm / max(float(warm.max()), 1e-12))
 
@@ -334,9 +338,8 @@ def _warmth(batch: SignalBatch, lag_s: float) -> Array:
 class VoltageBias(BatchEffect):
     """Constant voltage error of each leg: e = T (b_a, b_b, -b_a - b_b) [V], while the bridge is on.
 
-    Its cause is a constant error of the modulation or of the gate drivers' delays. What delays make happens at every
-    edge: in the flexible form the part `at_edges` of it grows with the PWM frequency, and `bias_a_v` and `bias_b_v` are
-    those at the drive's own.
+    It is due to a constant error of the modulation or of the gate drivers' delays. In the flexible form the part
+    `at_edges`, by delays, is proportional to the PWM frequency; the biases hold at the drive's nominal one.
     """
 
     name: ClassVar[str] = "voltage_bias"
@@ -361,10 +364,13 @@ class VoltageBias(BatchEffect):
 class BusSag(BatchEffect):
     """The bus voltage sags under load while the drive modulates for the nominal one.
 
-    v = v* (1 - k P), P = 3/2 v . i the power drawn [W], k in 1/W. The bus's own capacitors make the sag follow
-    the power with a lag, but for the part `at_once`, which their resistance R_c in series lets follow without: behind
-    a source of resistance R_0 that is R_c / (R_0 + R_c). A rectifier takes nothing back, and what a motor returns lifts
-    the bus; of any source, `one_way` is the part of 1 / R_0 that it has outwards only.
+    v = v* (1 - k s) for a source of resistance R_0 and a bus capacitor with series resistance R_c,
+
+        s = (u + c P) / (1 + g c),    tau (1 - a) du/dt = P - g s,    c = a / (1 - a),
+
+    P = 3/2 v . i the power drawn [W], u the capacitor's sag in units of power, k = `per_watt`, tau = `lag_s`,
+    a = `at_once` = R_c / (R_0 + R_c) the part without lag. g is 1 for s >= 0 and 1 - `one_way` for s < 0, where power
+    flows back: `one_way` is the part of the source's conductance that conducts outwards only, 1 for a rectifier.
     """
 
     name: ClassVar[str] = "bus_sag"
@@ -381,7 +387,7 @@ class BusSag(BatchEffect):
         one_way: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Scale the commanded voltage by what the bus has left."""
+        """Scale the commanded voltage by the bus voltage over its nominal value."""
         intervals = doubles(p.lag_s * batch.sampling_frequency_hz)
         v_ab, i_ab = doubles(batch.v_ab), doubles(batch.i_ab)
         return Correction(v_ab=_sagged(v_ab, i_ab, batch.starts, p.per_watt, intervals, p.at_once, 1.0 - p.one_way))
@@ -391,16 +397,16 @@ class BusSag(BatchEffect):
 def _sagged(
     v_ab: Array, i_ab: Array, starts: Starts, per_watt: float, lags: Array, at_once: float, back: float
 ) -> Array:
-    """The voltage (N, 2) that a bus has left, which sags with the power that its source gives.
+    """The voltage (N, 2) scaled by the sagging bus.
 
     Parameters
     ----------
     lags : array, shape (segments,)
-        Of the sag behind the power drawn, in intervals.
+        Lag of the sag behind the power, in intervals.
     at_once : float
-        Part of it that does not lag.
+        Part of the sag without lag.
     back : float
-        Conductance of the source for a current that flows back, over that for one that flows out.
+        Conductance of the source for reverse current over that for forward current.
     """
     out = np.empty_like(v_ab)
     direct = at_once / (1.0 - at_once)
@@ -408,7 +414,7 @@ def _sagged(
     given = (1.0 / (1.0 + direct), back / (1.0 + back * direct))
     for s in range(starts.shape[0] - 1):
         first, last, lag = starts[s], starts[s + 1] - 1, lags[s]
-        # Of a first-order lag, over an interval: how much of its first slope it goes, to the end and on the mean.
+        # First-order lag over an interval: change over initial slope, at the end and on average.
         rates = (given[0] / (lag * (1.0 - at_once)), given[1] / (lag * (1.0 - at_once)))
         to_end = (_part_gone(rates[0]), _part_gone(rates[1]))
         on_mean = (_part_gone_on_mean(rates[0]), _part_gone_on_mean(rates[1]))
@@ -421,9 +427,9 @@ def _sagged(
             way = 0 if late + direct * power >= 0.0 else 1
             slope = (power - given[way] * (late + direct * power)) / (lag * (1.0 - at_once))
             mean = late + on_mean[way] * slope
-            left = 1.0 - per_watt * ((mean + direct * power) / (1.0 + ways[way] * direct))
-            out[k, 0] = v_ab[k, 0] * left
-            out[k, 1] = v_ab[k, 1] * left
+            ratio = 1.0 - per_watt * ((mean + direct * power) / (1.0 + ways[way] * direct))
+            out[k, 0] = v_ab[k, 0] * ratio
+            out[k, 1] = v_ab[k, 1] * ratio
             late += to_end[way] * slope
     return out
 

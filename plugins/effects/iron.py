@@ -1,4 +1,4 @@
-"""Iron and magnets: eddy currents, hysteresis, warm magnets, slots. Each says which current magnetises."""
+"""Iron and magnets: eddy currents, hysteresis, magnet heating, slotting. Each corrects the magnetising current."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
 from plugins.effects._batches import BatchEffect, RandomBatchEffect, per_segment
 from plugins.effects._filters import lagged_steps
-from plugins.effects._flux import flux_of, magnet_wb, typical_inductance, ways_here
+from plugins.effects._flux import flux_of, initial_paths, magnet_wb, typical_inductance
 from plugins.effects._losses import along_losses
 from plugins.effects._stops import Course, stops, yields_of
 from plugins.effects._vectors import Starts, doubles, plus_along_d
@@ -34,13 +34,11 @@ from protocols import (
 class EddyCurrents(BatchEffect):
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
-    A sample taken just before the voltage changes has seen the voltage of the interval before: what it was at its end,
-    where commands act late within it. In the flexible form
-    the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods:
-    read in the zero vector, a current without a lag is hardly there. The part `diffused` of it sinks into a sheet as a
-    field does, in a ladder of `EDDY_PATHS`: the m-th has 1/m^2 of the conductance and follows within lag_s / m^2.
-    And the conductance is (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on
-    one axis alone.
+    A sample just before the voltage changes responds to the voltage of the interval before, at its end where commands
+    are delayed. In the flexible form the eddy current's path has an inductance, with a time constant `lag_s` of zero or
+    a few sample periods: read in the zero vector, a current without a lag has almost decayed. The part `diffused`
+    diffuses into a sheet, as a ladder of `EDDY_PATHS`: path m has 1/m^2 of the conductance and the time constant
+    lag_s / m^2. The conductance is (1 + `saliency`) / R_c on d, (1 - `saliency`) / R_c on q: at +-1 on one axis only.
     Sources: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238; the
     ladder is the diffusion equation's, the sum over m of 6 / (pi m)^2 / (1 + s tau / m^2).
     """
@@ -61,7 +59,7 @@ class EddyCurrents(BatchEffect):
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Take the eddy current from the magnetising current, and its steps from the resistive drop."""
+        """Subtract the eddy current from the magnetising current, and its steps from the resistive drop."""
         i_m_ab, v_ab = _without_eddies(
             doubles(batch.i_m_ab),
             doubles(batch.v_ab),
@@ -77,13 +75,13 @@ class EddyCurrents(BatchEffect):
 
 
 EDDY_PATHS = 4
-"""Paths of a field that sinks into a sheet; the last has what is left, for all that are faster."""
+"""Number of paths of a field that diffuses into a sheet; the last one includes all faster ones."""
 
 
 def _paths(late: float, diffused: float) -> Array:
-    """What each path has of the conductance, its decay, bend and feeling as `_without_eddies` asks, shape (paths, 4).
+    """Each path's share of the conductance, and its decay, curvature and end response, shape (paths, 4).
 
-    `late` is the slowest one's lag in sample periods; without one a single path has all, and the others nothing.
+    `late` is the slowest path's lag in sample periods; at zero the first path has the whole conductance.
     """
     rungs = np.arange(1.0, EDDY_PATHS + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
     parts = diffused * 6.0 / (math.pi * rungs) ** 2
@@ -96,11 +94,11 @@ def _paths(late: float, diffused: float) -> Array:
 
 
 def _path(late: float) -> tuple[float, float, float]:
-    """A path's decay in a sample period, the bend of a step of its current, and how much of a late end it feels."""
+    """A path's decay in a sample period, the curvature of a step, and the response to the interval's end."""
     decay = math.exp(-1.0 / late) if late > 1e-2 else 0.0
-    # What the exponential within an interval has beside the chord between its samples.
+    # Mean of the exponential within an interval minus that of the chord between its samples.
     bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
-    # Of what an interval's end has beside its mean: all without a lag, nothing where the lag is long.
+    # Response to the voltage at an interval's end minus its mean: one without a lag, zero for a long lag.
     return decay, bend, math.tanh(0.25 / late) if late > 1e-2 else 1.0
 
 
@@ -116,20 +114,19 @@ def _without_eddies(
     siemens: Array,
     paths: Array,
 ) -> tuple[Array, Array]:
-    """The magnetising current without the eddies', and the voltage without what their steps drop, shapes (N, 2).
+    """The current minus the eddy current, and the voltage minus the drop of its steps, shapes (N, 2).
 
     Parameters
     ----------
     late_ab : array, shape (N, 2) or (0, 2)
-        What an interval's end has beside the mean voltage; empty where nothing.
+        Voltage at an interval's end minus its mean; empty where zero.
     theta_rad : array, shape (N,) or (0,)
-        The d axis' angle; empty where both axes are alike.
+        Angle of the d axis; empty without saliency.
     siemens : array, shape (2,)
         Conductance on d and on q.
     paths : array, shape (segments, m, 4)
-        Of each path that a current follows by: its part of the conductance; its decay in a sample period: the voltage
-        is held over an interval, and at its end the current has come this much nearer to it; of a step of its current,
-        what its mean over an interval is beside the mean of both samples; what it feels of an interval's end.
+        For each path: share of the conductance; decay in a sample period with constant voltage; mean of a step over an
+        interval minus the mean of both samples; response to the voltage at the interval's end.
     """
     i_out, v_out = i_m_ab.copy(), v_ab.copy()
     salient = theta_rad.shape[0] > 0
@@ -143,15 +140,15 @@ def _without_eddies(
             felt_a, felt_b = 0.0, 0.0
             late_a, late_b, next_a, next_b = 0.0, 0.0, 0.0, 0.0
             for k in range(first, starts[s + 1]):
-                # The sample has seen the voltage of the interval before.
+                # The sample responds to the voltage of the interval before.
                 before = max(k - 1, first)
                 if late_ab.shape[0] > 0:
                     late_a, late_b = felt * late_ab[before, 0], felt * late_ab[before, 1]
                     next_a, next_b = felt * late_ab[k, 0], felt * late_ab[k, 1]
                 drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
-                kept = decay if k > first else 0.0
-                felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] + late_a - drop_a)
-                felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
+                carry = decay if k > first else 0.0
+                felt_a = carry * felt_a + (1.0 - carry) * (v_ab[before, 0] + late_a - drop_a)
+                felt_b = carry * felt_b + (1.0 - carry) * (v_ab[before, 1] + late_b - drop_b)
                 step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
                 step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
                 cos, sin = (axis[k - first, 0], axis[k - first, 1]) if salient else (1.0, 0.0)
@@ -171,19 +168,17 @@ INITIAL_STATE_STD_RATIO = 0.25
 class Hysteresis(RandomBatchEffect):
     """Hysteresis of the iron: i = grad H(psi) + sum of vector stop operators of psi [A].
 
-    A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
-    loop's width, kappa is that over `yield_wb`: so far the flux goes before a stop yields, whatever the loop's width,
-    and all stops are in proportion to that. Small loops see 1/L + kappa instead of 1/L. What a stop holds as a segment
-    begins is what the way there left in it: straight from where the current was, by a controller that goes beyond its
-    aim by the part `overshoot` and back.
-    In the flexible form the stops hold out to fluxes exp(-+sqrt(`variance`)) apart, and the one that yields earlier has
-    `early_share` of kappa, whatever that is where there is no variance: a search is not led astray by which of them it
-    took for the earlier. A third one between them may have `middle_share` of all. With a `softness` they yield before
-    their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi; the part `giving` of what they
-    yield they do on every way, back as well, where they then move by more than kappa psi. The part `by_axes` of all is
-    held by stops on d and on q that do not know of each other. And all of it is 1 + `widening_per_wb2` |psi|^2 times as
-    wide where the current has made a flux psi; negative, as much narrower. Where iron saturates it asks for more and
-    more current, and the stops follow that: psi (1 + `stiffening_per_wb2` psi^2), magnet included.
+    A stop follows kappa psi up to its limit. The limits add up to `half_width_a`, half the loop's width, and kappa is
+    that over `yield_wb`, the flux at which stops yield for any width. Minor loops have 1/L + kappa instead of 1/L. A
+    stop's state at a segment's start follows from the path to it: straight from the earlier current, with a
+    controller's overshoot by the part `overshoot`.
+    In the flexible form the stops yield at fluxes that differ by the factors exp(-+sqrt(`variance`)); the one that
+    yields earlier has `early_share` of kappa, which has no effect at zero variance. A third one between them may have
+    `middle_share` of all. With a `softness` they yield before their limits: outwards they move by
+    1 - (size / limit)^(1 / softness) of kappa psi. The part `giving` of the yielding also acts inwards, where they then
+    move by more than kappa psi. The part `by_axes` is held by independent stops on d and q. The loop's width is
+    multiplied by 1 + `widening_per_wb2` |psi|^2. Saturating iron needs a disproportionate current, which the stops
+    follow: psi (1 + `stiffening_per_wb2` psi^2), magnet included.
     Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
     Mech. Div. 102 (1976) 249; what the stops follow: D. C. Jiles, D. L. Atherton, J. Magn. Magn. Mater. 61 (1986) 48,
     doi:10.1016/0304-8853(86)90066-1.
@@ -210,14 +205,14 @@ class Hysteresis(RandomBatchEffect):
         stiffening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=0.0, high=500.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Take what the stops hold from the magnetising current."""
+        """Subtract the stops' sum from the magnetising current."""
         i_m_ab = self._held(batch, p)(np.zeros((3, 2)))
         i_m_ab *= -p.half_width_a
         i_m_ab += batch.i_m_ab
         return Correction(i_m_ab=i_m_ab)
 
     def random_directions_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
-        """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
+        """Unknown initial states of a segment beside the known path: the outer stops along each axis."""
         held, directions = self._held(batch, p), []
         known = held(np.zeros((3, 2)))
         for stop in (0, 2):
@@ -228,14 +223,14 @@ class Hysteresis(RandomBatchEffect):
         return directions
 
     def _held(self, batch: SignalBatch, p: Parameters) -> Callable[[Array], Array]:
-        """What the stops hold, shape (N, 2), of a half width, by what they remember beside the way here (3, 2)."""
-        rest, apart = 1.0 - p.middle_share, math.sqrt(p.variance)
+        """The stops' sum over the half width, shape (N, 2), as a function of added initial states (3, 2)."""
+        rest, spread = 1.0 - p.middle_share, math.sqrt(p.variance)
         shares = np.array([rest * p.early_share, p.middle_share, rest * (1.0 - p.early_share)])
-        limits = shares * np.exp([-apart, 0.0, apart])
-        there = shares > 0.0
-        stiffness, parts = shares[there] / p.yield_wb, limits[there] / limits.sum()
+        limits = shares * np.exp([-spread, 0.0, spread])
+        present = shares > 0.0
+        stiffness, parts = shares[present] / p.yield_wb, limits[present] / limits.sum()
         psi = flux_of(batch)
-        course = Course(psi, batch.starts, *ways_here(batch, psi, p.overshoot))
+        course = Course(psi, batch.starts, *initial_paths(batch, psi, p.overshoot))
 
         def stopped(course: Course, off: Array) -> Array:
             if p.stiffening_per_wb2 > 0.0:
@@ -244,7 +239,7 @@ class Hysteresis(RandomBatchEffect):
             return np.asarray(stops(course, stiffness, parts, yields_of(p.softness), p.giving, off))
 
         def held(off: Array) -> Array:
-            memory = np.repeat(off[None, there], len(batch.segments), axis=0)
+            memory = np.repeat(off[None, present], len(batch.segments), axis=0)
             of_all = stopped(course, memory) if p.by_axes < 1.0 else np.zeros_like(psi)
             if p.by_axes > 0.0:
                 of_axes = _by_axes(stopped, course, memory, batch.theta_rad[batch.starts[:-1]])
@@ -262,9 +257,9 @@ def _stiffened(flux: Array, stiffening_per_wb2: float) -> Array:
 
 
 def _by_axes(stopped: Callable[[Course, Array], Array], course: Course, off: Array, theta_rad: RealArray) -> Array:
-    """What stops hold of a course of the flux, each axis alone as if nothing were on the other, shape (N, 2).
+    """The stops' sum with independent axes, shape (N, 2).
 
-    The axes are those at an angle of each segment's own, (segments,); `off` as `stops` asks for it.
+    The axes are at each segment's angle (segments,); `off` as in `stops`.
     """
     back = np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1)
     turn, first = back * [1.0, -1.0], np.array([1.0, 0.0])
@@ -278,14 +273,14 @@ def _by_axes(stopped: Callable[[Course, Array], Array], course: Course, off: Arr
 
 
 def _rotations(turns: Array) -> Array:
-    """Matrices (segments, 2, 2) of turns by angles of this cosine and sine, (segments, 2)."""
+    """Rotation matrices (segments, 2, 2) for cosine and sine (segments, 2)."""
     cos, sin = turns.T
     return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
 
 
 @njit(cache=True, nogil=True)
 def _turned(x: Array, starts: Starts, turns: Array) -> Array:
-    """Vectors (n, 2), each segment's turned by an angle of its own, of this cosine and sine (segments, 2)."""
+    """Vectors (n, 2) rotated per segment, for cosine and sine (segments, 2)."""
     out = np.empty_like(x)
     for s in range(starts.shape[0] - 1):
         cos, sin = turns[s, 0], turns[s, 1]
@@ -296,19 +291,19 @@ def _turned(x: Array, starts: Starts, turns: Array) -> Array:
 
 
 def _width(batch: SignalBatch, psi: Array, widening_per_wb2: float) -> Array:
-    """By how much a loop is wider, (N,), or narrower, where the current has made a flux psi (N, 2), magnet included."""
+    """Factor of the loop's width (N,) at a flux psi (N, 2), magnet included."""
     by_current = plus_along_d(psi, batch.starts, np.full(batch.samples, -magnet_wb(batch)), batch.theta_rad)
     wider = 1.0 + abs(widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
     return np.asarray(wider if widening_per_wb2 > 0.0 else 1.0 / wider)
 
 
 class MagnetHeating(BatchEffect):
-    """Magnets that warm up: their flux falls (about -0.11 %/K for NdFeB), and the map slides along i_d.
+    """Magnet heating: the magnets' flux falls (about -0.11 %/K for NdFeB), which shifts the map along i_d.
 
     i_m = i + Delta psi(t) / L_d on the d axis [A]; Delta psi follows the copper loss through a thermal lag
-    and is `flux_change_wb` at the end of the experiment [Wb]. With the rotor locked it induces nothing.
-    In the flexible form a part `steady` of it follows a loss that stays as it is, through the same lag: of what else
-    warms a motor, or of what it had been warmer or colder than as the experiment began.
+    and is `flux_change_wb` at the end of the experiment [Wb]. With the rotor locked it induces no voltage. In the
+    flexible form a part `steady` follows a constant loss through the same lag: other heat sources, or a different
+    temperature before the experiment.
     """
 
     name: ClassVar[str] = "magnet_heating"
@@ -324,7 +319,7 @@ class MagnetHeating(BatchEffect):
         steady: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Slide the map along the d axis by the flux lost so far."""
+        """Shift the map along the d axis by the flux lost so far."""
 
         def warm(losses: LossHistory) -> Array:
             warm = (1.0 - p.steady) * _warmth(losses.time_s, losses.power_w, p.time_constant_s)
@@ -340,26 +335,25 @@ class MagnetHeating(BatchEffect):
 
 
 def _part_of_heat(batch: SignalBatch) -> Array:
-    """The heat so far in parts of what it comes to at the end of the segment, shape (N,)."""
+    """Heat over its value at the end of the segment, shape (N,)."""
     return np.asarray(batch.heat_j / batch.per_sample(np.maximum(batch.heat_j[batch.starts[1:] - 1], 1e-12)))
 
 
 def _warmth(time_s: RealArray, power_w: RealArray, time_constant_s: float) -> Array:
-    """What a loss warms through a lag, in parts of what it comes to at the end."""
+    """Response of a lag to a loss, over its final value."""
     warm = lagged_steps(time_s, power_w, time_constant_s)
     return np.asarray(warm / max(float(warm[-1]), 1e-12), dtype=np.float64)
 
 
 class SlotHarmonics(BatchEffect):
-    """Slots give the locked angle a saliency of its own: an L_dq that is even in i_q, `relative` times L.
+    """Slotting adds a saliency that depends on the locked angle: an L_dq even in i_q, `relative` times L.
 
-    The energy r L i_d i_q beside the map's own, so that reciprocity is kept: its flux r L (i_q, i_d) [Wb] is taken
-    out of the voltage. Which part of L(theta) appears depends on the angle at which the rotor is locked. In the
-    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2. The part `by_flux` of it is what an
-    uneven gap asks of the current, in proportion to the flux without the magnet's: i_m = i + r psi / L, crossed. And
-    where the rotor is turned by delta, L_dq is `across` L 2 sin(3 delta) more, L_dd and L_qq are `along_d` and
-    `along_q` times that: slots repeat six times a turn, their phase is not known, and of two angles these numbers tell
-    all that differs.
+    Its energy r L i_d i_q is added to the map's, which keeps reciprocity: the flux r L (i_q, i_d) [Wb] is subtracted
+    from the voltage's integral. In the flexible form it decreases as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2.
+    The part `by_flux` is the current for an uneven gap, proportional to the flux without the magnet's:
+    i_m = i + r psi / L with exchanged axes. For a rotor rotated by delta, L_dq increases by `across` L 2 sin(3 delta),
+    L_dd and L_qq by `along_d` and `along_q` times L 2 sin(3 delta): slotting has six periods per turn of unknown phase,
+    and for two angles these three parameters describe any difference.
     """
 
     name: ClassVar[str] = "slot_harmonics"
@@ -378,10 +372,10 @@ class SlotHarmonics(BatchEffect):
         by_flux: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Take the change of this flux from the voltage of each interval."""
-        there = 2.0 * np.sin(3.0 * batch.turned_rad)
-        mere = np.full_like(there, p.relative)
-        parts = np.stack([there * p.along_d, mere + there * p.across, there * p.along_q], axis=1)
+        """Subtract the change of this flux from the voltage of each interval."""
+        shift = 2.0 * np.sin(3.0 * batch.turned_rad)
+        mere = np.full_like(shift, p.relative)
+        parts = np.stack([shift * p.along_d, mere + shift * p.across, shift * p.along_q], axis=1)
         inductance, theta_rad = typical_inductance(batch), doubles(batch.theta_rad)
         strengths = (1.0 - p.by_flux) * parts * (inductance * batch.sampling_frequency_hz)[:, None]
         v_ab, i_m_ab = doubles(batch.v_ab), doubles(batch.i_m_ab)
@@ -402,7 +396,7 @@ def _without_slots(
     Parameters
     ----------
     theta_rad : array, shape (N,)
-        Of the d axis.
+        Angle of the d axis.
     strengths : array, shape (segments, 3)
         a, r and b.
     """
@@ -414,11 +408,11 @@ def _without_slots(
         for k in range(first, starts[s + 1]):
             cos, sin = axis[k - first, 0], axis[k - first, 1]
             d, q = dq_of(i_ab[k, 0], i_ab[k, 1], cos, sin)
-            left = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
+            fade = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
             mere_d, mere_q = along_d * d + across * q, across * d + along_q * q
-            # The form is half of what its own gradient makes along the current.
-            bend = fading * (mere_d * d + mere_q * q) * left * left
-            psi_d, psi_q = mere_d * left - bend * d, mere_q * left - bend * q
+            # The quadratic form is half of its gradient times the current.
+            bend = fading * (mere_d * d + mere_q * q) * fade * fade
+            psi_d, psi_q = mere_d * fade - bend * d, mere_q * fade - bend * q
             alpha, beta = cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
             if k > first:
                 out[k - 1, 0] -= alpha - old_alpha
@@ -429,7 +423,7 @@ def _without_slots(
 
 @njit(cache=True, nogil=True)
 def _with_slots(i_ab: Array, psi_ab: Array, theta_rad: Array, starts: Starts, extra: Array, magnet_wb: float) -> Array:
-    """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `extra` as `strengths`."""
+    """The current (N, 2) plus that of an uneven gap for the flux without the magnet's; `extra` as `strengths`."""
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):
         first, (along_d, across, along_q) = starts[s], extra[s]

@@ -1,4 +1,4 @@
-"""Resistance that is not one constant: phases that differ, what warms up, skin effect in the ripple."""
+"""Variable resistance: imbalance of phases, heating, temperature, and skin effect in the ripple."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ from protocols import (
 
 
 class PhaseResistanceImbalance(BatchEffect):
-    """Extra resistance in phases a and b beside phase c's: e = T (r_a i_a, r_b i_b, 0) [V], r in ohm.
+    """Resistance of phases a and b in excess of phase c's: e = T (r_a i_a, r_b i_b, 0) [V], r in ohm.
 
-    In the flexible form it warms, as a joint does that conducts badly: r (1 + `rise_per_watt` y), y the winding's loss
-    through a lag of `rise_s`; the model ignores how the phases share the loss.
+    In the flexible form it heats up, like a bad joint: r (1 + `rise_per_watt` y), y the winding's loss through a lag of
+    `rise_s`; the distribution of the loss over the phases is neglected.
     """
 
     name: ClassVar[str] = "phase_resistance_imbalance"
@@ -53,7 +53,7 @@ class PhaseResistanceImbalance(BatchEffect):
         rise_s: float = refinement("s", neutral=30.0, prior_width=30.0, low=1.0, high=1000.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Subtract what the extra resistances drop, at the mean current of each interval."""
+        """Subtract the drop of the extra resistances at the mean current of each interval."""
         ohm = from_phases(to_phases(np.eye(2)) * np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0]))
         i_ab = batch.i_ab
         if p.rise_per_watt > 0.0:
@@ -65,11 +65,10 @@ class PhaseResistanceImbalance(BatchEffect):
 
 
 class WindingHeating(BatchEffect):
-    """Copper that warms up: R = R_0 (1 + a y), tau dy/dt = P - y, P the copper loss [W].
+    """Winding heating: R = R_0 (1 + a y), tau dy/dt = P - y, P the copper loss [W].
 
-    a = alpha R_th [1/W], alpha = 0.39 %/K for copper; tau is the winding's thermal time constant [s].
-    In the flexible form a `slow_share` of the rise comes later,
-    as the iron around the copper warms up: with `slow_ratio` times tau.
+    a = alpha R_th [1/W], alpha = 0.39 %/K for copper; tau is the winding's thermal time constant [s]. In the flexible
+    form a `slow_share` of the rise has the time constant `slow_ratio` tau of the iron around the copper.
     """
 
     name: ClassVar[str] = "winding_heating"
@@ -88,7 +87,7 @@ class WindingHeating(BatchEffect):
         slow_ratio: float = refinement("1", neutral=6.0, prior_width=4.0, low=3.0, high=40.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Raise the resistance by what the loss so far has warmed."""
+        """Raise the resistance by the heating so far."""
         warm = _warm(batch, p.rise_per_watt, p.time_constant_s * np.array([1.0, p.slow_ratio]), p.slow_share)
         warm *= p.rise_per_watt
         warm += 1.0
@@ -102,7 +101,7 @@ def _warm(batch: SignalBatch, rise: float, constants_s: Array, slow_share: float
     def warm(losses: LossHistory) -> Array:
         return np.asarray(_warmth(doubles(losses.time_s), doubles(losses.power_w), rise, constants_s, slow_share))
 
-    # Without a history: as if nothing had been lost to the surroundings.
+    # Without a history: adiabatic heating.
     return along_losses(batch, warm, lambda: batch.heat_j / constants_s[0])
 
 
@@ -123,8 +122,8 @@ def _warmth(time_s: Array, power_w: Array, rise: float, constants_s: Array, slow
 class ResistanceWithTemperature(BatchEffect, SegmentDependentEffect):
     """Resistance that follows the logged temperature: R = R_0 (1 + alpha (T - T_0)), T_0 the first that was logged.
 
-    alpha [1/K] is 0.39 %/K where the thermometer is in a winding of copper, less where it tells of a part of the
-    resistance only: of the transistors' r_on, by the heat sink, or of a winding that it is not in.
+    alpha [1/K] is 0.39 %/K for a thermometer in a copper winding, less where it represents a part of the resistance
+    only: the transistors' r_on on the heat sink, or a winding that it is not in.
     """
 
     name: ClassVar[str] = "resistance_with_temperature"
@@ -138,11 +137,11 @@ class ResistanceWithTemperature(BatchEffect, SegmentDependentEffect):
         per_k: float = amplitude("1/K", typical=0.0039, prior_width=0.004, low=0.0, high=0.02)
 
     def shows_in(self, signals: Signals) -> bool:
-        """Where a temperature was logged that is not the first one, by a kelvin at least."""
+        """Whether a logged temperature differs from the first one by at least a kelvin."""
         return signals.temperature_c is not None and float(np.abs(_warmer_k(signals)).max()) >= 1.0
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Raise the resistance by what the thermometer says; nothing without one."""
+        """Scale the resistance with the temperature; segments without a thermometer are unchanged."""
         if all(s.temperature_c is None for s in batch.segments):
             return Correction()
         warmer_k = np.concatenate([_warmer_k(s) for s in batch.segments])
@@ -150,7 +149,7 @@ class ResistanceWithTemperature(BatchEffect, SegmentDependentEffect):
 
 
 def _warmer_k(signals: Signals) -> Array:
-    """By how much it is warmer than at the first reading [K], shape (n,); zeros without a thermometer."""
+    """Temperature minus the first reading [K], shape (n,); zeros without a thermometer."""
     if signals.temperature_c is None:
         return np.zeros(len(signals.v_dc))
     first = signals.temperature_c[0] if signals.start_temperature_c is None else signals.start_temperature_c
@@ -158,10 +157,10 @@ def _warmer_k(signals: Signals) -> Array:
 
 
 class SkinEffect(BatchEffect):
-    """Extra resistance for what changes fast: e = R_x (i - i_slow) [V], i_slow behind a first-order corner.
+    """Extra resistance for fast currents: e = R_x (i - i_slow) [V], i_slow behind a first-order lag.
 
-    R_x in ohm, the corner in Hz. It stands for the current that is crowded to the conductors' surface. In the flexible
-    form `low_share` of it has its corner below, and the rest above, by the factor exp(sqrt(`variance`)).
+    R_x in ohm, the corner frequency in Hz. It models current displacement in the conductors. In the flexible form
+    `low_share` of it has a corner lower, and the rest one higher, by the factor exp(sqrt(`variance`)).
     """
 
     name: ClassVar[str] = "skin_effect"
@@ -178,10 +177,10 @@ class SkinEffect(BatchEffect):
         low_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Subtract what the extra resistance drops in the mean of each interval."""
+        """Subtract the mean drop of the extra resistance in each interval."""
         rates = doubles(2.0 * math.pi * p.corner_hz / batch.sampling_frequency_hz)
         spread = math.sqrt(p.variance)
-        # The readings' noise is fast, and would be multiplied.
+        # The readings' fast noise would be amplified.
         i = doubles(batch.i_ab if batch.i_smooth_ab is None else batch.i_smooth_ab)
         fast = high_pass_means(i, batch.starts, rates * math.exp(-spread))
         if spread > 0.0:

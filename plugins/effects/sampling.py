@@ -1,4 +1,4 @@
-"""Currents that are read beside the turning point of the carrier."""
+"""Currents that are sampled beside the carrier's turning point."""
 
 from __future__ import annotations
 
@@ -14,25 +14,24 @@ from plugins.effects._vectors import Starts, doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude
 
 MAP_ERROR_RATIO = 0.01
-"""Relative error of the inductance behind a reading's ripple: what a map of some hundred numbers leaves in corners of
-the plane that only a sweep's dwells reach, as seen on a simulated servo of 48 V."""
+"""Relative error of the map's inductance in corners that only a sweep's dwells reach, as seen on a simulated servo."""
 
 
 class SamplingOffset(RandomBatchEffect):
-    """Currents are read tau after the turning point of a symmetric carrier, where a row begins; negative: before.
+    """Currents are sampled tau after the turning point of a symmetric carrier, where a row begins; negative: before.
 
-    Since the turning point the legs have given the volt-seconds F, and the resistance has taken R i tau:
+    Since the turning point the legs have supplied the volt-seconds F, and the resistance has dropped R i tau:
 
         i(t + tau) = i(t) + L^-1 (F - tau R i),    F_x = V_dc max(0, tau - (1 - d_x) T / 2)
 
-    of each leg, T the carrier's period, d its duty with the zero sequence that centres the pulses; before the turning
-    point, of the row before and with the other sign. Read within the zero vector, where F is nil, the current has
-    merely decayed. The flux is then still what belongs to the reading, and what changes is an interval's voltage,
+    for each leg, T the carrier's period, d its duty with the zero sequence that centres the pulses; before the turning
+    point F is that of the row before with the opposite sign. Within the zero vector F is zero and the current only
+    decays. The flux still belongs to the reading, and the voltage of an interval becomes
 
         v_k + (F_k+1 - F_k) / Ts - tau R (i_k+1 - i_k) / Ts - R L^-1 (tau R i - F),
 
-    the last of both rows' mean; first order in tau R / L, with the model's own L^-1. What the devices drop in the zero
-    vector is left out: it is small beside R i where tau R / L counts.
+    the last term averaged over both rows, to first order in tau R / L with the model's L^-1. The devices' drop in the
+    zero vector is neglected: it is much smaller than R i where tau R / L matters.
     Source: D. G. Holmes, T. A. Lipo, Pulse Width Modulation for Power Converters, IEEE Press 2003, chapter 5,
     doi:10.1109/9780470546284 (the duties).
     """
@@ -48,16 +47,16 @@ class SamplingOffset(RandomBatchEffect):
         offset_s: float = amplitude("s", typical=5e-6, prior_width=5e-6, low=-2e-5, high=2e-5)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
+        """The mean voltage between readings, minus the resistive drop that their mean current does not include."""
         return Correction(v_ab=_between_readings(*_facts(batch), p.offset_s, doubles(batch.sampling_frequency_hz)))
 
     def random_directions_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
-        """What R_s takes beside the readings' mean follows the map's own L, which is not that sure in its corners."""
+        """That resistive drop depends on the map's L, which is uncertain in the corners of the map."""
         return [Correction(v_ab=_with_random_direction(*_facts(batch), p.offset_s))]
 
 
 def _facts(batch: SignalBatch) -> tuple[Array, Array, Array, Array, Array, Starts, Array]:
-    """What `_given` asks for, the model's inductance, empty without one, bounds and carrier periods of the segments."""
+    """Arguments of `_given`, the model's inductance (empty without one), bounds and carrier periods of segments."""
     inductance = np.zeros((0, 3)) if batch.inductance_ab is None else doubles(batch.inductance_ab)
     courses = (doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm), doubles(batch.v_dc))
     return *courses, inductance, batch.starts, doubles(1.0 / batch.pwm_frequency_hz)
@@ -75,7 +74,7 @@ def _between_readings(
     offset_s: float,
     rates_hz: Array,
 ) -> Array:
-    """The mean voltage (N, 2) from each reading to the next: with what was given before it, less what R_s takes."""
+    """The mean voltage (N, 2) between readings, including `_given`, minus the additional resistive drop."""
     out = np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
         first, last, rate_hz = starts[s], starts[s + 1] - 1, rates_hz[s]
@@ -102,7 +101,7 @@ def _with_random_direction(
     periods_s: Array,
     offset_s: float,
 ) -> Array:
-    """The voltage (N, 2) with so much of what R_s takes beside a reading as the map leaves open."""
+    """The voltage (N, 2) changed by one standard deviation of the additional resistive drop."""
     out = np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
         for k in range(starts[s], starts[s + 1]):
@@ -117,7 +116,7 @@ def _with_random_direction(
 def _given(
     v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, k: int, first: int, offset_s: float, period_s: float
 ) -> tuple[float, float]:
-    """Volt-seconds F - tau R i that the winding was given from row k's turning point to its reading.
+    """Volt-seconds F - tau R i of the winding from row k's turning point to its reading.
 
     `first` is the segment's first row.
     """
@@ -126,7 +125,7 @@ def _given(
     row = k if offset_s > 0.0 else max(k - 1, first)
     a, b, c = phases_of(v_ab[row, 0], v_ab[row, 1])
     centre = 0.5 * (max(a, b, c) + min(a, b, c))
-    # A leg of more voltage rises earlier, by half the period for all of the bus.
+    # A leg with a higher voltage rises earlier, by half a period for the whole bus voltage.
     early = 0.5 * period_s / v_dc[row]
     if beyond + early * (max(a, b, c) - centre) <= 0.0:
         return given_a, given_b
@@ -141,7 +140,7 @@ def _given(
 
 @njit(cache=True, nogil=True, inline="always")
 def _moved(inductance_ab: Array, k: int, flux: tuple[float, float]) -> tuple[float, float]:
-    """The current that goes with a flux, by the model's inductance at row k; none without a model."""
+    """Current for a flux by the model's inductance at row k; zero without a model."""
     if inductance_ab.shape[0] == 0:
         return 0.0, 0.0
     aa, ab, bb = inductance_ab[k, 0], inductance_ab[k, 1], inductance_ab[k, 2]

@@ -1,7 +1,7 @@
-"""Errors of the current sensors: gain, offset, drift, curvature.
+"""Errors of the current sensors: gain, offset, drift, nonlinearity.
 
-Of two, in phases a and b, the third current is computed; of three, all make the vector, and a zero sequence drops out.
-A recording without phase currents is taken for one of two.
+With two sensors, in phases a and b, the third current is computed; with three, all form the vector, and the zero
+sequence drops out. A recording without phase currents is treated as one of two sensors.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ from protocols import (
 
 
 def _vectors(read: Array, three: bool) -> Array:
-    """Vectors (n, 2) as a drive of two or of three sensors makes them of readings (n, 3)."""
+    """Vectors (n, 2) that a drive with two or three sensors computes from readings (n, 3)."""
     return from_phases(read) if three else from_two_phases(read[:, 0], read[:, 1])
 
 
 @lru_cache(maxsize=32)
-def _ungaining(gains: tuple[float, float, float], three: bool) -> Array:
-    """The matrix (2, 2) that makes vectors of those which sensors with these gains made of them."""
+def _inverse_gain(gains: tuple[float, float, float], three: bool) -> Array:
+    """The matrix (2, 2) that corrects vectors read by sensors with these gains."""
     return np.asarray(np.linalg.inv(_vectors(to_phases(np.eye(2)) * np.array(gains), three)))
 
 
@@ -62,11 +62,11 @@ class CurrentGainMismatch(BatchEffect, MeasurableEffect):
         """Divide each sensor's reading by its gain."""
         half = 0.5 * p.gain_a_minus_b
         gains = (1.0 + half, 1.0 - half, 1.0)
-        ungaining = np.stack([_ungaining(gains, three) for three in (False, True)])
-        return Correction(i_ab=stretched(batch.i_ab, batch.starts, ungaining[of_three_readings(batch)]))
+        inverse_gains = np.stack([_inverse_gain(gains, three) for three in (False, True)])
+        return Correction(i_ab=stretched(batch.i_ab, batch.starts, inverse_gains[of_three_readings(batch)]))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
-        """What three readings that do not add up to zero say of it."""
+        """The mismatch from the sum of three readings; None without three sensors or if insignificant."""
         gains = gains_of(signals)
         value = None if gains is None else gains.differ((1.0, -1.0, 0.0))
         return None if value is None else self.Parameters(gain_a_minus_b=value)
@@ -85,26 +85,26 @@ class ThirdCurrentSensor(BatchEffect, SegmentDependentEffect, MeasurableEffect):
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = (
         "A gain common to all sensors scales R_s and the flux together: +g of c is -g of a and b."
-        " What one sensor hears of another's current stretches alike, and turns besides."
+        " Crosstalk between sensors stretches in the same way, but also rotates."
     )
 
     class Parameters(EffectParameters):
         gain_c_minus_1: float = amplitude("1", typical=0.01, prior_width=0.02, low=-0.2, high=0.2)
 
     def shows_in(self, signals: Signals) -> bool:
-        """Where it is not known that a and b alone make the vector."""
+        """Whether the vector may be computed from three sensors."""
         return signals.clarke_of_three is not False
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Divide the third reading by its gain; nothing where there is none."""
+        """Divide the third reading by its gain; segments with two sensors are unchanged."""
         third = [self.shows_in(s) for s in batch.segments]
         if not any(third):
             return Correction()
-        ungaining = np.stack([np.eye(2), _ungaining((1.0, 1.0, 1.0 + p.gain_c_minus_1), True)])
-        return Correction(i_ab=stretched(batch.i_ab, batch.starts, ungaining[np.array(third, dtype=np.intp)]))
+        inverse_gains = np.stack([np.eye(2), _inverse_gain((1.0, 1.0, 1.0 + p.gain_c_minus_1), True)])
+        return Correction(i_ab=stretched(batch.i_ab, batch.starts, inverse_gains[np.array(third, dtype=np.intp)]))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
-        """What three readings that do not add up to zero say of it."""
+        """The gain error from the sum of three readings; None without three sensors or if insignificant."""
         gains = gains_of(signals)
         value = None if gains is None else gains.differ((-0.5, -0.5, 1.0))
         return None if value is None else self.Parameters(gain_c_minus_1=value)
@@ -135,7 +135,7 @@ class CurrentOffset(BatchEffect):
 
 
 def _offsets(batch: SignalBatch, a: float, b: float) -> Array:
-    """The vector that sensors a and b show without a current, of each segment, shape (segments, 2)."""
+    """The vector read at zero current with offsets of sensors a and b, shape (segments, 2)."""
     read = np.array([[a, b, 0.0]])
     return np.concatenate([_vectors(read, three) for three in (False, True)])[of_three_readings(batch)]
 
@@ -144,7 +144,7 @@ class CurrentOffsetDrift(BatchEffect):
     """Offsets of sensors a and b that grow with time: o(t) = rate (1 - exp(-s t)) / s [A], s = `settling_per_s`.
 
     t counts from the start of the experiment, and o(0) is a `CurrentOffset`. In the simple form s is 0 and the offset
-    grows as rate t: electronics that warm up slower than the experiment lasts.
+    is rate t: electronics that warm up more slowly than the experiment lasts.
     """
 
     name: ClassVar[str] = "current_offset_drift"
@@ -160,7 +160,7 @@ class CurrentOffsetDrift(BatchEffect):
         settling_per_s: float = refinement("1/s", neutral=0.0, prior_width=0.01, low=0.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Subtract what the offsets have grown by at each sample's time."""
+        """Subtract the drift at each sample's time."""
         rates = _offsets(batch, p.rate_a_a_per_s, p.rate_b_a_per_s)
         times = (doubles(batch.start_s), doubles(batch.sampling_frequency_hz))
         return Correction(i_ab=_less_drift(doubles(batch.i_ab), batch.starts, *times, rates, p.settling_per_s))
@@ -170,7 +170,7 @@ class CurrentOffsetDrift(BatchEffect):
 def _less_drift(
     i_ab: Array, starts: Starts, start_s: Array, rate_hz: Array, drifts: Array, settling_per_s: float
 ) -> Array:
-    """Vectors (N, 2) less drifts (segments, 2) that settle, at the times of a batch's samples."""
+    """Vectors (N, 2) minus settling drifts with initial rates (segments, 2)."""
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):
         a, b = drifts[s, 0], drifts[s, 1]
@@ -184,9 +184,9 @@ def _less_drift(
 
 
 class CurrentNonlinearity(BatchEffect):
-    """Every sensor reads i + h i^2 + k i^3 [A]: a core that begins to saturate, in one direction first or in both.
+    """Every sensor reads i + h i^2 + k i^3 [A], as with a core that begins to saturate in one or both directions.
 
-    h is `square_per_a`, k `cubic_per_a2`; of an amplifier either may be there alone.
+    h is `square_per_a`, k `cubic_per_a2`; an amplifier may have only one of them.
     """
 
     name: ClassVar[str] = "current_nonlinearity"
@@ -201,7 +201,7 @@ class CurrentNonlinearity(BatchEffect):
         square_per_a: float = amplitude("1/A", typical=1e-3, prior_width=3e-3, low=-0.02, high=0.02)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """Solve m = i + h i^2 + k i^3 for i in each sensor, by two fixed-point steps from the reading."""
+        """Solve m = i + h i^2 + k i^3 for i in each sensor, by a bounded Newton step and a fixed-point step."""
         clarke = np.stack([_vectors(np.eye(3), three) for three in (False, True)])[of_three_readings(batch)]
         curve = (p.square_per_a, p.cubic_per_a2)
         return Correction(i_ab=_straightened(doubles(batch.i_ab), batch.starts, *curve, clarke))
@@ -209,7 +209,7 @@ class CurrentNonlinearity(BatchEffect):
 
 @njit(cache=True, nogil=True)
 def _straightened(i_ab: Array, starts: Starts, square: float, cubic: float, clarke: Array) -> Array:
-    """Vectors (N, 2) without squares and cubes of the phase currents, by each segment's own Clarke matrix (3, 2)."""
+    """Vectors (N, 2) without squares and cubes of the phase currents, by each segment's Clarke matrix (3, 2)."""
     out = i_ab.copy()
     for s in range(starts.shape[0] - 1):
         for k in range(starts[s], starts[s + 1]):
@@ -217,7 +217,7 @@ def _straightened(i_ab: Array, starts: Starts, square: float, cubic: float, clar
             for x in range(3):
                 read = phases[x]
                 error = read * (square + cubic * read)
-                # Newton's step, bounded where the curve folds back.
+                # Newton step, bounded where the characteristic is not monotonic.
                 near = read * (1.0 - error / (1.0 + abs(read * (2.0 * square + 3.0 * cubic * read))))
                 more = near * near * (square + cubic * near)
                 out[k, 0] -= more * clarke[s, x, 0]

@@ -1,4 +1,4 @@
-"""Errors in time: voltage that acts late, and a current sensor that lags."""
+"""Timing errors: a delayed voltage, and a current sensor with a lag."""
 
 from __future__ import annotations
 
@@ -16,18 +16,19 @@ from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signa
 
 @njit(cache=True, nogil=True)
 def _acting(v_ab: Array, late_ab: Array, starts: Starts, late: Array) -> tuple[Array, Array]:
-    """Vectors that act so many samples later, and what the end of each interval then has beside them, shapes (N, 2).
+    """Delayed mean voltage of each interval, and the voltage at its end minus that mean, shapes (N, 2).
 
-    A segment's first and last stand for those beyond them. What comes a part of a sample early is not yet felt at the
-    end of the interval before: what follows a voltage takes longer than that.
+    A segment's first and last values are repeated beyond its ends. A voltage that is early by a part of a sample is
+    ignored at the end of the interval before, as the current's response takes longer.
 
     Parameters
     ----------
     late_ab : array, shape (N, 2) or (0, 2)
-        What the end of an interval has beside its mean; empty where nothing.
+        Voltage at the end of an interval minus its mean; empty where zero.
     late : array, shape (segments,)
+        Delay in samples.
     """
-    out, beside = np.empty_like(v_ab), np.empty_like(v_ab)
+    out, end_minus_mean = np.empty_like(v_ab), np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
         first, last = starts[s], starts[s + 1] - 1
         whole = math.floor(late[s])
@@ -38,12 +39,12 @@ def _acting(v_ab: Array, late_ab: Array, starts: Starts, late: Array) -> tuple[A
             for x in range(2):
                 out[k, x] = (1.0 - part) * v_ab[near, x] + part * v_ab[far, x]
                 end = v_ab[felt, x] + late_ab[felt, x] if late_ab.shape[0] > 0 else v_ab[felt, x]
-                beside[k, x] = end - out[k, x]
-    return out, beside
+                end_minus_mean[k, x] = end - out[k, x]
+    return out, end_minus_mean
 
 
 class VoltageDelay(BatchEffect):
-    """v(t - T_d) [V]: each command acts T_d later than the record says; T_d in s.
+    """v(t - T_d) [V]: each command acts T_d later than recorded; T_d in s.
 
     Over one interval the mean voltage is then (1 - T_d/Ts) v_k + (T_d/Ts) v_k-1.
     A whole sample at 4 kHz is within the bounds.
@@ -60,20 +61,19 @@ class VoltageDelay(BatchEffect):
         delay_s: float = amplitude("s", typical=1e-5, prior_width=2e-5, low=-1e-4, high=3e-4)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
-        """The mean voltage of each interval, and what its end has beside it."""
+        """The mean voltage of each interval, and the voltage at its end minus that mean."""
         late_ab = np.zeros((0, 2)) if batch.v_late_ab is None else doubles(batch.v_late_ab)
         late = doubles(p.delay_s * batch.sampling_frequency_hz)
-        acting, beside = _acting(doubles(batch.v_ab), late_ab, batch.starts, late)
-        return Correction(v_ab=acting, v_late_ab=beside)
+        acting, end_minus_mean = _acting(doubles(batch.v_ab), late_ab, batch.starts, late)
+        return Correction(v_ab=acting, v_late_ab=end_minus_mean)
 
 
 class CurrentFilter(BatchEffect):
     """First-order lag of the current sensors: tau dm/dt = i - m [A], tau in s.
 
-    A sample lags a current that is linear between samples by what is left of its lag before, and by its slope since:
-    d_k = E d_(k-1) + tau / T_s (1 - E) (i_k - i_(k-1)), d = i - m, E = exp(-T_s / tau). While tau is well below a
-    sampling interval that is tau times the slope, like a delay of the voltage; where it is long it falls with the
-    ripple's frequency, and a delay does not. A lead is none: a wrong declared delay is the voltage's.
+    For a current linear between samples, d = i - m is d_k = E d_(k-1) + tau / T_s (1 - E) (i_k - i_(k-1)) with
+    E = exp(-T_s / tau). For tau well below a sampling interval d is tau times the slope, like a delay of the voltage;
+    for a long tau it falls with the ripple's frequency, unlike a delay. A wrong declared delay is the voltage's.
     """
 
     name: ClassVar[str] = "current_filter"
@@ -89,7 +89,7 @@ class CurrentFilter(BatchEffect):
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """The current before the lag."""
         read = doubles(batch.i_ab)
-        # A slope with the reading's own noise in it would be taken for signal by a fit.
+        # The slope of noisy readings would be fitted as a signal.
         smooth = read if batch.i_smooth_ab is None else batch.i_smooth_ab
         samples = doubles(p.time_constant_s * batch.sampling_frequency_hz)
         return Correction(i_ab=_led(read, doubles(smooth), batch.starts, samples))
@@ -97,10 +97,9 @@ class CurrentFilter(BatchEffect):
 
 @njit(cache=True, nogil=True)
 def _led(i_ab: Array, smooth_ab: Array, starts: Starts, samples: Array) -> Array:
-    """Vectors (N, 2) before a first-order lag of so many samples (segments,), from the slope of a smoother course.
+    """Vectors (N, 2) before a first-order lag of `samples` (segments,), from the slope of the smooth current.
 
-    Where a model on trial leads the smooth current further away than the reading's own span in the segment, the reading
-    leads it back.
+    The smooth current of a trial model is limited to the reading plus or minus its span in the segment.
     """
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):

@@ -275,10 +275,10 @@ def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface
     """
     step = 1e-3 * float(np.ptp(points.current, axis=0).max())
     slopes = np.empty((len(nodes), 2, 2))
-    slender = surface.slender
+    slender = surface.is_sliver
     for axis, e in enumerate(step * np.eye(2)):
         ahead, behind = (TaylorSurface(points.current, nodes + side, "injection") for side in (e, -e))
-        slender = slender | ahead.slender | behind.slender
+        slender = slender | ahead.is_sliver | behind.is_sliver
         for k in range(2):
             known = (flux.psi[:, k], points.matrix[:, k], points.slope[:, k])
             slopes[:, k, axis] = (ahead(*known) - behind(*known)) / (2.0 * step)

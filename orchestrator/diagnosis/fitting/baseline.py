@@ -1,4 +1,4 @@
-"""Where a diagnosis starts: the first map, with nothing but R_s and magnetics. Reads nothing."""
+"""The first model of a diagnosis, R_s and a map without effects, and the choice of the map's resolution."""
 
 from __future__ import annotations
 
@@ -34,37 +34,34 @@ from protocols import (
 )
 
 MAX_ROUGHNESS_STEP: float = 3.0
-"""How much rougher a finer map may be at each step, as a factor."""
+"""Factor by which a finer map's roughness may grow in one step."""
 MAX_ROUGHNESS_FACTOR: float = 100.0
-"""How much rougher than usual a finer map may be in all, as a factor."""
+"""Largest roughness of a finer map, relative to the usual one."""
 LEAST_RESIDUAL_SHARE_OF_FINE_MAP: float = 0.1
-"""Part of the residual that a finer map has to remove: most where the map is too coarse, little where an effect is
-missing."""
+"""Part of the excess chi2 that a finer map has to remove; it removes little where an effect is missing."""
 LEAST_FINAL_SHARE_OF_FINE_MAP: float = 0.5
-"""Part of the residual that a fine map has to remove in the end, when all forms and the scatter are known."""
+"""Part of the excess chi2 that a fine map has to remove at the end, when all forms and the scatter are known."""
 GIVEN_MAP_INTERVALS: int = 28
-"""Spline intervals on each axis that are laid through a given map."""
+"""Spline intervals on each axis for a given map."""
 LEAST_AXIS_RANGE: float = 0.05
 """Range of the map on an axis where no current flowed, as a part of the other axis' range."""
 MAX_OVERREACH: float = 0.005
-"""How far currents may leave the map, as a part of its range, before it is widened. Outside, the map continues
-linearly; the rotor's place is known only after the map was laid."""
+"""Distance of currents beyond the map, relative to its range, from which it is widened. Outside, the map continues
+linearly; the fitted rotor angle moves the currents after the map's range was chosen."""
 LEAST_CHI2_FOR_FINER_MAP: float = 1.03
 """chi2 per degree of freedom above which a finer map is tried: noise alone stays within a few hundredths of one."""
 MAX_CHI2_FOR_FINER_MAP: float = 10.0
-"""chi2 per degree of freedom, on the whole recording, below which a finer map is tried: a larger misfit is not the
-map's detail."""
+"""chi2 per degree of freedom, on the whole recording, above which the misfit is a missing effect, not the map."""
 LEAST_GAIN_PER_MAP_FREEDOM: float = 6.0
-"""Fall of the objective that each freedom of a finer map has to bring; chance brings one."""
+"""Fall of the objective required per additional degree of freedom of a finer map; chance brings one."""
 LEAST_GAIN_OF_FINER_MAP: float = 30.0
-"""Fall of the objective that a finer map has to bring beyond that of its freedoms."""
+"""Fall of the objective required of a finer map beyond that of its degrees of freedom."""
 KNOWN_MAGNET_STD: float = 0.05
-"""Standard deviation of a nameplate's magnet flux, as a part of it or of what the current makes."""
+"""Standard deviation of a nameplate's magnet flux, relative to the larger of it and L I."""
 UNKNOWN_MAGNET_STD: float = 10.0
-"""Standard deviation of the magnet flux where the nameplate has none, as a part of L I; machines have up to as
-much."""
+"""Standard deviation of the magnet flux where the nameplate has none, relative to L I; machines have up to 10."""
 GIVEN_MAP_STD: float = 1e-4
-"""Standard deviation of a given map's fluxes for the spline that is laid through them, as a part of L I."""
+"""Standard deviation of a given map's fluxes for its spline fit, relative to L I."""
 
 
 @dataclass(frozen=True)
@@ -74,22 +71,22 @@ class DiagnosisSetup:
     prepared: PreparedRecording
     fitter: Fitter
     coarse_fitter: Fitter
-    """A part of the recording, to search in."""
+    """Fitter of a part of the recording, for the search."""
     l_d_h: float
     l_q_h: float
     current_a: float
-    """Rated current, or the largest used; no more than twice that [A peak]."""
+    """Rated current, but at most twice the largest used; the latter where it is unknown [A peak]."""
     remarks: tuple[Remark, ...]
     quantisers: tuple[QuantiserEstimate, ...] = ()
-    """The modulator's, as the readings bear it, and those that round much like it."""
+    """The modulator's quantiser as detected in the readings, and alternatives that round alike."""
 
     def with_executor(self, executor: Executor) -> DiagnosisSetup:
-        """The same, the equations made by this executor's workers."""
+        """A copy whose equations are evaluated by this executor."""
         whole, part = (replace(f, executor=executor) for f in (self.fitter, self.coarse_fitter))
         return replace(self, fitter=whole, coarse_fitter=part)
 
     def with_noise(self, of_model: ModelNoise) -> DiagnosisSetup:
-        """The same where this is noise beside the readings' own."""
+        """A copy with this model-error noise beside the readings' own."""
         if of_model == self.fitter.noise.of_model:
             return self
         whole, part = (f.with_noise(of_model) for f in (self.fitter, self.coarse_fitter))
@@ -97,19 +94,19 @@ class DiagnosisSetup:
 
     @property
     def without_quantiser(self) -> DiagnosisSetup:
-        """The same with the voltages as they were commanded."""
+        """A copy with the voltages as commanded."""
         return self if self.prepared.quantiser is None else self.with_quantiser(None)
 
     def with_quantiser(self, timer: ModulatorTimer | None) -> DiagnosisSetup:
-        """The same with the voltages that a modulator's timer lets through, or as they were commanded."""
+        """A copy with the voltages rounded by a modulator's timer, or as commanded (None)."""
         return self._with_voltages(lambda prepared: with_quantiser(prepared, timer))
 
     def with_ripple(self, ripples: bool) -> DiagnosisSetup:
-        """The same where currents ripple within a carrier's period, or are taken for lines between readings."""
+        """A copy with or without current ripple within a carrier period (without: linear between readings)."""
         return self._with_voltages(lambda prepared: replace(prepared, ripples=ripples))
 
     def _with_voltages(self, change: Callable[[PreparedRecording], PreparedRecording]) -> DiagnosisSetup:
-        # A frame of the old voltages does not fit the new ones: the noise's identity separates them.
+        # A linearisation at the old voltages is invalid at the new ones: a new noise object marks it as such.
         whole, part = (
             replace(f, prepared=change(f.prepared), noise=replace(f.noise)) for f in (self.fitter, self.coarse_fitter)
         )
@@ -123,14 +120,14 @@ class DiagnosisSetup:
 def map_space(
     setup: DiagnosisSetup, baseline: Baseline, grid: EvenSpline, coefficients: Array, roughness: float = 1.0
 ) -> MapSpace:
-    """The maps in which a fit from this baseline may look.
+    """The space of maps for a fit from this baseline.
 
     Parameters
     ----------
     coefficients : array, shape (grid.size,)
-        Of the map as it stands: a given one is held there.
+        The map's present coefficients, at which a given map is held.
     roughness : float
-        How much rougher than usual a free one may be.
+        Roughness of a free map, relative to the usual one.
     """
     if isinstance(baseline, GivenMap):
         return _held(grid, coefficients)
@@ -156,7 +153,7 @@ def _separable(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
     """W(i) = f(i_d) + g(i_q): inductances that vary with their own axis's current."""
     nd, nq = grid.functions
     directions = np.concatenate([np.kron(np.eye(nd), np.ones((nq, 1))), np.kron(np.ones((nd, 1)), np.eye(nq))], axis=1)
-    # The constant is in both; the prior decides.
+    # A constant may be in f or in g; the prior makes the sum unique.
     prior = np.concatenate([_free(setup, grid).prior @ directions, 1e-6 * np.eye(nd + nq)])
     return MapSpace(grid, np.zeros(grid.size), directions, prior)
 
@@ -172,7 +169,7 @@ def _free(setup: DiagnosisSetup, grid: EvenSpline, roughness: float = 1.0) -> Ma
 
 
 def _magnet_std_wb(setup: DiagnosisSetup) -> float:
-    """How far the magnet's flux may be from the one that the effects take it for."""
+    """Standard deviation of the magnet's flux about the value that effects use [Wb]."""
     magnet, by_current = setup.fitter.pm_flux_wb, math.sqrt(setup.l_d_h * setup.l_q_h) * setup.current_a
     if magnet > 0.0 or setup.prepared.manifest.motor.pm_flux_wb is not None:
         return KNOWN_MAGNET_STD * max(magnet, by_current)
@@ -180,7 +177,7 @@ def _magnet_std_wb(setup: DiagnosisSetup) -> float:
 
 
 def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Model:
-    """Where a fit from this baseline starts: the nameplate's inductances on the coarsest grid."""
+    """The initial model of a baseline: the nameplate's inductances on the coarsest grid."""
     intervals = setup.criteria.intervals[0]
     grid = _grid(setup, (intervals, intervals))
     linear = linear_magnetics(grid, setup.l_d_h, setup.l_q_h)
@@ -188,13 +185,13 @@ def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Mo
 
 
 def with_freed_map(setup: DiagnosisSetup, model: Model, baseline: Nameplate) -> Model:
-    """The same R_s and effects, with the map as free as this baseline says."""
+    """A model with the same R_s and effects, and a map as free as the baseline says."""
     bare = baseline_model(setup, baseline)
     return replace(bare, r_s=model.r_s, active=model.active)
 
 
 def given_model(setup: DiagnosisSetup, flux_map: FluxMap) -> Model:
-    """A user's own map, kept as it is: splines through its flux and inductances."""
+    """A model with a user's map, held fixed: splines fitted to its flux."""
     intervals = GIVEN_MAP_INTERVALS
     grid = _grid(setup, (intervals, intervals))
     i_d, i_q = np.meshgrid(np.asarray(flux_map.i_d, float), np.asarray(flux_map.i_q, float), indexing="ij")
@@ -225,20 +222,20 @@ def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
 
 
 def fit_baseline(setup: DiagnosisSetup) -> Fit:
-    """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
-    coarsest = setup.coarse_fitter.fit(baseline_model(setup, Saturated()), renewals=1)
+    """Fit the free map, with the intervals that a part of the recording requires, or more if the whole does."""
+    coarsest = setup.coarse_fitter.fit(baseline_model(setup, Saturated()), relinearisations=1)
     part = with_finest_map(setup, setup.coarse_fitter, coarsest)
     if part.chi2_per_dof > MAX_CHI2_FOR_FINER_MAP:
-        # It is not detail that is missing, and a fine map is bent to what is.
+        # Such a misfit is a missing effect, to which a fine map would adapt.
         part = coarsest
-    fit = setup.fitter.fit(part.model, renewals=0)
-    # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
+    fit = setup.fitter.fit(part.model, relinearisations=0)
+    # A large misfit is a missing effect; the resolution is reconsidered when the effects are known.
     worth_it = LEAST_CHI2_FOR_FINER_MAP < fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP
     return with_finest_map(setup, setup.fitter, fit) if worth_it else fit
 
 
 def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """The same model on the finest map that is worth its freedom; a knee may lie well between a finer one's nodes."""
+    """Refit on the finest map justified by its gain; all are tried, as a knee may lie between the nodes of one."""
     fit = widened_map(setup, fitter, fit)
     for intervals in setup.criteria.intervals[1:]:
         finer = finer_map(setup, fitter, fit, (intervals, intervals))
@@ -249,10 +246,9 @@ def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 
 
 def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """The same model on a map as wide as the currents that the rotor sees where it lies.
+    """Refit on a map that covers the currents at the fitted rotor angle.
 
-    The first map is as wide as they are where it is believed to lie. Beyond a map there is nothing to fit, however
-    well the wider one does.
+    The first map covers them at the believed angle. Its chi2 does not matter: beyond the edge nothing is fitted.
     """
     grid, space = _widened_grid(fit), fit.model.space
     if grid == space.grid or not space.is_free:
@@ -261,16 +257,16 @@ def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 
 
 def _fit_on_map(fitter: Fitter, model: Model, fit: Fit) -> Fit:
-    """The model of a fit on another map, fitted there.
+    """Fit a model that differs from a fit's only by its map.
 
-    Effects that rest are where the fit's frame was made, and what the map does not change of that is kept. Those that
-    have moved since see another current there.
+    Where no parameter is free, the fit's linearisation still holds and only its map columns are renewed. Free effects
+    may have moved since and change the current, so that everything is linearised anew.
     """
-    return fitter.fit(model, None if fit.model.free else fit.frame, steps=2, renewals=0)
+    return fitter.fit(model, None if fit.model.free else fit.linearisation, steps=2, relinearisations=0)
 
 
 def _widened_grid(fit: Fit) -> EvenSpline:
-    """The fit's grid, or one that reaches all currents in its frame where some leave it by more than a little."""
+    """The fit's grid, widened to all true currents where one leaves it by more than `MAX_OVERREACH`."""
     grid = fit.model.space.grid
     seen = fit.true_currents()
     low, high = min(float(i[:, 0].min()) for i in seen), max(float(i[:, 0].max()) for i in seen)
@@ -283,20 +279,20 @@ def _widened_grid(fit: Fit) -> EvenSpline:
 
 
 def is_finer_map_justified(trial: Fit, fit: Fit) -> bool:
-    """Whether a fit on a finer map is that much better than one on a coarser."""
+    """Whether a fit on a finer map gains more than its degrees of freedom and the threshold require."""
     threshold = LEAST_GAIN_PER_MAP_FREEDOM * max(fit.dof - trial.dof, 1.0) + LEAST_GAIN_OF_FINER_MAP
     return fit.objective - trial.objective > threshold * max(trial.chi2_per_dof, 1.0)
 
 
 def has_fine_grid(fit: Fit) -> bool:
-    """Whether a fit's own map is finer or rougher than smooth iron asks for; a given one is as it is."""
+    """Whether a fit's free map is finer or rougher than the usual ones."""
     space = fit.model.space
     usual = max(space.grid.cells) <= fit.criteria.fitting.intervals[-1] and space.roughness <= 1.0
     return space.is_free and not usual
 
 
 def on_usual_grid(setup: DiagnosisSetup, fit: Fit) -> Model:
-    """The model of a sharp fit on the finest map that smooth iron asks for."""
+    """The model of a fit on the finest of the usual maps."""
     intervals = setup.criteria.intervals[-1]
     return _on_map(setup, fit, (intervals, intervals))
 
@@ -310,18 +306,18 @@ def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float
 
 
 def keep_fine_grid(sharp: Fit, usual: Fit) -> bool:
-    """Whether a fit on a sharp map is that much better than one on a usual map, all else refitted on either."""
-    most = _excess_chi2(sharp) <= (1.0 - LEAST_FINAL_SHARE_OF_FINE_MAP) * _excess_chi2(usual)
-    return most and is_finer_map_justified(sharp, usual)
+    """Whether a fit on a fine map is sufficiently better than one on a usual map, both with all effects refitted."""
+    removes_enough = _excess_chi2(sharp) <= (1.0 - LEAST_FINAL_SHARE_OF_FINE_MAP) * _excess_chi2(usual)
+    return removes_enough and is_finer_map_justified(sharp, usual)
 
 
 def _removes_much(finer: Fit, fit: Fit) -> bool:
-    """Whether a sharper map takes away much of what is left."""
+    """Whether a finer map removes enough of the excess chi2."""
     return _excess_chi2(finer) <= (1.0 - LEAST_RESIDUAL_SHARE_OF_FINE_MAP) * _excess_chi2(fit)
 
 
 def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """The same on maps ever finer along one axis, or rougher, as long as one takes away much of what is left."""
+    """Refit on maps that are finer along one axis, or rougher, while one removes enough of the excess chi2."""
     while fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP:
         trials = [trial for cells, r in _finer_grids(setup, fit) if (trial := finer_map(setup, fitter, fit, cells, r))]
         best = min(trials, key=_excess_chi2, default=fit)
@@ -332,10 +328,10 @@ def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 
 
 def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int], float]]:
-    """Intervals and roughness of those maps that are a step sharper."""
+    """Intervals and roughness of the maps that are one step finer or rougher."""
     limits, space = setup.criteria, fit.model.space
     d, q = space.grid.cells
-    finer = [next((n for n in limits.sharper_intervals if n > own), own) for own in (d, q)]
+    finer = [next((n for n in limits.sharper_intervals if n > present), present) for present in (d, q)]
     for cells in (finer[0], q), (d, finer[1]):
         if replace(space.grid, cells=cells).size <= limits.most_map_numbers:
             yield cells, space.roughness
@@ -343,24 +339,24 @@ def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, i
 
 
 def _excess_chi2(fit: Fit) -> float:
-    """What of chi2 per degree of freedom noise does not make."""
+    """chi2 per degree of freedom beyond that of noise."""
     return fit.chi2_per_dof - 1.0
 
 
 def finer_map(
     setup: DiagnosisSetup, fitter: Fitter, fit: Fit, cells: tuple[int, int], roughness: float = 1.0
 ) -> Fit | None:
-    """The same model on a finer or rougher map, where that is worth its freedom; None where it is not, or is neither.
+    """Refit on a finer or rougher map; None where its gain does not justify it, or it is neither.
 
     Parameters
     ----------
     cells : (int, int)
         Spline intervals along i_d and i_q.
     roughness : float
-        As of `MapSpace`.
+        As in `MapSpace`.
     """
     space = fit.model.space
-    if all(n <= own for n, own in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
+    if all(n <= present for n, present in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
         return None
     trial = _fit_on_map(fitter, _on_map(setup, fit, cells, roughness), fit)
     return trial if is_finer_map_justified(trial, fit) else None
@@ -368,8 +364,8 @@ def finer_map(
 
 def _grid(setup: DiagnosisSetup, cells: tuple[int, int]) -> EvenSpline:
     low, high, q = setup.prepared.current_range
-    least = LEAST_AXIS_RANGE * max(-low, high, q)
-    return EvenSpline(min(low, -least), max(high, least), max(q, least), cells)
+    min_range = LEAST_AXIS_RANGE * max(-low, high, q)
+    return EvenSpline(min(low, -min_range), max(high, min_range), max(q, min_range), cells)
 
 
 def _resistance(setup: DiagnosisSetup) -> float:

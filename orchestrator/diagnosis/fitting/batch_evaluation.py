@@ -1,4 +1,4 @@
-"""One evaluation of a model on a recording, batch by batch: each is a task that any worker can do by itself."""
+"""Evaluation of a model on a recording as independent tasks, one per batch of segments."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from orchestrator.diagnosis.weak_form.batches import SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 
 Columns = Sequence[tuple[EffectTerm, str]]
-"""Effects with one of their parameters each, by which derivatives are wanted."""
+"""Pairs of an effect and a parameter to differentiate by."""
 
 
 @dataclass(frozen=True)
 class RecordingBatches:
-    """How a recording's segments are dealt out for their equations to be evaluated.
+    """A recording's segments grouped for evaluation.
 
     Attributes
     ----------
     pieces : tuple of SegmentData
-        The recording's.
+        All segments of the recording.
     probes : tuple of SegmentBatch
-        A few segments of each stage, which are evaluated first and show what has changed.
+        A few segments of each stage, evaluated first to find the columns that have changed.
     others : tuple of SegmentBatch
     """
 
@@ -54,20 +54,20 @@ class BatchTask:
     Attributes
     ----------
     batch : SegmentBatch
-    frame : BatchLinearisation or None
-        Of an earlier evaluation.
+    linearisation : BatchLinearisation or None
+        Linearisation of an earlier evaluation.
     renew : bool
-        Whether the frame is renewed, as far as it changed since; else the model is evaluated in that one.
+        Whether to linearise anew where the model has moved; else the model is evaluated with the linearisation.
     columns : sequence of (EffectTerm, str) or None
-        Parameters to differentiate by; None: the frame alone, without equations. What is held out has no columns.
+        Parameters to differentiate by; None: only linearise. Held-out segments have no columns.
     answering : sequence of frozenset of str or None, optional
-        Of every column the inner effects that answer to it; all by default.
+        For each column, the inner effects that respond to it; all by default.
     probing : bool
-        Whether to measure what each inner effect adds to each column.
+        Whether to measure the contribution of each inner effect to each column.
     """
 
     batch: SegmentBatch
-    frame: BatchLinearisation | None
+    linearisation: BatchLinearisation | None
     renew: bool
     columns: Columns | None
     answering: Sequence[frozenset[str] | None] | None = None
@@ -78,29 +78,29 @@ class BatchTask:
 class BatchResult:
     """Linearisation, equations and probes of one batch, each segment's in the batch's order."""
 
-    frame: BatchLinearisation
+    linearisation: BatchLinearisation
     rows: Sequence[SegmentRows] = ()
     probes: Sequence[ColumnProbe] = ()
 
     @property
     def rows_by_place(self) -> dict[int, SegmentRows]:
-        return dict(zip(self.frame.batch.places, self.rows, strict=True))
+        return dict(zip(self.linearisation.batch.places, self.rows, strict=True))
 
     @property
     def probes_by_place(self) -> dict[int, ColumnProbe]:
-        return dict(zip(self.frame.batch.places, self.probes, strict=True))
+        return dict(zip(self.linearisation.batch.places, self.probes, strict=True))
 
 
 def evaluate_batch(equations: WeakFormEquations, model: Model, task: BatchTask) -> BatchResult:
-    """Do a task."""
+    """Run a task."""
     if task.renew:
-        state = equations.renewed(model, task.batch, task.frame)
+        state = equations.relinearise(model, task.batch, task.linearisation)
     else:
-        assert task.frame is not None
-        state = equations.at(model, task.frame)
+        assert task.linearisation is not None
+        state = equations.at(model, task.linearisation)
     if task.columns is None:
-        return BatchResult(state.frame)
+        return BatchResult(state.linearisation)
     if task.probing:
-        return BatchResult(state.frame, *equations.probed(state, task.columns, task.answering or ()))
+        return BatchResult(state.linearisation, *equations.probed(state, task.columns, task.answering or ()))
     columns = () if task.batch.pieces[0].held_out else task.columns
-    return BatchResult(state.frame, equations.rows(state, columns, task.answering))
+    return BatchResult(state.linearisation, equations.rows(state, columns, task.answering))

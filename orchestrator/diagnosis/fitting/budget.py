@@ -1,4 +1,4 @@
-"""How much a diagnosis has computed, and how long it may go on."""
+"""Computation budget of a diagnosis, and an upper bound of its remaining time."""
 
 from __future__ import annotations
 
@@ -11,20 +11,19 @@ from statistics import median
 
 @dataclass
 class Budget:
-    """How much was computed, in samples times columns: the same on every machine, unlike time.
+    """Cost of all evaluations in samples times columns, which is the same on every machine.
 
-    How long it may take still is what such work usually comes to, in the time that the first model's fit took for its
-    own.
+    The remaining time is the usual remaining cost, at the speed measured while the first model was fitted.
     """
 
     limit: float = math.inf
     spent: float = 0.0
     clock: Callable[[], float] = time.monotonic
-    """Seconds, of any origin; for the words of who waits alone."""
+    """Clock for the remaining time [s]; its origin is arbitrary."""
     _calls: list[tuple[float, float]] = field(init=False, default_factory=list)
-    """Time [s] and effort of each evaluation until `calibrate`."""
+    """Time [s] and cost of each evaluation before `calibrate`."""
     _cost_s: float | None = field(init=False, default=None)
-    """Of a unit of effort."""
+    """Time per unit of cost [s]."""
     _ends_s: float = field(init=False, default=-math.inf)
 
     @property
@@ -32,15 +31,15 @@ class Budget:
         return self.spent > self.limit
 
     def spend(self, cost: float) -> None:
-        """An evaluation of so much effort begins."""
+        """Account for an evaluation that begins."""
         self.spent += cost
         if self._cost_s is None and cost > 0.0:
             self._calls.append((self.clock(), cost))
 
     def calibrate(self) -> None:
-        """Take what has been computed so far for what effort costs on this machine: the median of the evaluations.
+        """Set the time per unit of cost to the median over the evaluations so far.
 
-        The first ones of a process take longer than all others.
+        The median is robust against the first evaluations of a process, which are slow.
         """
         ends = [begin for begin, _ in self._calls[1:]]
         costs = [(end - begin) / cost for (begin, cost), end in zip(self._calls, ends, strict=False)]
@@ -48,13 +47,13 @@ class Budget:
         self._calls.clear()
 
     def expect(self, cost: float) -> None:
-        """From here on so much of the calibrating work's kind is left to the diagnosis' end."""
+        """Set the expected remaining cost of the diagnosis."""
         if self._cost_s is not None:
             self._ends_s = self.clock() + self._cost_s * cost
 
     @property
-    def left(self) -> str:
-        """Words for how long it may take still; none where that is not known, or over."""
+    def remaining_time(self) -> str:
+        """Text with the remaining time; empty where it is unknown or over."""
         left_s = self._ends_s - self.clock()
         step = 1 if left_s < 10.0 else 5
         return f" (some {step * round(left_s / step)} s more)" if left_s >= 1.0 else ""

@@ -1,4 +1,4 @@
-"""Candidate effects as the fit sees them: scaled to the machine, each parameter on a line without bounds."""
+"""Candidate effects scaled to the machine, and effect terms of a model with standardised parameters."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from protocols import Effect, EffectParameter, EffectParameters, Manifest, Param
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
 MAP_RUNGS = (SATURATION, CROSS_SATURATION)
-"""Rungs of the ladder that are no plugins: they free the map itself."""
+"""Steps of the ladder that free the map instead of adding an effect."""
 
 
 @dataclass(frozen=True)
@@ -28,12 +28,11 @@ class CandidateEffect:
     effect: Effect
     parameters: tuple[EffectParameter, ...]
     centres: Mapping[str, float] = field(default_factory=dict)
-    """Coordinates at which the priors of some amplitudes stand; all others' stand at zero."""
+    """Prior means of amplitudes as standardised values, by name; zero where omitted."""
     prior_log_odds: float = 0.0
-    """Evidence for its being there that a fleet has given; below zero where the fleet has hardly ever had it [nat]."""
-
+    """Prior log odds of presence from a fleet, relative to an effect without a prior [nat]."""
     included_a_priori: bool = False
-    """Whether a fleet has it nearly always: then it is in the model until the data speak against it."""
+    """Whether nearly all motors of a fleet have it: it is included until the data contradict it."""
 
     @cached_property
     def name(self) -> str:
@@ -55,26 +54,30 @@ class CandidateEffect:
 
     @cached_property
     def standing(self) -> Array:
-        """Coordinates at which the amplitudes' priors stand, shape (amplitudes,)."""
+        """Prior means of the amplitudes as standardised values, shape (amplitudes,)."""
         return np.array([self.centres.get(name, 0.0) for name in self.amplitudes])
 
     def absent(self) -> EffectTerm:
-        """This effect at its neutral amplitudes, amplitudes free."""
+        """The effect at neutral amplitudes, which are free, and typical shapes."""
         values = {p.name: p.typical if p.role is ParameterRole.SHAPE else p.neutral for p in self.parameters}
         return EffectTerm(self, values, self.amplitudes)
 
     def absent_in_alternative_form(self) -> EffectTerm | None:
-        """The same at its second form, from which no descent leads to the first; None where its shapes have but one."""
-        there = {p.name: p.other_form for p in self.parameters if p.other_form is not None}
-        if not any(self.named(name).role is ParameterRole.SHAPE for name in there):
+        """The absent effect in its second form, a separate minimum; None where its shapes have only one form."""
+        alternative = {p.name: p.other_form for p in self.parameters if p.other_form is not None}
+        if not any(self.named(name).role is ParameterRole.SHAPE for name in alternative):
             return None
         absent = self.absent()
-        return replace(absent, values={**absent.values, **there})
+        return replace(absent, values={**absent.values, **alternative})
+
+
+Library = Sequence[CandidateEffect]
+"""Candidate effects of a diagnosis, in the order of the effects."""
 
 
 @dataclass(frozen=True)
 class EffectTerm:
-    """An effect in the model: its values, and which of its parameters are free."""
+    """An effect in the model: its parameter values, and which of them are free."""
 
     candidate: CandidateEffect
     values: Mapping[str, float]
@@ -85,21 +88,21 @@ class EffectTerm:
         return self.candidate.name
 
     def moved(self, name: str, x: float) -> EffectTerm:
-        """The same with one parameter at the coordinate `x`."""
+        """A copy with one parameter at the standardised value `x`."""
         return replace(self, values={**self.values, name: value_at(self.candidate.named(name), x)})
 
     def standardised_value(self, name: str) -> float:
         return standardised(self.candidate.named(name), self.values[name])
 
     def prior_residual(self, name: str) -> float:
-        """Coordinate from where its prior stands, in standard deviations of that."""
+        """Standardised value minus its prior mean, in standard deviations of the prior."""
         return self.standardised_value(name) - self.candidate.centres.get(name, 0.0)
 
     def release(self, *names: str) -> EffectTerm:
         return replace(self, free=self.free + tuple(n for n in names if n not in self.free))
 
     def fix(self, *names: str) -> EffectTerm:
-        """The same with some parameters neutral, and not free."""
+        """A copy with some parameters neutral and not free."""
         neutral = {n: value_at(self.candidate.named(n), 0.0) for n in names}
         return replace(self, free=tuple(n for n in self.free if n not in names), values={**self.values, **neutral})
 
@@ -109,23 +112,23 @@ class EffectTerm:
         return tuple(n for n in self.candidate.of_role(ParameterRole.REFINEMENT) if n in self.free)
 
     def alternative_forms(self) -> list[EffectTerm]:
-        """The same at its second form, other refinements resting, and where there are such, with these as they are.
+        """Copies in the second form, with other refinements fixed at neutral and, if any are free, also as they are.
 
-        Nothing where it has but one form, or stands nearer the second.
+        Empty where there is only one form, or the values are nearer to the second.
         """
         names = self.candidate.of_role(ParameterRole.REFINEMENT)
         named = self.candidate.named
-        there = {n: x for n in names if (x := named(n).other_form) is not None}
-        if all(abs(self.values[n] - x) <= abs(self.values[n] - named(n).neutral) for n, x in there.items()):
+        alternative = {n: x for n in names if (x := named(n).other_form) is not None}
+        if all(abs(self.values[n] - x) <= abs(self.values[n] - named(n).neutral) for n, x in alternative.items()):
             return []
-        leading = [n for n in there if not named(n).detail]
-        mere, bent = self.fix(*names).release(*leading), self.release(*leading)
-        forms = [mere, bent] if any(n not in there for n in self.free_refinements) else [mere]
-        return [replace(form, values={**form.values, **there}) for form in forms]
+        leading = [n for n in alternative if not named(n).detail]
+        simple, extended = self.fix(*names).release(*leading), self.release(*leading)
+        forms = [simple, extended] if any(n not in alternative for n in self.free_refinements) else [simple]
+        return [replace(form, values={**form.values, **alternative}) for form in forms]
 
     @cached_property
     def parameters(self) -> EffectParameters:
-        """The values as the effect reads them."""
+        """The values as an instance of the effect's parameter class."""
         return self.candidate.effect.Parameters(**self.values)
 
     @cached_property
@@ -159,7 +162,7 @@ def scaled_library(
 
 
 def observable_effects(library: Sequence[CandidateEffect], signals: Sequence[Signals]) -> tuple[CandidateEffect, ...]:
-    """The candidates that some segment can show; raises `PluginError` where an effect fails to say."""
+    """The candidates that some segment can show; raises `PluginError` where an effect's `shows_in` fails."""
     return tuple(c for c in library if any(_can_show(c.effect, s) for s in signals))
 
 
@@ -172,7 +175,7 @@ def _can_show(effect: Effect, signals: Signals) -> bool:
 
 
 def require_known(names: Sequence[str], effects: Sequence[Effect]) -> None:
-    """Raise `PluginError` where a name is no effect's and no rung of the map."""
+    """Raise `PluginError` where a name is neither an effect nor one of `MAP_RUNGS`."""
     have = [e.name for e in effects] + list(MAP_RUNGS)
     for name in names:
         if name not in have:
@@ -180,7 +183,7 @@ def require_known(names: Sequence[str], effects: Sequence[Effect]) -> None:
 
 
 def standardised(p: EffectParameter, value: float) -> float:
-    """The coordinate in which the prior is a unit normal: amplitudes over their width, shapes by logit in bounds."""
+    """Standardised value, whose prior is unit normal: amplitudes over their width, shapes by a logit within bounds."""
     if p.role is ParameterRole.SHAPE:
         return (_logit(p, value) - _logit(p, p.typical)) / p.prior_width
     if p.strong_when_small:
@@ -189,7 +192,7 @@ def standardised(p: EffectParameter, value: float) -> float:
 
 
 def value_at(p: EffectParameter, x: float) -> float:
-    """Inverse of `standardised`, held within the bounds."""
+    """Inverse of `standardised`, limited to the bounds."""
     if p.role is ParameterRole.SHAPE:
         u = _logit(p, p.typical) + p.prior_width * x
         return p.low + (p.high - p.low) / (1.0 + math.exp(-min(max(u, -12.0), 12.0)))
@@ -200,7 +203,7 @@ def value_at(p: EffectParameter, x: float) -> float:
 
 
 def typical_standardised_value(p: EffectParameter) -> float:
-    """Where a typical effect is: the secant from neutral to here scores an effect that is not in the model yet."""
+    """Standardised typical value; the secant from neutral to here gives the column of an absent effect."""
     return standardised(p, p.typical)
 
 

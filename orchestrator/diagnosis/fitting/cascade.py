@@ -1,7 +1,7 @@
-"""What a parameter of one effect changes of the signals, carried inwards through the effects behind it.
+"""Changes of the signals by one effect's parameter, propagated through the effects further inside.
 
-Most effects pass on what others change as it is: a resistance does not ask the voltage. Which of them answer to it is
-measured on a few segments (`orchestrator.diagnosis.fitting.columns`); the others need not be applied again.
+Most effects do not respond to a given change: a resistance does not depend on the voltage. Those that respond are
+found on a few segments (`orchestrator.diagnosis.fitting.columns`); the others are not evaluated again.
 """
 
 from __future__ import annotations
@@ -18,25 +18,24 @@ from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SignalBatch
 
 SECANT_STEP: float = 0.01
-"""Step of a secant, relative to the standardised value: far above rounding, where an effect is still nearly
-linear."""
+"""Step of a secant, relative to the standardised value: far above rounding, and small enough to be nearly linear."""
 LEAST_SECANT_AMPLITUDE: float = 0.02
-"""Standardised value of an amplitude below which the secant's step does not shrink with it."""
+"""Standardised value of an amplitude below which the secant's step stays constant."""
 
 Change = dict[str, Array]
-"""By how much arrays of the signals change, by name; what is not in it does not."""
+"""Changes of the signals' arrays by name; arrays that do not change are omitted."""
 
 
 @dataclass(frozen=True)
 class Cascade:
-    """The signals of a batch of segments on their way through a model's effects, from the sensors inwards.
+    """The signals of a batch before and after each of a model's effects, from the sensors inwards.
 
     Attributes
     ----------
     effects : tuple of EffectTerm
         Outermost first.
     stages : tuple of Corrected
-        The signals before each of the effects and after the last, each with what the effect before it changed.
+        The signals before each effect and after the last, each with the names changed by the preceding effect.
     """
 
     effects: tuple[EffectTerm, ...]
@@ -44,7 +43,7 @@ class Cascade:
 
     @classmethod
     def of(cls, signals: SignalBatch, active: Sequence[EffectTerm]) -> Cascade:
-        """Signals as measured, led through all effects."""
+        """Apply all effects to measured signals."""
         effects = tuple(sorted(active, key=lambda a: a.candidate.effect.layer))
         stages = [Corrected(signals)]
         for one in effects:
@@ -61,18 +60,18 @@ class Cascade:
         return frozenset[str]().union(*(stage.changed for stage in self.stages))
 
     def change_by(self, moved: EffectTerm, answering: Container[str] | None = None) -> tuple[Change, dict[str, Change]]:
-        """What changes behind the innermost effect where one effect is as in `moved`, present in the model or not.
+        """Change of the innermost signals when one effect, in the model or not, is replaced by `moved`.
 
         Parameters
         ----------
         answering : container of str, optional
-            Effects that answer to the change; all by default.
+            Effects that respond to the change; all by default.
 
         Returns
         -------
         change : dict
         answers : dict
-            What each inner effect added to the change, where `answering` is None.
+            Contribution of each inner effect to the change, where `answering` is None.
         """
         at = next((k for k, a in enumerate(self.effects) if a.name == moved.name), None)
         if at is None:
@@ -84,7 +83,7 @@ class Cascade:
         return self._inwards(behind, _less(other.signals, self.stages[behind].signals, names), answering)
 
     def random_directions(self) -> Iterator[Change]:
-        """What changes behind the innermost effect by each thing that an effect cannot know of a segment."""
+        """Change of the innermost signals by each random direction of each effect."""
         for k, active in enumerate(self.effects):
             before = self.stages[k].signals
             for doubted in random_directions_of(active, before):
@@ -93,7 +92,7 @@ class Cascade:
     def _inwards(
         self, behind: int, change: Change, answering: Container[str] | None = None
     ) -> tuple[Change, dict[str, Change]]:
-        """A change before the effects from a place on, led through them, and what each added where all were applied."""
+        """Propagate a change through the effects from a place on; also each one's part where all are applied."""
         answers = dict[str, Change]()
         for k in range(behind, len(self.effects)):
             inner = self.effects[k]
@@ -111,10 +110,10 @@ class Cascade:
 
 
 def step_of(active: EffectTerm, name: str) -> float:
-    """The step of one parameter's coordinate that its secant is taken over.
+    """Secant step of one parameter's standardised value.
 
-    To typical size where its effect is absent; from the first form to the second, for no descent leads there. Where a
-    bound is nearer than the step, to the other side.
+    It goes to the typical size where the effect is absent, and from the first form to the second, a separate minimum.
+    Where a bound is nearer than the step, it goes to the other side.
     """
     p = active.candidate.named(name)
     x = active.standardised_value(name)
@@ -131,7 +130,7 @@ def step_of(active: EffectTerm, name: str) -> float:
 
 
 def _within(active: EffectTerm, name: str, step: float) -> float:
-    """As much of a step of one parameter's coordinate as its bounds let be."""
+    """A step of one parameter's standardised value, limited to its bounds."""
     x = active.standardised_value(name)
     moved = active.moved(name, x + step).standardised_value(name) - x
     return step if math.isclose(moved, step, rel_tol=1e-6) else moved
@@ -146,6 +145,6 @@ def _less(one: SignalBatch, other: SignalBatch, names: frozenset[str]) -> Change
 
 
 def array_of(signals: SignalBatch, name: str) -> Array | float:
-    """An array of the signals, or nothing for one that is not there."""
+    """An array of the signals; 0 where it is absent."""
     array: Array | None = getattr(signals, name)
     return 0.0 if array is None else array

@@ -1,6 +1,6 @@
-"""Descent with many parameters of which few move: columns are kept from step to step while they keep their promise.
+"""Descent with frozen Jacobians: columns are reused for several steps while the predicted reductions are reached.
 
-A column costs as much as the residual itself, and all effects together have dozens. Decides nothing.
+A column costs as much as the residual itself, and all effects together have dozens.
 """
 
 from __future__ import annotations
@@ -11,73 +11,72 @@ from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.formatting.quantities import number
 
 LEAST_JOINT_GAIN: float = 2.0
-"""Fall of the objective below which a round of all effects together is not worth its cost, that of a whole fit of
-one: one nat."""
+"""Fall of the objective below which a round with all effects ends; a round costs as much as a fit of one effect."""
 MAX_CHORD_STEP: float = 1.0
-"""How far a shape moves in one step along kept columns, in standard deviations of its prior."""
+"""Largest change of a shape in one step with frozen columns, in standard deviations of its prior."""
 GOOD_CHORD_REDUCTION_RATIO: float = 0.5
-"""Ratio of actual to predicted reduction from which the next step may use the same columns and be wider."""
+"""Ratio of actual to predicted reduction from which the next step reuses the columns and may be longer."""
 CHORD_STEP_FACTOR: float = 0.3
-"""Factor by which the next step is shorter after one below that ratio."""
+"""Factor on the step length after a step below that ratio."""
 LEAST_CHORD_STEP: float = 0.01
-"""Step below which no further one is tried, in standard deviations of the prior."""
+"""Step length below which the descent ends, in standard deviations of the prior."""
 
 
 def fit_with_frozen_jacobian(
     fitter: Fitter, model: Model, *, rounds: int, tolerance: float, known: Fit | None = None
 ) -> Fit:
-    """Fit R_s, the map and every free parameter, from where the model stands.
+    """Fit R_s, the map and every free parameter, starting at the model's values.
 
     Parameters
     ----------
     known : Fit, optional
-        Of much the same model: what has not moved since is taken from there.
+        Fit of a similar model, whose columns are reused where they have not changed.
     rounds : int
-        How often columns and frame are made anew.
+        Number of relinearisations, each with new columns.
     tolerance : float
-        Gain of a round, as a part of the excess chi2, below which the fit ends.
+        Fall of the objective in a round over the excess chi2, below which the fit ends.
     """
     radius = widest = MAX_CHORD_STEP
     if known is not None and known.model.space is not model.space:
         known = None
-    # Columns may be a little off; a frame that is older than its map leads away from where the fit was.
-    best = fitter.renewed(model, known.frame if known else None, known=known)
+    # Slightly old columns do no harm; a linearisation older than its map leads away from the minimum.
+    best = fitter.relinearise(model, known.linearisation if known else None, known=known)
     for _ in range(rounds if model.free else 0):
         fitter.under_way(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
-        least_gain = LEAST_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
-        trial, radius = _frozen_steps(fitter, best, min(radius, widest), least_gain, widest)
+        min_gain = LEAST_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
+        trial, radius = _frozen_steps(fitter, best, min(radius, widest), min_gain, widest)
         if trial is best:
             break
-        renewed = fitter.renewed(trial.model, best.frame, known=trial)
+        renewed = fitter.relinearise(trial.model, best.linearisation, known=trial)
         gain = best.objective - renewed.objective
         if gain < 0.0:
-            # The frame does not follow as far; nor would it when the same steps were made again.
+            # The linearisation does not hold that far; repeating the steps would not help.
             widest = CHORD_STEP_FACTOR * min(radius, widest)
             if widest < LEAST_CHORD_STEP:
                 break
             continue
         best = renewed
-        if gain < least_gain:
+        if gain < min_gain:
             break
     return best
 
 
 def trial_step(fitter: Fitter, model: Model, known: Fit) -> Fit:
-    """Where the columns of an earlier fit lead a model much like that fit's: nothing is made anew that it has."""
-    best = fitter.evaluate(model, known.frame, known=known)
+    """Improve a model similar to an earlier fit's with that fit's columns and linearisation."""
+    best = fitter.evaluate(model, known.linearisation, known=known)
     return _frozen_steps(fitter, best, MAX_CHORD_STEP, LEAST_GAIN, MAX_CHORD_STEP)[0]
 
 
-def _frozen_steps(fitter: Fitter, best: Fit, radius: float, least_gain: float, widest: float) -> tuple[Fit, float]:
-    """As many steps along the columns as keep their promise, the last that gained at all, and the radius then."""
+def _frozen_steps(fitter: Fitter, best: Fit, radius: float, min_gain: float, widest: float) -> tuple[Fit, float]:
+    """Steps with frozen columns while predictions hold; returns the best fit and the trust radius."""
     while radius >= LEAST_CHORD_STEP:
         move, predicted = bounded_step(best, best.projected(), radius)
-        if predicted < least_gain:
+        if predicted < min_gain:
             break
-        # Amplitudes, too: a loop that is wider than a ripple is no multiple of one that is narrower.
+        # Amplitudes are damped too: hysteresis loops do not scale with an amplitude.
         part = min(radius, 1.0)
         predicted *= part * (2.0 - part)
-        trial = fitter.evaluate(moved_by(best.model, part * move), best.frame, known=best, renew=False)
+        trial = fitter.evaluate(moved_by(best.model, part * move), best.linearisation, known=best, renew=False)
         reduction_ratio = (best.objective - trial.objective) / predicted
         if reduction_ratio > GOOD_CHORD_REDUCTION_RATIO:
             best, radius = trial, min(2.0 * radius, widest)

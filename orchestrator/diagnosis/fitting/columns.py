@@ -1,7 +1,7 @@
-"""Which derivatives of the equations are made anew, and how: measured on a few segments of each stage.
+"""Choice of the Jacobian's columns to recompute, from probes on a few segments of each stage.
 
-A column costs as much as the equations themselves, for a change has to pass all inner effects, and all effects
-together have dozens. But few inner effects answer to it, and few columns move from one step of a fit to the next.
+A column costs as much as the residual if its change is propagated through all inner effects, and all effects together
+have dozens. But few inner effects respond to it, and few columns change from one step of a fit to the next.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 
 PROBE_EVERY: int = 16
-"""Every so many-th segment of a stage shows which columns have changed, and which effects respond to which."""
+"""One in this many segments of a stage is a probe."""
 MAX_COLUMN_CHANGE: float = 0.02
-"""Relative change of a column below which it is not renewed on all segments: a step misses by as little."""
+"""Relative change of a column on the probes below which it is reused on the other segments."""
 LEAST_RESPONSE: float = 0.001
-"""Share of an inner effect's response in a column below which it is not computed. Where two effects nearly cancel,
-the rest of both columns is as small: at 0.005 a descent ended a thousand nats above its valley."""
+"""Share of an inner effect's response in a column below which it is not computed. Where two effects nearly cancel, the
+difference of their columns is as small: at 0.005 a descent ended a thousand nats above the minimum."""
 MAX_GROWTH_BEFORE_PROBE: float = 2.0
 """Growth of an effect beyond which its response is probed again."""
 
@@ -34,10 +34,9 @@ class ColumnProbe:
     Attributes
     ----------
     columns : array, shape (rows, columns)
-        Whitened.
+        Whitened columns.
     answers : dict
-        Squared norm of what an inner effect added to a column, by the column's place and the effect's name, where all
-        effects were applied.
+        Squared norm of an inner effect's contribution to a column, by the column's index and the effect's name.
     """
 
     columns: Array
@@ -46,14 +45,14 @@ class ColumnProbe:
 
 @dataclass(frozen=True)
 class ColumnPlan:
-    """How columns are made where they were not probed.
+    """Plan of the columns on the segments that are not probes.
 
     Attributes
     ----------
     kept : dict
-        Columns that are taken from an earlier fit, and their places there.
+        Indices of columns reused from an earlier fit, and their indices there.
     answering : tuple of frozenset of str
-        Of every column the inner effects that answer to it.
+        For each column, the inner effects that respond to it.
     """
 
     kept: Mapping[int, int]
@@ -63,17 +62,17 @@ class ColumnPlan:
     def anew(self) -> list[int]:
         return [k for k in range(len(self.answering)) if k not in self.kept]
 
-    def whole(self, made: Array, known: Array | None) -> Array:
-        """All columns of a segment from those made anew and those of the earlier fit."""
-        columns = np.empty((len(made), len(self.answering)))
-        columns[:, self.anew] = made
+    def whole(self, renewed: Array, known: Array | None) -> Array:
+        """All columns of a segment from the recomputed ones and those of the earlier fit."""
+        columns = np.empty((len(renewed), len(self.answering)))
+        columns[:, self.anew] = renewed
         if known is not None:
             columns[:, list(self.kept)] = known[:, list(self.kept.values())]
         return columns
 
 
 def probe_segments(pieces: Sequence[SegmentData]) -> tuple[int, ...]:
-    """The segments that columns are probed on: a few of each stage, spread evenly; none that is held out."""
+    """Indices of the probes: a few segments of each stage, spread evenly, none of them held out."""
     stages: dict[object, list[int]] = {}
     for k, piece in enumerate(pieces):
         if not piece.held_out:
@@ -83,11 +82,11 @@ def probe_segments(pieces: Sequence[SegmentData]) -> tuple[int, ...]:
 
 
 def known_answers(model: Model, known: Fit | None) -> Answers:
-    """The answers of an earlier fit for these effects; none where they are others, or have grown since."""
-    there = {a.name: a.relative_size for a in model.active if not a.is_absent}
+    """The responses found in an earlier fit; none where an effect is new or has grown since."""
+    sizes = {a.name: a.relative_size for a in model.active if not a.is_absent}
     known_before = Answers() if known is None else known.answers
-    if any(size > MAX_GROWTH_BEFORE_PROBE * known_before.sizes.get(name, 0.0) for name, size in there.items()):
-        return Answers({}, there)
+    if any(size > MAX_GROWTH_BEFORE_PROBE * known_before.sizes.get(name, 0.0) for name, size in sizes.items()):
+        return Answers({}, sizes)
     return known_before
 
 
@@ -97,18 +96,18 @@ def column_plan(
     known: Fit | None,
     previous: Mapping[ColumnName, frozenset[str]] = MappingProxyType({}),
 ) -> ColumnPlan:
-    """What the probes say of columns on all other segments.
+    """Plan the columns of all other segments from the probes.
 
     Parameters
     ----------
     names : sequence of (str, str)
         Effect and parameter of every column.
     probes : dict
-        By the segments' places.
+        Probes by segment index.
     known : Fit, optional
-        An earlier one, whose columns are kept where they are the same on the probed segments.
+        Earlier fit, whose columns are reused where they are unchanged on the probes.
     previous : dict
-        Of columns that were probed before, the inner effects that respond to them.
+        For columns probed before, the inner effects that respond to them.
     """
     power = sum((np.sum(p.columns**2, axis=0) for p in probes.values()), np.zeros(len(names)))
     answers: dict[tuple[int, str], float] = {}

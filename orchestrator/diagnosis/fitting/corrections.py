@@ -1,4 +1,4 @@
-"""Effects applied to a batch of segments, from the sensors inwards; what each returns is checked, not copied."""
+"""Effects applied to a batch of segments, from the sensors inwards; returned arrays are checked, not copied."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from protocols import (
 
 @dataclass(frozen=True)
 class Corrected:
-    """Signals with some effects accounted for.
+    """Signals corrected by some effects.
 
     Attributes
     ----------
     signals : SignalBatch
     changed : frozenset of str
-        Names of those arrays that these effects changed.
+        Names of the arrays that the effects changed.
     """
 
     signals: SignalBatch
@@ -38,12 +38,12 @@ class Corrected:
 
 
 def apply_effects(signals: SignalBatch, active: Sequence[EffectTerm]) -> Corrected:
-    """The signals with all effects accounted for that are there.
+    """The signals corrected by all effects that are not neutral.
 
     Raises
     ------
     PluginError
-        Where an effect raises, or returns what signals cannot be.
+        If an effect raises, or returns arrays that are invalid as signals.
     """
     changed: set[str] = set()
     for item in sorted(active, key=lambda a: a.candidate.effect.layer):
@@ -54,12 +54,12 @@ def apply_effects(signals: SignalBatch, active: Sequence[EffectTerm]) -> Correct
 
 
 def apply_effect(signals: SignalBatch, item: EffectTerm) -> Corrected:
-    """The signals with one effect accounted for if it is there; with the bridge off nothing is but what sensors do.
+    """The signals corrected by one effect unless it is neutral; with the bridge off only sensor effects act.
 
     Raises
     ------
     PluginError
-        As `apply_effects`.
+        As in `apply_effects`.
     """
     if item.is_absent or not (_bridge_on(signals) or item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS):
         return Corrected(signals)
@@ -67,17 +67,17 @@ def apply_effect(signals: SignalBatch, item: EffectTerm) -> Corrected:
 
 
 def has_random_directions(item: EffectTerm) -> bool:
-    """Whether an effect that is there says what it cannot know."""
+    """Whether an effect that is not neutral has random directions."""
     return not item.is_absent and any(hook_of(item.candidate.effect, hook) is not None for hook in _RANDOM_DIRECTIONS)
 
 
 def random_directions_of(item: EffectTerm, signals: SignalBatch) -> list[Corrected]:
-    """The signals with one standard deviation of each thing that an effect cannot know of a segment, of all at once.
+    """The signals changed by one standard deviation along each random direction of an effect, all segments at once.
 
     Raises
     ------
     PluginError
-        Where the effect raises, or returns what signals cannot be.
+        As in `apply_effects`.
     """
     if not (_bridge_on(signals) and has_random_directions(item)):
         return []
@@ -85,7 +85,7 @@ def random_directions_of(item: EffectTerm, signals: SignalBatch) -> list[Correct
 
 
 def _bridge_on(signals: SignalBatch) -> bool:
-    """Whether it is in any segment: a batch's segments are alike in that."""
+    """Whether the bridge is on, which is the same for all segments of a batch."""
     return any(s.bridge_on for s in signals.segments)
 
 
@@ -95,7 +95,7 @@ def _corrected(signals: SignalBatch, arrays: Mapping[str, RealArray]) -> Correct
 
 
 def _evaluate(item: EffectTerm, signals: SignalBatch) -> Mapping[str, RealArray]:
-    """What an effect changes of a batch, in one call where it can, else segment by segment."""
+    """The arrays that an effect changes in a batch, by one call if it supports batches, else segment by segment."""
     effect = item.candidate.effect
     correct_batch = hook_of(effect, "correct_batch")
     if correct_batch is not None:
@@ -114,8 +114,8 @@ def _evaluate_random_directions(item: EffectTerm, signals: SignalBatch) -> list[
     if of_segment is None:
         return []
     found = [_sequence(item, _call(item, name, of_segment, signals.segment(k))) for k in range(len(signals.segments))]
-    most = max(map(len, found))
-    rows = [[one[m] if m < len(one) else Correction() for one in found] for m in range(most)]
+    count = max(map(len, found))
+    rows = [[one[m] if m < len(one) else Correction() for one in found] for m in range(count)]
     return [_checked(item, name, signals, _end_to_end(item, name, signals, row)) for row in rows]
 
 
@@ -129,7 +129,7 @@ def _sequence(item: EffectTerm, found: object) -> Sequence[object]:
 
 
 def _end_to_end(item: EffectTerm, method: str, signals: SignalBatch, parts: Sequence[object]) -> Correction:
-    """Corrections of a batch's segments as one; what only some of them change stays as it is in the others."""
+    """Concatenate the corrections of a batch's segments; arrays changed in some segments only are completed."""
     corrections = [_require_correction(item, method, part) for part in parts]
 
     def part_of(k: int, name: str) -> RealArray:
@@ -168,7 +168,7 @@ def _require_correction(item: EffectTerm, method: str, correction: object) -> Co
 
 
 def _checked(item: EffectTerm, method: str, signals: SignalBatch, correction: object) -> Mapping[str, RealArray]:
-    """The arrays of what a method of an effect returned, each checked."""
+    """The arrays of a correction returned by an effect's method, each checked."""
     arrays = _require_correction(item, method, correction).arrays
     for name, array in arrays.items():
         before = getattr(signals, name)

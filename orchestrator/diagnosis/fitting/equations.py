@@ -1,4 +1,4 @@
-"""A batch's equations where a model stands: what its effects make of the signals, the noise, and the columns."""
+"""A batch's whitened equations at a model: corrected signals, noise covariance, residual and columns."""
 
 from __future__ import annotations
 
@@ -41,50 +41,49 @@ from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, ModelNoise, SignalBatch, Signals
 
 FLUX_ITERATIONS: int = 2
-"""How often the flux that effects see is evaluated again at the rotor's angle and at the magnetising current. A twist
-of 0.03 rad leaves so much less of the torque each time. Once, where an earlier evaluation is at hand."""
+"""Fixed-point iterations of the flux that effects read, which itself depends on their rotor angle and magnetising
+current. A twist of 0.03 rad reduces the error by as much in each. One suffices after an earlier evaluation."""
 MAX_INDUCTANCE_CHANGE: float = 0.01
-"""Relative change of the mean inductance up to which the noise's covariance is kept."""
+"""Relative change of the mean inductance up to which the noise covariance is reused."""
 MAX_INVERTER_CHANGE: float = 0.1
-"""Change of an inverter effect's standardised value, relative to one or to itself, up to which the covariance is
-kept."""
+"""Change of an inverter effect's standardised value x over max(1, |x|) up to which the covariance is reused."""
 
 OBSERVER_TIME_CONSTANT_S: float = 0.005
-"""Time constant that draws the integrated flux to the map's [s]: long beside a ripple's period, short beside its
-drift."""
+"""Time constant with which the integrated flux approaches the map's [s]: much longer than a ripple period, and short
+compared with the integral's drift."""
 
 
 @dataclass(frozen=True)
 class BatchState:
-    """A batch of segments where a model stands."""
+    """A batch of segments evaluated at a model."""
 
-    frame: BatchLinearisation
+    linearisation: BatchLinearisation
     cascade: Cascade
     local: LocalMap
 
     @property
     def batch(self) -> SegmentBatch:
-        return self.frame.batch
+        return self.linearisation.batch
 
 
 @dataclass
 class WeakFormEquations:
-    """Makes the equations of any batch of a recording; remembers the columns of those that no effect moves."""
+    """Equations of any batch of a recording; map columns of batches that no effect changes are cached."""
 
     noise: SensorNoise
     pm_flux_wb: float
     criteria: Criteria
     ripples: bool = False
-    """Whether the resistance takes its part of a carrier's ripple (`weak_form.carrier_ripple`)."""
+    """Whether the resistive drop of the ripple within a carrier period is included (`nuisances.carrier_ripple`)."""
     _raw_basis: dict[int, tuple[SegmentBatch, EvenSpline, list[Array]]] = field(default_factory=dict)
 
-    def renewed(self, model: Model, batch: SegmentBatch, old: BatchLinearisation | None) -> BatchState:
-        """A batch where the model stands, in a frame made anew as far as it changed since `old`.
+    def relinearise(self, model: Model, batch: SegmentBatch, old: BatchLinearisation | None) -> BatchState:
+        """A batch evaluated at the model, linearised anew where it has changed since `old`.
 
-        Its signals are led through the effects but once for both.
+        Both need only one pass of the signals through the effects.
         """
         base = self._with_resistance(model, batch)
-        # A sensor's lag and skin effect need the current without noise: the earlier one, else the one of this flux.
+        # Sensor lag and skin effect use the current without noise: the earlier one, else that of the present flux.
         if old is not None:
             base = base.replaced(_flux_of(old.base))
         elif model.active:
@@ -107,21 +106,21 @@ class WeakFormEquations:
             pieces.append(SegmentLinearisation(whitener, raw[j], white, mean, noise_parameters))
         return BatchState(BatchLinearisation(batch, base, tuple(pieces)), cascade, local)
 
-    def at(self, model: Model, frame: BatchLinearisation) -> BatchState:
-        """A batch where the model stands, in a frame of before."""
-        cascade = Cascade.of(frame.base, model.active)
-        return BatchState(frame, cascade, local_map(frame.batch, cascade.corrected, model.magnetics))
+    def at(self, model: Model, linearisation: BatchLinearisation) -> BatchState:
+        """A batch evaluated at the model with an earlier linearisation."""
+        cascade = Cascade.of(linearisation.base, model.active)
+        return BatchState(linearisation, cascade, local_map(linearisation.batch, cascade.corrected, model.magnetics))
 
-    def common(self, model: Model, frame: BatchLinearisation) -> list[Array]:
-        """What each segment's readings may have in common, whitened: columns as of `_common_rows`."""
-        state = self.at(model, frame)
-        slopes = self._slopes(frame.batch, frame.base, model)
-        return [kept.whitener(self._common_rows(state, j, slopes)) for j, kept in enumerate(frame.pieces)]
+    def common(self, model: Model, linearisation: BatchLinearisation) -> list[Array]:
+        """Whitened `_common_rows` of each segment."""
+        state = self.at(model, linearisation)
+        slopes = self._slopes(linearisation.batch, linearisation.base, model)
+        return [cached.whitener(self._common_rows(state, j, slopes)) for j, cached in enumerate(linearisation.pieces)]
 
     def _with_resistance(self, model: Model, batch: SegmentBatch) -> SignalBatch:
-        """The signals as measured, with the model's resistance, and the losses that it makes."""
+        """The measured signals with the model's resistance and its copper losses."""
         s = batch.signals
-        # On its way to where it fits R_s may be below nothing; a loss is not.
+        # R_s may be negative during a descent, but a loss may not.
         scale = max(model.r_s, 0.0) / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
         base = s.replaced({"resistance_ohm": np.full(s.samples, model.r_s), "heat_j": s.heat_j * scale}).with_segments(
             _with_losses(s.segments, scale)
@@ -136,7 +135,7 @@ class WeakFormEquations:
     def _noises(
         self, state: BatchState, model: Model, old: BatchLinearisation | None
     ) -> list[tuple[Whitener, Array, dict[ColumnName, float]]]:
-        """Of each segment how its noise is whitened, and by what: as before, where that bears what has moved since."""
+        """Whitener, mean inductance and noise parameters of each segment, reused where the model has hardly moved."""
         batch, local, corrected = state.batch, state.local, state.cascade.corrected
         noise_parameters = self._noise_parameters(batch, model)
         means = np.add.reduceat(local.inductance, batch.layout.starts[:-1]) / np.diff(batch.layout.starts)[:, None]
@@ -144,39 +143,39 @@ class WeakFormEquations:
         if old is not None:
             same = self._same_noise(means, noise_parameters, old)
             found = [
-                (kept.whitener, kept.mean_inductance, kept.noise_parameters) if as_before else None
-                for kept, as_before in zip(old.pieces, same, strict=True)
+                (cached.whitener, cached.mean_inductance, cached.noise_parameters) if as_before else None
+                for cached, as_before in zip(old.pieces, same, strict=True)
             ]
         if all(one is not None for one in found):
             return [one for one in found if one is not None]
-        slopes = self._slopes(batch, state.frame.base, model)
-        doubts = self._doubted_rows(state)
-        made = []
+        slopes = self._slopes(batch, state.linearisation.base, model)
+        directions = self._random_direction_rows(state)
+        noises = []
         for j, (piece, known) in enumerate(zip(batch.pieces, found, strict=True)):
             if known is not None:
-                made.append(known)
+                noises.append(known)
                 continue
             at = corrected.slice_of(j)
-            own = local.part(at)
+            part = local.part(at)
             turned = None if slopes is None else _in_frame_of(piece, slopes[at])
             factor = np.asarray(corrected.resistance_ohm[at] / model.r_s, dtype=np.float64)
-            covariance = banded_covariance(piece, own, factor, self.noise, model.r_s, turned)
-            common, scatter = [rows[batch.rows_of(j)] for rows in doubts], self.noise.of_model
+            covariance = banded_covariance(piece, part, factor, self.noise, model.r_s, turned)
+            common, scatter = [rows[batch.rows_of(j)] for rows in directions], self.noise.of_model
             if scatter.scatters:
                 rows = self._common_rows(state, j, slopes)
                 common.append(rows * scatter_sizes(QuantiserScatter.of(piece), scatter))
             whitener = Whitener.of(covariance, np.column_stack(common) if common else None)
-            made.append((whitener, means[j], noise_parameters))
-        return made
+            noises.append((whitener, means[j], noise_parameters))
+        return noises
 
     def _common_rows(self, state: BatchState, j: int, slopes: Array | None) -> Array:
-        """What an ampere on all readings of phase a or b does to a segment's equations, and a volt on each axis.
+        """Change of a segment's equations by 1 A of offset in phase a or b, and by 1 V along each axis in each dwell.
 
-        The volt is that of each rest, for a voltage that moves is dithered. The ampere acts through the voltage, too,
-        by the inverter's slopes (n, 2, 2). Shape (rows, 2 + 2 rests).
+        Voltages are added in dwells only, as moving voltages average out quantisation. The offset also acts through the
+        inverter's slopes (n, 2, 2). Shape (rows, 2 + 2 dwells).
         """
         at = state.cascade.corrected.slice_of(j)
-        one, own = state.batch.singles[j], state.local.part(at)
+        one, part = state.batch.singles[j], state.local.part(at)
         corrected = SignalBatch.of([state.cascade.corrected.segment(j)])
         n = corrected.samples
         changes: list[Change] = []
@@ -192,16 +191,16 @@ class WeakFormEquations:
                 volt = np.zeros((n, 2))
                 volt[dwell] = axis
                 changes.append({"v_ab": volt})
-        return np.stack([change_of_rows(one, corrected, c, own, self.pm_flux_wb) for c in changes], axis=-1)
+        return np.stack([change_of_rows(one, corrected, c, part, self.pm_flux_wb) for c in changes], axis=-1)
 
     def _noise_parameters(self, batch: SegmentBatch, model: Model) -> dict[ColumnName, float]:
-        """Coordinates of the effects that have a part in the noise: that multiply it, or do not know all they do."""
+        """Standardised values of the effects that shape the noise: by multiplying it, or by random directions."""
         on = batch.pieces[0].signals.bridge_on
-        there = [a for a in model.active if on and (_multiplies_noise(a) or has_random_directions(a))]
-        return {(a.name, p.name): a.standardised_value(p.name) for a in there for p in a.candidate.parameters}
+        effects = [a for a in model.active if on and (_multiplies_noise(a) or has_random_directions(a))]
+        return {(a.name, p.name): a.standardised_value(p.name) for a in effects for p in a.candidate.parameters}
 
-    def _doubted_rows(self, state: BatchState) -> list[Array]:
-        """What each doubt of an effect does to the equations, one standard deviation of it: each of shape (rows,)."""
+    def _random_direction_rows(self, state: BatchState) -> list[Array]:
+        """Change of the equations by one standard deviation along each random direction, each of shape (rows,)."""
         at, magnet = state.cascade.corrected, self.pm_flux_wb
         directions = state.cascade.random_directions()
         return [change_of_rows(state.batch, at, change, state.local, magnet) for change in directions]
@@ -209,21 +208,20 @@ class WeakFormEquations:
     def _same_noise(
         self, inductances: Array, noise_parameters: dict[ColumnName, float], old: BatchLinearisation
     ) -> list[bool]:
-        """Of each segment, whether its noise's covariance bears what has moved since an earlier frame."""
+        """For each segment, whether an earlier linearisation's noise covariance still holds."""
         is_same = dict[int, bool]()
-        before = np.stack([kept.mean_inductance for kept in old.pieces])
+        before = np.stack([cached.mean_inductance for cached in old.pieces])
         moved = np.abs(inductances - before).max(axis=1)
         bearable = MAX_INDUCTANCE_CHANGE * inductances[:, [0, 2]].min(axis=1)
-        # Segments whose noise was computed at once share its parameters.
-        for kept in old.pieces:
-            if id(kept.noise_parameters) not in is_same:
-                is_same[id(kept.noise_parameters)] = noise_parameters.keys() == kept.noise_parameters.keys() and all(
-                    abs(x - kept.noise_parameters[k]) <= MAX_INVERTER_CHANGE * max(abs(x), 1.0)
-                    for k, x in noise_parameters.items()
+        # Segments whose noise was computed in one call share the dictionary of parameters.
+        for known in (cached.noise_parameters for cached in old.pieces):
+            if id(known) not in is_same:
+                is_same[id(known)] = noise_parameters.keys() == known.keys() and all(
+                    abs(x - known[k]) <= MAX_INVERTER_CHANGE * max(abs(x), 1.0) for k, x in noise_parameters.items()
                 )
         return [
-            bool(steady) and is_same[id(kept.noise_parameters)]
-            for kept, steady in zip(old.pieces, moved < bearable, strict=True)
+            bool(steady) and is_same[id(cached.noise_parameters)]
+            for cached, steady in zip(old.pieces, moved < bearable, strict=True)
         ]
 
     def _untouched_basis(self, batch: SegmentBatch, local: LocalMap, model: Model) -> list[Array]:
@@ -234,10 +232,10 @@ class WeakFormEquations:
         return known[2]
 
     def _flux(self, batch: SegmentBatch, base: SignalBatch, model: Model) -> tuple[dict[str, Array], LocalMap]:
-        """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from.
+        """Flux linkage in the stator frame, magnet included, for the effects; and the local map it was read from.
 
-        Where the rotor does not lie as it is believed to, or not all of the current magnetises, the map is read again
-        where it does, as far as that flux tells; or the one that `base` knows already, of much the same model.
+        Where effects change the rotor angle or the magnetising current, the map is read again there, iterating from
+        the first flux or from that of `base`, which belongs to a similar model.
         """
         outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
         moving = [a for a in model.active if a.candidate.effect.layer >= EffectLayer.FRAME and not a.is_absent]
@@ -251,13 +249,13 @@ class WeakFormEquations:
             moved = apply_effects(inner.replaced(found), moving)
             if not moved.changed & {"theta_rad", "i_m_ab"}:
                 return self._flux_read(batch, inner, local), local
-            there = moved.signals
-            at = inner.replaced({"theta_rad": there.theta_rad})
-            found = self._flux_read(batch, at, local_map(batch, there, model.magnetics))
+            signals = moved.signals
+            at = inner.replaced({"theta_rad": signals.theta_rad})
+            found = self._flux_read(batch, at, local_map(batch, signals, model.magnetics))
         return found, local
 
     def _flux_read(self, batch: SegmentBatch, signals: SignalBatch, local: LocalMap) -> dict[str, Array]:
-        """What effects see of the flux, by the signals' names."""
+        """The flux quantities that effects read, by the signals' names."""
         layout = batch.layout
         if len(local.delta) > 0:
             theta = np.ascontiguousarray(signals.theta_rad, dtype=np.float64)
@@ -280,7 +278,7 @@ class WeakFormEquations:
         return dict(zip(FLUX, (psi_ab, smooth, i_smooth, inductance), strict=True))
 
     def _slopes(self, batch: SegmentBatch, base: SignalBatch, model: Model) -> Array | None:
-        """How the inverter's effects multiply current noise, by shifting the measured current by its noise.
+        """Sensitivity of the inverter's voltage to current noise, by finite differences.
 
         d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2); None where no effect does.
         """
@@ -306,12 +304,12 @@ class WeakFormEquations:
         parameters: Sequence[tuple[EffectTerm, str]] = (),
         answering: Sequence[frozenset[str] | None] | None = None,
     ) -> list[SegmentRows]:
-        """Each segment's equations where a model stands, and a column for each of some parameters.
+        """Each segment's equations at a model, with a column for each given parameter.
 
         Parameters
         ----------
         answering : sequence of frozenset of str, optional
-            Of every column the inner effects that answer to it; all by default.
+            For each column, the inner effects that respond to it; all by default.
         """
         inner_effects = answering if answering is not None else repeat(None)
         columns = _Columns.of(at.batch, len(parameters))
@@ -322,7 +320,7 @@ class WeakFormEquations:
     def probed(
         self, at: BatchState, parameters: Sequence[tuple[EffectTerm, str]], answering: Sequence[frozenset[str] | None]
     ) -> tuple[list[SegmentRows], list[ColumnProbe]]:
-        """The same, and what each inner effect has to do with each column of which that is not known."""
+        """`rows`, and the contribution of each inner effect to each column whose responses are not known yet."""
         columns = _Columns.of(at.batch, len(parameters))
         keys, additions = [], []
         for k, ((active, name), inner) in enumerate(zip(parameters, answering, strict=True)):
@@ -332,29 +330,29 @@ class WeakFormEquations:
         rows = self._white(at, columns)
         together = np.stack(additions, axis=-1) if additions else np.zeros((int(at.batch.layout.rows[-1]), 0))
         probes = []
-        for j, kept in enumerate(at.frame.pieces):
-            power = np.sum(kept.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)
+        for j, cached in enumerate(at.linearisation.pieces):
+            power = np.sum(cached.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)
             answers = {key: float(p) for key, p in zip(keys, power, strict=True)}
             probes.append(ColumnProbe(rows[j].columns, answers))
         return rows, probes
 
     def _white(self, at: BatchState, columns: _Columns) -> list[SegmentRows]:
-        """Each segment's equations where a model stands, with columns."""
-        corrected, r_s = at.cascade.corrected, at.frame.base.resistance_ohm[0]
+        """Each segment's equations at a model, whitened with the columns."""
+        corrected, r_s = at.cascade.corrected, at.linearisation.base.resistance_ohm[0]
         in_parts = corrected.replaced({"resistance_ohm": corrected.resistance_ohm / r_s})
         voltage, resistance = voltage_and_resistance(at.batch, in_parts, at.local, self.pm_flux_wb)
         known = voltage + flux_terms(at.batch, at.local)
         columns.rows[:, 0], columns.rows[:, 1] = known, resistance
-        made = []
-        for j, kept in enumerate(at.frame.pieces):
-            own = at.batch.rows_of(j)
-            made.append(SegmentRows(known[own], resistance[own], kept.whitener(columns.rows[own])))
-        return made
+        rows = []
+        for j, cached in enumerate(at.linearisation.pieces):
+            own_rows = at.batch.rows_of(j)
+            rows.append(SegmentRows(known[own_rows], resistance[own_rows], cached.whitener(columns.rows[own_rows])))
+        return rows
 
     def _column(
         self, at: BatchState, active: EffectTerm, name: str, out: Array, answering: frozenset[str] | None = None
     ) -> dict[str, Array]:
-        """Derivative of y by one parameter's coordinate into `out` (rows,), and what inner effects had in it."""
+        """Derivative of y by one standardised parameter into `out` (rows,); returns the inner effects' parts."""
         step = step_of(active, name)
         change, answers = at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
         self._difference(at, change, step, out)
@@ -369,7 +367,7 @@ class WeakFormEquations:
 
 @dataclass(frozen=True)
 class _Columns:
-    """The equations of a batch before they are whitened, shape (rows, 2 + parameters), column by column in memory."""
+    """The equations of a batch before whitening, shape (rows, 2 + parameters), in column-major order."""
 
     rows: Array
 
@@ -382,11 +380,11 @@ class _Columns:
 
 
 FLUX = ("psi_ab", "psi_smooth_ab", "i_smooth_ab", "inductance_ab")
-"""What effects see of a model's flux, by the signals' names."""
+"""Names of the signals that hold the model's flux for the effects."""
 
 
 def _with_losses(segments: Sequence[Signals], scale: float) -> tuple[Signals, ...]:
-    """The same where losses are so many times as large; segments that share their history go on sharing it."""
+    """The segments with losses scaled; segments that share a loss history share the scaled one."""
     histories = {id(s.losses): s.losses for s in segments}
     scaled = {k: h and replace(h, power_w=h.power_w * scale) for k, h in histories.items()}
     return tuple(replace(s, losses=scaled[id(s.losses)]) for s in segments)
@@ -401,21 +399,21 @@ def _multiplies_noise(active: EffectTerm) -> bool:
 
 
 def scatter_sizes(timer: QuantiserScatter, noise: ModelNoise) -> Array:
-    """Standard deviations of what a segment's readings have in common: both phases' zero, and each rest's volts."""
+    """Standard deviations of a segment's common errors: offsets of both phases [A], voltages of each dwell [V]."""
     volts = timer.sizes(noise.voltage_scatter_v, dithered=noise.dithered)
     return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])
 
 
 def _in_frame_of(piece: SegmentData, slopes: Array) -> Slopes:
-    """Slopes in the frame of the rotor as it is believed to lie."""
+    """Slopes in the believed rotor frame."""
     turn = rotation(-piece.segment.rotor_angle_rad)
-    # As one product with a matrix of four by four: a product for each reading takes ten times as long.
+    # One product with a 4 x 4 matrix; a product per reading takes ten times as long.
     turned = slopes.reshape(-1, 4) @ np.kron(turn, turn).T
     return Slopes(np.zeros((0, 2, 2)), turned.reshape(-1, 2, 2))
 
 
 def _beyond_rounding(change: Change, signals: SignalBatch) -> bool:
-    """Whether there is more in a change than adding something and taking it away again leaves."""
+    """Whether a change exceeds the rounding of an addition followed by a subtraction."""
     return any(
         float(np.abs(array).max()) > 1e3 * np.finfo(np.float64).eps * float(np.max(np.abs(array_of(signals, name))))
         for name, array in change.items()

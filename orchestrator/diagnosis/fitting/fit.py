@@ -2,8 +2,8 @@
 
 The equations are linear in R_s and the coefficients, so these are solved for exactly at every step (variable
 projection); the effects' parameters move by Gauss-Newton with unit normal priors. What changes little from step
-to step (the map's columns, the noise, the flux effects see) is a `Linearisation`, renewed once the model has moved:
-the equations themselves are always evaluated where the model stands. Decides nothing.
+to step (the map's columns, the noise, the flux effects see) is a `Linearisation`, renewed once the model has moved;
+the residual is always evaluated exactly.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ from protocols import ModelNoise
 LEAST_GAIN: float = 0.2
 """Fall of the objective below which a step is not worth its evaluation: a tenth in log evidence."""
 OBJECTIVE_SLACK: float = 0.05
-"""Rise of the objective that is rounding and renewed noise, not failure."""
+"""Rise of the objective that rounding and a relinearised noise covariance explain."""
 LEAST_RELINEARISATION_CHANGE: float = 1e-3
-"""Relative change of chi2 below which a linearisation is not renewed again."""
+"""Relative change of chi2 below which relinearisation ends."""
 FIRST_DAMPING: float = 0.1
 """Levenberg-Marquardt damping with which a failed step is tried again; it grows tenfold each time."""
 LEAST_DAMPING: float = 2e-3
-"""Damping falls to a tenth after each good step, and to none below this value."""
+"""Damping falls to a tenth after each good step, and to zero below this value."""
 MAX_DAMPING: float = 50.0
 """Damping beyond which no further step is tried."""
 GOOD_REDUCTION_RATIO: float = 0.75
@@ -79,17 +79,17 @@ class Fitter:
     noise : SensorNoise
     pm_flux_wb : float
     budget : Budget
-        Of all fits; a search ends where it is exhausted.
+        Computation budget of all fits together; a search ends when it is exhausted.
     poll : callable
         Called before each evaluation; what it raises ends the fit.
     tell : callable
-        Called with what is under way, in a few words.
+        Called with a short description of the current operation.
     executor : Executor
-        Who makes the batches' equations.
+        Evaluates the batches, serially or in worker processes.
     trace : SearchRecorder
-        Of what is tried with it.
+        Records every model that is tried.
     batches : RecordingBatches
-        The same segments, dealt out for evaluation; made anew where they are others'.
+        The segments grouped for evaluation; regrouped where `prepared` has other segments.
     equations : WeakFormEquations
     """
 
@@ -110,22 +110,22 @@ class Fitter:
         self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
 
     def begin(self, text: str, evaluations: float) -> None:
-        """Tell what begins, and from then on how long the diagnosis may take.
+        """Report the beginning of a phase, and an upper bound of the remaining time.
 
         Parameters
         ----------
         evaluations : float
-            Of the first model on the whole recording, which take as long as what is left usually does.
+            Expected remaining cost, in evaluations of the first model on the whole recording.
         """
         self.budget.expect(evaluations * self.trace.samples)
         self.under_way(text)
 
     def under_way(self, text: str) -> None:
-        """Tell what is under way, and how long it may take where that is known."""
-        self.tell(text + self.budget.left)
+        """Report the current operation, with the remaining time where it is known."""
+        self.tell(text + self.budget.remaining_time)
 
     def with_noise(self, of_model: ModelNoise) -> Fitter:
-        """The same where this is noise beside the readings' own; the effort is counted on."""
+        """A copy whose equations also have this model-error noise; the budget is shared."""
         return replace(self, noise=replace(self.noise, of_model=of_model))
 
     @property
@@ -135,33 +135,33 @@ class Fitter:
     def fit(
         self,
         model: Model,
-        frame: Linearisation | None = None,
+        linearisation: Linearisation | None = None,
         *,
         steps: int = 8,
-        renewals: int = 2,
+        relinearisations: int = 2,
         tolerance: float = 1e-4,
     ) -> Fit:
-        """Fit R_s, the map and every free parameter, from where the model stands.
+        """Fit R_s, the map and every free parameter, starting at the model's values.
 
         Parameters
         ----------
-        frame : Linearisation, optional
-            Of an earlier fit: kept where it has the same map, else made anew as far as another map changes it.
+        linearisation : Linearisation, optional
+            An earlier fit's; reused if it has the same map, else renewed as far as the map changes it.
         steps : int
-            Most Gauss-Newton steps in one frame.
+            Maximum number of Gauss-Newton steps with one linearisation.
         renewals : int
-            How often the frame is renewed and the fit continued.
+            Maximum number of relinearisations.
         tolerance : float
-            Gain of a step, as a part of the excess chi2, below which the fit ends.
+            Fall of the objective over the excess chi2, below which the fit ends.
         """
-        if frame is not None and frame.space is model.space:
-            best = self.evaluate(model, frame)
+        if linearisation is not None and linearisation.space is model.space:
+            best = self.evaluate(model, linearisation)
         else:
-            best = self.renewed(model, frame)
+            best = self.relinearise(model, linearisation)
         best = self._descend(best, steps, tolerance)
-        for _ in range(renewals):
+        for _ in range(relinearisations):
             old = best
-            best = self._descend(self.renewed(best.model, best.frame), steps, tolerance)
+            best = self._descend(self.relinearise(best.model, best.linearisation), steps, tolerance)
             if abs(best.chi2 - old.chi2) < LEAST_RELINEARISATION_CHANGE * best.chi2:
                 break
         return best
@@ -170,14 +170,14 @@ class Fitter:
         damping = 0.0
         for _ in range(steps if best.model.free else 0):
             system = best.projected()
-            least_gain = LEAST_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
+            min_gain = LEAST_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
             predicted = newton_step(best, system, 0.0)[1]
-            if predicted < least_gain:
+            if predicted < min_gain:
                 break
             first_damping = damping
             while True:
                 move, damped_reduction = newton_step(best, system, damping)
-                trial = self.correct_step(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
+                trial = self.correct_step(self.evaluate(moved_by(best.model, move), best.linearisation), best.objective)
                 missed = trial.objective >= best.objective + OBJECTIVE_SLACK
                 if not missed or damping > MAX_DAMPING or predicted < LEAST_PREDICTED_REDUCTION:
                     break
@@ -185,23 +185,23 @@ class Fitter:
             gain = best.objective - trial.objective
             if gain > -OBJECTIVE_SLACK:
                 best = trial
-            if gain < least_gain:
+            if gain < min_gain:
                 break
-            # Where a step had to be damped more, the next one most likely has to be too.
+            # A step that needed more damping is usually followed by one that does.
             if damping == first_damping and gain > GOOD_REDUCTION_RATIO * damped_reduction:
                 damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
         return best
 
     def predicted_reduction(self, fit: Fit) -> float:
-        """How far one more step would bring the objective down, if all were linear."""
+        """Fall of the objective that the linear model predicts for one more Gauss-Newton step."""
         return newton_step(fit, fit.projected(), 0.0)[1]
 
     def correct_step(self, trial: Fit, wanted: float) -> Fit:
-        """A trial that missed, led back to the valley that a step straight ahead has left.
+        """Correct a failed trial step that has left a curved valley of the objective.
 
-        Amplitude and shape of an effect lie along a curved valley (a heating's size and its time constant), as do the
-        numbers of a flexible form. First the amplitudes that belong to the shapes, in which the residual is nearly
-        linear; then steps of all, each from where the last has come to, while they promise to arrive.
+        An effect's amplitude and shape lie along such a valley (a heating's size and its time constant), as do the
+        parameters of a flexible form. First only the amplitudes are refitted, in which the residual is nearly linear;
+        then full steps follow, while each one's predicted reduction reaches `wanted`.
         """
         sizes = np.array([name in active.candidate.amplitudes for active, name in trial.model.free])
         for which in (sizes, *[None] * MAX_RETURNS):
@@ -210,21 +210,21 @@ class Fitter:
             move, predicted = newton_step(trial, trial.projected(), 0.0, which)
             if which is None and trial.objective - predicted > wanted:
                 break
-            again = self.evaluate(moved_by(trial.model, move), trial.frame)
+            again = self.evaluate(moved_by(trial.model, move), trial.linearisation)
             if again.objective >= trial.objective:
                 break
             trial = again
         return trial
 
-    def frame(self, model: Model, old: Linearisation | None = None) -> Linearisation:
-        """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
+    def linearise(self, model: Model, old: Linearisation | None = None) -> Linearisation:
+        """Linearise at the model; parts that have not changed since `old` are reused."""
         old = self._reusable(model, old)
         results = self._evaluate(
-            model, [BatchTask(batch, before, True, None) for batch, before in self._with_frames(old)]
+            model, [BatchTask(batch, before, True, None) for batch, before in self._with_linearisations(old)]
         )
-        return self._linearisation_of(model, [result.frame for result in results], old)
+        return self._linearisation_of(model, [result.linearisation for result in results], old)
 
-    def renewed(
+    def relinearise(
         self,
         model: Model,
         old: Linearisation | None = None,
@@ -233,93 +233,96 @@ class Fitter:
         held: bool = False,
         known: Fit | None = None,
     ) -> Fit:
-        """`evaluate` in a `frame` made anew: signals are led through the effects but once for both.
+        """`linearise` and `evaluate` in one pass through the effects.
 
         Parameters
         ----------
         held : bool
-            Nothing is solved for: R_s and the map stay the model's too, and there are no columns.
+            R_s and the map also keep the model's values, and there are no columns.
         """
         self.poll()
         wanted = [] if held else [*model.free, *extra]
         old = self._reusable(model, old)
-        frames, rows, answers = self._rows(model, old, True, wanted, known)
-        frame = self._linearisation_of(model, frames, old)
-        fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
+        linearisations, rows, answers = self._rows(model, old, True, wanted, known)
+        linearisation = self._linearisation_of(model, linearisations, old)
+        fit = solved(self.prepared, model, linearisation, rows, [(a.name, n) for a, n in wanted], held)
         return replace(fit, answers=answers)
 
     def evaluate(
         self,
         model: Model,
-        frame: Linearisation,
+        linearisation: Linearisation,
         extra: Sequence[tuple[EffectTerm, str]] = (),
         *,
         known: Fit | None = None,
         renew: bool = True,
     ) -> Fit:
-        """Solve for R_s and the map with the effects where they are; `extra` asks for more columns.
+        """Solve for R_s and the map with all effect parameters fixed; `extra` adds columns.
 
         Parameters
         ----------
         known : Fit, optional
-            An earlier one, whose columns stand for those that have not moved since.
+            An earlier fit, whose columns are reused where they have not changed.
         renew : bool
-            False: the columns of `known`, whose parameters are the same, stand for all.
+            False: reuse all columns of `known`, which has the same parameters.
         """
         self.poll()
         wanted = [*model.free, *extra] if known is None or renew else []
-        _, rows, answers = self._rows(model, frame, False, wanted, known)
-        fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held=False)
+        _, rows, answers = self._rows(model, linearisation, False, wanted, known)
+        fit = solved(self.prepared, model, linearisation, rows, [(a.name, n) for a, n in wanted], held=False)
         if known is not None and not renew:
             return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
         return replace(fit, answers=answers)
 
     def _reusable(self, model: Model, old: Linearisation | None) -> Linearisation | None:
-        """An earlier frame where what it keeps can be the model's: of the same noise, segments, and a map as free."""
+        """`old` if it has the same noise, segments and freedom of the map, else None."""
         if old is None or old.noise is not self.noise or not _is_equally_free(old.space, model.space):
             return None
         return old if self._has_same_batches(old) else None
 
-    def _has_same_batches(self, frame: Linearisation) -> bool:
+    def _has_same_batches(self, linearisation: Linearisation) -> bool:
         ours = self.batches.all
-        return len(ours) == len(frame.batches) and all(b.batch is a for a, b in zip(ours, frame.batches, strict=True))
+        return len(ours) == len(linearisation.batches) and all(
+            b.batch is a for a, b in zip(ours, linearisation.batches, strict=True)
+        )
 
-    def _with_frames(self, frame: Linearisation | None) -> list[tuple[SegmentBatch, BatchLinearisation | None]]:
+    def _with_linearisations(
+        self, linearisation: Linearisation | None
+    ) -> list[tuple[SegmentBatch, BatchLinearisation | None]]:
         ours = self.batches.all
-        return list(zip(ours, frame.batches if frame is not None else [None] * len(ours), strict=True))
+        return list(zip(ours, linearisation.batches if linearisation is not None else [None] * len(ours), strict=True))
 
     def _linearisation_of(
-        self, model: Model, frames: Sequence[BatchLinearisation], old: Linearisation | None
+        self, model: Model, linearisations: Sequence[BatchLinearisation], old: Linearisation | None
     ) -> Linearisation:
-        """All batches' frames as one."""
-        frame = Linearisation(model.space, self.noise, tuple(frames), np.zeros((0, 0)))
-        damped_reduction = zip(frame.pieces, old.pieces, strict=True) if old is not None else ()
-        if old is not None and all(a.white_basis is b.white_basis for a, b in damped_reduction):
-            return replace(frame, gram=old.gram)
+        linearisation = Linearisation(model.space, self.noise, tuple(linearisations), np.zeros((0, 0)))
+        pairs = zip(linearisation.pieces, old.pieces, strict=True) if old is not None else ()
+        if old is not None and all(a.white_basis is b.white_basis for a, b in pairs):
+            return replace(linearisation, gram=old.gram)
         free = model.space.directions.shape[1]
         gram = np.zeros((free, free))
-        for piece, segment_frame in zip(self.prepared.pieces, frame.pieces, strict=True):
+        for piece, segment_linearisation in zip(self.prepared.pieces, linearisation.pieces, strict=True):
             if not piece.held_out:
-                gram += segment_frame.white_basis.T @ segment_frame.white_basis
-        return replace(frame, gram=gram)
+                gram += segment_linearisation.white_basis.T @ segment_linearisation.white_basis
+        return replace(linearisation, gram=gram)
 
     def _evaluate(self, model: Model, tasks: Sequence[BatchTask]) -> list[BatchResult]:
         return self.executor.map(partial(evaluate_batch, self.equations, model), tasks)
 
     def _rows(
-        self, model: Model, frame: Linearisation | None, renew: bool, wanted: Columns, known: Fit | None
+        self, model: Model, linearisation: Linearisation | None, renew: bool, wanted: Columns, known: Fit | None
     ) -> tuple[list[BatchLinearisation], list[SegmentRows], Answers]:
-        """Every batch's frame, every segment's equations with columns where it is not held out, and what answers."""
+        """Each batch's linearisation, each segment's equations (with columns unless held out), and the answers."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.budget.spend(samples * COLUMNS_PER_EVALUATION)
-        ours = self._with_frames(frame)
+        ours = self._with_linearisations(linearisation)
         if len(wanted) > FEW_COLUMNS:
             return self._rows_by_plan(model, ours, renew, wanted, known, samples)
         self.budget.spend(samples * len(wanted))
         results = self._evaluate(model, [BatchTask(batch, before, renew, wanted) for batch, before in ours])
         rows = {k: row for result in results for k, row in result.rows_by_place.items()}
         answers = Answers() if known is None else known.answers
-        return [result.frame for result in results], [rows[k] for k in sorted(rows)], answers
+        return [result.linearisation for result in results], [rows[k] for k in sorted(rows)], answers
 
     def _rows_by_plan(
         self,
@@ -330,7 +333,7 @@ class Fitter:
         known: Fit | None,
         samples: int,
     ) -> tuple[list[BatchLinearisation], list[SegmentRows], Answers]:
-        """The same; columns that have not moved on a few segments, which are evaluated first, are the known fit's."""
+        """`_rows` that reuses the known fit's columns which have not changed on a few segments evaluated first."""
         names = [(a.name, n) for a, n in wanted]
         before = known_answers(model, known)
         answering = [before.of.get(n) for n in names]
@@ -346,14 +349,14 @@ class Fitter:
             for k, row in result.rows_by_place.items():
                 rows[k] = row if self.prepared.pieces[k].held_out else _with_columns(row, plan, known, k)
         answers = Answers({**before.of, **dict(zip(names, plan.answering, strict=True))}, before.sizes)
-        return [result.frame for result in (*probed, *others)], [rows[k] for k in sorted(rows)], answers
+        return [result.linearisation for result in (*probed, *others)], [rows[k] for k in sorted(rows)], answers
 
     def hold(self, model: Model) -> Fit:
-        """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.
+        """Evaluate a model without fitting anything.
 
-        chi2 is per degree of freedom as in a fit of the same freedom.
+        The degrees of freedom of chi2 are those of a fit with the same free parameters.
         """
-        return self.renewed(model, held=True)
+        return self.relinearise(model, held=True)
 
 
 def _with_columns(row: SegmentRows, plan: ColumnPlan, known: Fit | None, k: int) -> SegmentRows:
@@ -363,10 +366,10 @@ def _with_columns(row: SegmentRows, plan: ColumnPlan, known: Fit | None, k: int)
 
 
 def _is_equally_free(one: MapSpace, other: MapSpace) -> bool:
-    """Whether what one map's equations are made of can be the other's: of two that are free, or of one and the same."""
+    """Whether the basis columns of one map serve the other: both are free, or they are the same object."""
     return one is other or (one.is_free and other.is_free)
 
 
 def absent_columns(candidates: Sequence[CandidateEffect]) -> list[tuple[EffectTerm, str]]:
-    """Every amplitude of effects that are not in the model, as `Fitter.evaluate` takes them."""
+    """Every amplitude of effects that are not in the model, for `Fitter.evaluate`'s `extra`."""
     return [(c.absent(), n) for c in candidates for n in c.amplitudes]

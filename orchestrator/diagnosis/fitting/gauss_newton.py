@@ -1,4 +1,4 @@
-"""One Gauss-Newton step of the free coordinates within their bounds. Evaluates nothing."""
+"""One Gauss-Newton step of the free standardised parameters within their bounds."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from orchestrator.numerics.types import Array
 from protocols import ParameterRole
 
 MAX_POWER_EXPONENT = 1.25
-"""Of a shape, that an amplitude goes by: one leaves their quotient as it is. Beyond, it does not go along with it."""
+"""Largest exponent with which an amplitude follows a shape; at one their quotient stays constant."""
 
 
 def newton_step(
     fit: Fit, system: tuple[Array, Array], damping: float, which: NDArray[np.bool_] | None = None
 ) -> tuple[Array, float]:
-    """Step of all free coordinates (or of some), map and R_s following, and how far it would bring the objective down.
+    """Step of all free coordinates (or of some) with map and R_s eliminated, and its predicted reduction.
 
-    Damping as by Levenberg and Marquardt (doi:10.1137/0111030): a share of each coordinate's own curvature on top.
-    A parameter at its bound that is drawn beyond it stays, and the others move as if it were fixed.
+    Damping is Levenberg and Marquardt's (doi:10.1137/0111030), relative to each coordinate's curvature. A parameter
+    that would leave its bound is held there, and the others are solved for without it.
     """
     free = fit.model.free
     x = np.array([a.standardised_value(n) for a, n in free])
@@ -47,9 +47,9 @@ def newton_step(
 
 
 def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[Array, float]:
-    """Best step of all free coordinates within their bounds, no shape moving further than a radius; and its promise.
+    """Best step within the bounds, with shapes limited to a trust radius, and its predicted reduction.
 
-    Amplitudes, in which the residual is nearly linear, follow where the shapes stop (bounded least squares).
+    Amplitudes, in which the residual is nearly linear, are not limited by the radius (bounded least squares).
     """
     free = fit.model.free
     x = np.array([a.standardised_value(n) for a, n in free])
@@ -59,11 +59,11 @@ def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[
     lows, highs = np.array([reach(a, n) for a, n in free]).T - x
     shapes = np.array([n not in a.candidate.amplitudes for a, n in free])
     lows[shapes], highs[shapes] = np.maximum(lows[shapes], -radius), np.minimum(highs[shapes], radius)
-    # The map follows by subtraction: what rounding leaves of a column that the map can stand in for may be negative.
+    # Rounding in the elimination of the map may leave a negative diagonal for a column that the map can replace.
     values, vectors = np.linalg.eigh(curvature)
     root = np.sqrt(np.maximum(values, 1.0))[:, None] * vectors.T
     target = -(vectors.T @ slope) / np.sqrt(np.maximum(values, 1.0))
-    # A coordinate that stands at its bound by rounding alone still has a range to speak of.
+    # A coordinate at its bound needs a nonempty interval for the solver.
     lows, highs = np.minimum(lows, -1e-12), np.maximum(highs, 1e-12)
     move = lsq_linear(root, target, (lows, highs), method="bvls").x
     return move, -float(2.0 * slope @ move + move @ curvature @ move)
@@ -74,7 +74,7 @@ def _prior_residuals(fit: Fit) -> Array:
 
 
 def reach(active: EffectTerm, name: str) -> tuple[float, float]:
-    """The coordinates within which a parameter may be."""
+    """Bounds of a parameter's standardised value."""
     p = active.candidate.named(name)
     if p.role is ParameterRole.SHAPE:
         return -math.inf, math.inf
@@ -83,16 +83,16 @@ def reach(active: EffectTerm, name: str) -> tuple[float, float]:
 
 
 def is_stuck(active: EffectTerm, name: str, wanted: float) -> bool:
-    """Whether bounds keep a parameter from moving; rounding is no movement."""
+    """Whether a bound prevents a wanted step, up to rounding."""
     moved = active.moved(name, wanted).standardised_value(name) - active.standardised_value(name)
     return abs(moved) <= 1e-6 * abs(wanted - active.standardised_value(name))
 
 
 def moved_by(model: Model, move: Array) -> Model:
-    """The model with every free coordinate moved; an amplitude by a power of a shape that moves along with it.
+    """The model with every free coordinate moved; an amplitude follows a power of a shape that moves with it.
 
-    Heat that is stored for longer than a recording lasts, or iron that hardly yields, tells the quotient of both alone:
-    along that valley, which no sum of steps follows, the power is one.
+    A heat capacity whose time constant exceeds the recording, or iron that hardly saturates, determines only the
+    quotient of both: along that curved valley the exponent is one.
     """
     active, k = [], 0
     for item in model.active:
@@ -106,7 +106,7 @@ def moved_by(model: Model, move: Array) -> Model:
 
 
 def _by_powers(item: EffectTerm, moved: EffectTerm, steps: Mapping[str, float]) -> EffectTerm:
-    """The moved effect with those amplitudes moved by a power of a shape whose step is proportional to it, or less."""
+    """The moved effect, its amplitudes scaled by a power of a shape up to `MAX_POWER_EXPONENT`."""
     shapes = [n for n in item.candidate.of_role(ParameterRole.SHAPE) if n in steps]
     widest = max((math.log(moved.values[n] / item.values[n]) for n in shapes), key=abs, default=0.0)
     for name in item.candidate.amplitudes:

@@ -1,7 +1,6 @@
-"""Effects that somebody brings along in a file are kept from the recording's own arrays.
+"""Protection of a recording's arrays from effects loaded from a user's file.
 
-What is installed has passed its conformance kit; a file just written has not. Its effect sees the signals through
-views that cannot be written to.
+Installed effects have passed the conformance kit; one from a user's file gets read-only views of the signals.
 """
 
 from __future__ import annotations
@@ -31,19 +30,19 @@ from protocols import (
 
 
 def guarded(effect: Effect) -> Effect:
-    """The effect behind views that cannot be written to; in everything else it is the effect itself.
+    """The effect, called with read-only views of the signals; otherwise unchanged.
 
     Raises
     ------
     PluginError
-        Where the effect's metadata cannot be fitted.
+        If the effect's metadata cannot be fitted.
     """
     require_effect(effect)
     return cast(Effect, _Guarded(effect))
 
 
 class _Guarded:
-    """An effect whose methods see signals that cannot be written to; what it does not have is not here either."""
+    """Proxy of an effect whose methods get read-only signals; attributes it lacks are missing here too."""
 
     def __init__(self, effect: Effect) -> None:
         self._effect = effect
@@ -53,12 +52,12 @@ class _Guarded:
         return partial(self._call, name, found) if name in _READS_SIGNALS else found
 
     def _call(self, name: str, method: Callable[..., object], signals: Any, *parameters: EffectParameters) -> Any:
-        """What the effect's method returns of signals, a batch of them, or a sequence.
+        """Call the effect's method with read-only signals, a batch of them, or a sequence.
 
         Raises
         ------
         PluginError
-            Where it writes into what it was given, or returns no correction where there should be one.
+            If it writes to its arguments, or returns no correction where one is expected.
         """
         try:
             found = method(_sealed(signals), *parameters)
@@ -79,7 +78,7 @@ class _Guarded:
     def _owned(self, name: str, found: object) -> Correction:
         if not isinstance(found, Correction):
             raise PluginError("effects", self._effect.name, f"{name}: returned {type(found).__name__}, no Correction")
-        return Correction(**{of: _own(array) for of, array in found.arrays.items()})
+        return Correction(**{of: _kernel_array(array) for of, array in found.arrays.items()})
 
 
 _RETURNS_CORRECTION = ("correct", "correct_batch")
@@ -88,7 +87,7 @@ _READS_SIGNALS = (*_RETURNS_CORRECTION, *_RETURNS_CORRECTIONS, "shows_in", "meas
 
 
 def _sealed(signals: Signals | SignalBatch | Sequence[Signals]) -> Signals | SignalBatch | list[Signals]:
-    """The same arrays, not to be written to."""
+    """The signals with read-only arrays."""
     if isinstance(signals, SignalBatch):
         return signals.with_segments(_all_sealed(signals.segments)).replaced(_views(signals))
     if isinstance(signals, Signals):
@@ -97,14 +96,14 @@ def _sealed(signals: Signals | SignalBatch | Sequence[Signals]) -> Signals | Sig
 
 
 def _all_sealed(segments: Sequence[Signals]) -> list[Signals]:
-    """Each segment's arrays sealed; segments that share their history of losses go on sharing it."""
+    """Each segment with read-only arrays; segments that share a loss history share the read-only one."""
     histories = {id(s.losses): s.losses for s in segments}
     sealed = {k: h and replace(h, **_views(h)) for k, h in histories.items()}
     return [replace(s.replaced(_views(s)), losses=sealed[id(s.losses)]) for s in segments]
 
 
 def _views(holder: Signals | SignalBatch | LossHistory) -> dict[str, RealArray]:
-    """Of those fields that are arrays, views that cannot be written to."""
+    """Read-only views of the fields that are arrays."""
     values = {field.name: getattr(holder, field.name) for field in fields(holder)}
     views = {name: array.view() for name, array in values.items() if isinstance(array, np.ndarray)}
     for view in views.values():
@@ -112,15 +111,15 @@ def _views(holder: Signals | SignalBatch | LossHistory) -> dict[str, RealArray]:
     return views
 
 
-def _own(array: Any) -> Any:
-    """As the kernels are compiled for: float64 without gaps, and writable; what is no array of numbers as it is."""
+def _kernel_array(array: Any) -> Any:
+    """A contiguous, writable float64 array as kernels expect; anything but a numeric array is returned unchanged."""
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
         return array
     return np.require(array, np.float64, ("C", "W"))
 
 
 def require_effect(effect: Effect) -> None:
-    """Raise `PluginError` where an effect's metadata would make no sense to a fit, or a method would not be called."""
+    """Raise `PluginError` where an effect's metadata cannot be fitted, or one of its methods would never be called."""
     name = effect.name
     problem = hook_problem(type(effect))
     if problem is not None:

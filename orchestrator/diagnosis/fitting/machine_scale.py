@@ -1,4 +1,4 @@
-"""Sizes in effects' metadata are those of a 400 W machine; here they become those of the machine on the bench."""
+"""Scaling of effects' parameters from the 400 W reference machine to the machine under test."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from protocols import EffectParameter, Manifest, ParameterRole, unit_powers
 
 @dataclass(frozen=True)
 class MachineScale:
-    """How much larger a machine is than the one that effects' sizes were met in; without a nameplate, as large.
+    """Ratios of a machine's ratings to those of the reference machine; 1 where the nameplate has none.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class MachineScale:
         stator_resistance_ohm: float = 4.25,
         d_inductance_h: float = 0.04325,
     ) -> MachineScale:
-        """Of a recording's nameplate beside that of the paper's machine, whose numbers are the defaults."""
+        """From a recording's nameplate and the reference machine's ratings, which are the defaults."""
         motor = manifest.motor
         amps = (motor.rated_current_rms_a or rated_current_rms_a) / rated_current_rms_a
         volts = manifest.drive.dc_bus_voltage_v / dc_bus_voltage_v
@@ -43,7 +43,7 @@ class MachineScale:
         return cls(amps, volts, ohms, webers)
 
     def of_unit(self, unit: str) -> float:
-        """By how much a quantity of this unit is larger; 1 for what is the same in every machine."""
+        """Ratio for a quantity of this unit; 1 for units that do not scale."""
         scales = {
             "A": self.amps,
             "V": self.volts,
@@ -56,7 +56,7 @@ class MachineScale:
         return math.prod(scales.get(symbol, 1.0) ** power for symbol, power in unit_powers(unit).items())
 
     def scaled(self, p: EffectParameter) -> EffectParameter:
-        """The parameter at this machine's size; a shape's prior is in its logarithm and stays."""
+        """The parameter scaled to this machine; a shape's prior width, in its logit, does not change."""
         factor = self.of_unit(p.unit)
         names = ["typical", "low", "high", "neutral"]
         if p.role is not ParameterRole.SHAPE:

@@ -1,4 +1,4 @@
-"""What a fit consists of: the space of maps, the model, what is kept between steps, and the result. Fits nothing."""
+"""Data types of a fit: the space of maps, the model, the cached linearisation and the result."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ColumnName = tuple[str, str]
 
 @dataclass(frozen=True)
 class MapSpace:
-    """The family of maps in which the fit may look: coefficients = origin + directions @ free.
+    """Affine space of maps of a fit: coefficients = origin + directions @ free.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class MapSpace:
     prior : array, shape (rows, free)
         Rows of a unit-variance prior on the free numbers.
     roughness : float
-        How much rougher than usual the map may be by that prior.
+        Roughness that the prior allows, relative to the usual one.
     """
 
     grid: EvenSpline
@@ -47,14 +47,14 @@ class MapSpace:
 
     @cached_property
     def is_free(self) -> bool:
-        """Whether every coefficient is free by itself."""
+        """Whether every coefficient is free."""
         rows, columns = self.directions.shape
         return rows == columns and bool(np.array_equal(self.directions, np.eye(rows)))
 
 
 @dataclass(frozen=True)
 class Model:
-    """The model as it stands."""
+    """R_s, map and effects with their present values."""
 
     space: MapSpace
     magnetics: Magnetics
@@ -76,38 +76,38 @@ class Model:
 
 @dataclass(frozen=True)
 class SegmentLinearisation:
-    """What is kept of one piece between steps, beside its signals."""
+    """Quantities of one segment that are reused between steps."""
 
     whitener: Whitener
     basis: Array
     white_basis: Array
-    """Whitened, on the map's free directions."""
+    """Whitened basis projected on the map's free directions."""
     mean_inductance: Array
-    """Of the map that the noise was carried through, shape (3,)."""
+    """Mean L_dd, L_dq, L_qq for which the noise covariance was computed, shape (3,) [H]."""
     noise_parameters: dict[ColumnName, float]
-    """Coordinates of those effects that the noise was carried through: the inverter's, and those with doubts."""
+    """Standardised values of the effects in the noise covariance: the inverter's, and those with random directions."""
 
 
 @dataclass(frozen=True)
 class BatchLinearisation:
-    """What is kept of a batch of segments between steps."""
+    """Quantities of a batch of segments that are reused between steps."""
 
     batch: SegmentBatch
     base: SignalBatch
-    """As measured, with the model's resistance and flux."""
+    """Measured signals with the model's resistance and flux."""
     pieces: tuple[SegmentLinearisation, ...]
     """In the batch's order."""
 
 
 @dataclass(frozen=True)
 class Linearisation:
-    """What is kept of a recording between steps."""
+    """Quantities of a recording that are reused between steps."""
 
     space: MapSpace
     noise: SensorNoise
     batches: tuple[BatchLinearisation, ...]
     gram: Array
-    """white_basis^T white_basis over the training pieces."""
+    """Sum of white_basis^T white_basis over the training segments."""
 
     @cached_property
     def pieces(self) -> tuple[SegmentLinearisation, ...]:
@@ -116,17 +116,17 @@ class Linearisation:
         return tuple(ordered[k] for k in sorted(ordered))
 
     def base_of(self, index: int) -> tuple[SegmentBatch, SignalBatch]:
-        """One piece as a batch of its own, and its signals as measured, with the model's resistance and flux."""
-        for frame in self.batches:
-            if index in frame.batch.places:
-                j = frame.batch.places.index(index)
-                return frame.batch.singles[j], SignalBatch.of([frame.base.segment(j)])
+        """One segment as a batch, and its measured signals with the model's resistance and flux."""
+        for linearisation in self.batches:
+            if index in linearisation.batch.places:
+                j = linearisation.batch.places.index(index)
+                return linearisation.batch.singles[j], SignalBatch.of([linearisation.base.segment(j)])
         raise IndexError(index)
 
 
 @dataclass(frozen=True)
 class SegmentRows:
-    """One piece's equations where the model stands: y = known + r_s * resistance + basis @ (c - c_model)."""
+    """One segment's equations at a model: y = known + r_s * resistance + basis @ (c - c_model)."""
 
     known: Array
     resistance: Array
@@ -145,9 +145,9 @@ class Answers:
     Attributes
     ----------
     of : dict
-        By column.
+        Inner effects by column.
     sizes : dict
-        Relative size of every effect that was present then.
+        Relative size of each effect when it was probed.
     """
 
     of: Mapping[ColumnName, frozenset[str]] = field(default_factory=dict)
@@ -156,10 +156,10 @@ class Answers:
 
 @dataclass(frozen=True)
 class Fit:
-    """A model fitted, and how well."""
+    """A fitted model with its residual and normal equations."""
 
     model: Model
-    frame: Linearisation
+    linearisation: Linearisation
     prepared: PreparedRecording
     chi2: float
     """Sum of squares of the whitened training residual."""
@@ -174,15 +174,13 @@ class Fit:
     normal: Array
     """Normal matrix of (R_s, map) with its prior."""
     columns: tuple[Array, ...]
-    """Whitened columns of every piece: the free parameters', then the requested extra ones.
-
-    None of a piece that is held out."""
+    """Whitened columns of every segment: the free parameters, then the extra ones; empty where held out."""
     parameters: tuple[ColumnName, ...]
-    """What the columns belong to."""
+    """Effect and parameter of each column."""
     resistance: tuple[Array, ...]
     """Whitened R_s columns."""
     answers: Answers = field(default_factory=Answers)
-    """Which effects the columns pass through."""
+    """Inner effects that respond to the columns."""
 
     @property
     def criteria(self) -> Criteria:
@@ -193,15 +191,15 @@ class Fit:
         return self.chi2 / self.dof
 
     def corrected(self, index: int) -> SignalBatch:
-        """One piece's signals as the model's effects say that they truly are, as a batch of one."""
-        return apply_effects(self.frame.base_of(index)[1], self.model.active).signals
+        """One segment's signals corrected by the model's effects, as a batch of one."""
+        return apply_effects(self.linearisation.base_of(index)[1], self.model.active).signals
 
     def true_currents(self) -> list[Array]:
         """Every piece's magnetising current (n, 2) in the true rotor frame."""
         seen: dict[int, Array] = {}
-        for frame in self.frame.batches:
-            i_dq, _ = true_frame(frame.batch, apply_effects(frame.base, self.model.active).signals)
-            seen |= {k: i_dq[frame.base.slice_of(j)] for j, k in enumerate(frame.batch.places)}
+        for linearisation in self.linearisation.batches:
+            i_dq, _ = true_frame(linearisation.batch, apply_effects(linearisation.base, self.model.active).signals)
+            seen |= {k: i_dq[linearisation.base.slice_of(j)] for j, k in enumerate(linearisation.batch.places)}
         return [seen[k] for k in sorted(seen)]
 
     def chi2_of(self, use: Callable[[SegmentData], bool]) -> float | None:
@@ -215,7 +213,7 @@ class Fit:
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
 
     def projected(self) -> tuple[Array, Array]:
-        """Normal matrix and gradient of all columns after R_s and the map have followed them; not to be changed."""
+        """Normal matrix and gradient of all columns with R_s and the map eliminated; read-only."""
         return self._projected
 
     @cached_property
@@ -224,7 +222,7 @@ class Fit:
         count = len(self.parameters)
         cross, columns_normal, gradient = np.zeros((width, count)), np.zeros((count, count)), np.zeros(count)
         for p, f, d, r, e in zip(
-            self.prepared.pieces, self.frame.pieces, self.columns, self.resistance, self.residual, strict=True
+            self.prepared.pieces, self.linearisation.pieces, self.columns, self.resistance, self.residual, strict=True
         ):
             if p.held_out:
                 continue
@@ -248,20 +246,20 @@ class Fit:
         return total, np.array(pulls)
 
     def training(self) -> Iterator[tuple[Array, Array, Array]]:
-        """Of each training segment the whitened columns of R_s and the map, all others', and the residual."""
+        """For each training segment: whitened columns of R_s and the map, the other columns, and the residual."""
         for p, f, d, r, e in zip(
-            self.prepared.pieces, self.frame.pieces, self.columns, self.resistance, self.residual, strict=True
+            self.prepared.pieces, self.linearisation.pieces, self.columns, self.resistance, self.residual, strict=True
         ):
             if not p.held_out:
                 yield np.column_stack([r, f.white_basis]), d, e
 
     def covariance(self, noise: float = 1.0) -> Array:
-        """Posterior covariance of the free coordinates, in the order of `model.free`; noise this much more than known.
+        """Posterior covariance of the standardised free parameters, in the order of `model.free`.
 
         Parameters
         ----------
         noise : float
-            In chi2 per degree of freedom.
+            Variance of the residual relative to the known noise (chi2 per degree of freedom).
         """
         count = len(self.model.free)
         normal, _ = self.projected()

@@ -1,7 +1,6 @@
-"""What a fleet knows of the next motor, as the fit's own priors: where amplitudes stand, how widely, and how likely.
+"""A fleet's statistics as priors of the fit: mean and width of amplitudes, and probability of effects.
 
-An amplitude's coordinate is its value over its prior's width; a fleet gives the width and where the middle is. Its
-probability changes the evidence that is required. Nothing is fitted here.
+A fleet gives the width that standardises an amplitude, its mean, and a probability that changes the evidence required.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from protocols import EffectParameter, InputError, Manifest, ParameterRole
 from protocols.fleet_priors import EffectPrior, FleetPriors, NormalPrior
 
 LEAST_PROBABILITY_OF_INCLUSION = 0.8
-"""Probability from which on an effect is in the model before any search: four of five motors have it."""
+"""Probability from which an effect is included before the search: four of five motors have it."""
 
 
 def require_same_motor(priors: FleetPriors, manifest: Manifest) -> None:
@@ -34,16 +33,16 @@ def require_same_motor(priors: FleetPriors, manifest: Manifest) -> None:
 
 
 def known_by(priors: FleetPriors | None) -> KnownResistance | None:
-    """R_s as the fleet has it."""
+    """R_s of the fleet; None where it has none."""
     if priors is None or priors.resistance is None:
         return None
     return KnownResistance(priors.resistance.mean, priors.resistance.std, is_measured=True)
 
 
 def inductances_at_rest(priors: FleetPriors | None, grid: EvenSpline) -> tuple[Array, Array] | None:
-    """A map's coefficients with the fleet's inductances everywhere, and rows that measure how far it is off at rest.
+    """Coefficients of a linear map with the fleet's inductances, and rows for a map's deviation at zero current.
 
-    Rows are in standard deviations of the fleet, shape (2, coefficients); None where it has not both.
+    Rows are in standard deviations of the fleet, shape (2, coefficients); None unless both inductances are known.
     """
     if priors is None or priors.d_inductance is None or priors.q_inductance is None:
         return None
@@ -60,39 +59,39 @@ def with_priors(
     Raises
     ------
     InputError
-        Where a size is of no amplitude, or in another unit.
+        If a size belongs to no amplitude, or has another unit.
     """
-    own, known = criteria.prior_probability, priors.effects
+    default_probability, known = criteria.prior_probability, priors.effects
     unseen = EffectPrior(probability=1.0 / (priors.diagnosed + 2), found=0, asked=priors.diagnosed)
-    return tuple(_with_prior(c, known.get(c.name, unseen), own) for c in library)
+    return tuple(_with_prior(c, known.get(c.name, unseen), default_probability) for c in library)
 
 
 @dataclass(frozen=True)
 class Disagreement:
-    """From when on a motor's effect is not judged by the fleet.
+    """Limits from which a motor's effect contradicts the fleet.
 
     Attributes
     ----------
     unlike : float
-        Standard deviations beyond what the fleet has: one of 16,000 by chance, of some twenty effects.
-    least_learnt : float
-        Largest part of a prior's variance that may be left: without information there is no disagreement.
+        Standard deviations of the predictive distribution; chance exceeds them once in 16,000.
+    max_variance_ratio : float
+        Largest posterior over prior variance; a recording without information cannot contradict.
     """
 
     unlike: float = 4.0
-    least_learnt: float = 0.99
+    max_variance_ratio: float = 0.99
 
 
 def contradicts_fleet(fit: Fit, limits: Disagreement | None = None) -> frozenset[str]:
-    """Effects whose size the fleet would hardly have, as this recording alone has it.
+    """Effects whose size in this recording is improbable in the fleet.
 
-    By the predictive distribution (Box 1980, doi:10.2307/2982063): a posterior x of variance s about a prior N(c, 1)
-    comes from a reading (x - c) / (1 - s) off the middle, which has the variance 1 / (1 - s).
+    From the predictive distribution (Box 1980, doi:10.2307/2982063): a posterior x of variance s with a prior N(c, 1)
+    implies a measurement (x - c) / (1 - s) from the mean, with the variance 1 / (1 - s).
     """
     limits = limits or Disagreement()
     if not fit.model.free:
         return frozenset()
-    variance = np.minimum(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0), limits.least_learnt)
+    variance = np.minimum(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0), limits.max_variance_ratio)
     return frozenset(
         active.name
         for (active, name), s in zip(fit.model.free, variance, strict=True)
@@ -100,7 +99,7 @@ def contradicts_fleet(fit: Fit, limits: Disagreement | None = None) -> frozenset
     )
 
 
-def _with_prior(candidate: CandidateEffect, prior: EffectPrior, own: float) -> CandidateEffect:
+def _with_prior(candidate: CandidateEffect, prior: EffectPrior, default_probability: float) -> CandidateEffect:
     parameters, centres = list(candidate.parameters), {}
     for name, size in prior.sizes.items():
         place = next((k for k, p in enumerate(parameters) if p.name == name), None)
@@ -111,7 +110,7 @@ def _with_prior(candidate: CandidateEffect, prior: EffectPrior, own: float) -> C
             raise InputError("priors", f"effects.{candidate.name}.sizes.{name}.unit", problem)
         parameters[place] = _narrowed(parameters[place], size)
         centres[name] = standardised(parameters[place], size.mean)
-    odds, usual = (math.log(p / (1.0 - p)) for p in (prior.probability, own))
+    odds, usual = (math.log(p / (1.0 - p)) for p in (prior.probability, default_probability))
     return replace(
         candidate,
         parameters=tuple(parameters),
@@ -122,7 +121,7 @@ def _with_prior(candidate: CandidateEffect, prior: EffectPrior, own: float) -> C
 
 
 def _narrowed(p: EffectParameter, size: NormalPrior) -> EffectParameter:
-    """The parameter with the fleet's width; of one that is strong when small, its inverse's."""
+    """The parameter with the fleet's width; for one that is strong when small, the width of its inverse."""
     if not p.strong_when_small:
         return replace(p, prior_width=size.std)
     return replace(p, prior_width=p.typical**2 * size.std / size.mean**2)

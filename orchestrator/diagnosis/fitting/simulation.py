@@ -1,4 +1,4 @@
-"""Multi-step prediction: the current that the model makes of the commanded voltage alone, beside the measured one."""
+"""Multi-step prediction: the current simulated from the commanded voltage alone, compared with the measured one."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
 MAX_SIMULATED_S: float = 1.0
-"""How much of each segment is simulated [s]: many time constants, and both signs of a trapezoid."""
+"""Simulated duration of each segment [s]: many time constants, and both signs of a trapezoid."""
 
 STEP_OF_DECAY = 0.2
-"""Largest step, in time constants of the winding: a mean of ten readings spans two of a small servo's."""
+"""Largest integration step in time constants of the winding; a mean of ten readings may span two of them."""
 
 
 def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple[Array, Array]:
     """Predicted and measured magnetising current of one piece in the true frame, each (n, 2) [A].
 
-    dpsi/dt = v - R_s i from the first measured current on, with the effects' corrections of voltage, resistance
-    and angle taken from the record. Both currents are without what the iron adds.
+    dpsi/dt = v - R_s i from the first measured current on, with the effects' corrections of voltage, resistance and
+    angle evaluated on the recording. Neither current includes iron-loss current.
     """
     piece = fit.prepared.pieces[index]
     corrected = fit.corrected(index)
-    batch, base = fit.frame.base_of(index)
+    batch, base = fit.linearisation.base_of(index)
     local = local_map(batch, corrected, fit.model.magnetics)
     i_dq = local.i_dq
     n = min(len(i_dq), samples or len(i_dq))
@@ -40,8 +40,8 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
     ts = 1.0 / piece.signals.sampling_frequency_hz
     resistance = np.ascontiguousarray(corrected.resistance_ohm[:n]) * (fit.model.r_s / base.resistance_ohm[0])
     inductances = local.inductance[:, [0, 2]]
-    least = 0.2 * float(np.median(inductances))
-    decay = ts * float(resistance.max()) / max(float(inductances.min()), least)
+    min_inductance = 0.2 * float(np.median(inductances))
+    decay = ts * float(resistance.max()) / max(float(inductances.min()), min_inductance)
     predicted = _simulate(
         np.ascontiguousarray(corrected.v_ab[:n]),
         np.ascontiguousarray((corrected.i_ab - corrected.i_m_ab)[:n]),
@@ -52,14 +52,14 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
         numbers,
         ts,
         parts_of(decay),
-        least,
+        min_inductance,
         np.array([grid.low, grid.high, grid.reach]),
     )
     return predicted, i_dq[:n]
 
 
 def parts_of(decay: float) -> int:
-    """Of a sample, that an integration takes where the current decays by so many time constants in it."""
+    """Integration steps per sample, for a sample of so many time constants."""
     return max(1, math.ceil(decay / STEP_OF_DECAY))
 
 
@@ -88,13 +88,13 @@ def _simulate(
     numbers: Array,
     ts: float,
     parts: int,
-    least: float,
+    min_inductance: float,
     box: Array,
 ) -> Array:
-    """Steps psi by the voltage, in so many parts of a sample; after each, one Newton step for the current with it.
+    """Integrate psi with several steps per sample, each followed by one Newton step for the current.
 
-    A model far off drives the current out of the map's box (lowest and highest i_d, highest i_q); there the map goes on
-    with the inductances of its edge, and well outside the current is held.
+    A poor model may drive the current out of the map's box (lowest and highest i_d, highest i_q). There the map
+    continues with the inductances of its edge; far outside, the current is held.
     """
     reach = 5.0 * max(-box[0], box[1], box[2])
     n = v_ab.shape[0]
@@ -112,10 +112,10 @@ def _simulate(
         edge_q = min(max(i_q, -box[2]), box[2])
         pd, pq, ldd, ldq, lqq = derivatives_at(edge_d, edge_q, patches, numbers)
         det = ldd * lqq - ldq * ldq
-        if ldd < least or lqq < least or det < 0.25 * ldd * lqq:
-            # A map that is not convex here has no current to a flux; it is held up by a part of the usual inductance.
-            ldd = max(ldd, least)
-            lqq = max(lqq, least)
+        if ldd < min_inductance or lqq < min_inductance or det < 0.25 * ldd * lqq:
+            # A map that is not convex here cannot be inverted; its inductance is limited from below.
+            ldd = max(ldd, min_inductance)
+            lqq = max(lqq, min_inductance)
             ldq = 0.0
             det = ldd * lqq
         pd += ldd * (i_d - edge_d) + ldq * (i_q - edge_q)
@@ -123,7 +123,7 @@ def _simulate(
         if step == 0:
             psi_d = pd
             psi_q = pq
-        # What the explicit guess missed of the flux, corrected with the inductance there.
+        # Correct the explicit guess's flux error with the local inductance.
         i_d += (lqq * (psi_d - pd) - ldq * (psi_q - pq)) / det
         i_q += (ldd * (psi_q - pq) - ldq * (psi_d - pd)) / det
         i_d = min(max(i_d, -reach), reach)

@@ -1,4 +1,4 @@
-"""R_s and the map that fit best where the effects stand: the equations are linear in both. Moves no effect."""
+"""Least-squares solution for R_s and the map, in which the equations are linear, with all effects fixed."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from orchestrator.numerics.types import Array
 def solved(
     prepared: PreparedRecording,
     model: Model,
-    frame: Linearisation,
+    linearisation: Linearisation,
     rows: Sequence[SegmentRows],
     parameters: Sequence[ColumnName],
     held: bool,
 ) -> Fit:
-    """The fit with R_s and the map solved for; with `held` they stay the model's."""
+    """Solve for R_s and the map; with `held` they keep the model's values."""
     space, pieces = model.space, prepared.pieces
     width = 1 + space.directions.shape[1]
     normal, right = np.zeros((width, width)), np.zeros(width)
-    normal[1:, 1:] = frame.gram
-    for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
+    normal[1:, 1:] = linearisation.gram
+    for piece, segment_linearisation, row in zip(pieces, linearisation.pieces, rows, strict=True):
         if piece.held_out:
             continue
         e, r = row.white[:, 0], row.white[:, 1]
         normal[0, 0] += r @ r
-        normal[0, 1:] += r @ segment_frame.white_basis
+        normal[0, 1:] += r @ segment_linearisation.white_basis
         right[0] += r @ e
-        right[1:] += segment_frame.white_basis.T @ e
+        right[1:] += segment_linearisation.white_basis.T @ e
     normal[1:, 0] = normal[0, 1:]
     total = normal.copy()
     total[1:, 1:] += space.prior.T @ space.prior
@@ -44,7 +44,7 @@ def solved(
     nominal = known.value_ohm if known is not None else 0.0
     total[0, 0] += believed
     right[0] -= believed * nominal
-    # Equations are written around the model's own coefficients; the prior is around the space's origin.
+    # The equations are relative to the model's coefficients, the prior to the space's origin.
     free_numbers = _free_numbers(space, model.magnetics.coefficients)
     right[1:] += space.prior.T @ (space.prior @ free_numbers)
     solution = np.append(model.r_s, np.zeros(width - 1)) if held else -np.linalg.solve(total, right)
@@ -53,19 +53,19 @@ def solved(
     moved = space.directions @ change
     fitted = replace(model, r_s=r_s, magnetics=Magnetics(space.grid, model.magnetics.coefficients + moved))
     residual, volts = [], []
-    for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
-        residual.append(row.white[:, 0] + row.white[:, 1] * r_s + segment_frame.white_basis @ change)
-        raw = row.known + row.resistance * r_s + segment_frame.basis @ moved
+    for piece, segment_linearisation, row in zip(pieces, linearisation.pieces, rows, strict=True):
+        residual.append(row.white[:, 0] + row.white[:, 1] * r_s + segment_linearisation.white_basis @ change)
+        raw = row.known + row.resistance * r_s + segment_linearisation.basis @ moved
         volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight)
     training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
     informative = sum(p.windows.informative for p in pieces if not p.held_out)
     chi2 = float(sum(e @ e for e in training))
-    log_det = sum(f.whitener.log_det for p, f in zip(pieces, frame.pieces, strict=True) if not p.held_out)
+    log_det = sum(f.whitener.log_det for p, f in zip(pieces, linearisation.pieces, strict=True) if not p.held_out)
     priors = sum(a.prior_residual(n) ** 2 for a, n in model.free)
     rough = space.prior @ (free_numbers + change)
     return Fit(
         model=fitted,
-        frame=frame,
+        linearisation=linearisation,
         prepared=prepared,
         chi2=chi2,
         objective=chi2 + log_det + priors + float(rough @ rough) + believed * (r_s - nominal) ** 2,

@@ -1,7 +1,6 @@
-"""Threads that make the equations of a recording's batches: kernels and LAPACK release the interpreter's lock.
+"""Threads that evaluate a recording's batches: kernels and LAPACK release the interpreter's lock.
 
-Every batch is made by itself, and what is made is put together in the batches' order: however many threads there are,
-the result is the same to the last bit.
+Batches are independent and combined in order, so that the result does not depend on the number of threads.
 """
 
 from __future__ import annotations
@@ -13,21 +12,21 @@ from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
 MAX_WORKERS = 4
-"""Threads beyond which the part of an evaluation that holds the interpreter's lock leaves nothing to gain."""
+"""Number of threads beyond which the interpreter's lock prevents any gain."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
 class Executor(Protocol):
-    """Whoever evaluates a function of every batch."""
+    """Evaluates a function for every batch."""
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """The function's results in the items' order; what it raises first is raised."""
+        """The function's results in the items' order; its first exception is raised."""
 
 
 class SerialExecutor:
-    """One item after the other, in the caller's own thread."""
+    """Evaluates one item after the other in the caller's thread."""
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """As `Executor` has it."""
@@ -35,7 +34,7 @@ class SerialExecutor:
 
 
 class ThreadExecutor:
-    """Items by the threads of a pool, which somebody else ends."""
+    """Evaluates items in the threads of a pool, which the caller shuts down."""
 
     def __init__(self, pool: ThreadPoolExecutor) -> None:
         self._pool = pool
@@ -47,7 +46,7 @@ class ThreadExecutor:
             futures.extend(self._pool.submit(function, item) for item in items)
             return [future.result() for future in futures]
         finally:
-            # What raised ends the evaluation: nothing of it is still at work when the caller goes on.
+            # After an exception, wait until no task of this evaluation is running.
             for future in futures:
                 future.cancel()
             for future in futures:
@@ -56,14 +55,14 @@ class ThreadExecutor:
 
 
 def workers_here() -> int:
-    """As many as this process may use cores, up to `MAX_WORKERS`."""
+    """Number of cores that this process may use, up to `MAX_WORKERS`."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return min(cores, MAX_WORKERS)
 
 
 @contextmanager
 def executor_of(workers: int) -> Iterator[Executor]:
-    """An executor of so many threads; they have ended when the block is left, however it is left."""
+    """An executor with so many threads, which end with the block."""
     if workers <= 1:
         yield SerialExecutor()
         return

@@ -1,1 +1,1 @@
-"""What a search's result is worth: the verdict and its reasons, intervals, the map's band, what is left."""
+"""Judgement of a search's result: verdict and reasons, intervals, the map's band, the residual's pattern."""

@@ -1,4 +1,4 @@
-"""What each effect does to the error and to the map, in engineers' units: what counts as a cause. Fits nothing."""
+"""Contribution of each effect to the error and to the map, which decides whether it is a cause."""
 
 from __future__ import annotations
 
@@ -20,17 +20,16 @@ from protocols import SegmentStage
 
 @dataclass(frozen=True)
 class Contribution:
-    """What one effect does where R_s and the map follow.
+    """Contribution of one effect, with R_s and the map refitted without it.
 
     Attributes
     ----------
     relative_to_error : float
-        Its rms over the rms of the first model's whole error, largest over holds, sweeps, the means under injection and
-        the ripple.
+        Its rms over that of the first model's error; the largest of holds, sweeps, means under injection, ripple.
     relative_to_excitation : float
-        The same over the rms voltage there.
+        Its rms over the rms voltage of the same kind of rows.
     relative_to_flux : float
-        Its rms in the map where currents were, over the rated flux.
+        Its rms change of the flux at the measured currents, over the rated flux.
     """
 
     relative_to_error: float
@@ -39,7 +38,7 @@ class Contribution:
 
 
 def contributions(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Contribution]:
-    """The share of each active effect of the last fit, in the error of the first."""
+    """Contribution of each active effect of the last fit."""
     fitter, errors = setup.fitter, _by_kind(first, first.volts)
     volts = _by_kind(last, _voltages(last))
     rated, points = rated_flux_wb(setup), mean_currents(last)
@@ -59,37 +58,37 @@ def contributions(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Con
 
 
 def is_material(share: Contribution, fit: Fit) -> bool:
-    """Whether an effect counts in an engineer's units, whatever the noise lets see."""
+    """Whether an effect exceeds the materiality limits, regardless of the noise."""
     limits = fit.criteria.materiality
     return share.relative_to_flux > limits.material_flux or share.relative_to_excitation > limits.material_voltage
 
 
 def excitation_v(fit: Fit) -> float:
-    """rms of the impressed voltage over all that is excited [V]."""
+    """rms of the impressed voltage over excited segments [V]."""
     kinds = _by_kind(fit, _voltages(fit))
     return max(kinds.values(), default=0.0)
 
 
 def left_of_excitation(fit: Fit) -> float:
-    """What is left beyond noise, over the rms voltage: the largest of holds, sweeps, means under injection, ripple."""
-    volts, left = _by_kind(fit, _voltages(fit)), _by_kind(fit, fit.volts)
+    """Residual beyond noise over the rms voltage: the largest of holds, sweeps, means under injection, ripple."""
+    volts, residual = _by_kind(fit, _voltages(fit)), _by_kind(fit, fit.volts)
     chi = _by_kind(fit, fit.residual)
-    beyond = {kind: left[kind] * math.sqrt(max(1.0 - 1.0 / chi[kind] ** 2, 0.0)) for kind in left if chi[kind] > 0.0}
+    beyond = {k: rms * math.sqrt(max(1.0 - 1.0 / chi[k] ** 2, 0.0)) for k, rms in residual.items() if chi[k] > 0.0}
     return max((beyond[kind] / volts[kind] for kind in beyond if volts[kind] > 0.0), default=0.0)
 
 
 @dataclass(frozen=True)
 class GatesOffError:
-    """What the readings with the gates off say against a model.
+    """Error of a model at the readings with the gates off.
 
     Attributes
     ----------
     rms_v : float
-        Their rms error, as the voltage of that current [V].
+        rms current error times R_s [V].
     probability : float
-        That chance makes so large an error.
+        Probability of so large an error by chance.
     least_excitation_v : float or None
-        rms voltage of the kind of stage that has the least [V]; None where nothing is excited.
+        Smallest rms voltage of an excited kind of stage [V]; None without excitation.
     """
 
     rms_v: float
@@ -98,11 +97,11 @@ class GatesOffError:
 
 
 def gates_off_error(fit: Fit) -> GatesOffError | None:
-    """What the readings with the gates off say against a model; None where there are none."""
-    left = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if _without_current(p)]
-    if not left:
+    """Error of a model at the readings with the gates off; None where there are none."""
+    residuals = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if _without_current(p)]
+    if not residuals:
         return None
-    together = np.concatenate(left)
+    together = np.concatenate(residuals)
     excited = [v for v in _by_kind(fit, _voltages(fit)).values() if v > 0.0]
     return GatesOffError(
         rms_v=fit.rms_v(_without_current) or 0.0,
@@ -112,10 +111,9 @@ def gates_off_error(fit: Fit) -> GatesOffError | None:
 
 
 def unexplained_at_rest_v(fit: Fit) -> float:
-    """What a reading without current says against the model, as the voltage of that current [V]; 0 where nothing.
+    """Error at the readings with the gates off [V], if it is significant and material; else 0.
 
-    Its few equations hardly count among thousands, so it is tested by itself: whether it exceeds chance, and
-    whether it is material beside the excitation, as an effect would be.
+    These few equations have little weight among thousands, so that they are tested separately.
     """
     error, limits = gates_off_error(fit), fit.criteria
     if error is None or error.least_excitation_v is None or error.probability >= limits.verdict.chance_probability:
@@ -133,12 +131,12 @@ def mean_currents(fit: Fit) -> Array:
 
 
 def rated_flux_wb(setup: DiagnosisSetup) -> float:
-    """The magnet's flux, or what the rated current makes where the nameplate has none."""
+    """The magnet's flux, or that of the rated current where the nameplate has none [Wb]."""
     return max(setup.fitter.pm_flux_wb, setup.l_d_h * setup.current_a, setup.l_q_h * setup.current_a)
 
 
 def _by_kind(fit: Fit, values: Sequence[Array]) -> dict[str, float]:
-    """rms of every piece's rows (rows,), by kind: holds, sweeps, means under injection, ripple."""
+    """rms of the segments' rows by kind: holds, sweeps, means under injection, ripple."""
     parts: dict[str, list[Array]] = {}
     for piece, rows in zip(fit.prepared.pieces, values, strict=True):
         if piece.stage is SegmentStage.GATES_OFF:
@@ -151,7 +149,7 @@ def _by_kind(fit: Fit, values: Sequence[Array]) -> dict[str, float]:
 
 
 def _voltages(fit: Fit) -> list[Array]:
-    """The impressed voltage in the rows' own units, each piece's shape (rows,)."""
+    """The impressed voltage in the units of the rows, per segment, shape (rows,)."""
     rows = []
     for piece in fit.prepared.pieces:
         w = piece.windows

@@ -1,4 +1,4 @@
-"""How far a fitted effect may be off: its noise, what its segments disagree by, and what its form leaves out."""
+"""Uncertainty of fitted effects: noise, disagreement between segments, and error of the effect's form."""
 
 from __future__ import annotations
 
@@ -15,40 +15,37 @@ from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SegmentStage
 
 INTERVAL_SIGMAS: float = 1.96
-"""Standard deviations on either side of 95 % of a normal distribution."""
+"""Half width of a normal distribution's 95 % interval, in standard deviations."""
 FORM_STD: float = 5e-4
-"""Standard deviation of what any effect's form leaves out, as a part of the effect.
+"""Standard deviation of the error of any effect's form, relative to the effect.
 
-A knee of another shape than any in the family shifts an inverter's fitted voltage by some 0.01 to 0.1 %, which is
-less than a user cares for and more than the noise of half a million samples.
+A knee of a shape outside the model's family shifts an inverter's fitted voltage by 0.01 to 0.1 %: immaterial, but more
+than the noise of half a million samples.
 """
 RIPPLE_FORM_STD: float = 0.02
-"""The same where the ripple shows the effect and nothing at rest does.
+"""The same for an effect that only the ripple shows.
 
-What currents at rest show is measured by several stages; where the form is wrong they contradict each other, and
-the segments' disagreement says so. The ripple has no second witness: it is one frequency, sampled some twenty
-times a period. What a sampled form leaves out there is of order R_s Ts / L, half a percent to one, and the form's
-course over frequency is carried on from that one to all others. Against a plant with forms of its own, effects
-that the ripple shows come out 2 % off (rms, one in twenty by more than 4 %), however little the noise and however
-near chi2 is to one.
+Constant currents are measured in several stages, which contradict each other where a form is wrong. The ripple has one
+frequency, sampled about twenty times a period: a sampled form's error is of order R_s Ts / L, 0.5 to 1 %, and its
+frequency dependence is extrapolated. On a plant with different forms, effects shown by the ripple were off by 2 % (rms;
+one in twenty by more than 4 %), for any noise and with chi2 near one.
 """
 
 
 def standardised_std(fitter: Fitter, fit: Fit) -> Array:
-    """Standard deviation of each free coordinate, shape (free,).
+    """Standard deviation of each standardised free parameter, shape (free,).
 
-    The larger of the fit's own, inflated by chi2 per degree of freedom and with those flexible forms free that go
-    either way, and of what the segments' disagreement makes of it (the sandwich estimate with segments as clusters,
-    H. White, Econometrica 48 (1980), doi:10.2307/1912934); on top of it the scatter between blocks, and what the
-    effect's form leaves out: `form_std` of it, `ripple_doubt` as far as the ripple alone tells it.
+    The larger of the fit's, inflated by chi2 per degree of freedom and with two-sided refinements free, and of the
+    sandwich estimate with segments as clusters (H. White, Econometrica 48 (1980), doi:10.2307/1912934); the scatter
+    between blocks and `form_std` are added in quadrature.
     """
     return np.asarray(np.sqrt(np.diag(_coordinate_covariance(fitter, fit))))
 
 
 def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
-    """Of all free coordinates: as wide as `standardised_std` says, and as alike as the fit has them."""
+    """Covariance of the free coordinates with the widths of `standardised_std` and the fit's correlations."""
     rigid = [(a, n) for a in fit.model.active for n in _two_sided_refinements(a)]
-    loose = fitter.evaluate(fit.model, fit.frame, rigid, known=fit)
+    loose = fitter.evaluate(fit.model, fit.linearisation, rigid, known=fit)
     normal, _ = loose.projected()
     inverse = np.linalg.inv(normal + np.eye(len(normal)))
     count = len(fit.model.free)
@@ -64,22 +61,22 @@ def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
 
 
 def possibly_absent(fitter: Fitter, fit: Fit) -> list[str]:
-    """Active effects of which each amplitude's 95 % interval holds nothing at all."""
+    """Active effects for which every amplitude's 95 % interval contains neutral."""
     if not fit.model.free:
         return []
     variances, width = np.diag(_coordinate_covariance(fitter, fit)), INTERVAL_SIGMAS
-    sure = {
+    significant = {
         a.name
         for (a, n), variance in zip(fit.model.free, variances, strict=True)
         if n in a.candidate.amplitudes and a.standardised_value(n) ** 2 > width**2 * variance
     }
-    return [name for name in fit.model.names if name not in sure]
+    return [name for name in fit.model.names if name not in significant]
 
 
 def is_none_significant(fitter: Fitter, fit: Fit) -> bool:
-    """Whether all amplitudes together may be nothing, at 95 %.
+    """Whether all amplitudes may be neutral at once, at 95 %.
 
-    Effects that stand in for each other may each be absent, and not all: A. Wald, Trans. Am. Math. Soc. 54 (1943),
+    Of confounded effects each may be absent, but not all: A. Wald, Trans. Am. Math. Soc. 54 (1943),
     doi:10.1090/S0002-9947-1943-0012401-3.
     """
     from scipy.stats import chi2, norm
@@ -89,43 +86,45 @@ def is_none_significant(fitter: Fitter, fit: Fit) -> bool:
         return True
     x = np.array([a.standardised_value(n) for a, n in fit.model.free])[amplitudes]
     covariance = _coordinate_covariance(fitter, fit)[np.ix_(amplitudes, amplitudes)]
-    least = chi2.isf(2.0 * norm.sf(INTERVAL_SIGMAS), len(amplitudes))
-    return float(x @ np.linalg.solve(covariance, x)) <= float(least)
+    threshold = chi2.isf(2.0 * norm.sf(INTERVAL_SIGMAS), len(amplitudes))
+    return float(x @ np.linalg.solve(covariance, x)) <= float(threshold)
 
 
 def form_std(fit: Fit, rows: Sequence[tuple[SegmentData, Array]]) -> Array:
-    """What the effects' forms leave out, as a standard deviation of each free coordinate, shape (free,).
+    """Error of the effects' forms as a standard deviation of each free coordinate, shape (free,).
 
     Parameters
     ----------
     rows : sequence of (SegmentData, array)
-        Of each training segment what it tells of each coordinate, shape (rows, free).
+        For each training segment its projected columns, shape (rows, free).
     """
     extent = np.array([_extent(a, n) for a, n in fit.model.free])
     return np.asarray(np.hypot(FORM_STD, RIPPLE_FORM_STD * ripple_share(rows)) * extent)
 
 
 def _two_sided_refinements(active: EffectTerm) -> list[str]:
-    """Refinements that are not free, but might lie on either side of where they are."""
+    """Fixed refinements above their lower bound, which may be wrong in both directions."""
     names = active.candidate.of_role(ParameterRole.REFINEMENT)
     return [n for n in names if n not in active.free and active.values[n] > active.candidate.named(n).low]
 
 
 def projected_rows(fit: Fit) -> list[tuple[SegmentData, Array, Array]]:
-    """Of each training segment: residual (rows,) and columns (rows, columns), R_s and the map following the columns."""
+    """For each training segment: residual (rows,) and columns (rows, columns), with R_s and the map eliminated."""
     width, count = fit.normal.shape[0], len(fit.parameters)
     cross = np.zeros((width, count))
-    parts = list(zip(fit.prepared.pieces, fit.frame.pieces, fit.columns, fit.resistance, fit.residual, strict=True))
+    parts = list(
+        zip(fit.prepared.pieces, fit.linearisation.pieces, fit.columns, fit.resistance, fit.residual, strict=True)
+    )
     parts = [part for part in parts if not part[0].held_out]
-    for _, frame, d, r, _ in parts:
+    for _, linearisation, d, r, _ in parts:
         cross[0] += r @ d
-        cross[1:] += frame.white_basis.T @ d
+        cross[1:] += linearisation.white_basis.T @ d
     follow = np.linalg.solve(fit.normal, cross)
     return [(p, e, d - np.outer(r, follow[0]) - f.white_basis @ follow[1:]) for p, f, d, r, e in parts]
 
 
 def ripple_share(rows: Sequence[tuple[SegmentData, Array]]) -> Array:
-    """What the ripple tells of each column, over what it and the means at rest tell together; shape (columns,)."""
+    """Information of the ripple on each column over that of ripple and means together, shape (columns,)."""
     ripple, rest = np.zeros(rows[0][1].shape[1]), np.zeros(rows[0][1].shape[1])
     for piece, columns in rows:
         known = np.sum(columns.reshape(-1, len(piece.windows.modes), 2, columns.shape[1]) ** 2, axis=(0, 2))
@@ -136,7 +135,7 @@ def ripple_share(rows: Sequence[tuple[SegmentData, Array]]) -> Array:
 
 
 def _extent(active: EffectTerm, name: str) -> float:
-    """The coordinate of all that there is of a parameter; of a shape, which is never absent, of one e-fold."""
+    """Size of a parameter as a standardised value; for a shape, which is never absent, that of one e-fold."""
     p = active.candidate.named(name)
     return 1.0 / p.prior_width if p.role is ParameterRole.SHAPE else abs(active.standardised_value(name))
 
@@ -146,11 +145,10 @@ BLOCKS: int = 8
 
 
 def block_scatter_ratio(fit: Fit) -> dict[str, float]:
-    """How much each active effect's amplitude scatters between blocks of the recording, relative to itself.
+    """Scatter of each active effect's amplitude between blocks of the recording, relative to the amplitude.
 
-    The recording is cut, in order of time, into blocks that know equally much about the amplitude; in each the
-    amplitude is estimated anew with all else held. What the blocks want to add, beyond what noise alone makes them
-    want, is compared with the amplitude (the largest of them where an effect has several).
+    The recording is cut, in temporal order, into blocks with equal information on the amplitude, which is re-estimated
+    in each with all else fixed. The scatter beyond noise is divided by the amplitude; the largest ratio counts.
     """
     scatter = block_scatter(fit)
     ratios: dict[str, float] = {}
@@ -166,7 +164,7 @@ def block_scatter_ratio(fit: Fit) -> dict[str, float]:
 
 
 def certainty(fit: Fit) -> dict[str, float]:
-    """Each active effect's largest amplitude in standard deviations, disagreement between blocks included."""
+    """Each active effect's largest amplitude in standard deviations, including the scatter between blocks."""
     between = block_scatter(fit) ** 2 / BLOCKS
     spread = np.sqrt(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0) + between)
     sizes: dict[str, float] = {}
@@ -178,7 +176,7 @@ def certainty(fit: Fit) -> dict[str, float]:
 
 
 def block_scatter(fit: Fit) -> Array:
-    """rms of what the blocks want to add to each free coordinate, beyond noise; shape (free,)."""
+    """rms change of each free coordinate between blocks beyond noise, shape (free,)."""
     return np.array([_scatter(fit, k) for k in range(len(fit.model.free))])
 
 

@@ -1,14 +1,14 @@
-"""The verdict of a diagnosis as a function of its record, with the reasons for it. Knows no fit and no recording.
+"""The verdict of a diagnosis and its reasons as a function of its record.
 
-With excess e = chi2/dof - 1, of the fitted stages, and l the larger one of those and of the held-out stages:
+With the excess e = chi2/dof - 1 of the fitted stages, and l the larger one of the fitted and the held-out stages:
 
 - noise: e and l are within noise or chance: ``clean`` without effects, ``explained`` with some;
-- without effects, what is left may be immaterial (``clean``), else it is unknown;
+- without effects, the residual may be immaterial (``clean``), else it is unknown;
 - with effects, u = sqrt(e_after / e_before) and l decide between ``explained``, ``mostly_explained`` and unknown.
 
 A periodic disturbance, or a reading with the gates off that contradicts the model, is unknown whatever the fit. A good
-fit under large noise, with a wrong current, of implausibly many large effects, or ``clean`` with a map too uncertain
-to have shown an effect that matters, is ``cannot_tell``.
+fit under large noise, with a wrong simulated current, with implausibly many large effects, or ``clean`` with a map too
+uncertain to show a material effect, is ``cannot_tell``.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ Outcome = tuple[Verdict, list[Reason]]
 
 
 def judge(record: VerdictRecord, limits: VerdictLimits | None = None) -> Judgement:
-    """The verdict that follows from a record, and the comparisons that it rests on.
+    """The verdict that follows from a record, with the comparisons behind it.
 
     Parameters
     ----------
     limits : VerdictLimits, optional
-        Other limits than the record's own.
+        Limits; the record's by default.
     """
     limits = limits or record.limits
-    verdict, reasons = _by_error_left(record, limits)
+    verdict, reasons = _by_residual(record, limits)
     contradictions = [*_periodic(record), *_gates_off(record, limits)]
     if contradictions:
         more = reasons if verdict == "unknown_remains" else []
@@ -44,26 +44,26 @@ def judge(record: VerdictRecord, limits: VerdictLimits | None = None) -> Judgeme
     return Judgement(verdict="cannot_tell" if doubts else verdict, reasons=(*doubts, *reasons))
 
 
-def fraction_left(chi2_before: float, chi2_after: float, noise_chi2: float) -> float:
-    """Part of the first error (an amplitude) that is left; 0 where the first model fits within the noise."""
+def residual_fraction(chi2_before: float, chi2_after: float, noise_chi2: float) -> float:
+    """Ratio of the final error to the first (of amplitudes); 0 where the first model fits within the noise."""
     if chi2_before <= noise_chi2:
         return 0.0
     return math.sqrt(max(chi2_after - 1.0, 0.0) / (chi2_before - 1.0))
 
 
 def jointly_implausible(widths: Mapping[str, float | None], limits: VerdictLimits) -> list[str]:
-    """Effects that are larger than in most drives, the largest first, where they are implausibly many."""
+    """Effects that are larger than in most drives, the largest first; empty unless they are implausibly many."""
     sizes = {name: _finite(size) for name, size in widths.items()}
     large = [name for name in sizes if sizes[name] > limits.large_effect_widths]
     return sorted(large, key=lambda name: -sizes[name]) if len(large) >= limits.large_effects else []
 
 
-def _by_error_left(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
-    """The verdict by the error that the model leaves."""
+def _by_residual(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
+    """The verdict from the residual."""
     chance = limits.chance_sigmas * math.sqrt(2.0 / record.degrees_of_freedom)
-    excess, left = _finite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
+    excess, largest_excess = _finite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
     noise, bearable = max(limits.noise_chi2 - 1.0, chance), max(limits.explained_excess_chi2, chance)
-    if excess <= noise and left <= bearable:
+    if excess <= noise and largest_excess <= bearable:
         return "explained" if record.effects else "clean", _within_noise(record, 1.0 + noise, 1.0 + bearable)
     if not record.effects:
         return _without_effects(record, limits, chance)
@@ -71,43 +71,43 @@ def _by_error_left(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
 
 
 def _without_effects(record: VerdictRecord, limits: VerdictLimits, chance: float) -> Outcome:
-    """What is left is immaterial, or unknown."""
-    left, voltage = _largest_chi2(record) - 1.0, _finite(record.left_of_excitation)
+    """The verdict without effects: the residual is immaterial or unknown."""
+    largest_excess, voltage = _largest_chi2(record) - 1.0, _finite(record.left_of_excitation)
     known = max(limits.noise_accuracy_excess_chi2, chance)
     bounds = ((known, limits.material_voltage), (limits.clean_excess_chi2, limits.negligible_voltage))
-    passed = [bound for bound in bounds if left <= bound[0] and voltage <= bound[1]]
-    most, part = passed[0] if passed else bounds[0 if left <= known else 1]
+    passed = [bound for bound in bounds if largest_excess <= bound[0] and voltage <= bound[1]]
+    max_excess, max_part = passed[0] if passed else bounds[0 if largest_excess <= known else 1]
     beside = "where what is left does not matter"
-    reasons = [_of_chi2(record, most, f"clean {beside}"), _of_voltage(record, part)]
+    reasons = [_of_chi2(record, max_excess, f"clean {beside}"), _of_voltage(record, max_part)]
     if passed:
         return "clean", reasons
     found = Reason(
         quantity="effects", value=0.0, limit=None, sentence="No effect of the library explains a part of the error."
     )
-    above = [left > most, voltage > part]
+    above = [largest_excess > max_excess, voltage > max_part]
     return "unknown_remains", [found, *(r for r, is_above in zip(reasons, above, strict=True) if is_above)]
 
 
 def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
-    """How much of the first error the effects leave."""
-    excess, left = _finite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
-    fraction = fraction_left(_finite(record.chi2_before), _finite(record.chi2_after), limits.noise_chi2)
+    """The verdict with effects, from the ratio of the final error to the first."""
+    excess, largest_excess = _finite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
+    fraction = residual_fraction(_finite(record.chi2_before), _finite(record.chi2_after), limits.noise_chi2)
     broken = []
     if record.fine_map and excess > limits.noise_accuracy_excess_chi2:
         broken.append(_of_fine_map(record, limits))
     if fraction > limits.mostly_explained_fraction:
         broken.append(_of_fraction(fraction, limits.mostly_explained_fraction, "mostly_explained"))
-    if left > limits.immaterial_excess_chi2:
+    if largest_excess > limits.immaterial_excess_chi2:
         broken.append(_of_chi2(record, limits.immaterial_excess_chi2, "mostly_explained"))
     if broken:
         return "unknown_remains", broken
     explained = (
         (fraction <= limits.explained_fraction, _of_fraction(fraction, limits.explained_fraction, "explained")),
-        (left <= limits.explained_excess_chi2, _of_chi2(record, limits.explained_excess_chi2, "explained")),
+        (largest_excess <= limits.explained_excess_chi2, _of_chi2(record, limits.explained_excess_chi2, "explained")),
     )
     if all(kept for kept, _ in explained):
         return "explained", [reason for _, reason in explained]
-    small = left <= limits.mostly_explained_excess_chi2
+    small = largest_excess <= limits.mostly_explained_excess_chi2
     immaterial = explained[0][0] and _finite(record.left_of_excitation) <= limits.material_voltage
     strained = _finite(record.shape_widths) > limits.shape_widths
     if (small or immaterial) and not strained:
@@ -134,7 +134,7 @@ def _periodic(record: VerdictRecord) -> list[Reason]:
 
 
 def _gates_off(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
-    """Readings with the gates off are few among thousands of equations, so they are tested by themselves."""
+    """Readings with the gates off are few among thousands of equations, so that they are tested separately."""
     volts, least = record.gates_off_v or 0.0, _finite(record.least_excitation_v)
     limit = limits.material_voltage * least
     chance = 1.0 if record.gates_off_probability is None else record.gates_off_probability
@@ -149,7 +149,7 @@ def _gates_off(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
 
 
 def _doubts(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
-    """Why a model that fits may still be wrong."""
+    """Reasons why a model that fits may still be wrong."""
     doubts = []
     if large := jointly_implausible(record.effect_widths, limits):
         sizes = listed([f"{plain(name)} ({number(record.effect_widths[name], 2)})" for name in large])
@@ -180,13 +180,13 @@ def _doubts(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
 
 
 def _hidden_by_band(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
-    """Nothing was found, and the map is so uncertain that an effect that matters would not have shown."""
+    """The reason against ``clean`` where the map is too uncertain to show a material effect."""
     band = record.map_error
     if band is None or band <= limits.material_flux:
         return []
-    value, most = _apart(100.0 * band, 100.0 * limits.material_flux)
+    value, allowed = _as_texts(100.0 * band, 100.0 * limits.material_flux)
     text = (
-        f"The map is uncertain by {value} % of the rated flux. Above {most} % an effect that matters may not show. "
+        f"The map is uncertain by {value} % of the rated flux. Above {allowed} % an effect that matters may not show. "
         "More or longer stages narrow it."
     )
     return [_percentage("map_error", band, limits.material_flux, text)]
@@ -194,13 +194,13 @@ def _hidden_by_band(record: VerdictRecord, limits: VerdictLimits) -> list[Reason
 
 def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) -> list[Reason]:
     chi2 = _finite(record.chi2_after)
-    value, most = _apart(chi2, limit)
+    value, allowed = _as_texts(chi2, limit)
     fell = f"fell from {number(record.chi2_before)} to {value}" if record.effects else f"is {value}"
-    text = f"chi2 per degree of freedom {fell}; noise alone makes up to {most}."
+    text = f"chi2 per degree of freedom {fell}; noise alone makes up to {allowed}."
     reasons = [Reason(quantity="chi2_per_dof", value=chi2, limit=limit, sentence=text)]
     if record.held_out_chi2 is not None:
-        value, most = _apart(record.held_out_chi2, held_out_limit)
-        text = f"The stages that were not fitted have chi2 {value} per degree of freedom; up to {most} is allowed."
+        value, allowed = _as_texts(record.held_out_chi2, held_out_limit)
+        text = f"The stages that were not fitted have chi2 {value} per degree of freedom; up to {allowed} is allowed."
         held_out = Reason(
             quantity="held_out_chi2_per_dof", value=record.held_out_chi2, limit=held_out_limit, sentence=text
         )
@@ -209,45 +209,45 @@ def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) ->
 
 
 def _of_chi2(record: VerdictRecord, limit: float, claim: str) -> Reason:
-    """The larger chi2 of the fitted and the held-out stages against an excess that a verdict allows."""
+    """Comparison of the larger chi2 of fitted and held-out stages with the excess that a verdict allows."""
     fitted, largest = _finite(record.chi2_after), _largest_chi2(record)
-    value, most = _apart(largest, 1.0 + limit)
+    value, allowed = _as_texts(largest, 1.0 + limit)
     name, stages = "chi2_per_dof", "The fitted stages"
     if largest > fitted:
         name, stages = "held_out_chi2_per_dof", "The stages that were not fitted"
-    text = f"{stages} have chi2 {value} per degree of freedom; {plain(claim)} is allowed up to {most}."
+    text = f"{stages} have chi2 {value} per degree of freedom; {plain(claim)} is allowed up to {allowed}."
     return Reason(quantity=name, value=largest, limit=1.0 + limit, sentence=text)
 
 
 def _of_fraction(fraction: float, limit: float, claim: str) -> Reason:
-    value, most = _apart(100.0 * fraction, 100.0 * limit)
-    text = f"{value} % of the first error is left; {plain(claim)} is allowed up to {most} %."
+    value, allowed = _as_texts(100.0 * fraction, 100.0 * limit)
+    text = f"{value} % of the first error is left; {plain(claim)} is allowed up to {allowed} %."
     return _percentage("left_of_first_error", fraction, limit, text)
 
 
 def _of_voltage(record: VerdictRecord, limit: float) -> Reason:
     part = _finite(record.left_of_excitation)
-    value, most = _apart(100.0 * part, 100.0 * limit)
-    text = f"What is left is {value} % of the applied voltage (rms); up to {most} % does not matter."
+    value, allowed = _as_texts(100.0 * part, 100.0 * limit)
+    text = f"What is left is {value} % of the applied voltage (rms); up to {allowed} % does not matter."
     return _percentage("left_of_excitation", part, limit, text)
 
 
 def _of_fine_map(record: VerdictRecord, limits: VerdictLimits) -> Reason:
     chi2, limit = _finite(record.chi2_after), 1.0 + limits.noise_accuracy_excess_chi2
-    value, most = _apart(chi2, limit)
+    value, allowed = _as_texts(chi2, limit)
     text = (
-        f"The map is finer than smooth iron needs, and chi2 per degree of freedom is still {value}, above {most}: the "
-        "effects may stand in for detail of the map."
+        f"The map is finer than smooth iron needs, and chi2 per degree of freedom is still {value}, above {allowed}: "
+        "the effects may stand in for detail of the map."
     )
     return Reason(quantity="chi2_per_dof_on_fine_map", value=chi2, limit=limit, sentence=text)
 
 
 def _of_shape(record: VerdictRecord, limits: VerdictLimits) -> Reason:
     widths = _finite(record.shape_widths)
-    value, most = _apart(widths, limits.shape_widths)
+    value, allowed = _as_texts(widths, limits.shape_widths)
     text = (
         f"A shape parameter of {plain(record.shape_effect or 'an effect')} is {value} standard deviations of its prior "
-        f"from its usual value, and {most} is the limit: the effect may stand in for another one."
+        f"from its usual value, and {allowed} is the limit: the effect may stand in for another one."
     )
     return Reason(quantity="shape_widths", value=widths, limit=limits.shape_widths, sentence=text)
 
@@ -265,12 +265,12 @@ def _largest_chi2(record: VerdictRecord) -> float:
 
 
 def _finite(value: float | None) -> float:
-    """A record's number; null there is a number that is not finite."""
+    """A record's number; None in the record stands for a number that is not finite."""
     return math.inf if value is None else value
 
 
-def _apart(value: float, limit: float) -> tuple[str, str]:
-    """Both as text, with as many digits as show which one is larger."""
+def _as_texts(value: float, limit: float) -> tuple[str, str]:
+    """Value and limit as texts with enough digits to show which one is larger."""
     digits = next((d for d in range(3, 12) if _text(value, d) != _text(limit, d)), 3)
     return _text(value, digits), number(limit, 3) if float(f"{limit:.3g}") == limit else _text(limit, digits)
 

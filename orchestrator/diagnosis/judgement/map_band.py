@@ -1,14 +1,13 @@
-"""How uncertain R_s and the map are: by noise, by the effects of the model, and by those that it might lack."""
+"""Uncertainty of R_s and the map: by noise, by the model's effects, and by absent effects that may exist."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, Library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, form_std, projected_rows
@@ -17,17 +16,17 @@ from orchestrator.numerics.types import Array
 
 
 @dataclass(frozen=True)
-class Unseen:
-    """An effect that is not in the model, as the recording would have it to first order.
+class AbsentEffect:
+    """First-order estimate of an effect that is not in the model.
 
     Attributes
     ----------
     probability : float
-        That it is there all the same.
+        Probability that it exists.
     shift : array, shape (1 + free,)
-        By how much R_s and the map's free numbers would move.
+        Change of R_s and the map's free coefficients with it.
     covariance : array, shape (1 + free, 1 + free)
-        Theirs where it is free.
+        Their covariance with the effect free.
     """
 
     probability: float
@@ -37,36 +36,35 @@ class Unseen:
 
 @dataclass(frozen=True)
 class MapUncertainty:
-    """Of R_s and the map's free numbers, all effects of the model following.
+    """Uncertainty of R_s and the map's free coefficients, with all effects of the model free.
 
     Attributes
     ----------
     covariance : array, shape (1 + free, 1 + free)
-        As noise has it, which is as large as it turned out to be.
+        Covariance by noise, inflated to the residual.
     pulls : array, shape (segments, 1 + free)
-        What each segment's residual alone makes of them: their disagreement is the sandwich estimate with segments
-        as clusters (H. White, Econometrica 48 (1980), doi:10.2307/1912934).
+        Estimates from each segment alone, for the sandwich estimate (H. White 1980, doi:10.2307/1912934).
     forms : array, shape (coordinates, 1 + free)
-        What the effects' forms leave out, a row for each free coordinate.
-    unseen : tuple of Unseen
+        Change by the error of the effects' forms, a row for each free coordinate.
+    absent : tuple of AbsentEffect
     """
 
     fit: Fit
     covariance: Array
     pulls: Array
     forms: Array
-    unseen: tuple[Unseen, ...]
+    absent: tuple[AbsentEffect, ...]
 
     @classmethod
-    def of(cls, fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect] = ()) -> MapUncertainty:
-        """That of a fit; effects of the library that are not in the model might be there all the same."""
+    def of(cls, fitter: Fitter, fit: Fit, library: Library = ()) -> MapUncertainty:
+        """Uncertainty of a fit; effects of the library that are not in the model may exist nevertheless."""
         width, count = fit.normal.shape[0], len(fit.model.free)
         absent = [c for c in library if c.name not in fit.model.names]
         columns = absent_columns(absent)
-        loose = fitter.evaluate(fit.model, fit.frame, columns, known=fit) if columns else fit
+        loose = fitter.evaluate(fit.model, fit.linearisation, columns, known=fit) if columns else fit
         total, pulls = loose.system()
-        own = np.arange(width + count)
-        inverse = np.linalg.inv(total[np.ix_(own, own)])
+        fitted = np.arange(width + count)
+        inverse = np.linalg.inv(total[np.ix_(fitted, fitted)])
         noise = max(fit.chi2_per_dof, 1.0)
         forms = np.zeros((0, width))
         if count:
@@ -77,30 +75,30 @@ class MapUncertainty:
         return cls(
             fit=fit,
             covariance=noise * inverse[:width, :width],
-            pulls=pulls[:, own] @ inverse[:, :width],
+            pulls=pulls[:, fitted] @ inverse[:, :width],
             forms=forms,
-            unseen=tuple(_unseen(fit, total, pulls.sum(axis=0), own, np.array(at), c) for c, at in places),
+            absent=tuple(_absent_effect(fit, total, pulls.sum(axis=0), fitted, np.array(at), c) for c, at in places),
         )
 
     def spread(self, rows: Array) -> Array:
-        """Standard deviation of linear combinations, shape (n,), of R_s and the map's free numbers, (n, 1 + free)."""
+        """Standard deviation (n,) of linear combinations (n, 1 + free) of R_s and the map's free coefficients."""
         noise = _quadratic(rows, self.covariance)
         variance = np.maximum(noise, np.sum((self.pulls @ rows.T) ** 2, axis=0))
         variance = variance + np.sum((self.forms @ rows.T) ** 2, axis=0)
-        for one in self.unseen:
+        for one in self.absent:
             more = np.maximum(_quadratic(rows, one.covariance) - noise, 0.0)
             variance = variance + one.probability * (more + (rows @ one.shift) ** 2)
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
     @property
     def resistance_ohm(self) -> float:
-        """Standard deviation of R_s."""
+        """Standard deviation of R_s [ohm]."""
         row = np.zeros((1, len(self.covariance)))
         row[0, 0] = 1.0
         return float(self.spread(row)[0])
 
     def band_wb(self, i_dq: Array) -> float:
-        """Half width of the flux's 95 % band, rms over some currents and both axes [Wb]."""
+        """Half width of the flux's 95 % band, rms over given currents and both axes [Wb]."""
         if self.fit.model.space.directions.shape[1] == 0:
             return 0.0
         rows = flux_rows(self.fit, i_dq)
@@ -108,7 +106,7 @@ class MapUncertainty:
         return INTERVAL_SIGMAS * math.sqrt(float(np.mean(spread**2)))
 
     def of_map(self, i_dq: Array) -> Array:
-        """Standard deviations of psi_d and psi_q beyond those at rest, L_dd, L_dq, L_qq at some currents, (n, 5)."""
+        """Standard deviations (n, 5) of psi_d, psi_q (from zero current), L_dd, L_dq, L_qq at currents (n, 2)."""
         space, at_rest = self.fit.model.space, np.zeros((1, 2))
         spreads = []
         for order in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)):
@@ -121,7 +119,7 @@ class MapUncertainty:
 
 
 def flux_rows(fit: Fit, i_dq: Array) -> Array:
-    """Flux at some currents by the map's free numbers, less its mean, shape (2 n, free)."""
+    """Derivative of the flux at currents (n, 2), less its mean, by the map's free coefficients, (2 n, free)."""
     grid, rows = fit.model.space.grid, []
     for direction in fit.model.space.directions.T:
         flux = Magnetics(grid, direction).flux_and_inductance(i_dq)[0]
@@ -129,14 +127,16 @@ def flux_rows(fit: Fit, i_dq: Array) -> Array:
     return np.stack(rows, axis=1)
 
 
-def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidate: CandidateEffect) -> Unseen:
-    """What the recording has of one effect; `own` are the places of all that is fitted, `at` its own."""
+def _absent_effect(
+    fit: Fit, total: Array, pull: Array, fitted: Array, at: Array, candidate: CandidateEffect
+) -> AbsentEffect:
+    """Estimate of one absent effect; `fitted` are the indices of all fitted parameters, `at` the effect's."""
     width, noise = fit.normal.shape[0], max(fit.chi2_per_dof, 1.0)
-    both = np.concatenate([own, at])
+    both = np.concatenate([fitted, at])
     inverse = np.linalg.inv(total[np.ix_(both, both)])
-    block, across = inverse[len(own) :, len(own) :], inverse[:width, len(own) :]
+    block, across = inverse[len(fitted) :, len(fitted) :], inverse[:width, len(fitted) :]
     best = -block @ (pull[at] - candidate.standing)
-    # What would have to be beyond its bounds, such as a hysteresis below nothing, is something else.
+    # An estimate beyond the bounds, such as a negative hysteresis, is not this effect.
     size = _within_bounds(candidate, best)
     short = size - best
     prior = fit.criteria.selection.prior_probability
@@ -144,11 +144,11 @@ def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidat
     odds = gain + 0.5 * float(np.linalg.slogdet(block)[1]) + math.log(prior / (1.0 - prior))
     odds += candidate.prior_log_odds - 0.5 * float(candidate.standing @ candidate.standing)
     probability = 0.5 * (1.0 + math.tanh(0.5 * odds))
-    return Unseen(probability, across @ np.linalg.solve(block, size), noise * inverse[:width, :width])
+    return AbsentEffect(probability, across @ np.linalg.solve(block, size), noise * inverse[:width, :width])
 
 
 def _within_bounds(candidate: CandidateEffect, coordinates: Array) -> Array:
-    """Coordinates of an effect's amplitudes, each no further than its bounds."""
+    """Standardised amplitudes of an effect, limited to their bounds."""
     absent, pairs = candidate.absent(), zip(candidate.amplitudes, coordinates, strict=True)
     return np.array([absent.moved(name, float(x)).standardised_value(name) for name, x in pairs])
 

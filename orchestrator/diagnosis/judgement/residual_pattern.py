@@ -1,6 +1,6 @@
-"""What the leftover looks like, without physics: each shape is a set of free signals offered to the fit as an effect.
+"""Pattern of the residual: each pattern is a set of signals with free amounts, fitted like an effect.
 
-Shapes are attributed greedily, the one that explains most of what is still left first; names no cause.
+Patterns are attributed greedily, the one that explains most of the remaining residual first.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from protocols import Correction, EffectLayer, EffectParameters, ShapeGroup, Sig
 LEAST_PATTERN_SHARE: float = 0.02
 """Part of the residual below which a pattern is not reported."""
 LEAST_PATTERN_CHI2: float = 20.0
-"""chi2 that a residual's pattern has to explain: chance makes as much of a pattern's few signals once in 1e3."""
+"""Fall of chi2 required of a pattern; chance reaches it once in 1e3."""
 
 Field = Callable[[Signals, float], Array]
-"""Signals and the typical current [A] -> a signal of unit size."""
+"""Function of the signals and the typical current [A] that returns a signal of unit size, shape (n, 2)."""
 
 
 @dataclass(frozen=True)
 class _Addition:
-    """A signal of `size` that may be added to one quantity, in a free amount: an effect in all but its metadata."""
+    """A signal of `size` added to one quantity in a free amount: an effect without metadata."""
 
     name: str
     quantity: str
@@ -42,14 +42,14 @@ class _Addition:
         amount: float = amplitude("1", typical=1.0, prior_width=100.0, low=-1e9, high=1e9)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
-        """Add the signal in its amount."""
+        """Add the signal."""
         added = p.amount * self.size * self.field(signals, self.current_a)
         return Correction(**{self.quantity: getattr(signals, self.quantity) + added})
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """A set of signals that may be added to one quantity, in free amounts."""
+    """A pattern: signals added to one quantity in free amounts."""
 
     name: str
     quantity: str
@@ -60,7 +60,7 @@ class _Shape:
 
     @property
     def columns(self) -> list[tuple[EffectTerm, str]]:
-        """Each signal's amount, as `Fitter.evaluate` takes it."""
+        """Each signal's amount, for `Fitter.evaluate`'s `extra`."""
         parameters = _Addition.Parameters.declared()
         additions = [
             _Addition(self.name, self.quantity, field, self.current_a, self.size, self.layer) for field in self.fields
@@ -70,12 +70,12 @@ class _Shape:
 
 
 def residual_pattern(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[ShapeGroup, float]]:
-    """Shares of the leftover chi2 (above the noise), largest first; they add up to one.
+    """Shares of the excess chi2 by pattern, largest first; they add up to one.
 
     Parameters
     ----------
     current_a : float
-        A typical current, to give the shapes their width [A].
+        A typical current, which scales the patterns [A].
     """
     excess = fit.chi2 - fit.dof
     if excess <= 0.0:
@@ -86,21 +86,21 @@ def residual_pattern(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[S
     for shape in shapes:
         index[shape.name] = list(range(len(wanted), len(wanted) + len(shape.fields)))
         wanted += shape.columns
-    normal, right = fitter.evaluate(fit.model, fit.frame, wanted, known=fit).projected()
+    normal, right = fitter.evaluate(fit.model, fit.linearisation, wanted, known=fit).projected()
     fitted = len(fit.model.free)
     chosen = list(range(fitted))
     shares: list[tuple[ShapeGroup, float]] = []
-    left = dict(index)
+    remaining = dict(index)
     explained = _explained(normal, right, chosen)
-    while left:
+    while remaining:
         gains = {
-            name: _explained(normal, right, chosen + [fitted + k for k in where]) - explained
-            for name, where in left.items()
+            name: _explained(normal, right, chosen + [fitted + k for k in columns]) - explained
+            for name, columns in remaining.items()
         }
         name = max(gains, key=lambda n: gains[n])
         if gains[name] < max(LEAST_PATTERN_SHARE * excess, LEAST_PATTERN_CHI2):
             break
-        chosen += [fitted + k for k in left.pop(name)]
+        chosen += [fitted + k for k in remaining.pop(name)]
         explained += gains[name]
         group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
         shares.append((group, min(gains[name] / excess, 1.0)))
@@ -250,18 +250,18 @@ def _hum(frequency: float, axis: int) -> Field:
 
 
 def map_asymmetry(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[float, float], float]:
-    """How far the data want the map to break its symmetries.
+    """Violation of the map's symmetries that the residual suggests.
 
     Returns
     -------
     parity : (float, float)
-        Flux at the typical current [Wb] by which psi_d would be odd, and psi_q even, in i_q.
+        Flux at the typical current by which psi_d would be odd, and psi_q even, in i_q [Wb].
     reciprocity : float
         dpsi_d/di_q - dpsi_q/di_d over the mean inductance.
     """
     layer = EffectLayer.IRON
     shape = _Shape("breaks", "i_m_ab", (_mixed(1.0), _mixed(-1.0)), current_a, 0.01 * current_a, layer=layer)
-    normal, right = fitter.evaluate(fit.model, fit.frame, shape.columns, known=fit).projected()
+    normal, right = fitter.evaluate(fit.model, fit.linearisation, shape.columns, known=fit).projected()
     regular = normal + 1e-12 * np.diag(np.diag(normal) + 1e-300)
     fitted = len(fit.model.free)
     regular[:fitted, :fitted] += np.eye(fitted)

@@ -1,4 +1,4 @@
-"""Whether a recording has enough information to name a cause, and which effects it cannot separate. Fits nothing."""
+"""Whether a recording has enough information to name a cause, and which effects it cannot separate."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
 LEAST_CURRENT: float = 0.02
-"""Part of the rated current that has to have flowed."""
+"""Largest current required, relative to the rated one."""
 LEAST_CURRENT_SIGMAS: float = 5.0
-"""Standard deviations of a reading that the current has to have reached."""
+"""Largest current required, in standard deviations of a reading."""
 LEAST_HOLD_S: float = 0.01
-"""Length of a hold that carries information [s]."""
+"""Minimum length of an informative hold [s]."""
 LEAST_EQUATIONS: int = 10
-"""Equations of a sweep or an injection that carries information."""
+"""Minimum number of equations of an informative sweep or injection."""
 LEAST_OPERATING_POINTS: int = 6
-"""Places of the current plane below which no cause can be named: fewer than the unknowns of the simplest map."""
+"""Number of operating points below which no cause can be named: fewer than the simplest map's unknowns."""
 OPERATING_POINTS_PER_SWEEP: int = 2
-"""Places that a sweep visits, both its sides; a hold and an injection visit one."""
+"""Operating points of a sweep, one on each side; a hold or an injection has one."""
 
 _Reader = TypeVar("_Reader", bound=RecordingReader)
 _More = ParamSpec("_More")
@@ -34,22 +34,22 @@ _Result = TypeVar("_Result")
 
 
 _SWEEPS = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
-"""Stages that pass many currents."""
+"""Stages that sweep the current."""
 
 
 def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
-    """Refuse what has fewer equations, or fewer currents, than any model has unknowns.
+    """Refuse a recording with fewer equations, or fewer operating points, than any model has unknowns.
 
     Raises
     ------
     NotMeasuredError
-        In one line that says what there is and what there would have to be.
+        With the number present and the number required.
     """
     cutting = prepared.criteria.weak_form
     fs = prepared.manifest.drive.sampling_frequency_hz
-    least_hz = LEAST_SAMPLES_PER_TEST_FUNCTION / cutting.hat_s
-    if fs < least_hz:
-        problem = f"{fs:g} Hz is too slow for a diagnosis; expected {least_hz:g} Hz at least"
+    min_hz = LEAST_SAMPLES_PER_TEST_FUNCTION / cutting.hat_s
+    if fs < min_hz:
+        problem = f"{fs:g} Hz is too slow for a diagnosis; expected {min_hz:g} Hz at least"
         raise NotMeasuredError(prepared.manifest.name, "drive.sampling_frequency_hz", problem)
     low, high, q = prepared.current_range
     reach = max(-low, high, q)
@@ -70,12 +70,12 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
 
 
 def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[Concatenate[_Reader, _More], _Result]:
-    """Work on a recording that says so where its equations have no solution; the error's cause keeps where that was.
+    """Decorator of functions of a recording: equations without a solution raise a `NotMeasuredError`.
 
     Raises
     ------
     NotMeasuredError
-        In place of what linear algebra raises.
+        From the linear algebra's exception.
     """
 
     @wraps(work)
@@ -91,51 +91,51 @@ def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[C
 
 
 def _operating_points(prepared: PreparedRecording) -> int:
-    """How many places of the current plane were looked at for long enough."""
+    """Number of distinct operating points with enough data."""
     low, high, q = prepared.current_range
-    apart = SAME_CURRENT * max(-low, high, q)
-    covered = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _is_informative(p, apart)]
-    return sum(OPERATING_POINTS_PER_SWEEP * _sweeps(p, apart) or 1 for p in _distinct_segments(covered, apart))
+    same_a = SAME_CURRENT * max(-low, high, q)
+    covered = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _is_informative(p, same_a)]
+    return sum(OPERATING_POINTS_PER_SWEEP * _sweeps(p, same_a) or 1 for p in _distinct_segments(covered, same_a))
 
 
-def _sweeps(piece: SegmentData, apart_a: float) -> int:
-    """How many sweeps a segment holds beside each other; 0 of any other stage."""
+def _sweeps(piece: SegmentData, same_a: float) -> int:
+    """Number of parallel sweeps of a segment, at distinct currents across; 0 for other stages."""
     if piece.stage not in _SWEEPS:
         return 0
-    # Across its own direction, a segment that holds one has the width of its noise.
+    # Across its direction, a single sweep has only the width of its noise.
     across = math.sqrt(max(float(np.linalg.eigvalsh(np.cov(piece.signals.i_ab.T))[0]), 0.0))
-    return 1 + int(across / apart_a)
+    return 1 + int(across / same_a)
 
 
 def _seconds(piece: SegmentData) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 
-def _is_informative(piece: SegmentData, apart_a: float) -> bool:
-    """Whether a segment is long enough, and a hold has settled too."""
+def _is_informative(piece: SegmentData, same_a: float) -> bool:
+    """Whether a segment is long enough and, if it is a hold, has settled."""
     if piece.stage is not SegmentStage.RESISTANCE:
         return piece.windows.rows >= LEAST_EQUATIONS
     i = piece.signals.i_ab
     half, last = len(i) // 2, len(i) // 4
     moved = i[half:-last].mean(axis=0) - i[-last:].mean(axis=0)
-    return _seconds(piece) >= LEAST_HOLD_S and float(np.abs(moved).max()) < apart_a
+    return _seconds(piece) >= LEAST_HOLD_S and float(np.abs(moved).max()) < same_a
 
 
-def _distinct_segments(pieces: Sequence[SegmentData], apart_a: float) -> list[SegmentData]:
-    """Those whose currents are not those of one before: another mean, or another swing."""
+def _distinct_segments(pieces: Sequence[SegmentData], same_a: float) -> list[SegmentData]:
+    """Segments whose mean or swing of the current differs from all earlier ones."""
     different: list[SegmentData] = []
     marks: list[Array] = []
     for piece in pieces:
         i = piece.signals.i_ab
         mark = np.concatenate([i.mean(axis=0), i.std(axis=0)])
-        if all(float(np.abs(mark - other).max()) > apart_a for other in marks):
+        if all(float(np.abs(mark - other).max()) > same_a for other in marks):
             different.append(piece)
             marks.append(mark)
     return different
 
 
 def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
-    """Remarks on effects that this recording cannot separate, whatever is found in it."""
+    """Remarks on effects that this recording cannot separate, independent of any fit."""
     missing: list[Remark] = []
 
     def add(code: str, text: str, **values: float) -> None:

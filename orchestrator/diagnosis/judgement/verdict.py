@@ -1,4 +1,4 @@
-"""The record that a verdict follows from, made of fits; `judge` turns it into the verdict."""
+"""The record of a search from which `judge` derives the verdict."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import excitation_v, gates_off_error, left_of_excitation
-from orchestrator.diagnosis.judgement.judge import fraction_left, jointly_implausible, judge
+from orchestrator.diagnosis.judgement.judge import jointly_implausible, judge, residual_fraction
 from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 from protocols import Verdict, VerdictLimits, VerdictRecord
 
 
 def verdict_limits(criteria: Criteria) -> VerdictLimits:
-    """The limits of a verdict among the criteria of a diagnosis."""
+    """The verdict's limits from the criteria of a diagnosis."""
     return VerdictLimits(
         **criteria.verdict.model_dump(exclude={"widest_band_percent"}), **criteria.materiality.model_dump()
     )
@@ -39,13 +39,13 @@ def verdict_record(
     Parameters
     ----------
     before, after : Fit
-        Without any effect, and with all of them.
+        Fits without any effect, and with all of them.
     effects : int
-        Number of effects that are named.
+        Number of named effects.
     periodic_lines : int
-        Number of lines in the holds' spectrum that are no switching ripple.
+        Number of lines in the holds' spectrum other than switching ripple.
     noise_v : float, optional
-        rms that noise alone would make [V].
+        rms residual by noise alone [V].
     current_error : float, optional
         rms error of the simulated current over its range.
     map_error : float, optional
@@ -69,12 +69,12 @@ def verdict_record(
 
 
 def fitted_verdict(before: Fit, after: Fit) -> Verdict:
-    """The verdict by the fitted stages alone, for decisions on names: the held-out stages decide none.
+    """The verdict from the fitted stages alone, for decisions of the search, which must not use held-out stages.
 
-    A search may take for explained what is not good enough for the report, so the limit of chi2 is wider here.
+    Its limit of chi2 is wider than the report's.
     """
-    own = {"explained_excess_chi2": MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH}
-    limits = verdict_limits(after.criteria).model_copy(update=own)
+    changes = {"explained_excess_chi2": MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH}
+    limits = verdict_limits(after.criteria).model_copy(update=changes)
     fields = _of_fitted_stages(before, after, len(after.model.active))
     return judge(VerdictRecord(**fields, limits=limits)).verdict
 
@@ -94,39 +94,41 @@ def _of_fitted_stages(before: Fit, after: Fit, effects: int) -> dict[str, Any]:
     }
 
 
-def left_fraction(before_chi2: float, after: Fit) -> float:
+def residual_fraction_of(before_chi2: float, after: Fit) -> float:
     """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
-    return fraction_left(before_chi2, after.chi2_per_dof, after.criteria.verdict.noise_chi2)
+    return residual_fraction(before_chi2, after.chi2_per_dof, after.criteria.verdict.noise_chi2)
 
 
 def most_strained(fit: Fit) -> str | None:
-    """The effect whose form is furthest from where such effects have theirs; None where none is too far."""
+    """The effect whose form is least plausible under its prior; None where all are within the limit."""
     strains = {a.name: _widths(a, [n for n in a.free if n not in a.candidate.amplitudes]) for a in fit.model.active}
-    most = max(strains, key=lambda name: strains[name], default=None)
-    return most if most is not None and strains[most] > fit.criteria.verdict.shape_widths else None
+    furthest = max(strains, key=lambda name: strains[name], default=None)
+    return furthest if furthest is not None and strains[furthest] > fit.criteria.verdict.shape_widths else None
 
 
 def large_effects_together(fit: Fit) -> list[str]:
-    """Effects larger than most drives have them, the largest first, where they are so many that it is suspicious."""
+    """Effects larger than in most drives, the largest first; empty unless they are implausibly many."""
     widths = {a.name: _widths(a, a.candidate.amplitudes) for a in fit.model.active}
     return jointly_implausible(widths, verdict_limits(fit.criteria))
 
 
 def _widths(active: EffectTerm, names: Iterable[str]) -> float:
-    """Largest distance of some parameters from their usual values, in standard deviations of their priors."""
+    """Largest deviation of some parameters from typical, in standard deviations of their priors."""
     return max((abs(active.prior_residual(n)) for n in names), default=0.0)
 
 
 def held_out_chi2(fit: Fit) -> float | None:
-    """Mean square of what was held out, over noise and how far R_s and the map are uncertain; None where nothing was.
+    """Mean square of the held-out residual over noise and the uncertainty of R_s and the map; None without any.
 
-    The smoothness alone determines a point at the map's edge that no fit has seen: it may well be off.
+    The uncertainty matters at the map's edge, where only the smoothness prior determines a held-out point.
     """
     covariance = np.linalg.inv(fit.normal)
     squares, rows = 0.0, 0
-    for piece, frame, r, e in zip(fit.prepared.pieces, fit.frame.pieces, fit.resistance, fit.residual, strict=True):
+    for piece, linearisation, r, e in zip(
+        fit.prepared.pieces, fit.linearisation.pieces, fit.resistance, fit.residual, strict=True
+    ):
         if piece.held_out:
-            columns = np.column_stack([r, frame.white_basis])
+            columns = np.column_stack([r, linearisation.white_basis])
             squares += float(e @ np.linalg.solve(np.eye(len(e)) + columns @ covariance @ columns.T, e))
             rows += len(e)
     return squares / rows if rows else None

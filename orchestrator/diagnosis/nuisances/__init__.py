@@ -1,1 +1,1 @@
-"""What disturbs a measurement and is no effect to be named: rounding of commands and logs, ripple, scatter."""
+"""Nuisances of a measurement, which are modelled but not named as causes: rounding, ripple, scatter."""

@@ -1,16 +1,16 @@
-"""What the resistance takes of the current's ripple within a carrier period, behind a bridge that switches.
+"""Resistive voltage drop of the current ripple within a carrier period of a switching bridge.
 
-The weak form takes the current between two readings for a line. Pulses that stand in the middle of a period give flux
-and current a ripple odd about it, which has no mean; but the resistance damps the one, and saturation bends the other:
+The weak form takes the current as linear between readings. Pulses centred in a period cause a ripple of flux and
+current that is odd about the centre and has no mean, except by resistive damping and by saturation:
 
     mean i - line = -L^-1 R L^-1 M / T  -  1/2 L^-1 (psi(i + x) + psi(i - x) - 2 psi(i)),
     M_a = int int int (v_a - mean) dt^3 = V_dc T^3 (d_a^3 - d_a) / 24
 
-of each leg, the second term its mean over ripples x, T the carrier's period, d its duty with the zero sequence that
-centres the pulses. The first is of second order in R T / L: 3e-6 of the voltage of a machine of 4 ohm and 50 mH at
-10 kHz, 3e-4 of that of a servo of 0.5 ohm and 0.3 mH at 20 kHz, whose saturation adds a fifth of that.
-Source of the duties: D. G. Holmes, T. A. Lipo, Pulse Width Modulation for Power Converters, IEEE Press 2003, chapter 5,
-doi:10.1109/9780470546284; of the rest: the integrals of a circuit whose inductance changes little within a period.
+for each leg; the second term is averaged over ripples x, T is the carrier's period, d the duty with the zero sequence
+that centres the pulses. The first is of second order in R T / L: 3e-6 of the voltage for 4 ohm and 50 mH at 10 kHz,
+3e-4 for a servo of 0.5 ohm and 0.3 mH at 20 kHz, whose saturation adds a fifth of that. Source of the duties:
+D. G. Holmes, T. A. Lipo, Pulse Width Modulation for Power Converters, IEEE Press 2003, chapter 5,
+doi:10.1109/9780470546284. The rest integrates a circuit whose inductance is nearly constant within a period.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from orchestrator.numerics.types import Array
 from protocols import Signals
 
 LEAST_INDUCTANCE_RATIO = 0.1
-"""Of the nameplate's inductance, that saturation leaves at least: iron that is full still leaves the slots' leakage."""
+"""Smallest plausible inductance relative to the nameplate's: saturated iron still leaves the slot leakage."""
 
 
 def carrier_ripple_voltage(piece: SegmentData, signals: Signals, magnetics: Magnetics) -> Array:
-    """The voltage that is to be added to a segment's, so that the line between readings is right.
+    """Voltage to add to a segment's, as a correction for the linear interpolation of the current.
 
     Parameters
     ----------
     signals : Signals
-        With the impressed voltage and the resistance as they are.
+        Signals with the impressed voltage and the resistance.
 
     Returns
     -------
     array, shape (n, 2)
-        In the stator frame [V].
+        Voltage in the stator frame [V].
     """
     v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
     if not signals.bridge_on:
@@ -57,15 +57,15 @@ def carrier_ripple_voltage(piece: SegmentData, signals: Signals, magnetics: Magn
         x = _through(inductance, to_dq(spread[axis], angle))
         ahead, behind = (magnetics.flux_and_inductance(i_dq + side * x)[0] for side in (1.0, -1.0))
         bend = 0.5 * _through(inductance, ahead + behind - 2.0 * psi)
-        # A map that bends a ripple by more than itself is none yet.
+        # A map under trial may be too curved: its term is limited to the ripple itself.
         bent += np.clip(bend, -np.abs(x), np.abs(x))
     return np.ascontiguousarray(to_ab(ohm * (damped + bent), angle))
 
 
 def _believable(inductance: Array, signals: Signals) -> Array:
-    """The inductances (n, 3), the nameplate's where they are far below: a map on its way to where it fits may be any.
+    """The inductances (n, 3), replaced by the nameplate's where a map under trial has implausibly small ones.
 
-    Its ripple would lead it further away.
+    Their large ripple would make the descent diverge.
     """
     motor = signals.motor
     if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
@@ -90,7 +90,7 @@ def _through(inductance: Array, flux: Array) -> Array:
 
 @njit(cache=True, nogil=True)
 def _ripple(v_ab: Array, v_dc: Array, period_s: float) -> tuple[Array, Array]:
-    """M / T (n, 2) [V s], and two flux vectors (2, n, 2) [Wb] whose squares add up to the ripple's mean square."""
+    """M / T (n, 2) [V s], and two flux vectors (2, n, 2) [Wb] whose squares sum to the ripple's mean square."""
     n = v_ab.shape[0]
     moment, spread = np.empty((n, 2)), np.empty((2, n, 2))
     for k in range(n):
@@ -102,7 +102,7 @@ def _ripple(v_ab: Array, v_dc: Array, period_s: float) -> tuple[Array, Array]:
         moment[k, 0], moment[k, 1] = volts * m_alpha, volts * m_beta
         xx, yy, zz, xy, yz, xz = _met(x, x), _met(y, y), _met(z, z), _met(x, y), _met(y, z), _met(x, z)
         square = (0.5 * v_dc[k] * period_s) ** 2
-        # Of (2 a - b - c) / 3 and (b - c) / sqrt 3, as `vector_of` has them.
+        # Mean squares of (2 a - b - c) / 3 and (b - c) / sqrt 3, as in `vector_of`.
         alpha = square * max(0.0, 4.0 * xx + yy + zz - 4.0 * xy - 4.0 * xz + 2.0 * yz) / 9.0
         beta = square * max(0.0, yy + zz - 2.0 * yz) / 3.0
         both = square * (2.0 * xy - 2.0 * xz - yy + zz) / (3.0 * np.sqrt(3.0))
@@ -120,7 +120,7 @@ def _duty(above: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _met(one: float, other: float) -> float:
-    """Mean product of two legs' ripples, in squares of V_dc T / 2: their integrals up to the shorter, longer pulse."""
+    """Mean product of two legs' ripples in units of (V_dc T / 2)^2, integrated up to the shorter and longer pulse."""
     x, y = min(one, other), max(one, other)
     within = (1.0 - x) * (1.0 - y) * x * x * x / 3.0
     between = x * (1.0 - y) * (0.5 * (y * y - x * x) - (y * y * y - x * x * x) / 3.0)

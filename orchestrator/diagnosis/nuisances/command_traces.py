@@ -1,8 +1,8 @@
-"""What a recording's readings say of the volts of each command, beyond what the last readings and commands foretell.
+"""Likelihood gradient of the readings with respect to each voltage command, given a local ARX model.
 
-In a block of readings the next one is fitted as a combination of the last LAGS readings and commands. A volt on top of
-one command moves the current by what the nameplate's inductance and resistance say, and by what the fit says of the
-commands where that is certain; what a reading is off by tells of it as far as the combination does not follow.
+In a block of readings the next one is fitted as a combination of the last LAGS readings and commands. One volt added to
+a command moves the current as the nameplate's inductance and resistance predict, or the fit where it is precise; the
+residual is informative about it as far as the combination does not adapt.
 Source: L. Ljung, System Identification, 2nd edition, section 4.2 (ARX models), Prentice Hall 1999.
 """
 
@@ -21,28 +21,28 @@ from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
 LEAST_TIMER_STEP_S: float = 2e-9
-"""The finest step of a timer that is searched [s]: half a gigahertz is finer than the control's jitter."""
+"""Finest timer step that is searched [s]: half a gigahertz is finer than the control's jitter."""
 
 EXCITED_STAGES = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
-"""Stages whose commands move on purpose. Those of a hold move with the readings' own noise."""
+"""Stages whose commands vary by design; in a hold they only respond to the readings' noise."""
 LAGS = 30
-"""Readings and commands that the next reading is a combination of: some milliseconds."""
+"""Number of past readings and commands in the combination: a few milliseconds."""
 BLOCK_READINGS = 20_000
-"""Readings of one combination, many for its 120 numbers; what a machine does as it saturates is noise to it."""
+"""Readings fitted with one combination of 120 coefficients; saturation within a block acts as noise."""
 LEAST_BLOCK_READINGS = 20 * LAGS
 MAX_BLOCKS = 45
-"""That are looked at, evenly spread: a million readings tell as well as all of them."""
+"""Maximum number of blocks, evenly spread; a million readings suffice."""
 LINEAR_STRETCH_READINGS = 300
-"""Readings, evenly dividing a block, in which a machine hardly turns into another."""
+"""Readings in which a machine is nearly linear; divides a block evenly."""
 RELATIVE_RIDGE = 1e-7
-"""Of a regressor's variance: what stands still in a block foretells nothing there."""
+"""Ridge relative to a regressor's variance, for regressors that are constant in a block."""
 NAMEPLATE_RELATIVE_STD = 0.3
-"""Standard deviation of what a volt does in a sample by the nameplate, as a part of it."""
+"""Relative standard deviation of the nameplate's current response to a volt in one sample."""
 
 
 @dataclass(frozen=True)
 class CommandTrace:
-    """What a block of readings says.
+    """Likelihood of one block of readings.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class CommandTrace:
     pull_ab : array, shape (n, 2)
         Gradient of the log likelihood by each command's volts [1/V].
     information : float
-        About a command's volts on either axis, summed over the block [1/V^2].
+        Information on a command's voltage per axis, summed over the block [1/V^2].
     pwm_hz : float
     """
 
@@ -63,15 +63,15 @@ class CommandTrace:
 def command_traces(
     prepared: PreparedRecording, inductance_h: tuple[float, float], resistance_ohm: float
 ) -> list[CommandTrace]:
-    """What the readings say, block by block, where commands move by what a modulator's timer might round.
+    """Traces of the blocks whose commands vary by more than a modulator's timer may round.
 
     Parameters
     ----------
     prepared : PreparedRecording
     inductance_h : tuple of float
-        Along d and q, roughly.
+        Approximate L_d and L_q.
     resistance_ohm : float
-        Roughly.
+        Approximate R_s.
     """
     bus_v = prepared.manifest.drive.dc_bus_voltage_v
     fs = prepared.manifest.drive.sampling_frequency_hz
@@ -86,16 +86,16 @@ def command_traces(
     decay = np.exp(-resistance_ohm / (np.array(inductance_h) * fs))
     stride = max(1.0, len(blocks) / MAX_BLOCKS)
     chosen = [blocks[int(k * stride)] for k in range(int(len(blocks) / stride))]
-    return [_trace(piece, there, (1.0 - decay) / resistance_ohm, decay) for piece, there in chosen]
+    return [_trace(piece, rows, (1.0 - decay) / resistance_ohm, decay) for piece, rows in chosen]
 
 
 def _command_rms(command_ab: Array) -> float:
-    """rms of a command around its mean, along the axis on which it moves more [V]."""
+    """rms of a command around its mean, along the axis with the larger one [V]."""
     return float(command_ab.std(axis=0).max())
 
 
-def _trace(piece: SegmentData, there: slice, per_volt_dq: Array, decay_dq: Array) -> CommandTrace:
-    i_ab, command_ab = piece.current_ab[there], piece.command_ab[there]
+def _trace(piece: SegmentData, rows: slice, per_volt_dq: Array, decay_dq: Array) -> CommandTrace:
+    i_ab, command_ab = piece.current_ab[rows], piece.command_ab[rows]
     turn = rotation(piece.segment.rotor_angle_rad)
     per_volt, decay = (turn @ np.diag(x) @ turn.T for x in (per_volt_dq, decay_dq))
     residual, readings, commands, variance_by = _arx_residual(
@@ -104,7 +104,7 @@ def _trace(piece: SegmentData, there: slice, per_volt_dq: Array, decay_dq: Array
     floor = np.spacing(np.abs(i_ab).max()) ** 2 + np.finfo(np.float64).tiny
     weight = np.linalg.inv(residual.T @ residual / len(residual) + floor * np.eye(2))
     weighed, pull, information = residual @ weight, np.zeros_like(command_ab), 0.0
-    # By the nameplate the current has moved and decays; the combination takes off what it foretells from that.
+    # The nameplate's response and its decay, minus what the combination predicts from it.
     moved, certain = np.eye(2), (NAMEPLATE_RELATIVE_STD * float(np.abs(per_volt).max())) ** 2
     for lag in range(LAGS):
         if lag:
@@ -118,14 +118,14 @@ def _trace(piece: SegmentData, there: slice, per_volt_dq: Array, decay_dq: Array
 
 
 def _arx_residual(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array]:
-    """What the last readings and commands do not foretell of the next reading, and what they do.
+    """Residual and coefficients of the next reading's prediction by the last readings and commands.
 
     Returns
     -------
     residual : array, shape (n - LAGS, 2)
-        From reading LAGS on.
+        Residual from reading LAGS on.
     readings, commands : array, shape (LAGS, 2, 2)
-        By how much the step to the next reading follows each, the newest first.
+        Coefficients of the step to the next reading, the newest first.
     variance_by : array, shape (LAGS, 2, 2)
         Variance of `commands`.
     """
@@ -148,7 +148,7 @@ def _arx_residual(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, A
 
 
 def _of_commands(pull_ab: Array, delay_samples: float) -> Array:
-    """The gradient by the commands, from that by the acting voltages, which follow so many samples later."""
+    """The gradient by the commands from that by the acting voltages, which are delayed by so many samples."""
     whole = math.floor(delay_samples)
     part = delay_samples - whole
     later = np.concatenate([pull_ab[whole:], np.zeros((whole + 1, 2))])
@@ -156,19 +156,17 @@ def _of_commands(pull_ab: Array, delay_samples: float) -> Array:
 
 
 def _without_slope(pull_ab: Array, command_ab: Array) -> Array:
-    """The gradient by the commands' volts without its part linear in the command, a part of a block at a time.
+    """The gradient by the commands' voltage without its part linear in the command, removed per stretch of a block.
 
-    The combination is a whole block's; where the machine saturates on the way, it foretells too much or too little of
-    what a command does: a slope, which a part of a saw is too. And the commands at which sweeps rest lie as regularly
-    as their plan, so that one saw would stand for the slopes at all of them.
+    The combination belongs to a whole block. Where the machine saturates within it, the predicted response is wrong by
+    a slope, which resembles a part of a sawtooth. As sweeps dwell at regularly spaced commands, one sawtooth could
+    imitate the slopes at all of them.
     """
-    left = np.empty_like(pull_ab)
+    residual = np.empty_like(pull_ab)
     for start in range(0, len(pull_ab), LINEAR_STRETCH_READINGS):
-        there = slice(start, start + LINEAR_STRETCH_READINGS)
-        moved = command_ab[there] - command_ab[there].mean(axis=0)
+        rows = slice(start, start + LINEAR_STRETCH_READINGS)
+        moved = command_ab[rows] - command_ab[rows].mean(axis=0)
         size = float(np.einsum("ij,ij->", moved, moved))
-        slope = np.linalg.solve(
-            moved.T @ moved + (RELATIVE_RIDGE * size + 1e-300) * np.eye(2), moved.T @ pull_ab[there]
-        )
-        left[there] = pull_ab[there] - pull_ab[there].mean(axis=0) - moved @ slope
-    return left
+        slope = np.linalg.solve(moved.T @ moved + (RELATIVE_RIDGE * size + 1e-300) * np.eye(2), moved.T @ pull_ab[rows])
+        residual[rows] = pull_ab[rows] - pull_ab[rows].mean(axis=0) - moved @ slope
+    return residual

@@ -1,7 +1,6 @@
-"""Where currents rest: what a modulator's timer cannot resolve of a voltage that stands still errs all through.
+"""Dwells: stretches of constant current, where the rounding of a modulator's timer does not average out.
 
-A voltage that moves is dithered by its own course, and one that current control trembles with noise is so in part.
-Knows nothing of motors.
+A varying voltage is dithered by its course, and current control that responds to noise dithers a constant one partly.
 """
 
 from __future__ import annotations
@@ -16,17 +15,17 @@ from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
 
-def dwells(piece: SegmentData, *, still: float = 0.02, certain: float = 4.0, least: int = 3) -> tuple[slice, ...]:
-    """Samples of each stretch in which a segment's current stands still: all of a hold, the ends of a sweep's ramps.
+def dwells(piece: SegmentData, *, still: float = 0.02, certain: float = 4.0, min_windows: int = 3) -> tuple[slice, ...]:
+    """Slices of a segment's samples with constant current: all of a hold, the plateaus of a sweep.
 
     Parameters
     ----------
     still : float
-        Step of the current from window to window, as a part of a ramp's, below which it stands, ...
+        Step of the current between windows, relative to a ramp's, below which it is constant, ...
     certain : float
-        ... or standard deviations of the readings' noise in it, where that is more.
-    least : int
-        Windows that a stretch has at least.
+        ... or the same in standard deviations of its noise, where that is more.
+    min_windows : int
+        Minimum number of windows in a stretch.
     """
     if piece.stage is SegmentStage.RESISTANCE:
         return (slice(0, len(piece.signals.v_dc)),)
@@ -39,17 +38,17 @@ def dwells(piece: SegmentData, *, still: float = 0.02, certain: float = 4.0, lea
     stands = moved < max(still * float(moved.max(initial=0.0)), certain * noise_a)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]).astype(np.int8)))
     runs = zip(edges[::2], edges[1::2] + 1, strict=True)
-    return tuple(slice(int(a) * step, int(b) * step) for a, b in runs if b - a >= least)
+    return tuple(slice(int(a) * step, int(b) * step) for a, b in runs if b - a >= min_windows)
 
 
 @dataclass(frozen=True)
 class QuantiserScatter:
-    """What a modulator's timer does to a segment's held voltages, in units of what it does at its own PWM frequency.
+    """Rounding of a segment's held voltages by a modulator's timer.
 
     Attributes
     ----------
     steps : array, shape (rests,)
-        A step of the timer in volts grows with the PWM frequency: that over the drive's own.
+        Timer step in volts, relative to that at the drive's nominal PWM frequency.
     trembling_v : array, shape (rests,)
         rms of a leg's commanded voltage around its mean.
     """
@@ -59,32 +58,32 @@ class QuantiserScatter:
 
     @classmethod
     def of(cls, piece: SegmentData) -> QuantiserScatter:
-        """Of the rests of a segment."""
+        """For the dwells of a segment."""
         s, found = piece.signals, dwells(piece)
-        own = (s.drive.pwm_frequency_hz if s.drive is not None else None) or s.pwm_frequency_hz
+        drive_hz = (s.drive.pwm_frequency_hz if s.drive is not None else None) or s.pwm_frequency_hz
         trembling = [math.sqrt(0.5 * float(s.v_ab[dwell].var(axis=0).sum())) for dwell in found]
-        return cls(np.full(len(found), s.pwm_frequency_hz / own), np.array(trembling))
+        return cls(np.full(len(found), s.pwm_frequency_hz / drive_hz), np.array(trembling))
 
     def sizes(self, voltage_v: float, *, dithered: bool) -> Array:
-        """Standard deviation of each rest's voltage on either axis [V], where nothing trembles `voltage_v` at one step.
+        """Standard deviation of each dwell's voltage per axis [V]; `voltage_v` is that of an undithered unit step.
 
-        Noise dithers, if `dithered`: harmonic m of the error's sawtooth keeps exp(-2 (pi m sigma / q)^2) of itself,
-        q the step of a leg's voltage (B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661).
+        If `dithered`, noise sigma scales harmonic m of the error's sawtooth by exp(-2 (pi m sigma / q)^2), q the step
+        of a leg's voltage (B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661).
         """
         if voltage_v == 0.0 or not dithered:
             return voltage_v * self.steps
         q = leg_step_v(voltage_v) * self.steps
         m = np.arange(1.0, 1.0 + SAWTOOTH_HARMONICS)
-        # What trembles by more than a step keeps nothing, by however much.
+        # Noise above one step removes the error completely; limiting it avoids underflow.
         trembling = np.minimum(self.trembling_v / q, 10.0)
         kept = np.exp(-((2.0 * np.pi * m * trembling[:, None]) ** 2)) / m**2
         return np.asarray(voltage_v * self.steps * np.sqrt(kept.sum(axis=1) / (1.0 / m**2).sum()))
 
 
 SAWTOOTH_HARMONICS = 20
-"""Of a saw-tooth, of whose variance they are 97 %."""
+"""Harmonics of the sawtooth that are summed: 97 % of its variance."""
 
 
 def leg_step_v(voltage_v: float) -> float:
-    """A leg's step whose error, anywhere in it, is that much on an axis [V]: an axis has sqrt(2/3) of sqrt(1/12)."""
+    """A leg's step whose uniform rounding error has this rms per axis [V]: sqrt(2/3) sqrt(1/12) of the step."""
     return math.sqrt(18.0) * voltage_v

@@ -1,4 +1,4 @@
-"""Whether a log keeps so few decimals that its rounding shows beside the readings' noise. Allows for none of it."""
+"""Detection of logs with so few decimals that their rounding is noticeable beside the readings' noise."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from orchestrator.numerics.types import Array
 from protocols import Remark, SegmentStage
 
 FIRST_NUMBERS_CHECKED = 2000
-"""Numbers of a log that are checked first."""
+"""Number of values of a log that are checked first."""
 LEAST_ROUNDING_VARIANCE_RATIO = 0.1
-"""Of the noise's variance in an equation, from which on a rounding is spoken of."""
+"""Rounding variance over the noise's in an equation from which a remark is made."""
 
 
 def rounding_remarks(pieces: Sequence[SegmentData], noise: SensorNoise) -> list[Remark]:
@@ -44,10 +44,10 @@ def rounding_remarks(pieces: Sequence[SegmentData], noise: SensorNoise) -> list[
 
 
 def logged_step(pieces: Sequence[SegmentData], read: Callable[[SegmentData], Array]) -> float | None:
-    """The step of what was logged, as (alpha, beta), in the rotor's frame or as phases; None where it has none.
+    """The step of a log as (alpha, beta), in the rotor's frame or as phases; None where it has none.
 
-    Differences of two phases keep the step of the phases, whether a vector was made of two readings or of three; the
-    phases themselves have lost what three have in common, and are multiples of a third of it.
+    Differences of two phases keep the phases' step, for vectors from two or three readings. Phases computed from a
+    vector have lost the zero sequence and are multiples of a third of the step.
     """
     frames: tuple[Callable[[SegmentData], Array], ...] = (
         read,
@@ -75,12 +75,12 @@ def _between_phases(x_ab: Array) -> Array:
 
 
 def _rounding_variance_ratio(piece: SegmentData, noise: SensorNoise, step_v: float) -> float:
-    """Variance that a step's rounding makes in an equation of a hat, over that of the readings' noise."""
+    """Variance of a step's rounding in an equation of one test function, over that of the readings' noise."""
     signals, width = piece.signals, piece.windows.step
     ts, variance = 1.0 / signals.sampling_frequency_hz, 0.5 * float(np.trace(noise.of(piece)))
     motor = signals.motor
     henry = (motor.d_inductance_h if motor else None) or 0.0
     ohm = (motor.stator_resistance_ohm if motor else None) or 0.0
     rounded = ts**2 * step_v**2 / 12.0 / piece.averaged * 2.0 * width / 3.0
-    own = variance * (2.0 * henry**2 / width + (ohm * ts) ** 2 * 2.0 * width / 3.0)
-    return rounded / own if own > 0.0 else math.inf
+    reading_noise = variance * (2.0 * henry**2 / width + (ohm * ts) ** 2 * 2.0 * width / 3.0)
+    return rounded / reading_noise if reading_noise > 0.0 else math.inf

@@ -1,14 +1,13 @@
-"""What a modulator's timer makes of a command: each edge of a pulse meets the timer's next step. Looks for nothing.
+"""Rounding of voltage commands by a modulator's timer, which quantises each edge of a pulse.
 
-A leg's command x, in steps of its mean voltage q = 2 t_q f_pwm V_dc, is met exactly where x is a whole number and a
-part: of the rising edge one, of the falling edge another (the same, where one comparison makes both). In between, the
-leg's mean is off by
+With a leg's command x in steps of its mean voltage q = 2 t_q f_pwm V_dc, an edge is exact where x equals an integer
+plus the edge's phase; both phases are equal where one comparison makes both edges. In between, the leg's mean is off by
 
     -q/2 (S(x - x_rise) + S(x - x_fall)),    S(x) = x - floor(x) - 1/2
 
-(B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661, chapter 1). It is exact from command to
-command, so that nothing needs to be averaged out. Zero sequences: D. G. Holmes, T. A. Lipo, Pulse Width Modulation for
-Power Converters, IEEE Press 2003, doi:10.1109/9780470546284, section 6.3.
+(B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661, chapter 1), exactly for each command. Zero
+sequences: D. G. Holmes, T. A. Lipo, Pulse Width Modulation for Power Converters, IEEE Press 2003,
+doi:10.1109/9780470546284, section 6.3.
 """
 
 from __future__ import annotations
@@ -31,15 +30,15 @@ Numbers = TypeVar("Numbers", float, Array)
 
 @dataclass(frozen=True)
 class QuantiserEstimate:
-    """A timer as readings bear it.
+    """A timer as estimated from readings.
 
     Attributes
     ----------
     timer : ModulatorTimer
     gain : float
-        In log likelihood, by its rounding.
+        Gain in log likelihood by its rounding [nat].
     curvature : array, shape (1 + 2 frequencies, same)
-        Of minus the log likelihood, by the step's relative change and each frequency's two phases.
+        Hessian of minus the log likelihood by the step's relative change and each frequency's two phases.
     """
 
     timer: ModulatorTimer
@@ -47,7 +46,7 @@ class QuantiserEstimate:
     curvature: Array
 
     def moved(self, x: Array) -> ModulatorTimer:
-        """The timer whose step and phases are changed by so much."""
+        """The timer with step and phases changed by x."""
         timer, parts = self.timer, x[1:].reshape(-1, 2).tolist()
         phases = tuple(
             p.model_copy(update={"rise": (p.rise + rise) % 1.0, "fall": (p.fall + fall) % 1.0})
@@ -56,24 +55,24 @@ class QuantiserEstimate:
         return timer.model_copy(update={"step_s": timer.step_s * (1.0 + float(x[0])), "phases": phases})
 
     def at(self, pwm_hz: Sequence[float]) -> QuantiserEstimate:
-        """The timer with phases at those PWM frequencies too at which the readings tell none: any may be."""
-        there = {p.pwm_frequency_hz for p in self.timer.phases}
-        unknown = [TimerPhases(pwm_frequency_hz=f, rise=0.0, fall=0.0) for f in pwm_hz if f not in there]
+        """The estimate with unknown phases added at further PWM frequencies (zero curvature)."""
+        known = {p.pwm_frequency_hz for p in self.timer.phases}
+        unknown = [TimerPhases(pwm_frequency_hz=f, rise=0.0, fall=0.0) for f in pwm_hz if f not in known]
         timer = self.timer.model_copy(update={"phases": (*self.timer.phases, *unknown)})
         return replace(self, timer=timer, curvature=np.pad(self.curvature, (0, 2 * len(unknown))))
 
     def to(self, timer: ModulatorTimer) -> Array:
-        """By how much another differs, where it is known: what `moved` takes."""
-        there = {p.pwm_frequency_hz: p for p in timer.phases}
-        parts = [(there.get(p.pwm_frequency_hz, p), p) for p in self.timer.phases]
+        """The argument of `moved` that gives another timer; zero where that has no phases."""
+        known = {p.pwm_frequency_hz: p for p in timer.phases}
+        parts = [(known.get(p.pwm_frequency_hz, p), p) for p in self.timer.phases]
         off = [d for a, b in parts for d in (a.rise - b.rise, a.fall - b.fall)]
         return np.array([timer.step_s / self.timer.step_s - 1.0, *((np.array(off) + 0.5) % 1.0 - 0.5)])
 
 
 def with_quantiser(prepared: PreparedRecording, timer: ModulatorTimer | None) -> PreparedRecording:
-    """The recording with the voltages that the timer lets through, where its phases are known at the PWM frequency.
+    """The recording with voltages rounded by the timer, where its phases are known at the PWM frequency.
 
-    As commanded, where there is no timer.
+    Without a timer, with voltages as commanded.
     """
     bus_v = prepared.manifest.drive.dc_bus_voltage_v
     pieces = tuple(_impressed(p, timer, bus_v) for p in prepared.pieces)
@@ -81,12 +80,12 @@ def with_quantiser(prepared: PreparedRecording, timer: ModulatorTimer | None) ->
 
 
 def leg_step_of(step_s: float, pwm_frequency_hz: Numbers, bus_v: float) -> Numbers:
-    """By how much both edges' moving on by a step of the timer moves a leg's mean voltage [V]."""
+    """Change of a leg's mean voltage when both edges move by one timer step [V]."""
     return 2.0 * step_s * pwm_frequency_hz * bus_v
 
 
-def own_leg_step_of(step_s: float, drive: DriveRecord) -> float:
-    """The same at the drive's own PWM frequency."""
+def nominal_leg_step_of(step_s: float, drive: DriveRecord) -> float:
+    """`leg_step_of` at the drive's nominal PWM frequency [V]."""
     return leg_step_of(step_s, drive.pwm_frequency_hz or drive.sampling_frequency_hz, drive.dc_bus_voltage_v)
 
 
@@ -102,7 +101,7 @@ def _impressed(piece: SegmentData, timer: ModulatorTimer | None, bus_v: float) -
 
 
 def added_by(timer: ModulatorTimer, piece: SegmentData, bus_v: float) -> Array | None:
-    """What the timer adds to each command of a piece (readings, 2) [V]; None where its phases are unknown there."""
+    """Rounding of each command of a segment (readings, 2) [V]; None where the timer's phases are unknown there."""
     pwm_hz = piece.signals.pwm_frequency_hz
     phases = next((p for p in timer.phases if math.isclose(p.pwm_frequency_hz, pwm_hz)), None)
     if phases is None or not piece.signals.bridge_on:
@@ -112,7 +111,7 @@ def added_by(timer: ModulatorTimer, piece: SegmentData, bus_v: float) -> Array |
 
 
 def rounded_by(v_ab: RealArray, step_v: float, rise: float, fall: float, *, centred: bool) -> Array:
-    """What the timer adds to each command (n, 2) [V].
+    """Rounding of each command (n, 2) [V].
 
     Parameters
     ----------
@@ -120,7 +119,7 @@ def rounded_by(v_ab: RealArray, step_v: float, rise: float, fall: float, *, cent
     step_v : float
         `leg_step_of` its timer.
     rise, fall : float
-        Parts of a step at which either edge meets a command exactly.
+        Phases of the edges, in steps.
     centred : bool
         See `ModulatorTimer`.
     """
@@ -141,7 +140,7 @@ def legs_of(v_ab: Array, centred: bool) -> Array:
 
 @njit(cache=True, nogil=True)
 def legs_rounded_by(v_ab: Array, step_v: float, rise: float, fall: float, centred: bool) -> Array:
-    """What the timer adds to the mean of each leg (n, 3) [V]; parameters as of `rounded_by`."""
+    """Rounding of the mean of each leg (n, 3) [V]; parameters as in `rounded_by`."""
     out = legs_of(v_ab, centred)
     for k in range(v_ab.shape[0]):
         for leg in range(3):
@@ -160,6 +159,6 @@ def _rounded_by(v_ab: Array, step_v: float, rise: float, fall: float, centred: b
 
 @njit(cache=True, nogil=True, inline="always")
 def _off(x: float, rise: float, fall: float) -> float:
-    """A leg's mean over its command, in steps."""
+    """A leg's mean minus its command, in steps."""
     up, down = x - rise, x - fall
     return -0.5 * (up - math.floor(up) + down - math.floor(down) - 1.0)

@@ -1,8 +1,7 @@
-"""A refined estimate of the modulator's quantiser, from the voltages that hold constant currents.
+"""Refined estimate of the modulator's quantiser from the voltages of dwells.
 
-Readings tell a step to a ten-thousandth of itself, and its phases to some hundredths; a hold's mean voltage is known to
-microvolts where the forms of all effects are. Quantiser and remaining scatter are estimated in turn, each given the
-other.
+Readings determine a step to 1e-4 and its phases to a few hundredths; a hold's mean voltage is known to microvolts where
+the effects' forms are. Quantiser and remaining scatter are estimated alternately.
 """
 
 from __future__ import annotations
@@ -23,32 +22,32 @@ from orchestrator.numerics.types import Array, Indices
 from protocols import ModelNoise, ModulatorTimer
 
 SIMPLEX_STEP_CHANGE = 0.1
-"""Of a step: by how much the largest command may miss it where a search begins."""
+"""Initial simplex: change of the largest command, in steps."""
 PHASES_TRIED = 12
-"""Of a step, of either edge, that are tried before the descent."""
+"""Phases of each edge tried before the descent."""
 SIMPLEX_PHASE = 0.04
-"""Of a step, by which a phase may be off where a search begins."""
+"""Initial simplex: change of a phase, in steps."""
 MAX_COMMANDS_PER_DWELL = 400
-"""Of each rest: they tremble alike all through."""
+"""Maximum number of commands used of each dwell."""
 MAX_ALTERNATIONS = 6
-"""How often quantiser and scatter are estimated, each given the other."""
+"""Maximum number of alternations between quantiser and scatter."""
 
 
 def quantiser_of_dwells(
     prepared: PreparedRecording, likelihood: Likelihood, scatter: ModelNoise, estimate: Sequence[QuantiserEstimate]
 ) -> tuple[ModulatorTimer, ModelNoise]:
-    """The likeliest timer in the neighbourhood of those that the readings bear, and what scatters beside it.
+    """The likeliest timer near the estimates from readings, and the scatter beside it.
 
     Parameters
     ----------
     prepared : PreparedRecording
-        Whose commands the rests' are.
+        Recording with the dwells' commands.
     likelihood : Likelihood
-        Of the same recording with its voltages as they were commanded.
+        Likelihood of the same recording with voltages as commanded.
     scatter : ModelNoise
-        Beside a timer. Holds alone do not separate the readings' scatter from the voltages'.
+        Initial scatter beside a timer; holds alone do not separate the readings' scatter from the voltages'.
     estimate : sequence of QuantiserEstimate
-        One or more.
+        One or more estimates.
     """
     if not likelihood.dwells:
         return estimate[0].timer, scatter
@@ -62,7 +61,7 @@ def quantiser_of_dwells(
             for family in counter_models(known, known.to(known.timer))
         ]
     best = min(free, key=lambda one: one.cost)
-    # That a timer counts from the carrier's turns needs no evidence, that it does not does.
+    # A counter model is the default; a timer without one needs evidence.
     evidence = 2.0 * prepared.criteria.selection.log_evidence
     best = min([one for one in constrained if one.cost < best.cost + evidence], key=lambda one: one.cost, default=best)
     return best.timer, best.scatter
@@ -94,14 +93,14 @@ def _alternate(
 
 @dataclass(frozen=True)
 class _HeldCommands:
-    """The commands of every rest, in the order of what the likelihood says of their volts."""
+    """The commands of every dwell, in the likelihood's order."""
 
     commands: Array
-    """Of all rests, evenly spread in each (n, 2) [V]."""
+    """Commands of all dwells, evenly spread in each (n, 2) [V]."""
     starts: Indices
-    """Where each rest's begin (rests,)."""
+    """Index of each dwell's first command (dwells,)."""
     mean_v: Array
-    """Of its legs (rests, 3)."""
+    """Mean of each leg (dwells, 3)."""
     pwm_hz: Array
     bus_v: float
     centred: bool
@@ -123,32 +122,32 @@ class _HeldCommands:
         return cls(np.concatenate(commands), starts, np.array(mean), np.array(pwm), bus_v, centred)
 
     def rounded_by(self, timer: ModulatorTimer) -> Array:
-        """Mean of what the rounding adds in each rest (2 rests,)."""
+        """Mean rounding in each dwell (2 dwells,) [V]."""
         out = np.empty((len(self.starts), 2))
         ends = np.append(self.starts[1:], len(self.commands))
         for phases in timer.phases:
             step_v = leg_step_of(timer.step_s, phases.pwm_frequency_hz, self.bus_v)
             for first, last in self.runs(phases.pwm_frequency_hz):
-                there = slice(self.starts[first], ends[last - 1])
-                off = rounded_by(self.commands[there], step_v, phases.rise, phases.fall, centred=self.centred)
+                rows = slice(self.starts[first], ends[last - 1])
+                off = rounded_by(self.commands[rows], step_v, phases.rise, phases.fall, centred=self.centred)
                 sums = np.add.reduceat(off, self.starts[first:last] - self.starts[first], axis=0)
                 out[first:last] = sums / (ends[first:last] - self.starts[first:last])[:, None]
         return out.ravel()
 
     def runs(self, pwm_hz: float) -> list[tuple[int, int]]:
-        """Rests in a row at a PWM frequency, from the first on to before the last."""
+        """Ranges of consecutive dwells at a PWM frequency."""
         at = np.flatnonzero(np.diff(np.concatenate([[0], self.pwm_hz == pwm_hz, [0]])))
         return list(zip(at[::2].tolist(), at[1::2].tolist(), strict=True))
 
     def finest(self, step_s: float) -> float:
-        """Part of a step by which the largest command is one step more."""
+        """Relative change of the step that changes the largest command by one step."""
         steps = np.abs(self.mean_v) / leg_step_of(step_s, self.pwm_hz, self.bus_v)[:, None]
         return 1.0 / max(float(steps.max()), 1.0)
 
 
 @dataclass(frozen=True)
 class _JointEstimate:
-    """A timer, what scatters beside it, and minus twice the log likelihood of both."""
+    """A timer, the scatter beside it, and minus twice the log likelihood of both."""
 
     timer: ModulatorTimer
     scatter: ModelNoise
@@ -156,12 +155,12 @@ class _JointEstimate:
 
 
 def _log_likelihood_gain(volts: Array, normal: Array, pull: Array) -> float:
-    """What volts in the rests gain in log likelihood, everything else following."""
+    """Gain in log likelihood by voltages in the dwells, all else adapting."""
     return -float(volts @ pull + 0.5 * volts @ normal @ volts)
 
 
 def _scan_phases(held: _HeldCommands, estimate: QuantiserEstimate, normal: Array, pull: Array) -> Array:
-    """The likeliest phases of those that are tried, for one PWM frequency after the other, twice."""
+    """The likeliest of the phases tried, for one PWM frequency after the other, in two passes."""
     x = np.zeros(len(estimate.curvature))
     offs = (np.arange(PHASES_TRIED) / PHASES_TRIED + 0.5) % 1.0 - 0.5
     for at in [*range(1, len(x), 2)] * 2:
@@ -177,17 +176,17 @@ def _with_phase(x: Array, at: int, rise: float, fall: float) -> Array:
 
 
 def _cost(held: _HeldCommands, estimate: QuantiserEstimate, x: Array, normal: Array, pull: Array) -> float:
-    """Minus the log likelihood of a timer that differs so from the readings' own."""
+    """Minus the log likelihood of a timer that differs by x from the readings' estimate."""
     return 0.5 * float(x @ estimate.curvature @ x) - _log_likelihood_gain(
         held.rounded_by(estimate.moved(x)), normal, pull
     )
 
 
 def _minimise(held: _HeldCommands, estimate: QuantiserEstimate, start: Array, normal: Array, pull: Array) -> Array:
-    """How the likeliest timer near `start` differs from the readings', which have their say."""
+    """x of the likeliest timer near `start`, including the readings' likelihood."""
     from scipy.optimize import minimize
 
-    # Across the simplex the largest command moves by no more than a part of a step.
+    # Within the initial simplex the largest command moves by a fraction of a step.
     size = np.array([SIMPLEX_STEP_CHANGE * held.finest(estimate.timer.step_s), *[SIMPLEX_PHASE] * (len(start) - 1)])
     simplex = np.concatenate([start[None], start + np.diag(size)])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-5, "fatol": 0.05, "maxfev": 100 * len(start)}

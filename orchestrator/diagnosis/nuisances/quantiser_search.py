@@ -1,11 +1,10 @@
-"""Whether readings bear a modulator's timer, and which: its step, and where its steps lie. Asks no model.
+"""Detection of a modulator's timer in raw readings, and estimate of its step and phases, without a motor model.
 
-Over a tenth of a second a machine at rest is linear: the next reading is a combination of the last readings and
-commands, whatever it saturates, heats or loses. What such a combination, fitted block by block, leaves of the current
-is noise, and what the rounding of the last commands moved. Rounding is a function of the command alone: gathered by
-command, what is left has a line in its Fourier transform where the frequency is one over the timer's step, and of that
-line's harmonics give the two phases. Every part of a recording and every leg has to show it: a pattern that one
-sweep, injection or phase happens to make is none.
+Over a tenth of a second a machine at standstill is linear: the next reading is a combination of the last readings and
+commands. The residual of such a combination, fitted block by block, consists of noise and the response to the rounding
+of recent commands. Rounding is a function of the command alone: sorted by command, the residual has a line in its
+Fourier transform at one over the timer's step, whose harmonics give the two phases. All blocks and legs have to show
+it, which excludes a pattern that one sweep, injection or phase makes by chance.
 """
 
 from __future__ import annotations
@@ -27,70 +26,72 @@ from orchestrator.numerics.types import Array
 from protocols import ModulatorTimer, TimerPhases
 
 MAX_TIMER_STEP_S: float = 3.5e-8
-"""Step of a modulator's timer that scatters held voltages and counts as noise [s]: timers of drives run at 30 MHz and
-more."""
+"""Largest step of a modulator's timer [s]: timers of drives run at 30 MHz and more."""
 
 FREQUENCY_SPACING_LINEWIDTHS = 0.1
-"""Of a line's width, from one step that is tried to the next."""
+"""Spacing of the frequencies tried, in line widths."""
 ZERO_PADDING_FACTOR = 8
-"""Lines in a Fourier transform, over those of the commands' own span."""
+"""Zero padding of the Fourier transform."""
 COMMAND_STRIDE = 10
-"""Every so many-th command shows how much commands move."""
+"""Stride of the commands from which their spread is estimated."""
 BACKGROUND_HALF_WIDTH = 400
-"""Steps on either side of one that tell what chance, and everything that is no timer, comes to there."""
+"""Frequencies on either side of a line from which the background is estimated."""
 PEAKS_REFINED = 4
-"""Lines that are refined with the sawtooth itself."""
+"""Number of lines that are refined with the complete sawtooth."""
 SAWTOOTH_HARMONICS = 4
-"""Of the saw: sixteen parts in seventeen of its power."""
+"""Harmonics of the sawtooth that are used: 87 % of its power."""
 PHASES_PER_STEP = 32
-"""Phases within a step that are tried for either edge."""
+"""Phases within a step that are tried for each edge."""
 LEAST_GAIN_RATIO_TO_BEST = 0.5
-"""Of what the likeliest gains: what gains less is no rival."""
+"""Gain of an alternative timer relative to the likeliest, below which it is dropped."""
 SAME_STEP_TOLERANCE = 1e-3
-"""Of a step: what differs by less is one."""
+"""Relative difference below which two steps are the same."""
 PHASE_BIAS_STD = 0.06
-"""Of a step: by how much readings may tell phases wrongly beside chance. On a practice recording of another plant one
-phase of both edges was estimated as two, 0.02 below and 0.14 above it, where chance is below 0.01."""
+"""Systematic error of phases from readings, in steps. On a recording of another plant a common phase of both edges was
+estimated as two, 0.02 below and 0.14 above it, with a random error below 0.01."""
 BLOCK_READINGS = 300
-"""Readings that are one witness: longer than a machine remembers a command."""
+"""Readings in an independent block: longer than a machine's response to a command."""
 
 
-def detect_quantisation(traces: Sequence[CommandTrace], bus_v: float, least: float) -> tuple[QuantiserEstimate, ...]:
-    """The timer that readings bear, and those that round much like it, the likeliest first; none where they bear none.
+def detect_quantisation(
+    traces: Sequence[CommandTrace], bus_v: float, min_evidence: float
+) -> tuple[QuantiserEstimate, ...]:
+    """The detected timer and similar ones, the likeliest first; empty where none is detected.
 
     Parameters
     ----------
     traces : sequence of CommandTrace
     bus_v : float
-        The nominal bus voltage that pulses are made for [V].
-    least : float
-        Evidence required of one step, by the line and by the blocks; that of all steps that are tried
-        comes on top for the line [nat].
+        Nominal bus voltage for which pulses are computed [V].
+    min_evidence : float
+        Evidence required of line and blocks [nat]; for the line, the log of the number of steps tried is added.
     """
     if not traces:
         return ()
     found = list[tuple[float, QuantiserEstimate]]()
     for centred in (True, False):
-        combs = _harmonic_sums(traces, centred, bus_v)
-        frequency, gain = _spectrum(combs)
-        chance = np.maximum(_background(gain, len(combs)), 1.0)
-        threshold = least + math.log(2 * len(frequency))
+        all_sums = _harmonic_sums(traces, centred, bus_v)
+        frequency, gain = _spectrum(all_sums)
+        chance = np.maximum(_background(gain, len(all_sums)), 1.0)
+        threshold = min_evidence + math.log(2 * len(frequency))
         for k in _highest(gain / chance):
-            # Where the two phases are half a step apart, the first harmonic is none.
+            # Phases that differ by half a step cancel the first harmonic.
             for tried in (frequency[k], 0.5 * frequency[k]):
                 if tried < frequency[0]:
                     continue
-                timer, likelier = _refine_line(combs, centred, float(tried), float(frequency[1] - frequency[0]))
-                if likelier > threshold * chance[k] and (witnessed := _block_consistency(traces, timer, bus_v)) > least:
-                    estimate = _refine_estimate(combs, timer, likelier, min(likelier / float(chance[k]), witnessed))
+                timer, likelier = _refine_line(all_sums, centred, float(tried), float(frequency[1] - frequency[0]))
+                is_line = likelier > threshold * chance[k]
+                if is_line and (consistency := _block_consistency(traces, timer, bus_v)) > min_evidence:
+                    certain = min(likelier / float(chance[k]), consistency)
+                    estimate = _refine_estimate(all_sums, timer, likelier, certain)
                     found.append((likelier, estimate))
     return _most_certain(found)
 
 
 def _most_certain(found: Sequence[tuple[float, QuantiserEstimate]]) -> tuple[QuantiserEstimate, ...]:
-    """The likeliest of those that are about as certain, and what comes near it, each once.
+    """The likeliest timer and its near alternatives, each once.
 
-    Witnesses are few: they tell that there is a timer, and hardly which; the readings' likelihood tells that.
+    The few blocks establish that there is a timer; the readings' likelihood decides which one.
     """
     certain = max((estimate.gain for _, estimate in found), default=0.0)
     best = list[QuantiserEstimate]()
@@ -106,25 +107,25 @@ def _same(one: ModulatorTimer, other: ModulatorTimer) -> bool:
 
 @dataclass(frozen=True)
 class _HarmonicSums:
-    """What the readings at one PWM frequency say of the legs' volts, by the legs' commands.
+    """Likelihood gradient of the legs' voltages at one PWM frequency, summed by pulse width.
 
     Attributes
     ----------
     pull : array, shape (n,)
-        Gradient of the log likelihood by a leg's volts, summed over commands of about the same pulse width [1/V].
-    apart_s : float
-        From one width to the next; the first is none, those of the second half are below it.
+        Gradient of the log likelihood by a leg's voltage, summed over commands in each bin of pulse width [1/V].
+    spacing_s : float
+        Bin width; the first bin is zero width, the second half holds negative widths (FFT order).
     widths_s : sequence of array, shape (readings, 3)
-        Of each block.
+        Pulse widths of each block.
     information : array, shape (blocks,)
-        About the volts of a leg, summed over all legs' commands [1/V^2].
+        Information on a leg's voltage, summed over all legs' commands [1/V^2].
     volts_per_s : float
-        A leg's mean voltage, over the pulse's width.
+        A leg's mean voltage per pulse width.
     pwm_hz : float
     """
 
     pull: Array
-    apart_s: float
+    spacing_s: float
     widths_s: Sequence[Array]
     information: Array
     volts_per_s: float
@@ -132,25 +133,25 @@ class _HarmonicSums:
 
     @property
     def reach_s(self) -> float:
-        """From the narrowest pulse to the widest."""
+        """Widest minus narrowest pulse."""
         return max(float(w.max()) for w in self.widths_s) - min(float(w.min()) for w in self.widths_s)
 
     @cached_property
     def spectrum(self) -> Array:
-        """Of the pull, complex; its lines are `apart_hz` apart."""
+        """Complex Fourier transform of `pull`, with a spacing of `spacing_hz`."""
         return np.asarray(np.fft.rfft(self.pull))
 
     @property
-    def apart_hz(self) -> float:
-        return 1.0 / (len(self.pull) * self.apart_s)
+    def spacing_hz(self) -> float:
+        return 1.0 / (len(self.pull) * self.spacing_s)
 
     def gains(self, frequency: Array) -> Array:
-        """What a sine of each frequency [1/s] in the volts by pulse width gains in log likelihood."""
+        """Gain in log likelihood by a sine of each frequency [1/s] in the voltage over pulse width."""
         return np.asarray(np.abs(self._at(frequency)) ** 2 / float(self.information.sum()), dtype=np.float64)
 
     def _at(self, frequency: Array) -> Array:
-        """Amplitudes (n,), complex, between the lines of the spectrum: cubics through four of them."""
-        place = frequency / self.apart_hz
+        """Complex amplitudes (n,) between the lines of the spectrum, by cubic interpolation."""
+        place = frequency / self.spacing_hz
         first = np.clip(place.astype(np.int64) - 1, 0, len(self.spectrum) - 4)
         u, lines = place - first, self.spectrum
         weights = (
@@ -162,11 +163,11 @@ class _HarmonicSums:
         return np.asarray(sum(w * lines[first + k] for k, w in enumerate(weights)))
 
     def informed(self, step_s: float) -> Array:
-        """About each harmonic of a step's sawtooth; a command that stands still carries no information."""
-        total, some = np.zeros(SAWTOOTH_HARMONICS), LINEAR_STRETCH_READINGS // COMMAND_STRIDE
+        """Information on each harmonic of a step's sawtooth; constant commands carry none."""
+        total, stretch = np.zeros(SAWTOOTH_HARMONICS), LINEAR_STRETCH_READINGS // COMMAND_STRIDE
         for width_s, information in zip(self.widths_s, self.information, strict=True):
             threshold = width_s[::COMMAND_STRIDE]
-            parts = threshold[: len(threshold) // some * some].reshape(-1, some, 3)
+            parts = threshold[: len(threshold) // stretch * stretch].reshape(-1, stretch, 3)
             turn = np.exp(2j * np.pi / step_s * parts)
             turned = np.ones_like(turn)
             for m in range(SAWTOOTH_HARMONICS):
@@ -175,7 +176,7 @@ class _HarmonicSums:
         return total
 
     def rounding(self, step_s: float, rise: Array, fall: Array, informed: Array) -> tuple[Array, Array]:
-        """What speaks for the rounding of a step with these phases, and the information about its size."""
+        """Gradient for the rounding with these phases, and the information about its size."""
         m = np.arange(1, 1 + SAWTOOTH_HARMONICS)
         turns = np.exp(-2j * np.pi * rise[..., None] * m) + np.exp(-2j * np.pi * fall[..., None] * m)
         scale = 0.5 * step_s * self.volts_per_s / np.pi
@@ -184,7 +185,7 @@ class _HarmonicSums:
         return towards, np.maximum(size, np.finfo(np.float64).tiny)
 
     def phases(self, step_s: float, informed: Array) -> tuple[TimerPhases, float, float]:
-        """The likeliest phases of a step, what speaks for its rounding, and the information about its size."""
+        """The likeliest phases of a step, the gradient for its rounding, and the information about its size."""
         parts = np.arange(PHASES_PER_STEP) / PHASES_PER_STEP
         towards, size = self.rounding(step_s, parts[:, None], parts[None], informed)
         gain = np.where(towards > 0.0, towards**2 / size, 0.0)
@@ -194,33 +195,33 @@ class _HarmonicSums:
 
 
 def _harmonic_sums(traces: Sequence[CommandTrace], centred: bool, bus_v: float) -> list[_HarmonicSums]:
-    combs = []
+    all_sums = []
     for pwm_hz in sorted({trace.pwm_hz for trace in traces}):
-        there = [trace for trace in traces if trace.pwm_hz == pwm_hz]
+        selected = [trace for trace in traces if trace.pwm_hz == pwm_hz]
         volts_per_s = leg_step_of(1.0, pwm_hz, bus_v)
-        widths_s = [legs_of(trace.command_ab, centred) / volts_per_s for trace in there]
-        # To a quarter of the finest saw's last harmonic.
-        apart_s = LEAST_TIMER_STEP_S / (4.0 * SAWTOOTH_HARMONICS)
-        place = np.round(np.concatenate(widths_s) / apart_s).astype(np.int64)
+        widths_s = [legs_of(trace.command_ab, centred) / volts_per_s for trace in selected]
+        # A quarter of the period of the finest sawtooth's last harmonic.
+        spacing_s = LEAST_TIMER_STEP_S / (4.0 * SAWTOOTH_HARMONICS)
+        place = np.round(np.concatenate(widths_s) / spacing_s).astype(np.int64)
         count = ZERO_PADDING_FACTOR * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
-        # Of the three legs' volts the machine feels the two-axis vector: the transpose of `from_phases`.
-        pull_legs = 2.0 / 3.0 * to_phases(np.concatenate([trace.pull_ab for trace in there]))
+        # The machine responds to the two-axis vector of the legs' voltages: the transpose of `from_phases`.
+        pull_legs = 2.0 / 3.0 * to_phases(np.concatenate([trace.pull_ab for trace in selected]))
         pull = np.bincount(np.mod(place, count).ravel(), weights=pull_legs.ravel(), minlength=count).astype(np.float64)
-        information = 4.0 / 3.0 * np.array([trace.information for trace in there])
-        combs.append(_HarmonicSums(pull, apart_s, widths_s, information, volts_per_s, pwm_hz))
-    return combs
+        information = 4.0 / 3.0 * np.array([trace.information for trace in selected])
+        all_sums.append(_HarmonicSums(pull, spacing_s, widths_s, information, volts_per_s, pwm_hz))
+    return all_sums
 
 
-def _spectrum(combs: Sequence[_HarmonicSums]) -> tuple[Array, Array]:
-    """Frequencies of the steps that are tried, and what a line of each gains in log likelihood."""
-    apart = FREQUENCY_SPACING_LINEWIDTHS / max(comb.reach_s for comb in combs)
-    frequency = np.arange(1.0 / MAX_TIMER_STEP_S, 1.0 / LEAST_TIMER_STEP_S, apart)
-    gains = [comb.gains(frequency) for comb in combs]
+def _spectrum(all_sums: Sequence[_HarmonicSums]) -> tuple[Array, Array]:
+    """Frequencies of the steps tried, and the gain in log likelihood by a line of each."""
+    spacing_hz = FREQUENCY_SPACING_LINEWIDTHS / max(sums.reach_s for sums in all_sums)
+    frequency = np.arange(1.0 / MAX_TIMER_STEP_S, 1.0 / LEAST_TIMER_STEP_S, spacing_hz)
+    gains = [sums.gains(frequency) for sums in all_sums]
     return frequency, np.sum(gains, axis=0)
 
 
 def _background(gain: Array, frequencies: int) -> Array:
-    """By how many times chance alone the median is, around each line."""
+    """Median gain around each line over that by chance alone."""
     from scipy.stats import gamma
 
     reach = min(BACKGROUND_HALF_WIDTH, len(gain) - 1)
@@ -231,36 +232,35 @@ def _background(gain: Array, frequencies: int) -> Array:
 
 
 def _highest(gains: Array) -> list[int]:
-    """Where the highest peaks are."""
+    """Indices of the highest peaks."""
     beside = np.maximum(np.append(gains[1:], -np.inf), np.append(-np.inf, gains[:-1]))
     return [int(k) for k in np.argsort(np.where(gains >= beside, gains, -np.inf))[: -1 - PEAKS_REFINED : -1]]
 
 
 def _refine_line(
-    combs: Sequence[_HarmonicSums], centred: bool, frequency: float, within: float
+    all_sums: Sequence[_HarmonicSums], centred: bool, frequency: float, within: float
 ) -> tuple[ModulatorTimer, float]:
-    """The likeliest timer whose line is there, and what its rounding gains in log likelihood, at its best size."""
+    """The likeliest timer near a line, and the gain in log likelihood by its rounding with a free size."""
     from scipy.optimize import minimize_scalar
 
-    informed = [comb.informed(1.0 / frequency) for comb in combs]
+    informed = [sums.informed(1.0 / frequency) for sums in all_sums]
 
-    def there(at: float) -> tuple[ModulatorTimer, float]:
-        parts = [comb.phases(1.0 / at, known) for comb, known in zip(combs, informed, strict=True)]
+    def evaluate(at: float) -> tuple[ModulatorTimer, float]:
+        parts = [sums.phases(1.0 / at, known) for sums, known in zip(all_sums, informed, strict=True)]
         towards, size = sum(part[1] for part in parts), sum(part[2] for part in parts)
         timer = ModulatorTimer(step_s=1.0 / at, centred=centred, phases=tuple(part[0] for part in parts))
         return timer, 0.5 * towards**2 / size if size > 0.0 else 0.0
 
     bounds = (frequency - within, frequency + within)
-    best = minimize_scalar(lambda at: -there(at)[1], bounds=bounds, method="bounded", options={"maxiter": 20})
-    return there(float(best.x))
+    best = minimize_scalar(lambda at: -evaluate(at)[1], bounds=bounds, method="bounded", options={"maxiter": 20})
+    return evaluate(float(best.x))
 
 
 def _block_consistency(traces: Sequence[CommandTrace], timer: ModulatorTimer, bus_v: float) -> float:
-    """How well all parts of the readings agree that the rounding is there, as a log likelihood.
+    """Log likelihood of the rounding from the agreement of independent blocks.
 
-    Each is as uncertain as they differ: where few of them speak for it, it is theirs and no timer's. All three legs
-    have the same timer, and any two of them two thirds of the say: a current control moves a leg in steps of its
-    converters' least current, and what that does by chance is one leg's.
+    Their scatter is the uncertainty, so that a few outlying blocks do not suffice. Legs share the timer; the smallest
+    evidence of any two legs counts, as steps of a current control with coarse converters may imitate rounding in one.
     """
     phases, scores = {p.pwm_frequency_hz: p for p in timer.phases}, list[Array]()
     for trace in traces:
@@ -274,40 +274,40 @@ def _block_consistency(traces: Sequence[CommandTrace], timer: ModulatorTimer, bu
 
 
 def _mean_evidence(witnesses: Array) -> float:
-    """Log likelihood of a mean above zero, of witnesses that are as uncertain as they differ."""
+    """Log likelihood of a mean above zero, with the uncertainty from the scatter."""
     squares = float(witnesses @ witnesses)
     return 0.5 * max(float(witnesses.sum()), 0.0) ** 2 / squares if squares > 0.0 else 0.0
 
 
 def _refine_estimate(
-    combs: Sequence[_HarmonicSums], timer: ModulatorTimer, likelier: float, certain: float
+    all_sums: Sequence[_HarmonicSums], timer: ModulatorTimer, likelier: float, certain: float
 ) -> QuantiserEstimate:
-    """The likeliest timer near one, its phases between the parts that are tried, and how well it is known.
+    """The likeliest timer near one, with continuous phases, and its curvature.
 
     Parameters
     ----------
     likelier : float
-        By how much its rounding is likelier than none, were chance all that there is beside it.
+        Gain in log likelihood with chance as the only background.
     certain : float
-        By how much it is, with all that there is.
+        Gain in log likelihood with the actual background.
     """
     from scipy.optimize import minimize
 
-    informed = [comb.informed(timer.step_s) for comb in combs]
-    start = QuantiserEstimate(timer, certain, np.eye(1 + 2 * len(combs)))
+    informed = [sums.informed(timer.step_s) for sums in all_sums]
+    start = QuantiserEstimate(timer, certain, np.eye(1 + 2 * len(all_sums)))
 
     def cost(x: Array) -> float:
-        there = start.moved(x)
+        moved = start.moved(x)
         parts = [
-            comb.rounding(there.step_s, np.array(p.rise), np.array(p.fall), about)
-            for comb, p, about in zip(combs, there.phases, informed, strict=True)
+            sums.rounding(moved.step_s, np.array(p.rise), np.array(p.fall), about)
+            for sums, p, about in zip(all_sums, moved.phases, informed, strict=True)
         ]
         towards, size = (float(np.sum([one[k] for one in parts])) for k in (0, 1))
         return -0.5 * towards**2 / size * certain / likelier
 
-    # Across the simplex the widest pulse moves by a tenth of a step.
-    reach = max(comb.reach_s for comb in combs) / timer.step_s
-    sizes = np.array([0.1 / reach, *[0.5 / PHASES_PER_STEP] * (2 * len(combs))])
+    # Within the initial simplex the widest pulse moves by a tenth of a step.
+    reach = max(sums.reach_s for sums in all_sums) / timer.step_s
+    sizes = np.array([0.1 / reach, *[0.5 / PHASES_PER_STEP] * (2 * len(all_sums))])
     simplex = np.concatenate([np.zeros((1, len(sizes))), np.diag(sizes)])
     options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 0.01, "maxfev": 60 * len(sizes)}
     best = np.asarray(minimize(cost, np.zeros(len(sizes)), method="Nelder-Mead", options=options).x, dtype=np.float64)
@@ -315,13 +315,13 @@ def _refine_estimate(
 
 
 def _with_phase_bias(curvature: Array) -> Array:
-    """The curvature where phases may be wrong beside chance."""
+    """The curvature with `PHASE_BIAS_STD` added to the phases."""
     variance = np.diag([0.0, *[PHASE_BIAS_STD**2] * (len(curvature) - 1)])
     return np.asarray(curvature @ np.linalg.inv(np.eye(len(curvature)) + variance @ curvature), dtype=np.float64)
 
 
 def _curvature(cost: Callable[[Array], float], at: Array, sizes: Array) -> Array:
-    """Second derivatives by differences of these sizes; no direction is taken for a hill."""
+    """Second derivatives by finite differences; negative eigenvalues are set to zero."""
     count, middle = len(at), cost(at)
     second = np.empty((count, count))
     for j, k in combinations_with_replacement(range(count), 2):

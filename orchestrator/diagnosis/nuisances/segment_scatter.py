@@ -1,15 +1,15 @@
-"""What differs from segment to segment by chance, and by how much: the likeliest, whatever else is missing.
+"""Random errors that are constant within a segment, with variances estimated by restricted likelihood.
 
-The zero of a current sensor wanders while an experiment goes on; and a constant voltage is off by what the modulator's
-timer cannot resolve, while a moving one is dithered, and one that trembles with control's noise may be. With e the
-whitened residual of the training segments, X all columns (R_s, the map, every effect of the library) and U what these
-two do to each segment, in standard deviations,
+A current sensor's offset drifts during an experiment, and a constant voltage has the rounding error of the modulator's
+timer; a varying voltage is dithered, and one that responds to noise may be. With e the whitened residual of the
+training segments, X all columns (R_s, the map, every effect of the library) and U the columns of these two errors in
+each segment, per standard deviation,
 
     e = X b + U d + noise,    d ~ N(0, 1),    V = 1 + U U^T
     -2 log L = log det V + log det (X^T V^-1 X + P) + e^T V^-1 e - h^T (X^T V^-1 X + P)^-1 h
 
-P being the priors and h the gradient at b = 0: the restricted likelihood (H. D. Patterson, R. Thompson, Biometrika 58
-(1971), doi:10.1093/biomet/58.3.545), in which what the map or an effect can take is not scatter.
+with the priors P and the gradient h at b = 0: the restricted likelihood (H. D. Patterson, R. Thompson, Biometrika 58
+(1971), doi:10.1093/biomet/58.3.545), in which errors that the map or an effect can explain are not scatter.
 """
 
 from __future__ import annotations
@@ -23,42 +23,42 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.equations import scatter_sizes
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.dwells import QuantiserScatter, leg_step_v
-from orchestrator.diagnosis.nuisances.pwm_quantiser import own_leg_step_of
+from orchestrator.diagnosis.nuisances.pwm_quantiser import nominal_leg_step_of
 from orchestrator.diagnosis.nuisances.quantiser_search import MAX_TIMER_STEP_S
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
 
 MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH: float = 1.0
-"""chi2 - 1 up to which a search takes its effects for complete, beyond which a form must be wrong."""
+"""chi2 - 1 up to which a search takes its effects as complete; beyond, a form must be wrong."""
 MAX_OFFSET_SCATTER: float = 0.002
-"""Part of the rated current by which the readings' zero may wander from segment to segment (rms) and count as noise.
-A sound sensor's does, in warm-up and over minutes; a larger one is a fault and has to be found as one."""
+"""Largest offset scatter between segments (rms), relative to the rated current, that counts as noise. A sound sensor
+drifts that much in warm-up and over minutes; more is a fault that has to be found."""
 
 SEARCH_DECADES = tuple(range(-5, 1))
-"""Of amperes and of volts: from far below a sensor's noise to as much as there is of either."""
+"""Decades of the scatter's standard deviations [A] and [V] where a search starts: from far below a sensor's noise."""
 MAX_DECADE = 6.0
-"""Of either, in a search: beyond, no information on a scatter is left."""
+"""Largest decade in a search; beyond, the data carry no information on a scatter."""
 
 
 @dataclass(frozen=True)
 class Scatter:
-    """What differs from segment to segment.
+    """Estimated scatter between segments.
 
     Attributes
     ----------
     noise : ModelNoise
-        With no more than the data ask for.
+        Model-error noise with the components that the data require.
     log_likelihood : float
-        What it gains over none.
+        Gain over no scatter.
     chi2 : float
-        Per degree of freedom, where it is noise and all effects follow to first order.
+        chi2 per degree of freedom with the scatter as noise, all effects adapting to first order.
     chance : float
-        That voltages of one size scatter so differently at different PWM frequencies; 1 where there is but one.
+        Probability that equal voltage scatters differ so much between PWM frequencies; 1 for a single frequency.
     """
 
     noise: ModelNoise
@@ -69,9 +69,9 @@ class Scatter:
 
 @dataclass(frozen=True)
 class _Segment:
-    """What scatters in one segment: its own information, that shared with all columns, and its pull."""
+    """One segment's errors: information matrix, cross information with all columns, and gradient."""
 
-    own: Array
+    information: Array
     shared: Array
     pull: Array
     timer: QuantiserScatter
@@ -80,7 +80,7 @@ class _Segment:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The restricted likelihood of a scatter; costs are minus twice its logarithm."""
+    """Restricted likelihood of a scatter; costs are minus twice its logarithm."""
 
     criteria: Criteria
     segments: Sequence[_Segment]
@@ -91,18 +91,18 @@ class Likelihood:
 
     @property
     def dwells(self) -> int:
-        """In which a voltage is held."""
-        return sum(len(one.timer.steps) for one in self.segments)
+        """Number of dwells."""
+        return sum(len(segment.timer.steps) for segment in self.segments)
 
     def cost(self, noise: ModelNoise) -> float:
-        """Of what scatters."""
+        """Minus twice the log likelihood of a scatter."""
         return sum(self._parts(noise))
 
     def chi2_per_dof(self, noise: ModelNoise) -> float:
         return self._parts(noise)[0] / self.dof
 
     def chance(self, noise: ModelNoise) -> float:
-        """That voltages which scatter alike came out so differently at different PWM frequencies (Fisher's F)."""
+        """Probability that equal voltage scatters differ so much between PWM frequencies (Fisher's F test)."""
         from scipy.stats import f
 
         if noise.voltage_scatter_v == 0.0:
@@ -110,9 +110,9 @@ class Likelihood:
         roots, factors, normal, gradient = self._reduced(noise)[:4]
         follow = -np.linalg.solve(normal, gradient)
         drawn: dict[float, list[float]] = {}
-        for one, root, factor in zip(self.segments, roots, factors, strict=True):
+        for segment, root, factor in zip(self.segments, roots, factors, strict=True):
             deviates = np.linalg.solve(factor.T, root[:, :-1] @ follow + root[:, -1])
-            drawn.setdefault(one.pwm_hz, []).extend(deviates[2:] ** 2)
+            drawn.setdefault(segment.pwm_hz, []).extend(deviates[2:] ** 2)
         groups = [np.array(squares) for squares in drawn.values() if squares]
         chances = [1.0]
         for k, squares in enumerate(groups):
@@ -124,48 +124,48 @@ class Likelihood:
         return min(chances)
 
     def held_volts(self, noise: ModelNoise) -> tuple[Array, Array]:
-        """What the data say of volts on either axis of each rest, with this scatter as noise and all else following.
+        """Normal matrix and gradient of voltages in each dwell, with this scatter as noise and all else adapting.
 
         Returns
         -------
-        normal : array, shape (2 rests, 2 rests)
-        gradient : array, shape (2 rests,)
+        normal : array, shape (2 dwells, 2 dwells)
+        gradient : array, shape (2 dwells,)
         """
         _, _, normal, gradient, _ = self._reduced(noise)
-        own, shared, pull = [], [], []
-        for one in self.segments:
-            scale = scatter_sizes(one.timer, noise)
-            inside = np.linalg.inv(np.eye(len(scale)) + scale[:, None] * one.own * scale)
-            less = np.eye(len(scale)) - one.own @ (scale[:, None] * inside * scale)
-            own.append((less @ one.own)[2:, 2:])
-            shared.append((less @ one.shared)[2:])
-            pull.append((less @ one.pull)[2:])
+        information, shared, pull = [], [], []
+        for segment in self.segments:
+            scale = scatter_sizes(segment.timer, noise)
+            inside = np.linalg.inv(np.eye(len(scale)) + scale[:, None] * segment.information * scale)
+            less = np.eye(len(scale)) - segment.information @ (scale[:, None] * inside * scale)
+            information.append((less @ segment.information)[2:, 2:])
+            shared.append((less @ segment.shared)[2:])
+            pull.append((less @ segment.pull)[2:])
         shared_rows = np.concatenate(shared)
         follow = np.linalg.solve(normal, np.column_stack([shared_rows.T, gradient]))
         volts = np.zeros((len(shared_rows), len(shared_rows)))
         at = 0
-        for block in own:
+        for block in information:
             volts[at : at + len(block), at : at + len(block)] = block
             at += len(block)
         return volts - shared_rows @ follow[:, :-1], np.concatenate(pull) - shared_rows @ follow[:, -1]
 
     def with_volts(self, volts: Array) -> Likelihood:
-        """Where so many volts on either axis of each rest are in the equations, in the rests' order."""
+        """The likelihood with voltages (2 dwells,) added to the equations."""
         at, moved, shift = 0, list[_Segment](), np.zeros_like(self.gradient)
         squares = 0.0
-        for one in self.segments:
-            count = len(one.own) - 2
-            here = np.concatenate([np.zeros(2), volts[at : at + count]])
+        for segment in self.segments:
+            count = len(segment.information) - 2
+            added = np.concatenate([np.zeros(2), volts[at : at + count]])
             at += count
-            moved.append(replace(one, pull=one.pull + one.own @ here))
-            shift += one.shared.T @ here
-            squares += float(here @ (2.0 * one.pull + one.own @ here))
+            moved.append(replace(segment, pull=segment.pull + segment.information @ added))
+            shift += segment.shared.T @ added
+            squares += float(added @ (2.0 * segment.pull + segment.information @ added))
         return replace(self, segments=moved, gradient=self.gradient + shift, chi2=self.chi2 + squares)
 
     def most_likely(self, which: tuple[bool, bool], *, dithered: bool, near: ModelNoise | None = None) -> ModelNoise:
-        """The scatter of the largest likelihood; of its two standard deviations those not in `which` are zero.
+        """The likeliest scatter; of its two standard deviations those not in `which` are zero.
 
-        It is looked for from `near` on, or all over.
+        The search starts at `near`, or scans all decades.
         """
         from scipy.optimize import minimize
 
@@ -188,22 +188,22 @@ class Likelihood:
 
     @cached_property
     def _groups(self) -> list[tuple[list[int], Array, Array]]:
-        """Segments with as many rests: their places, own information, and what they share with columns and pull."""
-        sizes = [len(one.own) for one in self.segments]
-        alike = []
+        """Segments by number of dwells: their indices, information, and cross information with columns and gradient."""
+        sizes = [len(segment.information) for segment in self.segments]
+        groups = []
         for size in dict.fromkeys(sizes):
             places = [k for k, other in enumerate(sizes) if other == size]
-            some = [self.segments[k] for k in places]
-            shared = np.stack([np.column_stack([one.shared, one.pull]) for one in some])
-            alike.append((places, np.stack([one.own for one in some]), shared))
-        return alike
+            group = [self.segments[k] for k in places]
+            shared = np.stack([np.column_stack([segment.shared, segment.pull]) for segment in group])
+            groups.append((places, np.stack([segment.information for segment in group]), shared))
+        return groups
 
     def _reduced(self, noise: ModelNoise) -> tuple[list[Array], list[Array], Array, Array, float]:
-        """Of each segment what scatter takes and its factor, then the normal matrix, gradient and chi2 without it."""
+        """Each segment's scales and factor, then the normal matrix, gradient and chi2 with the scatter eliminated."""
         parts = dict[int, tuple[Array, Array]]()
-        for places, own, shared in self._groups:
+        for places, information, shared in self._groups:
             scale = np.array([scatter_sizes(self.segments[k].timer, noise) for k in places])
-            inside = np.eye(scale.shape[1]) + scale[:, :, None] * own * scale[:, None, :]
+            inside = np.eye(scale.shape[1]) + scale[:, :, None] * information * scale[:, None, :]
             factor = np.linalg.cholesky(inside)
             root = np.linalg.solve(factor, scale[:, :, None] * shared)
             parts.update(zip(places, zip(root, factor, strict=True), strict=True))
@@ -214,7 +214,7 @@ class Likelihood:
         return roots, factors, normal, gradient, self.chi2 - float(taken[:, -1] @ taken[:, -1])
 
     def _parts(self, noise: ModelNoise) -> tuple[float, float]:
-        """What is left of chi2, and the determinants' logarithms."""
+        """chi2 with the scatter as noise, and the sum of the log determinants."""
         _, factors, normal, gradient, chi2 = self._reduced(noise)
         log_det = 2.0 * sum(float(np.log(np.diag(factor)).sum()) for factor in factors)
         squares = chi2 - float(gradient @ np.linalg.solve(normal, gradient))
@@ -222,29 +222,27 @@ class Likelihood:
 
 
 def with_scatter_as_noise(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup | None:
-    """The setup with a scatter as noise, where that and effects to first order are all that a part's fit lacks."""
+    """The setup with a scatter as noise, where that and effects to first order explain a part's misfit; else None."""
     scatter = _most_likely_scatter(likelihood)
     is_complete = scatter.chi2 <= 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
     return setup.with_noise(scatter.noise) if is_complete and _is_noise(scatter, setup) else None
 
 
-def with_scatter_beside(
-    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]
-) -> DiagnosisSetup | None:
-    """The setup with a scatter as noise, where there is one beside all that a fit has."""
+def with_scatter_beside(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Library) -> DiagnosisSetup | None:
+    """The setup with a scatter as noise, where one is found around a fit; else None."""
     scatter = scatter_of(fitter, fit, library)
     return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
 
 
 def is_same_scatter(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
-    """Whether two scatters are the same as far as a fit heeds them."""
+    """Whether two scatters differ too little to matter for a fit."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
-    alike = all(abs(a - b) <= within * max(a, b) for a, b in pairs)
-    return alike and noise.dithered == other.dithered
+    same = all(abs(a - b) <= within * max(a, b) for a, b in pairs)
+    return same and noise.dithered == other.dithered
 
 
 def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
-    """Whether a scatter is there, alike at all PWM frequencies, and no larger than a sound sensor's and modulator's."""
+    """Whether a scatter is significant, equal at all PWM frequencies, and plausible for sensors and modulator."""
     limits, noise = setup.prepared.criteria, scatter.noise
     small = noise.offset_scatter_a <= MAX_OFFSET_SCATTER * setup.current_a
     small = small and quantiser_step_s(noise, setup) <= MAX_TIMER_STEP_S
@@ -252,67 +250,67 @@ def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
 
 
 def quantiser_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
-    """The step of a modulator's timer that makes a scatter of held voltages [s].
+    """The step of a modulator's timer that causes a scatter of held voltages [s].
 
     A step of t_q moves both edges of a symmetric carrier's pulse, and a leg's mean voltage by 2 t_q f V_dc.
     """
-    return leg_step_v(noise.voltage_scatter_v) / own_leg_step_of(1.0, setup.prepared.manifest.drive)
+    return leg_step_v(noise.voltage_scatter_v) / nominal_leg_step_of(1.0, setup.prepared.manifest.drive)
 
 
-def scatter_of(
-    fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect], *, may_be_dithered: bool = True
-) -> Scatter:
-    """The likeliest scatter around a fit's model, all effects of the library following.
+def scatter_of(fitter: Fitter, fit: Fit, library: Library, *, may_be_dithered: bool = True) -> Scatter:
+    """The likeliest scatter around a fit's model, all effects of the library adapting.
 
     Parameters
     ----------
     fitter : Fitter
-        Whatever scatter it allows for is not.
+        Scatter that is already part of its noise is not estimated again.
     may_be_dithered : bool
-        Whether what trembles in held voltages may take of their scatter, where it is not alike at all PWM frequencies.
+        Whether noise in held voltages may reduce their scatter, where it differs between PWM frequencies.
     """
     return _most_likely_scatter(likelihood_of(fitter, fit, library), may_be_dithered=may_be_dithered)
 
 
 def _most_likely_scatter(likelihood: Likelihood, *, may_be_dithered: bool = True) -> Scatter:
     criteria = likelihood.criteria
-    least = 2.0 * criteria.selection.log_evidence
-    # The simpler one stays unless the data ask for more.
+    min_gain = 2.0 * criteria.selection.log_evidence
+    # The simpler scatter is kept unless the data require another.
     best = ModelNoise()
     cost = none = likelihood.cost(best)
     for which in ((True, False), (False, True), (True, True)):
         found = likelihood.most_likely(which, dithered=False)
         if may_be_dithered and likelihood.chance(found) <= criteria.uncertainty.scatter_chance:
             found = likelihood.most_likely(which, dithered=True)
-        if cost - likelihood.cost(found) > least:
+        if cost - likelihood.cost(found) > min_gain:
             best, cost = found, likelihood.cost(found)
     return Scatter(best, 0.5 * (none - cost), likelihood.chi2_per_dof(best), likelihood.chance(best))
 
 
-def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> Likelihood:
-    """The likelihood of any scatter around a fit's model, all effects of the library following.
+def likelihood_of(fitter: Fitter, fit: Fit, library: Library) -> Likelihood:
+    """The likelihood of any scatter around a fit's model, all effects of the library adapting.
 
     Parameters
     ----------
     fitter : Fitter
-        Whatever scatter it allows for is not.
+        Scatter that is already part of its noise is excluded.
     """
     fitter = fitter.with_noise(ModelNoise())
     absent = absent_columns([c for c in library if c.name not in fit.model.names])
-    # A fit of the whole has no columns for a part.
+    # A fit of the whole recording has no columns for a part of it.
     known = fit if fit.prepared.rows == fitter.prepared.rows else None
-    loose = fitter.renewed(fit.model, None, absent, known=known)
+    loose = fitter.relinearise(fit.model, None, absent, known=known)
     normal, pulls = loose.system()
     width, free = loose.normal.shape[0], loose.model.free
     gradient = pulls.sum(axis=0)
-    # R_s and the map are where their gradient, prior included, is nil.
+    # R_s and the map are at their minimum: their gradient, prior included, is zero.
     gradient[:width] = 0.0
     gradient[width : width + len(free)] += [a.prior_residual(n) for a, n in free]
     segments = []
     common: dict[int, Array] = {}
-    for frame in loose.frame.batches:
-        if not frame.batch.pieces[0].held_out:
-            common |= dict(zip(frame.batch.places, fitter.equations.common(loose.model, frame), strict=True))
+    for linearisation in loose.linearisation.batches:
+        if not linearisation.batch.pieces[0].held_out:
+            common |= dict(
+                zip(linearisation.batch.places, fitter.equations.common(loose.model, linearisation), strict=True)
+            )
     pieces = [(piece, common[k]) for k, piece in enumerate(loose.prepared.pieces) if not piece.held_out]
     for (piece, u), (linear, d, e) in zip(pieces, loose.training(), strict=True):
         timer, pwm_hz = QuantiserScatter.of(piece), piece.signals.pwm_frequency_hz

@@ -1,8 +1,8 @@
-"""Lines in the spectrum of the current readings: disturbances that come back with a fixed frequency. Fits nothing.
+"""Lines in the spectrum of the current readings: disturbances at fixed frequencies.
 
-Between the samples of a steady hold only noise should differ. A line there is a disturbance of the readings or of the
-voltage. Switching ripple that the sampling catches unevenly is absent with the bridge off and equally strong in
-every hold; it is allowed for as noise. Every other line is an error that no effect of a catalogue explains.
+The samples of a steady hold should differ by noise only. A line there is a disturbance of the readings or of the
+voltage. Aliased switching ripple is absent with the bridge off and equally strong in every hold, and is included in the
+noise. Any other line is an error that no effect explains.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ import numpy as np
 from orchestrator.numerics.types import Array
 
 LEAST_LINE_FREQUENCY_HZ: float = 40.0
-"""Lines of the spectrum below this are not searched: current control responds to slow disturbances."""
+"""Frequency below which lines are not searched: current control responds to slow disturbances [Hz]."""
 LEAST_LINE_HEIGHT: float = 30.0
-"""Height of a line over the median beside it, in spectra averaged over all holds; chance does not reach it."""
+"""Height of a line over the median around it, in spectra averaged over all holds; chance does not reach it."""
 LEAST_LINE_RMS: float = 0.3
-"""rms of a line that matters, in standard deviations of a reading, where the line is strongest."""
+"""rms of a line in the hold where it is strongest, in standard deviations of a reading, from which it matters."""
 MAX_RIPPLE_AMPLITUDE_SPREAD: float = 0.35
 """Largest spread of a switching ripple's amplitude from hold to hold, relative to its mean."""
 LINE_BINS: tuple[int, int] = (4, 24)
-"""Bins on either side of a line that belong to it (Hann window), and bins that it is compared with."""
+"""Bins on either side of a line that belong to it (Hann window), and bins of its background."""
 MAX_LINES: int = 6
-"""Lines that are searched."""
+"""Maximum number of lines."""
 
 
 @dataclass(frozen=True)
 class SpectralLine:
-    """One line.
+    """A line of the spectrum.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class SpectralLine:
     power : float
         Mean square in the holds, per axis [A^2].
     switching : bool
-        Whether it looks like switching ripple.
+        Whether it is attributed to switching ripple.
     """
 
     frequency_hz: float
@@ -68,26 +68,26 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple
     """
     near, far = LINE_BINS
     length = max((len(s) for s in holds), default=0)
-    alike = np.array([s for s in holds if len(s) == length])
-    if len(alike) < 4 or length < 8 * far:
+    spectra = np.array([s for s in holds if len(s) == length])
+    if len(spectra) < 4 or length < 8 * far:
         return ()
-    mean = alike.mean(axis=0)
+    mean = spectra.mean(axis=0)
     noise = float(np.median(mean))
     step_hz = fs / (2.0 * (length - 1))
-    # A line is higher than both its neighbours; the tail of a current that is still settling only falls.
+    # A line is a local maximum, unlike the falling spectrum of a current that is still settling.
     beside = np.pad(mean, 1, constant_values=0.0)
-    left, lines = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
+    remaining, lines = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
     for _ in range(MAX_LINES):
-        left[: max(2, math.ceil(LEAST_LINE_FREQUENCY_HZ / step_hz))] = 0.0
-        at = int(np.argmax(left))
+        remaining[: max(2, math.ceil(LEAST_LINE_FREQUENCY_HZ / step_hz))] = 0.0
+        at = int(np.argmax(remaining))
         low, high = max(at - far, 1), min(at + far + 1, length)
         around = np.concatenate([mean[low : max(at - near, low)], mean[min(at + near + 1, high) : high]])
-        if left[at] < LEAST_LINE_HEIGHT * float(np.median(around)):
+        if remaining[at] < LEAST_LINE_HEIGHT * float(np.median(around)):
             break
         bins = slice(max(at - near, 0), min(at + near + 1, length))
-        left[bins] = 0.0
+        remaining[bins] = 0.0
         # A Hann window spreads a line over bins that add up to its power times n / 2 (twice at the very end).
-        each = alike[:, bins].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
+        each = spectra[:, bins].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
         size = np.sqrt(np.maximum(each, 0.0))
         if size.max() < LEAST_LINE_RMS * math.sqrt(noise):
             continue
@@ -99,7 +99,7 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple
 
 
 def _height(spectrum: Array, frequency_hz: float, fs: float) -> float:
-    """Of a frequency over the median of a spectrum."""
+    """Height of a spectrum at a frequency over its median."""
     at = round(frequency_hz / fs * 2.0 * (len(spectrum) - 1))
     return float(spectrum[max(at - 2, 0) : at + 3].max() / max(float(np.median(spectrum)), 1e-300))
 
@@ -107,19 +107,19 @@ def _height(spectrum: Array, frequency_hz: float, fs: float) -> float:
 def added_noise(
     line: SpectralLine, fs: float, averaged: int, step: float, ohm: float, henry: float, variance: float
 ) -> float:
-    """Power that a line adds to a hat's equation, over that of white readings.
+    """Power that a line adds to the equation of a test function, over that of white readings.
 
     Parameters
     ----------
     fs : float
-        Of the averaged samples.
+        Frequency of the averaged samples.
     step : float
-        Of the hats, in samples.
+        Spacing of the test functions in samples.
     variance : float
-        Of one averaged sample.
+        Variance of one averaged sample [A^2].
     """
     w = np.concatenate([[0.0], 1.0 - np.abs(np.arange(-round(step), round(step) + 1)) / step, [0.0]])
-    # Each sample counts through the resistive drop and through the change of flux on its two sides.
+    # Each sample acts through the resistive drop and through the change of flux on both sides.
     weight = ohm / fs * 0.5 * (w[1:] + w[:-1]) + henry * np.diff(w)
     turn = 2.0 * math.pi * line.frequency_hz / fs
     seen = float(abs(np.sum(weight * np.exp(1j * turn * np.arange(len(weight))))) ** 2)

@@ -1,1 +1,1 @@
-"""Results of a diagnosis: reports, words, pictures, and the files that keep them."""
+"""Results of a diagnosis: report, text, data of figures, and files."""

@@ -1,4 +1,4 @@
-"""Whether an effect that was added, or taken out, changes what the model predicts of stages that no fit has seen."""
+"""Whether an effect that was added or removed changes the error in held-out stages."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
     before, after : Fit
         The model without and with the effect.
     found : FoundEffect or None
-        The effect with its intervals; None where it is a freedom of the map, which has none.
+        The effect with its intervals; None for a freed map.
     """
     errors = _errors(before, after)
-    if _log_likelihood_gain(before, after) > _least_gain(after):
+    if _log_likelihood_gain(before, after) > _min_gain(after):
         text = "{effect} helps: {of} {course}; noise alone leaves {noise}"
         return _remark("helps", text, name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
@@ -33,7 +33,7 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
 
 
 def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
-    """Whether an effect that was taken out is needed: code ``needed`` or ``not_needed``.
+    """Whether a removed effect is needed: code ``needed`` or ``not_needed``.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
         The model with and without the effect.
     """
     errors = _errors(before, after)
-    if _log_likelihood_gain(after, before) > _least_gain(before):
+    if _log_likelihood_gain(after, before) > _min_gain(before):
         return _remark("needed", "{effect} is needed: without it {of} {course}", name, errors)
     return _remark("not_needed", "{effect} is not needed: without it {of} {course}", name, errors)
 
@@ -52,7 +52,7 @@ def _remark(code: str, text: str, name: str, errors: dict[str, float | str | Non
 
 
 def _errors(before: Fit, after: Fit) -> dict[str, float | str | None]:
-    """rms errors of what was held out, or of what was fitted where nothing was [V]."""
+    """rms errors of held-out segments, or of fitted ones where none are held out [V]."""
     use = _evaluated_rows(before)
     return {
         "judged_on": "held_out" if use is held_out else "fitted",
@@ -83,21 +83,21 @@ def _evaluated_rows(fit: Fit) -> Callable[[SegmentData], bool]:
 
 
 def _log_likelihood_gain(worse: Fit, better: Fit) -> float:
-    """Log likelihood of the rows to judge by, of one model over another's [nat]; noise no less than is known."""
+    """Gain in log likelihood of the evaluated rows by the better model, with the noise inflated to its chi2 [nat]."""
     use = _evaluated_rows(worse)
     rows = sum(e.size for p, e in zip(worse.prepared.pieces, worse.residual, strict=True) if use(p))
     first, last = worse.chi2_of(use) or 0.0, better.chi2_of(use) or 0.0
     return 0.5 * rows * (first - last) / max(1.0, last)
 
 
-def _least_gain(fit: Fit) -> float:
-    """Gain from which on an effect helps: fitted rows gain by any freedom, rows that were held out do not [nat]."""
+def _min_gain(fit: Fit) -> float:
+    """Gain from which an effect helps [nat]; larger for fitted rows, which gain by any additional parameter."""
     limits = fit.criteria.selection
     return limits.tie if _evaluated_rows(fit) is held_out else limits.log_evidence
 
 
 def _amplitudes_that_hold_zero(fit: Fit, found: FoundEffect) -> list[str]:
-    """Words for the amplitudes whose interval holds absence, where all do; else none."""
+    """Text for the amplitudes if all of their intervals contain neutral; else empty."""
     active = next(a for a in fit.model.active if a.name == found.name)
     names = []
     for name in active.candidate.amplitudes:

@@ -1,4 +1,4 @@
-"""What a diagnosis reports where it ends with a convention: the finding, and that nothing was fitted."""
+"""Report of a diagnosis that inconsistent metadata ended before any fit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from protocols import Convention, DiagnosisReport, DiagnosisWords, NoiseFloor, R
 
 
 def convention_report(recording: str, convention: Convention, criteria: Criteria, seconds: float) -> DiagnosisReport:
-    """A report without effects, whose only rung has no numbers."""
+    """A report without effects, with an empty ladder step."""
     return DiagnosisReport(
         recording=recording,
         noise_floor=NoiseFloor(rms_v=None),
@@ -26,7 +26,7 @@ def convention_report(recording: str, convention: Convention, criteria: Criteria
 
 
 def convention_words(convention: Convention) -> DiagnosisWords:
-    """The same in words."""
+    """The finding as text."""
     return DiagnosisWords(
         where_it_fails="in the manifest or the logging, before any model",
         what_it_looks_like=convention.evidence,

@@ -1,4 +1,4 @@
-"""What a fit delivers to who asks for the motor: its map and R_s with errors, and what speaks against their use."""
+"""Map and R_s of a fit with their errors, and objections to their use."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
 _WIDE = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
-"""Stages whose currents go round wide loops of what remembers."""
+"""Stages whose currents pass wide hysteresis loops."""
 METHOD = "model"
-"""Under which the map of the whole model is kept beside the estimators'."""
+"""Method name of the model's map among the estimators'."""
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """A fit's results, effects taken out.
+    """Map and R_s of a fit, corrected for its effects.
 
     Attributes
     ----------
     map : FluxMap
     resistance : ResistanceEstimate
     objections : tuple of Remark
-        What makes the map no better than those of the estimators: it is not recommended then.
+        Reasons not to recommend the map over the estimators'.
     title : str
         The model in one line.
     """
@@ -56,17 +56,17 @@ def delivery_of(
     Parameters
     ----------
     uncertainty : MapUncertainty
-        The fit's.
+        Uncertainty of the fit.
     judged : Fit
-        The same without the model's own error as noise.
+        The fit evaluated without model-error noise.
     kept : MotorModel
-        The same fit's.
+        The fit's saved model.
     verdict : str or None
-        Of the diagnosis; None: the model is a user's own, and what is left decides.
+        Verdict of the diagnosis; None for a user's model, which the residual decides on.
     band_percent : float
         Half width of the map's 95 % band, of the rated flux.
     moved : mapping, optional
-        By what part of the rated flux each effect moves the map.
+        Change of the map by each effect, relative to the rated flux.
     """
     objections = objections_to(judged, verdict, band_percent, moved or {})
     return Delivery(_map(uncertainty, kept), _resistance(uncertainty), tuple(objections), kept.title)
@@ -82,7 +82,7 @@ def _map(uncertainty: MapUncertainty, kept: MotorModel) -> FluxMap:
 
 
 def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
-    """R_s as the effects leave it: as warm as at the start, and what it was at both ends of the experiment."""
+    """R_s at the initial temperature, and its values at both ends of the experiment."""
     fit = uncertainty.fit
     value, half = fit.model.r_s, INTERVAL_SIGMAS * uncertainty.resistance_ohm
     ends = [
@@ -103,36 +103,37 @@ def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
 
 
 def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved: Mapping[str, float]) -> list[Remark]:
-    """What speaks against the use of a fit's map; parameters as of `delivery_of`."""
+    """Objections to the use of a fit's map; parameters as in `delivery_of`."""
     limits, against = fit.criteria, []
     if verdict == "cannot_tell":
         text = "the recording does not tell whether the model is right: see the diagnosis"
         against.append(Remark.of("cannot_tell", text))
-    left = left_of_excitation(fit)
-    if verdict not in ("clean", "explained") and left > limits.materiality.material_voltage:
+    residual = left_of_excitation(fit)
+    if verdict not in ("clean", "explained") and residual > limits.materiality.material_voltage:
         text = "the model leaves {left_percent:.2g} % of the voltage unexplained: see the diagnosis"
-        against.append(Remark.of("unexplained", text, left_percent=100.0 * left))
-    most = max(moved, key=lambda name: moved[name], default=None)
-    if verdict == "unknown_remains" and most is not None and 100.0 * moved[most] > limits.verdict.widest_band_percent:
+        against.append(Remark.of("unexplained", text, left_percent=100.0 * residual))
+    largest = max(moved, key=lambda name: moved[name], default=None)
+    max_percent = limits.verdict.widest_band_percent
+    if verdict == "unknown_remains" and largest is not None and 100.0 * moved[largest] > max_percent:
         text = "{effect} moves the model's map by {moved_percent:.2g} %, and may stand in for what is unknown"
-        against.append(Remark.of("may_stand_in", text, effect=most, moved_percent=100.0 * moved[most]))
+        against.append(Remark.of("may_stand_in", text, effect=largest, moved_percent=100.0 * moved[largest]))
     if verdict not in ("clean", "explained") and (name := most_strained(fit)):
         text = "{effect} has a form as no such effect has, and may stand in for what is unknown"
         against.append(Remark.of("strained_form", text, effect=name))
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
     against += size_remarks(fit)
-    if band_percent > limits.verdict.widest_band_percent:
+    if band_percent > max_percent:
         text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
     return [one.by(METHOD) for one in against]
 
 
 def remembering_by_ripple_alone(fit: Fit, moved: Mapping[str, float]) -> list[str]:
-    """Effects that remember where a segment came from, move the map, and were seen by a ripple alone."""
+    """Effects with hysteresis that move the map and were measured by a ripple alone."""
     if any(piece.stage in _WIDE for piece in fit.prepared.pieces):
         return []
-    least = fit.criteria.materiality.material_flux
-    return [a.name for a in fit.model.active if has_random_directions(a) and moved.get(a.name, 0.0) > least]
+    threshold = fit.criteria.materiality.material_flux
+    return [a.name for a in fit.model.active if has_random_directions(a) and moved.get(a.name, 0.0) > threshold]
 
 
 def _of_small_loops(name: str) -> Remark:

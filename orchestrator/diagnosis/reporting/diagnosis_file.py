@@ -1,6 +1,6 @@
-"""The diagnosis in a run's results: diagnosis.json for what it says, diagnosis.npz for what can be drawn of it.
+"""Files of a diagnosis: diagnosis.json with report and text, diagnosis.npz with the data of figures.
 
-Arrays are float32 and unpickled; what does not change from one step to the next is written once.
+Arrays are float32 without pickling; arrays that do not change between steps are written once.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ _META = "steps"
 
 @dataclass(frozen=True)
 class SavedDiagnosis:
-    """What a directory keeps of its latest diagnosis.
+    """A diagnosis read from a directory.
 
     Attributes
     ----------
     report : DiagnosisReport
     words : DiagnosisWords
     steps : tuple of DiagnosisStep
-        The ladder; empty where only the words were kept.
+        The ladder; empty where only the report was saved.
     estimates : EstimationReport or None
-        What it made of map and R_s; None where it was read again, or made none.
+        Its map and R_s among the estimators' results; None where it was loaded, or has none.
     """
 
     report: DiagnosisReport
@@ -72,7 +72,7 @@ def save_diagnosis(
     Raises
     ------
     StorageError
-        Where they cannot be written.
+        If they cannot be written.
     """
     results = directory / "results"
     try:
@@ -87,12 +87,12 @@ def save_diagnosis(
 
 
 def load_diagnosis(directory: Path) -> SavedDiagnosis | None:
-    """What `save_diagnosis` wrote into a directory; None where there is nothing.
+    """The diagnosis that `save_diagnosis` wrote into a directory; None where there is none.
 
     Raises
     ------
     RecordingError
-        Where a file is damaged, or the two are not of one diagnosis.
+        If a file is damaged, or the two belong to different diagnoses.
     """
     path, drawn = directory / "results" / REPORT_NAME, directory / "results" / STEPS_NAME
     if not path.is_file():
@@ -141,7 +141,7 @@ def _same(before: NDArray[Any] | None, now: NDArray[Any]) -> bool:
 
 
 def _split(step: DiagnosisStep) -> tuple[dict[str, Any], _Arrays]:
-    """Numbers and names as JSON takes them, and the arrays by dotted name."""
+    """The step's JSON fields, and its arrays by dotted name."""
     arrays: _Arrays = {}
     names = sorted(set(step.stage))
     codes = {name: code for code, name in enumerate(names)}
@@ -170,7 +170,7 @@ def _without_arrays(model: BaseModel, prefix: str, arrays: _Arrays) -> dict[str,
 
 
 def _unpacked(path: Path) -> tuple[DiagnosisStep, ...]:
-    # numpy does not close a file that turns out to be damaged: it gets the bytes.
+    # numpy does not close a damaged file, so that it gets the bytes.
     with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as archive:
         require_memory(path, sum(member.file_size for member in archive.zip.infolist()), "its arrays")
         meta = json.loads(archive[_META].tobytes().decode("utf-8"))

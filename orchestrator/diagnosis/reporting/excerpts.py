@@ -1,6 +1,6 @@
-"""Short stretches of waveforms for pictures: ripple and trapezoid against the simulated current, flux loops.
+"""Excerpts of waveforms for figures: measured and simulated current in ripple and trapezoid, and flux loops.
 
-Which segments are shown depends on the recording alone, so that the steps of a ladder can be laid over each other.
+Segments are chosen by the recording alone, so that all steps of a ladder show the same ones.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from orchestrator.numerics.types import Array
 from protocols import CurrentExcerpt, FluxLoop, SegmentStage, SignalBatch
 
 MAX_POINTS: int = 400
-"""Points of one curve."""
+"""Maximum number of points of one curve."""
 RIPPLE_PERIODS: int = 2
-"""Injection periods that are shown."""
+"""Number of injection periods shown."""
 MAX_TRAPEZOID_S: float = 2.5
-"""Part of a sweep that is shown [s]."""
+"""Longest part of a sweep shown [s]."""
 SIMULATION_SETTLING_S: float = 0.1
 """Simulated time before a ripple is shown [s]: the first current is a noisy sample."""
 
@@ -51,7 +51,7 @@ def flux_loops(fit: Fit) -> tuple[FluxLoop, ...]:
 
 
 def ripple_pair(pieces: Sequence[SegmentData], ratio: float) -> tuple[int, ...]:
-    """Two injection segments at one point with amplitudes apart by a ratio, the smaller first; else one; else none."""
+    """Two injection segments at one point whose amplitudes differ by a ratio, smaller first; or one; or none."""
     points = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.INJECTION]
     if not points:
         return ()
@@ -59,12 +59,12 @@ def ripple_pair(pieces: Sequence[SegmentData], ratio: float) -> tuple[int, ...]:
     volts = np.array([_amplitude(pieces[k]) for k in points])
     from_zero = np.linalg.norm(current, axis=1)
     reach = float(from_zero.max()) or 1.0
-    apart = np.linalg.norm(current[:, None] - current, axis=2)
-    is_pair = (volts > ratio * volts[:, None]) & (volts[:, None] > 0.0) & (apart < 0.15 * reach)
+    distances = np.linalg.norm(current[:, None] - current, axis=2)
+    is_pair = (volts > ratio * volts[:, None]) & (volts[:, None] > 0.0) & (distances < 0.15 * reach)
     if not is_pair.any():
         return (points[int(np.argmin(from_zero))],)
-    # Distances of a hundredth of the range are all alike: then the point nearest zero.
-    merit = np.round(100.0 * apart / reach) + 0.5 * from_zero[:, None] / reach
+    # Distances below a hundredth of the range are equal; among those, the point nearest zero is chosen.
+    merit = np.round(100.0 * distances / reach) + 0.5 * from_zero[:, None] / reach
     small, large = np.unravel_index(int(np.argmin(np.where(is_pair, merit, np.inf))), merit.shape)
     return points[int(small)], points[int(large)]
 
@@ -74,7 +74,7 @@ def _mean_current(piece: SegmentData) -> Array:
 
 
 def _amplitude(piece: SegmentData) -> float:
-    """Of the injected voltage [V]: the set point, else the rms of its vector about the mean."""
+    """Amplitude of the injected voltage [V]: the set point, else the rms of its vector about the mean."""
     requested = piece.segment.settings.get("amplitude_v")
     if isinstance(requested, int | float) and requested > 0:
         return float(requested)
@@ -82,7 +82,7 @@ def _amplitude(piece: SegmentData) -> float:
 
 
 def _ripple_excerpt(fit: Fit, index: int) -> CurrentExcerpt | None:
-    """Some periods from where the voltage is injected along +d, so that two amplitudes lie over each other."""
+    """A few periods from an edge of injection along +d, so that two amplitudes are in phase."""
     piece = fit.prepared.pieces[index]
     fs, n = piece.signals.sampling_frequency_hz, len(piece.signals.v_dc)
     if piece.segment.settings.get("frequency_hz") is None or not (period := piece.windows.period):
@@ -100,7 +100,7 @@ def _ripple_excerpt(fit: Fit, index: int) -> CurrentExcerpt | None:
 
 
 def _push(v: Array, half: int, shown: int) -> int:
-    """Where v is high for half a period and low for the next, most of all."""
+    """Index where v is high for half a period and low for the next with the largest difference."""
     total = np.concatenate([[0.0], np.cumsum(v)])
     count = max(len(v) - max(shown, 2 * half), 1)
     k = np.arange(count)
@@ -108,13 +108,13 @@ def _push(v: Array, half: int, shown: int) -> int:
 
 
 def _trapezoid(pieces: Sequence[SegmentData]) -> Iterator[int]:
-    """A held-out sweep, where there is one, as the most honest; else the first."""
+    """A held-out sweep where there is one, else the first."""
     sweeps = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.CLASSICAL]
     yield from sorted(sweeps, key=lambda k: (not pieces[k].held_out, k))[:1]
 
 
 def _trapezoid_excerpt(fit: Fit, index: int) -> CurrentExcerpt:
-    """The second period where there is one: the first may begin elsewhere."""
+    """The second period where there is one, as the first may start elsewhere."""
     piece = fit.prepared.pieces[index]
     shown = min(_period(piece), _samples(piece, MAX_TRAPEZOID_S))
     first = shown - 1 if 2 * shown - 1 <= len(piece.signals.v_dc) else 0
@@ -142,12 +142,11 @@ def _excerpt(
 def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
     """Predicted and measured current in the believed frame, (samples, 2) each.
 
-    The simulation is of the magnetising current in the true frame; what it is off by there is put on
-    what was measured, turned back.
+    The simulated magnetising current's error, in the true frame, is rotated back and added to the measured current.
     """
     piece = fit.prepared.pieces[index]
     predicted, corrected = simulated_current(fit, index, samples)
-    batch, _ = fit.frame.base_of(index)
+    batch, _ = fit.linearisation.base_of(index)
     _, delta = true_frame(batch, fit.corrected(index))
     measured = to_dq(piece.signals.i_ab[: len(predicted)], piece.segment.rotor_angle_rad)
     return measured + _believed(predicted - corrected, delta), measured
@@ -159,11 +158,11 @@ def _believed(x_dq: Array, delta: Array) -> Array:
 
 
 def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
-    """Flux over one period in the believed frame: int (v - R i) dt with the effects' corrections, and psi(i)."""
+    """Flux over one period in the believed frame: corrected int (v - R i) dt, and psi(i)."""
     piece = fit.prepared.pieces[index]
     corrected = fit.corrected(index)
     ts = 1.0 / piece.signals.sampling_frequency_hz
-    batch, base = fit.frame.base_of(index)
+    batch, base = fit.linearisation.base_of(index)
     i_true, delta = true_frame(batch, corrected)
     last = slice(len(i_true) - _period(piece), len(i_true))
     magnet = np.array([_magnet_wb(piece), 0.0])
@@ -196,14 +195,14 @@ def _integral(signals: SignalBatch, factor: float, part: slice, ts: float) -> Ar
 
 
 def _swept(piece: SegmentData) -> tuple[Axis, float]:
-    """The axis that a sweep moves, and the size of the current that it holds on the other."""
+    """The axis that a sweep moves, and the magnitude of the constant current on the other."""
     axis = swept_axis(piece.segment, piece.signals.i_ab)
     i_d, i_q = np.abs(_mean_current(piece))
     return axis, {"d": float(i_q), "q": float(i_d), "dq": 0.0}[axis]
 
 
 def _period(piece: SegmentData) -> int:
-    """Samples in a period of a sweep; all of them where it does not say."""
+    """Samples in a period of a sweep; all samples where the period is unknown."""
     period = piece.segment.settings.get("period_s")
     requested = float(period) if isinstance(period, int | float) and period > 0 else math.inf
     return _samples(piece, requested)

@@ -1,4 +1,4 @@
-"""Why a diagnosis says what it says, gathered from its report."""
+"""Explanation of a diagnosis from its report: reasons, search and evidence."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from protocols import DiagnosisReport, EffectBasis, Explanation, SearchEvent
 
 
 def explanation_of(report: DiagnosisReport) -> Explanation:
-    """The verdict with its reasons, the search, and what each named effect rests on."""
+    """The verdict with its reasons, the search, and the evidence of each named effect."""
     return Explanation(
         recording=report.recording,
         verdict=report.verdict,
@@ -30,7 +30,7 @@ def explanation_of(report: DiagnosisReport) -> Explanation:
 
 
 def _supports(event: SearchEvent, name: str) -> bool:
-    """Whether a move kept an effect in the model, put it there, or named it."""
+    """Whether a move added, kept or named an effect."""
     if event.move == "remove":
         return event.decision == "refused" and name in event.effects
     if event.move in ("swap", "merge"):

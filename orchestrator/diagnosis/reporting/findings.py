@@ -1,4 +1,4 @@
-"""What was found, as it is reported: effects with intervals, the map that was let go, and what is left."""
+"""Findings for the report: effects with intervals, saturation of a freed map, and the unexplained residual."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import Contribution, is_material
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, standardised_std
 from orchestrator.diagnosis.judgement.residual_pattern import residual_pattern
-from orchestrator.diagnosis.judgement.verdict import large_effects_together, left_fraction
+from orchestrator.diagnosis.judgement.verdict import large_effects_together, residual_fraction_of
 from orchestrator.diagnosis.selection.joint_search import probabilities
 from protocols import (
     DriveRecord,
@@ -28,6 +28,11 @@ from protocols import (
     hook_of,
 )
 
+TYPICAL_SATURATION: float = 0.4
+"""Typical relative variation of L_d and L_q over the measured currents; relative sizes refer to it."""
+TYPICAL_CROSS_SATURATION: float = 0.1
+"""Typical largest |L_dq| relative to the mean inductance; relative sizes refer to it."""
+
 
 def found_effects(
     fitter: Fitter,
@@ -38,17 +43,17 @@ def found_effects(
 ) -> tuple[FoundEffect, ...]:
     """The active effects with 95 % intervals, by share; see `standardised_std`.
 
-    Parameters that the recording does not show at all (slots, where there is no second angle) are left out.
+    Unobservable parameters (such as slotting with one rotor angle) are omitted.
     """
     if not fit.model.active:
         return ()
-    chances, sizes = probabilities(fit), sizes or {}
+    presence, sizes = probabilities(fit), sizes or {}
     half = INTERVAL_SIGMAS * standardised_std(fitter, fit)
     shows = np.diag(fit.projected()[0]) > 0.0
     effects, k = [], 0
     for active in fit.model.active:
-        own = slice(k, k + len(active.free))
-        widths = {n: w for n, w, s in zip(active.free, half[own], shows[own], strict=True) if s}
+        columns = slice(k, k + len(active.free))
+        widths = {n: w for n, w, s in zip(active.free, half[columns], shows[columns], strict=True) if s}
         k += len(active.free)
         effects.append(
             FoundEffect(
@@ -58,7 +63,7 @@ def found_effects(
                 twins=tuple(indistinguishable.get(active.name, ())),
                 relative_size=active.relative_size,
                 log_evidence=evidence.get(active.name, 0.0),
-                probability=chances[active.name],
+                probability=presence[active.name],
                 share=sizes[active.name].relative_to_error if active.name in sizes else None,
                 material=is_material(sizes[active.name], fit) if active.name in sizes else None,
             )
@@ -67,17 +72,17 @@ def found_effects(
 
 
 def size_remarks(fit: Fit) -> list[Remark]:
-    """That more effects are large at once than is likely: one that is in no library may act like all of them."""
+    """A remark where implausibly many effects are large, which a single unmodelled cause may imitate."""
     large = large_effects_together(fit)
     text = (
-        "{effects}: each is larger than most drives have it; one thing may act like all of them, as a sensor does "
-        "that hears another phase's current: measure at a second angle, too"
+        "{effects}: each is larger than in most drives; one unmodelled cause may imitate all of them, such as "
+        "crosstalk between the current sensors: measure at a second angle, too"
     )
     return [Remark.of("rare_together", text, effects=", ".join(large))] if large else []
 
 
 def effect_remarks(fit: Fit, causes: Container[str]) -> list[Remark]:
-    """What the effects that are named say of their parameters beside sizes; raises `PluginError` where one fails."""
+    """Remarks of the named effects on their parameters; raises `PluginError` where one fails."""
     return [remark for active in fit.model.active if active.name in causes for remark in _remarks_of_effect(active)]
 
 
@@ -89,12 +94,10 @@ def _remarks_of_effect(active: EffectTerm) -> list[Remark]:
         raise PluginError("effects", active.name, f"remarks: {type(error).__name__}: {error}") from error
 
 
-def above_residual(effects: Iterable[FoundEffect], rest: float, most: float) -> tuple[FoundEffect, ...]:
-    """Those that take away no less of the error than is left: of less, nobody can say that it is there.
-
-    Nor of what takes away more than `most` while something is left: another one puts it there.
-    """
-    return tuple(e for e in effects if (e.share or 0.0) >= rest and (rest <= 0.0 or (e.share or 0.0) <= most))
+def credible_effects(effects: Iterable[FoundEffect], min_share: float, max_share: float) -> tuple[FoundEffect, ...]:
+    """Effects with a share of at least `min_share`, the residual's, and, if that is positive, at most `max_share`."""
+    highest = max_share if min_share > 0.0 else math.inf
+    return tuple(e for e in effects if min_share <= (e.share or 0.0) <= highest)
 
 
 def _interval(active: EffectTerm, name: str, half: float) -> ParameterValue:
@@ -106,7 +109,7 @@ def _interval(active: EffectTerm, name: str, half: float) -> ParameterValue:
 
 
 def map_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, ...]:
-    """Saturation and cross-saturation as effects, where the map was let go: by how much the inductances vary."""
+    """Saturation and cross-saturation of a freed map as effects, sized by the variation of the inductances."""
     grid = fit.model.space.grid
     d = np.linspace(grid.low, grid.high, 25)
     q = np.linspace(-grid.reach, grid.reach, 25)
@@ -114,8 +117,8 @@ def map_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, .
     inductance = fit.model.magnetics.flux_and_inductance(nodes)[1]
     mean = inductance[:, [0, 2]].mean()
     sizes = {
-        SATURATION: (float(np.ptp(inductance[:, [0, 2]], axis=0).max() / mean), 0.4),
-        CROSS_SATURATION: (float(np.abs(inductance[:, 1]).max() / mean), 0.1),
+        SATURATION: (float(np.ptp(inductance[:, [0, 2]], axis=0).max() / mean), TYPICAL_SATURATION),
+        CROSS_SATURATION: (float(np.abs(inductance[:, 1]).max() / mean), TYPICAL_CROSS_SATURATION),
     }
     return tuple(
         FoundEffect(
@@ -133,7 +136,7 @@ def unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplai
     detected = last.chi2_per_dof > last.criteria.verdict.noise_chi2
     shape = residual_pattern(setup.fitter, last, setup.current_a) if detected else []
     return Unexplained(
-        fraction=left_fraction(first_chi2, last),
+        fraction=residual_fraction_of(first_chi2, last),
         shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),
     )
 
@@ -141,15 +144,14 @@ def unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplai
 def derived_quantities(
     active: EffectTerm, parameters: Mapping[str, ParameterValue], drive: DriveRecord
 ) -> dict[str, ParameterValue]:
-    """What the effect makes of its parameters and the drive's data; empty where it has nothing to say.
+    """Quantities that an effect derives from its parameters and the drive's data; empty where it has none.
 
-    Each interval follows from the parameters' own, moved to their ends one at a time and added as squares:
-    correlations between them are left out.
+    Intervals are propagated one parameter at a time and added in quadrature; correlations are neglected.
 
     Raises
     ------
     PluginError
-        Where the effect's own code fails.
+        If the effect's code fails.
     """
     hook = hook_of(active.candidate.effect, "derived")
     if hook is None:

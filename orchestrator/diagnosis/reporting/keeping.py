@@ -1,4 +1,4 @@
-"""A diagnosis together with its words and pictures, kept in the results of a run or recording."""
+"""A diagnosis with its text and figures, saved in the results of a run or recording."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from protocols.fleet_priors import FleetPriors
 
 
 def deliver(delivery: Delivery, recording: Recording, out: Path | None) -> EstimationReport:
-    """What a fit delivers, put among the results of a run or recording; raises `StorageError`."""
+    """Add a fit's map and R_s to the results of a run or recording; raises `StorageError`."""
     from orchestrator.estimation import deliver_model  # which knows the diagnosis too
 
     return deliver_model(
@@ -49,31 +49,31 @@ def diagnose_and_keep(
     on_interim: Callable[[InterimResult], None] = lambda _: None,
     report_early: bool = False,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
-    """`diagnose_recording`, and what it found written to ``results/``: ``diagnosis.json``, ``.npz``, the model's map.
+    """`diagnose_recording`, saved in ``results/``: ``diagnosis.json``, ``diagnosis.npz`` and the model's map.
 
-    Where that cannot be written (a read-only disk), a note says so.
+    Where that cannot be written (a read-only disk), a remark is added instead.
 
     Parameters
     ----------
     propose : callable or None
-        Chooses the next experiment; None keeps a diagnosis that proposes none.
+        Chooses the next experiment; None for no proposal.
     on_step : callable, optional
-        Called with each rung of the ladder; what it raises ends the diagnosis.
+        Called with each step of the ladder; an exception ends the diagnosis.
     poll : callable
-        Called several times a second; what it raises ends the diagnosis.
+        Called several times a second; an exception ends the diagnosis.
     tell : callable
-        Called with what is under way, in a few words.
+        Called with a short description of the current operation.
     on_interim : callable
-        Called with what the search has found so far, whenever that has changed.
+        Called with the interim result of the search whenever it has changed.
     report_early : bool
-        `KeyboardInterrupt` ends the search alone, where it has found something: see `diagnose_recording`.
+        `KeyboardInterrupt` only ends the search; see `diagnose_recording`.
     out : Path, optional
-        Directory that gets `model.json` and the folder ``results``; the recording's own by default.
+        Directory for `model.json` and the folder ``results``; the recording's by default.
     """
     steps: list[DiagnosisStep] = []
 
     def keep(step: DiagnosisStep) -> None:
-        # A ladder that is shown again takes the place of the one before.
+        # A ladder that is shown again replaces the earlier one.
         del steps[step.index :]
         steps.append(step)
         if on_step is not None:

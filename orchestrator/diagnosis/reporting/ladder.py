@@ -1,4 +1,4 @@
-"""The ladder's rungs: the error of each fit in volts, and what noise alone would make of it."""
+"""Steps of the ladder: the error of each fit in volts, and the error that noise alone would cause."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
-from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 from protocols import Rung
@@ -24,18 +24,18 @@ def held_out(piece: SegmentData) -> bool:
 
 
 def mean_rms_v(fit: Fit, use: Callable[[SegmentData], bool]) -> float | None:
-    """rms of y_m / sum_k(w_mk Ts) over the windows that are means, carriers of the ripple aside [V]."""
+    """rms of y_m / sum_k(w_mk Ts) over the windows of order zero, without modes of the ripple [V]."""
     parts = [_means(p, e) for p, e in zip(fit.prepared.pieces, fit.volts, strict=True) if use(p)]
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
 
 
 def noise_rms_v(fit: Fit, use: Callable[[SegmentData], bool] = lambda _: True) -> float | None:
-    """The same figure if only the sensors' noise were left [V]."""
+    """`mean_rms_v` for sensor noise alone [V]."""
     parts = []
-    for piece, segment_frame in zip(fit.prepared.pieces, fit.frame.pieces, strict=True):
+    for piece, segment_linearisation in zip(fit.prepared.pieces, fit.linearisation.pieces, strict=True):
         if use(piece):
             scale = piece.signals.sampling_frequency_hz / piece.windows.absolute_weight
-            parts.append(_means(piece, segment_frame.whitener.variance * scale**2))
+            parts.append(_means(piece, segment_linearisation.whitener.variance * scale**2))
     return float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else None
 
 
@@ -45,14 +45,14 @@ def _means(piece: SegmentData, rows: Array) -> Array:
 
 
 def current_error(fit: Fit) -> float | None:
-    """rms error of the simulated current over the current's range; None where nothing is excited."""
+    """rms error of the simulated current over the current's range; None without excitation."""
     low, high, q = fit.prepared.current_range
     rms = current_rms(fit)
     return None if rms is None else rms / max(high - low, 2.0 * q)
 
 
-def rung(step: Step) -> Rung:
-    """One step of the ladder in numbers."""
+def rung(step: AcceptedModel) -> Rung:
+    """Numbers of one step of the ladder."""
     return Rung(
         added=step.added,
         chi2=step.fit.chi2_per_dof,
@@ -62,6 +62,6 @@ def rung(step: Step) -> Rung:
     )
 
 
-def kept_rungs(setup: DiagnosisSetup, steps: Sequence[Step]) -> tuple[Rung, ...]:
-    """The rungs of some steps with their models as they would be kept, so that a comparison finds them again."""
-    return tuple(rung(Step(step.added, setup.fitter.hold(step.fit.model))) for step in steps)
+def kept_rungs(setup: DiagnosisSetup, steps: Sequence[AcceptedModel]) -> tuple[Rung, ...]:
+    """Ladder steps of models evaluated as saved, so that a comparison with the file reproduces them."""
+    return tuple(rung(AcceptedModel(step.added, setup.fitter.hold(step.fit.model))) for step in steps)

@@ -1,4 +1,4 @@
-"""Between a fit and `model.json`: what is kept of a model, and the model back from it. Fits nothing, reads no file."""
+"""Conversion between a fit and the content of `model.json`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from protocols import (
 def kept_model(
     setup: DiagnosisSetup, fit: Fit, baseline: Baseline, found: Sequence[FoundEffect], ladder: Sequence[Rung]
 ) -> MotorModel:
-    """A fit's model as it is kept, with the intervals of the effects that were found."""
+    """A fit's model for `model.json`, with the intervals of its effects."""
     reports = {effect.name: effect for effect in found}
     grid, manifest = fit.model.space.grid, setup.prepared.manifest
     return MotorModel(
@@ -77,9 +77,9 @@ def _kept_effect(active: EffectTerm, found: FoundEffect) -> ModelEffect:
 
 
 def measured_hull(pieces: Sequence[SegmentData], samples: int = 200) -> tuple[tuple[float, float], ...]:
-    """Convex hull of the currents that were measured and of their mirror images in i_q [A], counterclockwise.
+    """Convex hull of the measured currents and their mirror images in i_q [A], counterclockwise.
 
-    Some 200 `samples` of each segment show how far it went: a sweep or a turn of the injection has fewer corners.
+    About 200 `samples` of each segment suffice: a sweep or a turn of the injection has fewer corners.
     """
     from scipy.spatial import ConvexHull
 
@@ -97,19 +97,19 @@ def measured_hull(pieces: Sequence[SegmentData], samples: int = 200) -> tuple[tu
 def restored(
     setup: DiagnosisSetup, kept: MotorModel, baseline: Baseline, library: Mapping[str, CandidateEffect]
 ) -> Model:
-    """The model of a `model.json`, to be evaluated or fitted further.
+    """The model of a `model.json`, for evaluation or further fits.
 
     Parameters
     ----------
     baseline : Baseline
-        Says how free the map is: the model's own, or `GivenMap` where it is to be held.
+        Freedom of the map: the model's baseline, or `GivenMap` to hold it fixed.
     library : mapping of str to CandidateEffect
         The installed effects.
 
     Raises
     ------
     PluginError
-        Where an effect of the model is not installed, or has other parameters.
+        If an effect of the model is not installed, or has other parameters.
     """
     magnetics = magnetics_of(kept.magnetics)
     space = map_space(setup, baseline, magnetics.grid, magnetics.coefficients, kept.magnetics.roughness)
@@ -129,16 +129,16 @@ def _active(effect: ModelEffect, library: Mapping[str, CandidateEffect]) -> Effe
 
 
 def magnetics_of(spline: CoEnergySpline) -> Magnetics:
-    """The co-energy of a `model.json`, ready to be evaluated."""
+    """The co-energy of a `model.json`."""
     s = spline
     grid = EvenSpline(s.d_low_a, s.d_high_a, s.q_high_a, (s.d_intervals, s.q_intervals))
     return Magnetics(grid, np.array(s.coefficients_j, dtype=np.float64))
 
 
 def map_nodes(grid: EvenSpline, nodes_per_interval: int = 4) -> tuple[Array, tuple[int, int]]:
-    """The currents of a spline's map, shape (n, 2), and how many there are along i_d and i_q.
+    """Nodes of a spline's map (n, 2) [A], and their numbers along i_d and i_q.
 
-    Splines are smooth on the scale of an interval: four nodes in it are enough to interpolate between.
+    Splines are smooth within an interval: four nodes in it suffice for interpolation.
     """
     i_d = np.linspace(grid.low, grid.high, nodes_per_interval * grid.cells[0] + 1)
     i_q = np.linspace(-grid.reach, grid.reach, nodes_per_interval * grid.cells[1] + 1)
@@ -146,7 +146,7 @@ def map_nodes(grid: EvenSpline, nodes_per_interval: int = 4) -> tuple[Array, tup
 
 
 def flux_map_of(kept: MotorModel) -> FluxMap:
-    """A model's map on a grid, effects out; NaN beyond what was measured, and for standard deviations."""
+    """A model's map on a grid; NaN beyond the measured currents, and for standard deviations."""
     magnetics = magnetics_of(kept.magnetics)
     nodes, shape = map_nodes(magnetics.grid)
     i_d, i_q = np.unique(nodes[:, 0]), np.unique(nodes[:, 1])
@@ -162,27 +162,27 @@ def flux_map_of(kept: MotorModel) -> FluxMap:
 
 
 def held_baseline(kept: MotorModel) -> GivenMap:
-    """The baseline of a fit that holds this model's map."""
+    """The baseline of a fit that holds this model's map fixed."""
     return GivenMap(method=f"model of {kept.recording}")
 
 
 def freed_by(baseline: Nameplate, name: str) -> Nameplate:
-    """The baseline with its map let go by one more step, `SATURATION` or `CROSS_SATURATION`."""
+    """The baseline with its map freed by one more step, `SATURATION` or `CROSS_SATURATION`."""
     return Nameplate.model_validate({"freed": (*baseline.freed, name)})
 
 
 def reduced(kept: MotorModel, names: Sequence[str]) -> MotorModel:
-    """The model with some of its effects left out; R_s and map as they are."""
+    """The model without some of its effects; R_s and map are unchanged."""
     return kept.model_copy(update={"effects": tuple(e for e in kept.effects if e.name not in names)})
 
 
 def flux_of(model: object) -> float | None:
-    """The magnet's flux that a whole model was fitted with [Wb]; None for everything else."""
+    """The magnet's flux of a whole model [Wb]; None for other choices."""
     return model.pm_flux_wb if isinstance(model, MotorModel) else None
 
 
 def with_noise_of(setup: DiagnosisSetup, model: object) -> DiagnosisSetup:
-    """The setup with what is noise to a whole model, and its modulator's timer; as it is for everything else."""
+    """The setup with a whole model's noise and timer; unchanged for other choices."""
     if not isinstance(model, MotorModel):
         return setup
     timed = setup if model.timer is None else setup.with_quantiser(model.timer)
@@ -190,9 +190,9 @@ def with_noise_of(setup: DiagnosisSetup, model: object) -> DiagnosisSetup:
 
 
 def _inside(points: Array, corners: Array) -> Mask:
-    """Which points lie in a convex polygon with counterclockwise corners; all where it has none."""
+    """Mask of the points in a convex polygon with counterclockwise corners; all where it has no corners."""
     inside = np.ones(len(points), dtype=bool)
-    for here, there in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        along, out = there - here, points - here
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along, out = end - start, points - start
         inside &= along[0] * out[:, 1] - along[1] * out[:, 0] >= -1e-9 * np.abs(along).max() * np.abs(corners).max()
     return inside

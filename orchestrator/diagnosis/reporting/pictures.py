@@ -1,6 +1,6 @@
-"""What can be drawn of one rung of the ladder: the residual by windows, R_s over the heat, stretches of waveforms.
+"""Figure data of one step of the ladder: the residual by windows, R_s over heat, and excerpts of waveforms.
 
-Turns a fit into a `DiagnosisStep`, thinned to what a picture needs. Fits nothing and draws nothing.
+A fit is converted to a `DiagnosisStep`, thinned to the resolution of a figure.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
-from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq, to_phases
@@ -25,31 +25,33 @@ from orchestrator.numerics.types import Array
 from protocols import DiagnosisStep, ResistanceCourse, Rung, SegmentStage
 
 MAX_ROWS: int = 4000
-"""Rows of the residual that a step keeps."""
+"""Maximum number of rows of the residual in a step."""
 MAX_DWELLS: int = 400
-"""Points of the resistance over time."""
+"""Maximum number of points of the resistance over time."""
 LEAST_DWELL_CURRENT: float = 0.2
-"""Part of the largest current below which a dwell shows too little of R_s: its error grows as the inverse."""
+"""Current of a dwell, relative to the largest, below which its R_s is too uncertain."""
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
-def diagnosis_step(index: int, step: Step, setup: DiagnosisSetup, *, known: Rung | None = None) -> DiagnosisStep:
-    """One rung of the ladder as streams, report and file take it.
+def diagnosis_step(
+    index: int, step: AcceptedModel, setup: DiagnosisSetup, *, known: Rung | None = None
+) -> DiagnosisStep:
+    """Figure data of one step of the ladder, for streams, report and file.
 
     Parameters
     ----------
     index : int
-        Place on the ladder; 0 is the model that it starts from.
-    step : Step
+        Index in the ladder; 0 for its first model.
+    step : AcceptedModel
     setup : DiagnosisSetup
     known : Rung, optional
-        The step in numbers, where they are known already: the simulated current's error takes time.
+        The step's numbers where they are known already; the simulated current's error takes time.
 
     Notes
     -----
-    Rows are windows of the weak form, injection's carriers other than the mean left out, thinned to
-    `PictureCriteria.most_rows` with every stage kept; the same rows at every step of one recording.
+    Rows are windows of the weak form, without the injection's modes other than the mean, thinned to `MAX_ROWS` with
+    every stage kept; they are the same at every step of one recording.
     """
     fit = step.fit
     numbers = known or rung(step)
@@ -80,17 +82,17 @@ def diagnosis_step(index: int, step: Step, setup: DiagnosisSetup, *, known: Rung
     )
 
 
-def kept_rows(stages: list[str], most: int) -> NDArray[np.int64]:
-    """Which rows stay when there are more than `most`: small stages whole, large ones spread evenly.
+def kept_rows(stages: list[str], max_rows: int) -> NDArray[np.int64]:
+    """Indices of at most `max_rows` rows: small stages completely, large ones thinned evenly.
 
-    A golden-ratio sequence picks them, which stays out of step with the turns and periods in the rows.
+    A golden-ratio sequence selects them, which avoids aliasing with turns and periods in the rows.
     """
     counts = Counter(stages)
     share: dict[str, float] = {}
-    room = most
-    for left, (stage, count) in zip(range(len(counts), 0, -1), sorted(counts.items(), key=lambda c: c[1]), strict=True):
-        taken = min(count, room // left)
-        share[stage], room = taken / count, room - taken
+    available = max_rows
+    for done, (stage, count) in enumerate(sorted(counts.items(), key=lambda c: c[1])):
+        taken = min(count, available // (len(counts) - done))
+        share[stage], available = taken / count, available - taken
     labels = np.array(stages)
     chosen = []
     for stage, part in share.items():
@@ -102,7 +104,7 @@ def kept_rows(stages: list[str], most: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class _Rows:
-    """The windows of one piece: what the mean carrier says."""
+    """The windows of order zero of one segment."""
 
     fit: Fit
     index: int
@@ -117,7 +119,7 @@ class _Rows:
 
     @cached_property
     def time_s(self) -> Array:
-        """Middle of each hat."""
+        """Centre of each test function."""
         w, s = self.piece.windows, self.piece.signals
         return np.asarray(
             s.start_s + (np.arange(w.test_functions) + 1.0) * w.step / s.sampling_frequency_hz, dtype=np.float64
@@ -125,7 +127,7 @@ class _Rows:
 
     @cached_property
     def i_ab(self) -> Array:
-        """Mean measured current in each hat, stator frame."""
+        """Mean measured current in each test function, stator frame."""
         w, i = self.piece.windows, self.piece.signals.i_ab
         one_bin = np.zeros(len(i) - 1, dtype=np.int64)
         sums = sum_intervals(0.5 * (i[1:] + i[:-1]), w.step, w.test_functions, one_bin, 1)
@@ -147,7 +149,7 @@ class _Rows:
     def noise_v(self) -> Array:
         """rms of both axes' standard deviations."""
         scale = self.piece.signals.sampling_frequency_hz / self.piece.windows.absolute_weight
-        variance = self._means(self.fit.frame.pieces[self.index].whitener.variance * scale**2)
+        variance = self._means(self.fit.linearisation.pieces[self.index].whitener.variance * scale**2)
         return np.asarray(np.sqrt(variance.mean(axis=1)), dtype=np.float64)
 
     def _means(self, rows: Array) -> Array:
@@ -156,9 +158,9 @@ class _Rows:
 
 
 def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
-    """R_s by every dwell (DC holds and injection points): the model's, and what the residual adds to it.
+    """R_s at every dwell (DC holds and injection points): the model's, and with the residual's correction.
 
-    A dwell of current i and residual e = v - R i asks for R + e.i / i.i.
+    A dwell with current i and residual e = v - R i gives R + e.i / i.i.
     """
     largest = max((float(np.linalg.norm(row.i_ab, axis=1).max(initial=0.0)) for row in rows), default=0.0)
     dwells = []
@@ -169,7 +171,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
         square = float(current @ current)
         if square < (LEAST_DWELL_CURRENT * largest) ** 2 or square == 0.0:
             continue
-        _, base = fit.frame.base_of(row.index)
+        _, base = fit.linearisation.base_of(row.index)
         model = float(fit.corrected(row.index).resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
         estimate = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
         dwells.append((float(row.time_s.mean()), float(base.heat_j.mean()), estimate, model))

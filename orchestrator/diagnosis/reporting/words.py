@@ -1,4 +1,4 @@
-"""A diagnosis in words: where it fails, what it looks like, the likely cause, what adding it does, what to do next."""
+"""Text of a diagnosis: where the model fails, the error's pattern, the likely cause, its effect, the next step."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _LOOKS = {
 
 
 def in_words(diagnosis: Diagnosis) -> DiagnosisWords:
-    """The five slots, each a sentence or two with units."""
+    """The five sections, each a sentence or two with units."""
     report = diagnosis.report
     if report.convention is not None:
         return convention_words(report.convention)
@@ -89,7 +89,7 @@ def _signature(diagnosis: Diagnosis, found: FoundEffect, signature: str) -> str:
 
 
 def _needed(diagnosis: Diagnosis, found: FoundEffect) -> list[str]:
-    """What it takes to tell an effect from its twins."""
+    """Measurements that separate an effect from its alternatives."""
     effects = {c.name: c.effect for c in diagnosis.library}
     twins = [effects[name] for name in found.twins]
     return list(
@@ -108,13 +108,13 @@ def _cause(diagnosis: Diagnosis) -> str:
     if report.verdict == "unknown_remains":
         start = f"{listed(named)}, and " if named else ""
         return f"{start}something that no effect of the library explains"
-    left = report.unexplained.fraction or 0.0
-    rest = f"; {percent(100.0 * left)} of the error remains" if report.verdict == "mostly_explained" else ""
+    fraction = report.unexplained.fraction or 0.0
+    rest = f"; {percent(100.0 * fraction)} of the error remains" if report.verdict == "mostly_explained" else ""
     return listed(named) + rest
 
 
 def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
-    """The effect with the parameters that say how large it is."""
+    """The effect with its amplitudes as text."""
     sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
     parts = []
     for name in sizes:

@@ -1,1 +1,1 @@
-"""Which effects the data ask for, which of them they can tell apart, and what is left when they are in."""
+"""Selection of effects: which ones the data require, and which of them the recording can separate."""

@@ -1,4 +1,4 @@
-"""How each contrast is recognised in a recording, and which effects a recording can separate by them. Fits nothing."""
+"""How each contrast is recognised in a recording, and which effects a recording can separate by them."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from orchestrator.numerics.types import Array
 from protocols import Contrast, Effect, SegmentStage
 
 SAME_CURRENT: float = 0.02
-"""Currents nearer to each other than this part of the largest count as one."""
+"""Difference of two currents, relative to the largest, below which they are one operating point."""
 LEAST_AMPLITUDE_RATIO: float = 1.3
-"""Ratio of two injected amplitudes that count as different."""
+"""Ratio of two injected amplitudes from which they count as different."""
 LONG_HOLD_S: float = 30.0
-"""Length of a hold that warms the winding [s]: a part of its thermal time constant."""
+"""Length of a hold that warms the winding noticeably [s]."""
 SMALL_CURRENTS: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2)
-"""Parts of the current, of both signs, at which the behaviour about zero current is measured."""
+"""Currents of both signs, relative to the largest, at which the behaviour about zero current is measured."""
 DIRECTIONS: int = 12
-"""Directions of held currents all around: twice the axes of a three-phase winding."""
+"""Number of directions of held currents in a full turn: twice the axes of a three-phase winding."""
 
 
 @dataclass(frozen=True)
 class Recognition:
-    """Of one contrast.
+    """Description of a contrast, and its test.
 
     Attributes
     ----------
     text : str
-        What was measured where a recording holds it.
+        The measurement that provides the contrast.
     holds : callable
-        Whether a recording holds it.
+        Whether a recording contains that measurement.
     """
 
     text: str
@@ -133,10 +133,14 @@ CONTRASTS: Mapping[Contrast, Recognition] = {
 
 
 def separating_contrasts(first: Effect, second: Effect) -> tuple[Contrast, ...]:
-    """What it takes to tell two effects apart: the contrasts that both need. None: what was measured will do."""
+    """The contrasts that separate two effects: those in the `needs` of both.
+
+    Effects that need the same contrast act alike without it. Others, even if each has needs, act differently in the
+    ordinary stages: the result is empty, and any recording separates them.
+    """
     return tuple(contrast for contrast in first.needs if contrast in second.needs)
 
 
 def separable(prepared: PreparedRecording, first: Effect, second: Effect) -> bool:
-    """Whether the recording holds what it takes to tell two effects apart."""
+    """Whether the recording holds every contrast that separates the two effects."""
     return all(holds(prepared, contrast) for contrast in separating_contrasts(first, second))

@@ -1,6 +1,6 @@
-"""Effects that are in the model before the search: those that the readings alone measure, and those of the fleet.
+"""Effects that are included before the search: those that the readings establish, and those that the fleet expects.
 
-A search takes first what explains most by itself; one effect may then explain the error of two.
+A forward search starts with the largest single gain, where one effect may explain the error of two.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
-from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library, standardised
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel
 from orchestrator.diagnosis.selection.refining import refit_newest
 from orchestrator.diagnosis.selection.scoring import log_evidence
 from protocols import ParameterRole, PluginError, Signals, hook_of
 
 
-def include_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect]) -> list[Step]:
-    """The ladder with each effect that the fleet includes a priori; the end of the search tests it."""
+def include_expected(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> list[AcceptedModel]:
+    """The ladder with each effect that the fleet's prior includes; the end of the search tests it."""
     given, steps = len(steps), list(steps)
     for candidate in library:
         before = steps[-1].fit
@@ -26,14 +26,15 @@ def include_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequ
         active = candidate.absent().release(*candidate.of_role(ParameterRole.SHAPE))
         for name, x in candidate.centres.items():
             active = active.moved(name, x)
-        fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]), before.frame, renewals=0)
+        model = before.model.with_active([*before.model.active, active])
+        fit = setup.fitter.fit(model, before.linearisation, relinearisations=0)
         inflation = max(1.0, min(before.chi2_per_dof, fit.chi2_per_dof))
         gain = log_evidence(fit, inflation) - log_evidence(before, inflation)
         named, note = [candidate.name], "the fleet has it nearly always"
         setup.fitter.trace.record(
             "add", named, before=before, after=fit, measure="log_evidence", score=gain, taken=True, note=note
         )
-        steps.append(Step(candidate.name, fit, gain))
+        steps.append(AcceptedModel(candidate.name, fit, gain))
     if len(steps) > given:
         # Refinements are released once all of these effects are present: a missing one would distort them.
         last = steps[-1]
@@ -42,13 +43,13 @@ def include_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequ
     return steps
 
 
-def include_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[CandidateEffect]) -> list[Step]:
-    """The ladder gone on with each effect that says how large it is, as far as it is worth its name.
+def include_measured(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> list[AcceptedModel]:
+    """The ladder extended by each effect that measures itself from the readings, where the evidence confirms it.
 
     Raises
     ------
     PluginError
-        Where an effect fails to say.
+        If an effect's `measured` fails.
     """
     signals, steps = [piece.signals for piece in setup.prepared.pieces], list(steps)
     for candidate in library:
@@ -58,7 +59,7 @@ def include_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequ
             continue
         fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]))
         gain = 0.5 * (before.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
-        least = fit.criteria.selection.log_evidence
+        min_gain = fit.criteria.selection.log_evidence
         setup.fitter.trace.record(
             "add",
             [candidate.name],
@@ -66,12 +67,12 @@ def include_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequ
             after=fit,
             measure="log_evidence",
             score=gain,
-            threshold=least,
-            taken=gain > least,
+            threshold=min_gain,
+            taken=gain > min_gain,
             note="its size was measured by the readings alone",
         )
-        if gain > least:
-            steps.append(Step(candidate.name, fit, gain))
+        if gain > min_gain:
+            steps.append(AcceptedModel(candidate.name, fit, gain))
     return steps
 
 

@@ -1,6 +1,6 @@
-"""What a search has found so far: its answer in a sentence, and the report's search where nobody waits for its end.
+"""Interim results of a search: a sentence for the user, and a checkpoint for a report that ends the search early.
 
-Nothing here decides what a finished search finds: a search tells the recorder where it stands, and asks it nothing.
+The recorder only receives; it does not influence the search.
 """
 
 from __future__ import annotations
@@ -11,30 +11,30 @@ from dataclasses import dataclass, field, replace
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.verdict import fitted_verdict
-from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.joint_search import log_bayes_factors, redundant_terms
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import Verdict
 
 MAX_NAMES = 5
-"""Effects that a sentence names."""
+"""Maximum number of effects in the sentence."""
 
 
 @dataclass(frozen=True)
 class InterimResult:
-    """What a search has found so far.
+    """Interim result of a search.
 
     Attributes
     ----------
     effects : tuple of str
-        That the model has and the data ask for, in the order in which they were found.
+        Effects in the model that the data require, in the order in which they were found.
     verdict : str
-        By the fitted stages alone: ``clean``, ``explained``, ``mostly_explained`` or ``unknown_remains``.
+        From the fitted stages alone: ``clean``, ``explained``, ``mostly_explained`` or ``unknown_remains``.
     chi2 : float
-        Per degree of freedom.
+        chi2 per degree of freedom.
     is_part : bool
-        Whether a part of the recording was fitted.
+        Whether only a part of the recording was fitted.
     """
 
     effects: tuple[str, ...]
@@ -44,7 +44,7 @@ class InterimResult:
 
     @property
     def sentence(self) -> str:
-        """The same in plain English, on one line."""
+        """The result in plain English, on one line."""
         first, more = self.effects[:MAX_NAMES], len(self.effects) - MAX_NAMES
         names = ", ".join(plain(name) for name in first) + (f" and {more} more" if more > 0 else "")
         data = "the part of the recording that was searched" if self.is_part else "the recording"
@@ -58,31 +58,31 @@ class InterimResult:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Where a search stands at the end of a step.
+    """State of a search after an accepted or rejected effect.
 
     Attributes
     ----------
     setup : DiagnosisSetup
-        With what is taken for noise then.
-    first : sequence of Step
-        The ladder's first rungs, fitted to the whole recording.
-    search : Search
-        Its fits are of a part of the recording where `is_part`.
+        The setup with its current noise.
+    first : sequence of AcceptedModel
+        First steps of the ladder, fitted to the whole recording.
+    search : SearchResult
+        Fits to a part of the recording where `is_part`.
     is_part : bool
     is_joint : bool
-        Whether effects were fitted together: then the last fit has all of them, and the ladder is not made yet.
+        Whether effects were fitted together: the last fit then has all of them, and there is no ladder yet.
     """
 
     setup: DiagnosisSetup
-    first: tuple[Step, ...]
-    search: Search
+    first: tuple[AcceptedModel, ...]
+    search: SearchResult
     is_part: bool
     is_joint: bool
 
 
 @dataclass
 class InterimRecorder:
-    """Remembers where a search stands, and tells each answer that differs from the one before.
+    """Keeps the latest checkpoint, and reports each interim result that differs from the one before.
 
     Parameters
     ----------
@@ -95,10 +95,16 @@ class InterimRecorder:
     _last_answer: tuple[object, ...] = field(default=(), init=False)
 
     def record(
-        self, setup: DiagnosisSetup, first: Sequence[Step], search: Search, *, is_part: bool, is_joint: bool = False
+        self,
+        setup: DiagnosisSetup,
+        first: Sequence[AcceptedModel],
+        search: SearchResult,
+        *,
+        is_part: bool,
+        is_joint: bool = False,
     ) -> None:
-        """A step of the search has ended here."""
-        # The search goes on with the same lists.
+        """Record the state of the search."""
+        # Copies, as the search continues with the same lists.
         snapshot = replace(
             search,
             steps=list(search.steps),
@@ -117,26 +123,26 @@ class InterimRecorder:
     def record_joint(
         self,
         setup: DiagnosisSetup,
-        first: Sequence[Step],
+        first: Sequence[AcceptedModel],
         fits: tuple[Fit, Fit],
-        quick: Search,
+        quick: SearchResult,
         indistinguishable: Mapping[str, Sequence[str]],
         *,
         is_part: bool,
     ) -> None:
-        """The same where effects are fitted together: `fits` without any of them, and with them."""
+        """Record the state of a joint search: `fits` without any effect, and with all of them."""
         before, fit = fits
         tied = {name: list(others) for name, others in indistinguishable.items()}
-        search = Search([Step(None, before), Step(None, fit)], quick.detected_not_named, tied)
+        search = SearchResult([AcceptedModel(None, before), AcceptedModel(None, fit)], quick.detected_not_named, tied)
         self.record(setup, first, search, is_part=is_part, is_joint=True)
 
 
-def _causes(search: Search) -> tuple[str, ...]:
+def _causes(search: SearchResult) -> tuple[str, ...]:
     return tuple(name for name in search.fit.model.names if name not in search.below_materiality)
 
 
 def _clear_effects(fit: Fit) -> tuple[str, ...]:
-    """Effects of a joint fit whose evidence exceeds half of what is left, the clearest first."""
+    """Effects of a joint fit whose log evidence exceeds half of the excess chi2, the largest first."""
     factors, spare = log_bayes_factors(fit), set(redundant_terms(fit))
     rest = 0.5 * max(fit.chi2 - fit.dof, 0.0)
     clear = [name for name in fit.model.names if name not in spare and factors[name] > rest]

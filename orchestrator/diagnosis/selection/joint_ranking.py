@@ -1,7 +1,7 @@
-"""All effects fitted at once, linearly around the model that the search found, and ranked by size. Names nothing.
+"""All effects fitted at once, linearly around the model that the search found, and ranked by size.
 
-A search takes first what errs most, and what is small may err more than what is large. A joint fit under the priors
-does not mind the order: beside it, a user sees where the two disagree.
+The order in which a search adds effects may decide its result. A joint fit under the priors has no order, so that a
+difference between the two deserves a remark.
 """
 
 from __future__ import annotations
@@ -10,24 +10,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.forward_search import SearchResult
 from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, score
 from protocols import FoundEffect, JointEntry, Remark
 
 MAX_CORRELATION: float = 0.995
-"""Correlation above which two effects are one in the joint fit; the priors separate those that are merely similar."""
+"""Correlation above which two effects share a column in the joint fit; the priors separate similar ones below it."""
 LEAST_SIZE_EXCESS: float = 1.5
-"""How much larger than all named effects the joint fit's first has to be to be reported, in typical sizes."""
+"""Ratio of the joint fit's first effect to the largest named one, in typical sizes, from which it is reported."""
 CERTAIN_SIGMAS: float = 4.0
 """Standard deviations beyond which an effect is not due to chance."""
 MAX_CHI2_CHANGE: float = 0.01
 """Relative change of chi2 beyond which effects have to be scored anew."""
 
 
-def joint_fit(fitter: Fitter, search: Search, library: Sequence[CandidateEffect]) -> tuple[JointEntry, ...]:
+def joint_fit(fitter: Fitter, search: SearchResult, library: Library) -> tuple[JointEntry, ...]:
     """All effects at once, linearly around the model, under the priors; ranked by relative size."""
     view = search.view if search.view is not None and _still_holds(search.view, search.fit) else None
     view = view or linear_view(fitter, search.fit, library)
@@ -52,13 +52,13 @@ def joint_fit(fitter: Fitter, search: Search, library: Sequence[CandidateEffect]
         known = entries.get(active.name)
         if known is None or abs(entry.z or 0.0) > abs(known.z or 0.0):
             entries[active.name] = entry
-    # An effect that chance could have made is ranked below all that it could not, whatever its size.
+    # Insignificant effects are ranked below all significant ones, whatever their size.
     certain = CERTAIN_SIGMAS
     return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < certain, -(e.relative_size or 0.0))))
 
 
 def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> list[Remark]:
-    """What the joint fit says where it disagrees: the search takes what errs most first, be it ever so small."""
+    """A remark where the joint fit ranks an effect first that the search has not named."""
     if not joint or not found or joint[0].name in {name for e in found for name in (e.name, *e.twins)}:
         return []
     first, size, z = joint[0].name, joint[0].relative_size or 0.0, abs(joint[0].z or 0.0)
@@ -74,7 +74,7 @@ def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> 
 
 
 def _still_holds(view: LinearView, fit: Fit) -> bool:
-    """Whether a view was taken of this fit, or of one that it has hardly moved from since."""
+    """Whether a view belongs to this fit, or to one with nearly the same chi2."""
     seen = view.fit
     same = seen.model.names == fit.model.names and seen.model.space is fit.model.space
     parameters = [n for _, n in seen.model.free] == [n for _, n in fit.model.free]
@@ -82,9 +82,9 @@ def _still_holds(view: LinearView, fit: Fit) -> bool:
 
 
 def _distinct(view: LinearView) -> list[int]:
-    """The columns of a view without those effects whose column is that of a better one all over again.
+    """The columns of a view without effects whose column is parallel to that of one with a larger gain.
 
-    Two such columns would be fitted against each other, to large sizes of opposite sign that mean nothing.
+    Two such columns would be fitted to large, meaningless values of opposite sign.
     """
     scale = np.sqrt(np.maximum(np.diag(view.normal), 1e-300))
     like = np.abs(view.normal / np.outer(scale, scale))

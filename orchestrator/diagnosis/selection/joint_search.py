@@ -1,8 +1,8 @@
-"""All effects in the model from the start, then downwards by evidence. Words nothing.
+"""Joint search: all effects are in the model from the start, then backward elimination by evidence.
 
-Forward search takes first what errs most; with a little of everything present, its wrong shape draws others. A joint
-fit under the priors does not mind the order: amplitudes first, then the shapes and flexible forms of those effects that
-show, then out with those that the data do not ask for (Savage and Dickey, doi:10.1214/aoms/1177693507).
+With many small effects, forward search depends on the order: the wrong shape of the first draws in others. A joint fit
+under the priors has no order. First amplitudes are fitted, then shapes and flexible forms of significant effects; last,
+effects that the data do not require are removed (Savage and Dickey, doi:10.1214/aoms/1177693507).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library, standardised
 from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian, trial_step
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
@@ -40,26 +40,25 @@ from protocols import Effect, ParameterRole, SearchMove
 LEAST_GAIN_OF_SECOND_EFFECT: float = 0.3
 """Part of the largest predicted gain of an absent effect from which another one is tried together with it."""
 MAX_JOINT_ROUNDS: tuple[int, int] = (6, 15)
-"""How often the columns of all effects together are renewed: with amplitudes alone, and with shapes."""
+"""Relinearisations of the model with all effects: with amplitudes alone, and with shapes."""
 JOINT_TOLERANCE: float = 1e-2
 """Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
 INDISTINGUISHABLE_SHARE: float = 0.8
-"""Alternatives that explain this part of what the best one does are indistinguishable from it."""
+"""Fall of chi2 by an alternative, relative to the best one's, from which they are indistinguishable."""
 MAX_EVIDENCE_DEFICIT: float = 0.1
-"""Part of an effect's log evidence that may be missing after one step with another in its place; beyond, the trial
-ends."""
+"""Part of an effect's log evidence missing after one step with another in its place, above which the trial ends."""
 MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
 """Factor of the first form's chi2 that the second may leave after one step; beyond, the trial ends. On switching
 benches it was 1.1 where the second form did better, and 90 where it did not."""
 
 
-def fit_full_model(fitter: Fitter, start: Model, library: Sequence[CandidateEffect]) -> Fit:
-    """The amplitudes of everything in the library fitted together, each effect in the better of its forms.
+def fit_full_model(fitter: Fitter, start: Model, library: Library) -> Fit:
+    """Fit the amplitudes of all effects of the library together, each effect in the better of its forms.
 
     Parameters
     ----------
     start : Model
-        Its map is where the fit begins; its effects, where they are.
+        Initial map and effects.
     """
     limits = fitter.prepared.criteria.selection
     fit = refit_briefly(fitter, with_all_effects(start, library))
@@ -82,15 +81,15 @@ def _record_form(fitter: Fitter, name: str, fit: Fit, trial: Fit, *, taken: bool
     )
 
 
-def with_all_effects(model: Model, library: Sequence[CandidateEffect]) -> Model:
-    """The model with all the rest of the library, absent."""
-    there = {active.name: active for active in model.active}
-    return model.with_active([there.get(c.name, c.absent()) for c in library])
+def with_all_effects(model: Model, library: Library) -> Model:
+    """The model with all other effects of the library added at neutral."""
+    present = {active.name: active for active in model.active}
+    return model.with_active([present.get(c.name, c.absent()) for c in library])
 
 
 def free_own_shapes(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit with the shapes of those effects free that show, and the flexible forms of those that it is worth to."""
-    known = fit if fit.frame.noise is fitter.noise else None
+    """Free the shapes of significant effects, and flexible forms where the evidence requires them."""
+    known = fit if fit.linearisation.noise is fitter.noise else None
     given, fit = fit, refit(fitter, release_shapes(fitter, fit), known)
     fit = refit(fitter, release_refinements(fitter, fit, share=math.inf), fit)
     _record_shapes(fitter, given, fit)
@@ -106,13 +105,13 @@ def _record_shapes(fitter: Fitter, fit: Fit, freer: Fit) -> None:
     fitter.trace.record("free_shape", freed, before=fit, after=freer, measure="objective", score=gain, taken=True)
 
 
-def joint_search(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> tuple[Fit, dict[str, list[str]]]:
-    """What all effects together come to, without those that the data do not ask for, and rivals that do as well.
+def joint_search(fitter: Fitter, fit: Fit, library: Library) -> tuple[Fit, dict[str, list[str]]]:
+    """Search from a joint fit: effects that the data require, and for each the alternatives that fit as well.
 
     Parameters
     ----------
     fit : Fit
-        Of all effects in their own forms.
+        Fit of all effects, their forms free.
     """
     fit, indistinguishable = swap_step(fitter, backward_elimination(fitter, fit), library)
     fit, doubles = merge_indistinguishable(fitter, backward_elimination(fitter, forward_step(fitter, fit, library)))
@@ -123,7 +122,7 @@ def joint_search(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -
 
 
 def free_remaining_shapes(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit with those shapes and flexible forms free that it asks for only now, all that hid their worth known."""
+    """Free the shapes and flexible forms that have become significant since the last release."""
     for form in (release_shapes, partial(release_refinements, share=0.0)):
         while fit.chi2_per_dof > fit.criteria.selection.detected_chi2:
             freed = form(fitter, fit)
@@ -135,20 +134,20 @@ def free_remaining_shapes(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def refit(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
-    """The model with many effects fitted to its end, as far as that is worth its time."""
+    """Fit a model with many effects with frozen Jacobians, up to `MAX_JOINT_ROUNDS` relinearisations."""
     return fit_with_frozen_jacobian(fitter, model, rounds=MAX_JOINT_ROUNDS[1], tolerance=JOINT_TOLERANCE, known=known)
 
 
 def refit_briefly(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
-    """The model fitted in as few rounds as amplitudes need."""
+    """`refit` with the few relinearisations that amplitudes need."""
     return fit_with_frozen_jacobian(fitter, model, rounds=MAX_JOINT_ROUNDS[0], tolerance=JOINT_TOLERANCE, known=known)
 
 
-def forward_step(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> Fit:
-    """The fit with those absent effects that it asks for, to first order, now that the others are as they are.
+def forward_step(fitter: Fitter, fit: Fit, library: Library) -> Fit:
+    """Add the absent effects that are significant to first order beside the present fit.
 
-    An effect whose first step was to the wrong side stayed at nothing, and its column is a secant only there. Those
-    that gain much less than another may explain the same: they are tested again once that one is in the model.
+    An effect whose first step went to the wrong side of a bound has stayed at neutral. Effects that gain much less than
+    the best may explain the same error: they are tested again once that one is in the model.
     """
     noise = max(fit.chi2_per_dof, 1.0)
     asking = [
@@ -156,9 +155,9 @@ def forward_step(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -
     ]
     if not asking:
         return fit
-    most = max(s.gain for s in asking)
+    best_gain = max(s.gain for s in asking)
     overlooked = []
-    for one in (s for s in asking if s.gain > LEAST_GAIN_OF_SECOND_EFFECT * most):
+    for one in (s for s in asking if s.gain > LEAST_GAIN_OF_SECOND_EFFECT * best_gain):
         active = one.candidate.absent().release(*one.candidate.of_role(ParameterRole.SHAPE))
         for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
             active = active.moved(name, float(x))
@@ -180,27 +179,27 @@ def forward_step(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -
 
 
 def release_shapes(_: Fitter, fit: Fit) -> Model:
-    """The model with the shapes of those effects free that show."""
-    shown, least = log_bayes_factors(fit), fit.criteria.selection.log_evidence
+    """The model with the shapes of significant effects free."""
+    shown, threshold = log_bayes_factors(fit), fit.criteria.selection.log_evidence
     shapes = (ParameterRole.SHAPE,)
     return fit.model.with_active(
-        [a.release(*a.candidate.of_role(*shapes)) if shown[a.name] > least else a for a in fit.model.active]
+        [a.release(*a.candidate.of_role(*shapes)) if shown[a.name] > threshold else a for a in fit.model.active]
     )
 
 
 def release_refinements(fitter: Fitter, fit: Fit, share: float | None = None) -> Model:
-    """The model with those effects' flexible forms free that promise, to first order, to be worth it.
+    """The model with flexible forms free where their linear gain is sufficient.
 
-    Of each form, what brings nearly all that it does; details where they bring a `share` of what is left.
+    Only parameters that bring nearly all of the gain are freed. Details must also remove a `share` of the excess chi2.
     """
     rigid = fixed_refinements(fit.model.active)
-    view = fitter.evaluate(fit.model, fit.frame, rigid, known=fit).projected()
+    view = fitter.evaluate(fit.model, fit.linearisation, rigid, known=fit).projected()
     names = [n for _, n in (*fit.model.free, *rigid)]
     fitted, noise = len(fit.model.free), max(fit.chi2_per_dof, 1.0)
     active = []
     for one in fit.model.active:
-        own = (fitted + k for k, (a, _) in enumerate(rigid) if a.name == one.name)
-        forms = refinement_groups(fit, one, names, own, noise, share)
+        own_columns = (fitted + k for k, (a, _) in enumerate(rigid) if a.name == one.name)
+        forms = refinement_groups(fit, one, names, own_columns, noise, share)
         active.append(one.release(*(names[k] for k in select_terms(view, fitted, forms))))
     return fit.model.with_active(active)
 
@@ -216,7 +215,7 @@ def _record_evidence(
     taken: bool,
     note: str = "",
 ) -> None:
-    """Record a move between two fits that log evidence decides."""
+    """Record a move decided by the log evidence of two fits."""
     before, after = fits
     fitter.trace.record(
         move,
@@ -232,27 +231,27 @@ def _record_evidence(
 
 
 def _with_form(model: Model, form: EffectTerm) -> Model:
-    """The model with that effect in another form."""
+    """The model with one effect in another form."""
     return model.with_active([form if a.name == form.name else a for a in model.active])
 
 
 def backward_elimination(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit without those effects that the data do not require, refitted until all that stay are required.
+    """Remove effects that the data do not require and refit, until all that remain are required.
 
-    What blocks disagree on may be another effect's form: where too much is lost with it, it stays if noise lets it.
+    Scatter between blocks may be due to another effect's form: where the loss is too large, it is not counted.
     """
     while out := redundant_terms(fit):
         trial = _without(fitter, fit, out)
-        lost, most = _evidence_gain(fit, trial), fit.criteria.selection.log_evidence * len(out)
-        _record_evidence(fitter, "remove", out, (fit, trial), -lost, -most, taken=lost <= most)
-        if lost > most:
+        lost, max_loss = _evidence_gain(fit, trial), fit.criteria.selection.log_evidence * len(out)
+        _record_evidence(fitter, "remove", out, (fit, trial), -lost, -max_loss, taken=lost <= max_loss)
+        if lost > max_loss:
             out = redundant_terms(fit, with_block_scatter=False)
             if not out:
                 break
             trial = _without(fitter, fit, out)
             lost = _evidence_gain(fit, trial)
             note = "the scatter between blocks does not count"
-            _record_evidence(fitter, "remove", out, (fit, trial), -lost, -most, taken=True, note=note)
+            _record_evidence(fitter, "remove", out, (fit, trial), -lost, -max_loss, taken=True, note=note)
         fit = trial
     return fit
 
@@ -262,7 +261,7 @@ def _without(fitter: Fitter, fit: Fit, out: Sequence[str]) -> Fit:
 
 
 def redundant_terms(fit: Fit, *, with_block_scatter: bool = True) -> list[str]:
-    """Effects that can go, one after the other, the least evidence first, the others following linearly."""
+    """Effects that can be removed one by one, the least evidence first, the others adapting linearly."""
     mean, covariance, names = _posterior(fit, with_block_scatter=with_block_scatter)
     columns, known = _places(names), {active.name: active.candidate for active in fit.model.active}
     out: list[str] = []
@@ -271,31 +270,31 @@ def redundant_terms(fit: Fit, *, with_block_scatter: bool = True) -> list[str]:
             name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)], known[name]) - keep_threshold(fit, known[name])
             for name, k in columns.items()
         }
-        least = min(spare, key=lambda name: spare[name])
-        if spare[least] >= 0.0:
+        weakest = min(spare, key=lambda name: spare[name])
+        if spare[weakest] >= 0.0:
             break
-        # The others' distribution where this effect is not there.
-        gone = columns.pop(least)
+        # Distribution of the others conditional on the absence of this effect.
+        gone = columns.pop(weakest)
         follow = np.linalg.solve(covariance[np.ix_(gone, gone)], covariance[gone]).T
         mean = mean - follow @ mean[gone]
         covariance = covariance - follow @ covariance[gone]
-        out.append(least)
+        out.append(weakest)
     return out
 
 
 def swap_step(
-    fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect], names: Sequence[str] | None = None
+    fitter: Fitter, fit: Fit, library: Library, names: Sequence[str] | None = None
 ) -> tuple[Fit, dict[str, list[str]]]:
-    """The fit with each effect replaced by an absent one that does better in its place, and those that do as well.
+    """Replace each effect by an absent one that fits better; returns also the alternatives that fit as well.
 
     Parameters
     ----------
     names : sequence of str, optional
-        Only these are tested; by default all.
+        Effects to test; all by default.
     """
     limits, indistinguishable = fit.criteria.selection, dict[str, list[str]]()
-    alike = [pair for pair in _swap_candidates(fitter, fit, library) if names is None or pair[0] in names]
-    for name, other in alike[: limits.most_trials]:
+    candidate_swaps = [pair for pair in _swap_candidates(fitter, fit, library) if names is None or pair[0] in names]
+    for name, other in candidate_swaps[: limits.most_trials]:
         if name not in fit.model.names or other.name in fit.model.names:
             continue
         others = [a for a in fit.model.active if a.name != name]
@@ -320,7 +319,7 @@ def swap_step(
 
 
 def merge_indistinguishable(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]]:
-    """The fit with one of each two effects that the recording cannot part, where it does as well, and what went."""
+    """Keep one of two effects that the recording cannot separate, where it suffices; returns also those removed."""
     gone: dict[str, list[str]] = {}
     limits = fit.criteria.selection
     for one, other in combinations(fit.model.names, 2):
@@ -337,35 +336,37 @@ def merge_indistinguishable(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, li
 
 
 def _sufficient_alone(fitter: Fitter, fit: Fit, lesser: str, stays: str) -> tuple[str, Fit] | None:
-    """Which of two effects does as well alone as both, and the fit so; None where neither does.
+    """Which of two effects fits as well alone as both, and that fit; None where neither does.
 
-    Of two effects with a common amplitude the lesser is tried too where the other does not suffice, or needs more
-    refinements: it may be the one that has the form.
+    If the two share an amplitude's name, the lesser is tried alone too where the other does not suffice, or needs more
+    refinements: the lesser may have the right form.
     """
-    able: list[tuple[str, Fit]] = []
-    one_kind = bool(_shared_amplitudes(fit, lesser, stays))
-    for goes, keeps in ((lesser, stays), (stays, lesser))[: 2 if one_kind else 1]:
+    sufficient: list[tuple[str, Fit]] = []
+    is_same_kind = bool(_shared_amplitudes(fit, lesser, stays))
+    for goes, keeps in ((lesser, stays), (stays, lesser))[: 2 if is_same_kind else 1]:
         trial = _refit_without_one(fitter, fit, goes, keeps)
         if _evidence_gain(fit, trial) < keep_threshold(fit, _candidate(fit, goes)):
-            able.append((keeps, trial))
+            sufficient.append((keeps, trial))
             if not _needs_more_refinements(fit, keeps, trial):
                 break
-    return max(able, key=lambda one: _evidence_gain(one[1], fit) + _candidate(fit, one[0]).prior_log_odds, default=None)
+    return max(
+        sufficient, key=lambda one: _evidence_gain(one[1], fit) + _candidate(fit, one[0]).prior_log_odds, default=None
+    )
 
 
 def _shared_amplitudes(fit: Fit, one: str, other: str) -> set[str]:
-    """Amplitudes of the same name: of a dead time and a drop their volts."""
+    """Names of amplitudes that two effects share, such as the voltage of a dead time and of a device drop."""
     return set(_candidate(fit, one).amplitudes) & set(_candidate(fit, other).amplitudes)
 
 
 def _needs_more_refinements(fit: Fit, name: str, trial: Fit) -> bool:
-    """Whether an effect is bent by more in a trial than in the fit."""
+    """Whether an effect has more refinements in a trial than in the fit."""
     before, after = (next(a for a in f.model.active if a.name == name) for f in (fit, trial))
     return len(after.free_refinements) > len(before.free_refinements)
 
 
 def _refit_without_one(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
-    """The fit without one of two effects, refitted from where the other has taken over what was its."""
+    """The fit without one of two effects, refitted from a start where the other takes over its amplitude."""
     went, stayed = (next(a for a in fit.model.active if a.name == name) for name in (goes, keeps))
     shared = _shared_amplitudes(fit, goes, keeps)
     for name in shared:
@@ -373,13 +374,13 @@ def _refit_without_one(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
         stayed = stayed.moved(name, standardised(stayed.candidate.named(name), whole))
     active = [stayed if a.name == keeps else a for a in fit.model.active if a is not went]
     trial = refit(fitter, fit.model.with_active(active), fit)
-    # What two of one kind make good may be the form of either.
+    # Two effects of the same kind may together imitate the form of either.
     trial = refit(fitter, release_refinements(fitter, trial), trial)
     return free_remaining_shapes(fitter, trial) if shared else trial
 
 
 def _evidence_gain(trial: Fit, fit: Fit) -> float:
-    """By how much the log evidence of one fit is above that of another, noise as large as the better one leaves it."""
+    """Gain in log evidence of one fit over another, with the noise inflated to the better one's residual."""
     inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
     return log_evidence(trial, inflation) - log_evidence(fit, inflation)
 
@@ -392,11 +393,11 @@ def _candidate(fit: Fit, name: str) -> CandidateEffect:
     return next(a.candidate for a in fit.model.active if a.name == name)
 
 
-def _swap_candidates(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect]) -> list[tuple[str, EffectTerm]]:
-    """Effects that are there, each with an absent one at its best size that makes good most of their loss, linearly."""
+def _swap_candidates(fitter: Fitter, fit: Fit, library: Library) -> list[tuple[str, EffectTerm]]:
+    """Pairs of an effect and an absent one, at its linear estimate, that makes up for most of the effect's loss."""
     absent = [c for c in library if c.name not in fit.model.names]
     columns = absent_columns(absent)
-    normal, right = fitter.evaluate(fit.model, fit.frame, columns, known=fit).projected()
+    normal, right = fitter.evaluate(fit.model, fit.linearisation, columns, known=fit).projected()
     free = fit.model.free
     amplitudes = [k for k, (a, n) in enumerate(free) if n in a.candidate.amplitudes]
     pairs = []
@@ -421,7 +422,7 @@ def _swap_candidates(fitter: Fitter, fit: Fit, library: Sequence[CandidateEffect
 
 
 def log_bayes_factors(fit: Fit) -> dict[str, float]:
-    """How much more likely the data are with each active effect than without, as a logarithm."""
+    """Log Bayes factor of each active effect: the model with it over the model without it [nat]."""
     mean, covariance, names = _posterior(fit)
     known = {active.name: active.candidate for active in fit.model.active}
     return {
@@ -430,12 +431,12 @@ def log_bayes_factors(fit: Fit) -> dict[str, float]:
 
 
 def probabilities(fit: Fit) -> dict[str, float]:
-    """Of each active effect, that it is there."""
+    """Posterior probability that each active effect is present."""
     prior = fit.criteria.selection.prior_probability
     odds = math.log(prior / (1.0 - prior))
-    starts = {active.name: active.candidate.prior_log_odds for active in fit.model.active}
+    priors = {active.name: active.candidate.prior_log_odds for active in fit.model.active}
     return {
-        name: 0.5 * (1.0 + math.tanh(0.5 * (f + odds + starts[name]))) for name, f in log_bayes_factors(fit).items()
+        name: 0.5 * (1.0 + math.tanh(0.5 * (f + odds + priors[name]))) for name, f in log_bayes_factors(fit).items()
     }
 
 
@@ -445,9 +446,9 @@ def _log_bayes_factor(mean: Array, covariance: Array, candidate: CandidateEffect
 
 
 def _posterior(fit: Fit, *, with_block_scatter: bool = True) -> tuple[Array, Array, list[str]]:
-    """Mean and covariance of the amplitudes, shapes as they are, and whose each is.
+    """Mean and covariance of the amplitudes with shapes fixed, and the effect that each belongs to.
 
-    Noise is as large as it turned out to be; the scatter between blocks is added where `with_block_scatter`.
+    The noise is inflated to the residual; the scatter between blocks is added where `with_block_scatter`.
     """
     which = [k for k, (a, n) in enumerate(fit.model.free) if n in a.candidate.amplitudes]
     free = [fit.model.free[k] for k in which]
@@ -463,6 +464,6 @@ def _places(names: Sequence[str]) -> dict[str, list[int]]:
 
 
 def without_effect(fitter: Fitter, fit: Fit, name: str) -> Fit:
-    """R_s and the map where one effect is not there and the others stay as they are."""
+    """R_s and the map refitted without one effect, the other effects fixed."""
     others = [replace(a, free=()) for a in fit.model.active if a.name != name]
-    return fitter.evaluate(fit.model.with_active(others), fit.frame)
+    return fitter.evaluate(fit.model.with_active(others), fit.linearisation)

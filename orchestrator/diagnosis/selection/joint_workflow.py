@@ -1,4 +1,4 @@
-"""The course where effects are many: all fitted together, a ladder made of them, doubtful causes set aside."""
+"""Diagnosis with many effects: a joint fit, a ladder built from it, and removal of confounded causes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from orchestrator.diagnosis.fitting.baseline import (
     on_usual_grid,
     with_finest_map,
 )
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.judgement.contributions import contributions, is_material
 from orchestrator.diagnosis.judgement.intervals import block_scatter_ratio, is_none_significant, possibly_absent
-from orchestrator.diagnosis.judgement.verdict import fitted_verdict, left_fraction
+from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of
 from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH, with_scatter_beside
-from orchestrator.diagnosis.selection.forward_search import Search, Step, refit_steps
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult, refit_steps
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import (
     backward_elimination,
@@ -39,17 +39,14 @@ from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
 
 LEAST_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
-"""Times the part of the error left in the end that a cause has to explain: a wrong form's error is taken by another
-effect."""
+"""Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
 MAX_SHARE_OF_ERROR: float = 10.0
-"""Factor of the first model's whole error that an effect may remove while something unknown remains; an effect that
-removes more is balanced by another. Sound ones removed 1.7 times at most, a confounded one alone 3.6, balanced ones
-28 to 236."""
+"""Factor of the first model's error that an effect may remove while something unknown remains; one that removes more
+is balanced by another. Correct effects removed up to 1.7, a single confounded one 3.6, balanced ones 28 to 236."""
 MAX_SHARE_OF_ERROR_OF_PAIR: float = 2.0
-"""The same factor for two or more effects that remove as much each: these balance each other. Such pairs removed 2.0
-to 3.6 each."""
+"""`MAX_SHARE_OF_ERROR` where two or more effects exceed this value; such balanced pairs removed 2.0 to 3.6 each."""
 MAX_RELATIVE_SCATTER: float = 0.2
-"""Largest scatter, relative to itself, of an effect that is named while something unknown remains."""
+"""Largest scatter between blocks, relative to its size, of an effect named while something unknown remains."""
 
 EVALUATIONS_LEFT_PER_EFFECT = {"together": 25.0, "forms": 23.0, "search": 17.0, "whole": 13.5, "ladder": 5.0}
 """Evaluations of the first model that take as long as the rest of a diagnosis from where its steps begin, per effect of
@@ -61,14 +58,14 @@ LEAST_RELATIVE_CHANGE_FOR_NEW_SEARCH = 0.05
 
 def search_jointly(
     setup: DiagnosisSetup,
-    steps: Sequence[Step],
-    quick: Search,
-    library: Sequence[CandidateEffect],
+    steps: Sequence[AcceptedModel],
+    quick: SearchResult,
+    library: Library,
     interim: InterimRecorder,
-) -> tuple[DiagnosisSetup, Search] | None:
-    """The ladder of what the joint fit found; None where that is nothing.
+) -> tuple[DiagnosisSetup, SearchResult] | None:
+    """The setup and ladder of a joint search; None where it finds no effect.
 
-    The setup which comes back has the modulator's timer as all effects leave it, where there is one.
+    The setup returned has the modulator's timer as estimated beside all effects.
     """
 
     def begin(text: str, step: str) -> None:
@@ -95,12 +92,12 @@ def search_jointly(
     whole = backward_elimination(setup.fitter, refit(setup.fitter, whole.model.with_active(fit.model.active)))
     interim.record_joint(setup, steps, (whole_alone, whole), quick, indistinguishable, is_part=False)
     if whole.chi2_per_dof > whole.criteria.selection.detected_chi2 and not setup.fitter.noise.of_model.scatters:
-        # A voltage that the quantiser cannot resolve, or a zero that wanders, may be all that is left beside effects.
+        # An unresolved quantiser or drifting sensor offsets may be the only misfit beside the effects.
         wider = with_scatter_beside(setup, setup.fitter, whole, library)
         setup.fitter.trace.record("noise", before=whole, taken=wider is not None)
         if wider is not None:
             setup, whole = wider, backward_elimination(wider.fitter, refit(wider.fitter, whole.model))
-    # The whole shows what a part of it was too little for.
+    # The whole recording may show effects that its part was too short for.
     whole = backward_elimination(setup.fitter, forward_step(setup.fitter, whole, library))
     if late := [name for name in whole.model.names if name not in fit.model.names]:
         whole, others = swap_step(setup.fitter, whole, library, late)
@@ -121,18 +118,18 @@ def search_jointly(
 
 
 def refine_joint_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
-    """The fit on as sharp a map as it asks for now that all effects have their forms, and these anew on each.
+    """Refit on the finest map that the evidence requires, now that all effects have their forms.
 
     This comes before backward elimination: the error of a coarse map looks like one or another effect. The grid is
     chosen with the effects fixed, for there are many maps to try. A finer map that leaves more is not taken.
     """
     while is_large_misfit(fit) and fit.model.space.is_free:
-        fixed = setup.coarse_fitter.fit(with_fixed_effects(fit.model), fit.frame)
+        fixed = setup.coarse_fitter.fit(with_fixed_effects(fit.model), fit.linearisation)
         finer = record_finest_map(setup, setup.coarse_fitter, fixed)
         if finer is fixed:
             break
         trial = free_own_shapes(
-            setup.coarse_fitter, setup.coarse_fitter.renewed(finer.model.with_active(fit.model.active))
+            setup.coarse_fitter, setup.coarse_fitter.relinearise(finer.model.with_active(fit.model.active))
         )
         if trial.objective >= fit.objective:
             break
@@ -141,15 +138,12 @@ def refine_joint_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
 
 
 def with_fixed_effects(model: Model) -> Model:
-    """The model with its effects held as they are."""
+    """The model with all effect parameters fixed."""
     return model.with_active([replace(active, free=()) for active in model.active])
 
 
 def coarsen_joint_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
-    """The fit on a usual map, where a sharp one does hardly better now that all forms and what scatters are known.
-
-    It was made sharp for what these took away later.
-    """
+    """Refit on the usual map where a fine one no longer gains: effects found later may explain what it was for."""
     if not has_fine_grid(fit):
         return fit
     usual = refit(setup.fitter, on_usual_grid(setup, fit))
@@ -159,11 +153,11 @@ def coarsen_joint_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
 
 
 def with_quantiser_of_fit(
-    setup: DiagnosisSetup, fit: Fit, indistinguishable: dict[str, list[str]], library: Sequence[CandidateEffect]
+    setup: DiagnosisSetup, fit: Fit, indistinguishable: dict[str, list[str]], library: Library
 ) -> tuple[DiagnosisSetup, Fit, dict[str, list[str]]]:
-    """All three with the timer as the fit shows it, all effects searched once more where that changes much.
+    """Setup, fit and alternatives with the timer estimated from the fit; a large change repeats the search.
 
-    As they were, where they do no better so.
+    All are returned unchanged where that does not improve the fit.
     """
     timed = refine_quantiser_by_fit(setup, fit, library)
     if timed is None:
@@ -182,39 +176,39 @@ def with_quantiser_of_fit(
     return (anew, fit, others) if gain > 0.0 else (setup, before, indistinguishable)
 
 
-def _search_again(
-    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]
-) -> tuple[Fit, dict[str, list[str]]]:
-    """The joint search from all effects once more, after the quantiser has changed."""
-    everything = setup.coarse_fitter.renewed(with_all_effects(fit.model, library))
+def _search_again(setup: DiagnosisSetup, fit: Fit, library: Library) -> tuple[Fit, dict[str, list[str]]]:
+    """Repeat the joint search after the quantiser has changed."""
+    everything = setup.coarse_fitter.relinearise(with_all_effects(fit.model, library))
     return joint_search(setup.coarse_fitter, free_own_shapes(setup.coarse_fitter, everything), library)
 
 
 def is_large_misfit(fit: Fit) -> bool:
-    """Whether so much is left beside all effects that a form must be wrong."""
+    """Whether the residual beside all effects is so large that a form must be wrong."""
     return fit.chi2_per_dof > 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 
 
 def build_ladder(
     setup: DiagnosisSetup,
-    steps: Sequence[Step],
+    steps: Sequence[AcceptedModel],
     whole: Fit,
     indistinguishable: Mapping[str, Sequence[str]],
     detected_not_named: Sequence[str],
-) -> Search:
-    """The rungs of a joint fit: its causes by what each takes away, largest first; all the rest is in the last rung.
+) -> SearchResult:
+    """Ladder of a joint fit: one step per cause, the largest first; the last step has all effects.
 
-    On each rung effects are as large as in the end, the noise is the last rung's, and R_s and the map follow.
+    All steps use the final effect parameters and noise; R_s and the map are refitted.
     """
     sizes, factors = contributions(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].relative_to_error)
     limits = whole.criteria.selection
-    least = max(limits.named_share, LEAST_RATIO_OF_CAUSE_TO_RESIDUAL * left_fraction(steps[0].fit.chi2_per_dof, whole))
-    # What nothing else could take away, in the same measure as what is left: less may be the form of another.
-    rest = 0.5 * max(whole.chi2 - whole.dof, 0.0)
-    clear = [n for n in order if factors[n] > rest]
-    causes = [n for n in clear if sizes[n].relative_to_error > least or is_material(sizes[n], whole)] or order[:1]
+    min_share = max(
+        limits.named_share, LEAST_RATIO_OF_CAUSE_TO_RESIDUAL * residual_fraction_of(steps[0].fit.chi2_per_dof, whole)
+    )
+    # A cause's log evidence must exceed half the excess chi2: less may be another effect's form.
+    min_factor = 0.5 * max(whole.chi2 - whole.dof, 0.0)
+    clear = [n for n in order if factors[n] > min_factor]
+    causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)] or order[:1]
     below_materiality = [n for n in order if n not in causes]
     for name in order:
         setup.fitter.trace.record(
@@ -223,50 +217,49 @@ def build_ladder(
             after=whole,
             measure="share",
             score=sizes[name].relative_to_error,
-            threshold=least,
+            threshold=min_share,
             taken=name in causes,
             note="" if name in clear else "its evidence does not exceed half of what is left",
         )
-    # What was measured beforehand is in the first steps, and has its place among the causes.
+    # Effects measured from the readings are in the first models; they are ranked among the causes instead.
     rungs = [step for step in steps if step.added not in known]
     for count, name in enumerate(causes[:-1], 1):
         still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
-        rungs.append(Step(name, setup.fitter.evaluate(still, whole.frame), factors[name]))
+        rungs.append(AcceptedModel(name, setup.fitter.evaluate(still, whole.linearisation), factors[name]))
         setup.fitter.tell(f"+ {plain_name(name)}: chi2 {number(rungs[-1].fit.chi2_per_dof)}")
-    rungs.append(Step(causes[-1], whole, factors[causes[-1]]))
+    rungs.append(AcceptedModel(causes[-1], whole, factors[causes[-1]]))
     setup.fitter.tell(f"+ {plain_name(causes[-1])}: chi2 {number(whole.chi2_per_dof)}")
     tied = {name: list(other) for name, other in indistinguishable.items() if name in known}
     view = LinearView(whole, (), tuple(whole.model.free), *whole.projected())
-    left = [name for name in detected_not_named if name not in known]
-    return Search(rungs, left, tied, view, below_materiality=tuple(below_materiality), contributions=sizes)
+    unnamed = [name for name in detected_not_named if name not in known]
+    return SearchResult(rungs, unnamed, tied, view, below_materiality=tuple(below_materiality), contributions=sizes)
 
 
-def drop_confounded(fitter: Fitter, search: Search) -> tuple[Search, list[str]]:
-    """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
+def drop_confounded(fitter: Fitter, search: SearchResult) -> tuple[SearchResult, list[str]]:
+    """Reject doubtful causes of a joint fit; returns the search and the names rejected.
 
-    Nor is one whose interval holds nothing at all: it may be balanced by another, as is one that takes away many times
-    what there is to take away, or twice that where another does as well. All stay in the model. What drifts by a part
-    leaves that part of what it takes away: where less is left, the blocks disagree on something else. Where no effect
-    at all is sure, nothing has been found, however little is left.
+    While something unknown remains, a cause is rejected if its size varies between blocks by more than the residual
+    allows, if it explains less than the residual, if its interval contains its absence, or if it removes so much that
+    another effect must balance it. All stay in the model. Where no effect is significant, all are rejected.
     """
     first, last = search.steps[0].fit, search.fit
     if search.contributions and is_none_significant(fitter, search.fit):
         fitter.trace.record("remove", last.model.names, before=last, taken=True, note="no effect is certain")
-        return Search(search.bare_steps, search.detected_not_named), list(last.model.names)
+        return SearchResult(search.baseline_models, search.detected_not_named), list(last.model.names)
     if not search.contributions or fitted_verdict(first, last) == "explained":
         return search, []
-    drift, left = block_scatter_ratio(search.fit), left_fraction(first.chi2_per_dof, last)
-    steady = MAX_RELATIVE_SCATTER
+    drift, residual = block_scatter_ratio(search.fit), residual_fraction_of(first.chi2_per_dof, last)
     causes, absent = (
         [n for n in last.model.names if n not in search.below_materiality],
         possibly_absent(fitter, search.fit),
     )
     taken = {n: search.contributions[n].relative_to_error for n in causes}
-    unsteady = [n for n in causes if drift[n] > steady and left > steady * min(taken[n], 1.0)]
+    limit = MAX_RELATIVE_SCATTER
+    unsteady = [n for n in causes if drift[n] > limit and residual > limit * min(taken[n], 1.0)]
     several = sum(share.relative_to_error > MAX_SHARE_OF_ERROR_OF_PAIR for share in search.contributions.values()) > 1
-    most = MAX_SHARE_OF_ERROR_OF_PAIR if several else MAX_SHARE_OF_ERROR
-    balanced = [n for n in causes if taken[n] > most]
-    doubtful = [n for n in causes if n in unsteady or taken[n] < left or n in absent or n in balanced]
+    max_share = MAX_SHARE_OF_ERROR_OF_PAIR if several else MAX_SHARE_OF_ERROR
+    balanced = [n for n in causes if taken[n] > max_share]
+    doubtful = [n for n in causes if n in unsteady or taken[n] < residual or n in absent or n in balanced]
     for name in doubtful:
         note = next(
             text
@@ -279,7 +272,7 @@ def drop_confounded(fitter: Fitter, search: Search) -> tuple[Search, list[str]]:
             if name in names
         )
         fitter.trace.record(
-            "name", [name], after=last, measure="share", score=taken[name], threshold=left, taken=False, note=note
+            "name", [name], after=last, measure="share", score=taken[name], threshold=residual, taken=False, note=note
         )
     steps = [s for s in search.steps[:-1] if s.added not in doubtful]
     added = next((n for n in reversed(causes) if n not in doubtful), None)
@@ -289,7 +282,7 @@ def drop_confounded(fitter: Fitter, search: Search) -> tuple[Search, list[str]]:
 
 
 def record_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """The same model on the finest map that is worth its freedom; the fit itself where none is."""
+    """`with_finest_map`, recorded in the trace."""
     finer = with_finest_map(setup, fitter, fit)
     if finer is fit:
         fitter.trace.record("finer_map", before=fit, taken=False)

@@ -1,12 +1,11 @@
-"""When a PWM quantiser is estimated, and given which fit: at first, and again as the effects' forms improve."""
+"""Estimation of a PWM quantiser within a search: before it, and again as the effects' forms improve."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.command_traces import command_traces
@@ -17,13 +16,13 @@ from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of
 from orchestrator.diagnosis.selection.joint_search import refit_briefly
 
 MAX_QUANTISER_ROUNDS: int = 4
-"""How often timer and fit are estimated, each given the other."""
+"""Maximum number of alternating estimates of quantiser and fit."""
 
 
-def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]) -> DiagnosisSetup:
-    """The setup with the voltages that the modulator's timer lets through, where the readings bear one.
+def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
+    """The setup with voltages rounded by the modulator's timer, where the readings show one.
 
-    Where currents only rest at a PWM frequency, the phases there are estimated given a fit, all effects following.
+    For a PWM frequency with dwells only, the timer's phases are estimated beside a fit, all effects adapting.
     """
     prepared = setup.prepared
     setup.fitter.tell("is a command rounded? A modulator's timer")
@@ -39,8 +38,8 @@ def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Sequence[C
     return replace(setup.with_quantiser(timer), quantisers=quantisers)
 
 
-def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]) -> DiagnosisSetup:
-    """The setup with the modulator's timer as the dwells show it beside a fit; as it was, where there is none."""
+def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
+    """The setup with the timer estimated from the dwells beside a fit; unchanged where there is none."""
     if not setup.quantisers:
         return setup
     setup.fitter.tell("the modulator's timer, by the voltages that hold the currents")
@@ -51,19 +50,17 @@ def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Sequence[
     return setup.with_quantiser(timer)
 
 
-def refine_quantiser_by_fit(
-    setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect]
-) -> tuple[DiagnosisSetup, Fit] | None:
-    """The setup with the timer as every equation of a part's fit shows it, and the fit so.
+def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -> tuple[DiagnosisSetup, Fit] | None:
+    """The setup with the timer estimated from all equations of a part's fit, and the fit with it.
 
-    None where there is no timer, where nothing is left, or where another is hardly likelier.
+    None where there is no timer, no misfit, or no significant gain by another timer.
     """
     limits = fit.criteria.selection
     if not setup.quantisers or fit.chi2_per_dof <= limits.detected_chi2:
         return None
-    # No descent leads over a command's jump, which a phase estimated beside wrong forms may lie beyond; dwells do.
+    # Rounding makes the objective discontinuous in the timer's phase: the estimate by dwells is a second start.
     beside = with_quantiser_of_dwells(setup, fit, library)
-    starts = (setup, fit), (beside, beside.coarse_fitter.renewed(fit.model))
+    starts = (setup, fit), (beside, beside.coarse_fitter.relinearise(fit.model))
     timed, sharper = min(starts, key=lambda start: start[1].objective)
     gained = fit.objective - sharper.objective
     for turn in range(MAX_QUANTISER_ROUNDS):

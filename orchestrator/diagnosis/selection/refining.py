@@ -1,4 +1,4 @@
-"""Effects' flexible forms: freed where the evidence asks for them, and taken back where the simple form will do.
+"""Effects' flexible forms: freed where the evidence requires them, fixed again where the simple form suffices.
 
 The wrong shape of the right effect causes most spurious second ones.
 """
@@ -16,34 +16,35 @@ from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without,
 from protocols import ParameterRole
 
 MAX_DEFERRED_FORM_GAIN: float = 0.3
-"""Part of a flexible form's gain, to first order, that is left to later. Few of its parameters bring most of it, and
-with these in place the others look different."""
+"""Part of a flexible form's linear gain that may be postponed: few of its parameters bring most of the gain, and the
+others are judged anew once those are free."""
 LEAST_SHARE_OF_FORM_DETAIL: float = 0.5
-"""Part of the residual that a form's details have to remove to be freed; a smaller part belongs to another effect."""
+"""Part of the excess chi2 that a form's details have to remove to be freed; less may belong to another effect."""
 MAX_FORM_EXTENSIONS: int = 8
-"""How often more of a flexible form is freed."""
+"""Maximum number of extensions of a flexible form."""
 LEAST_CHI2_LOSS_OF_SIMPLE_FORM: float = 1000.0
 """Loss of chi2, to first order, beyond which an effect's simple form does not suffice."""
 
 
 def refit_newest(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
-    """The newest effect fitted to the end, in its flexible form where the evidence asks for it."""
+    """Fit the newest effect to convergence, in its flexible form where the evidence requires it."""
     return extend_newest(fitter, fit_newest(fitter, fit), inflation)
 
 
 def fit_newest(fitter: Fitter, fit: Fit) -> Fit:
-    """The newest effect fitted to the end as it is."""
-    return fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
+    """Fit the newest effect to convergence in its present form."""
+    linearisation = fitter.linearise(fit.model, fit.linearisation)
+    return fitter.fit(fit.model, linearisation, steps=4, relinearisations=0, tolerance=1e-3)
 
 
 def extend_newest(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
-    """The fit with the newest effect's refinements where the evidence asks for them."""
+    """Free the newest effect's refinements where the evidence requires them."""
     extended = _try_refinements(fitter, fit, len(fit.model.active) - 1, inflation)
     return fit if extended is None else extended
 
 
 def extend_earlier(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit with the earlier effects' refinements, where what hid their worth is now in the model."""
+    """Free the earlier effects' refinements, where the effect added since shows their gain."""
     for index in range(0 if fitter.budget.is_spent else len(fit.model.active) - 1):
         trial = _try_refinements(fitter, fit, index, 1.0)
         fit = fit if trial is None else trial
@@ -51,13 +52,13 @@ def extend_earlier(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def fixed_refinements(effects: Sequence[EffectTerm]) -> list[tuple[EffectTerm, str]]:
-    """Refinements of some effects that rest."""
+    """Refinements of some effects that are held fixed."""
     return [(a, n) for a in effects for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
 
 
 def converge(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
-    best = fitter.fit(fit.model, fit.frame, steps=8, renewals=3, tolerance=3e-4)
+    """Fit to convergence, each effect in its simple form again where that now fits as well."""
+    best = fitter.fit(fit.model, fit.linearisation, steps=8, relinearisations=3, tolerance=3e-4)
     for index in range(len(best.model.active)):
         free_refinements = best.model.active[index].free_refinements
         if free_refinements and not fitter.budget.is_spent:
@@ -66,13 +67,13 @@ def converge(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def _simplify(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | None:
-    """The fit without some refinements of one effect; None where they are needed."""
+    """The fit with some refinements of one effect at neutral; None where they are needed."""
     active, limits = fit.model.active[index], fit.criteria.selection
     if loss_without(fit, active, names) > LEAST_CHI2_LOSS_OF_SIMPLE_FORM:
         return None
     models = list(fit.model.active)
     models[index] = active.fix(*names)
-    trial = fitter.fit(fit.model.with_active(models), fit.frame, steps=8, renewals=0, tolerance=3e-4)
+    trial = fitter.fit(fit.model.with_active(models), fit.linearisation, steps=8, relinearisations=0, tolerance=3e-4)
     inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
     simple, free = log_evidence(trial, inflation), log_evidence(fit, inflation)
     fitter.trace.record(
@@ -89,7 +90,7 @@ def _simplify(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit
 
 
 def _try_refinements(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
-    """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
+    """The fit with one effect's flexible form; None where nothing is left to free or the evidence is against it."""
     active = fit.model.active[index]
     if fitter.budget.is_spent or set(active.candidate.of_role(ParameterRole.REFINEMENT)) <= set(active.free):
         return None
@@ -115,10 +116,10 @@ def _try_refinements(fitter: Fitter, fit: Fit, index: int, inflation: float) -> 
 
 
 def _alternative_starts(active: EffectTerm, best: Fit, index: int) -> list[EffectTerm]:
-    """Where else an effect's flexible form begins, where the best fit so far leaves more than noise.
+    """Further initial values of an effect's flexible form, where the best fit so far leaves more than noise.
 
-    At its second form, also with what the first was bent by; and without what ran to the end of its range, which stood
-    in for something else.
+    They are its second form, with and without the first one's refinements, and the form without parameters that ran to
+    a bound: these compensated for something else.
     """
     if best.chi2_per_dof <= best.criteria.selection.detected_chi2:
         return []
@@ -127,20 +128,20 @@ def _alternative_starts(active: EffectTerm, best: Fit, index: int) -> list[Effec
 
 
 def _at_bounds(active: EffectTerm) -> list[str]:
-    """Refinements that stand at an end of their range, away from the simple form."""
+    """Refinements at a bound of their range, unless that is neutral."""
     declared = ((n, active.candidate.named(n)) for n in active.free_refinements)
     return [n for n, p in declared if active.values[n] in (p.low, p.high) and active.values[n] != p.neutral]
 
 
 def _extend_form(fitter: Fitter, fit: Fit, index: int, form: EffectTerm, best: Fit, inflation: float) -> Fit | None:
-    """The fit with one effect in a flexible form; None where it does no better than the best so far, or promises so.
+    """The fit with one effect in a flexible form; None where its linear or actual gain does not beat the best fit.
 
-    What brings most of what the form does is freed and fitted, then what the rest still brings beside it.
+    Parameters that bring most of the gain are freed and fitted first, then those that still gain beside them.
     """
     trial, reached = None, best.objective
     for _ in range(MAX_FORM_EXTENSIONS):
         whole = fitter.evaluate(
-            _with_term(fit if trial is None else trial, index, _release_refinements(form)), fit.frame
+            _with_term(fit if trial is None else trial, index, _release_refinements(form)), fit.linearisation
         )
         if reached - whole.objective + fitter.predicted_reduction(whole) < fit.criteria.selection.tie * inflation:
             break
@@ -148,15 +149,16 @@ def _extend_form(fitter: Fitter, fit: Fit, index: int, form: EffectTerm, best: F
         if trial is not None and not more:
             break
         form = form.release(*more)
-        # Whether it pays shows early; the last fit of all is taken to its end.
-        trial = fitter.fit(_with_term(whole, index, form), fit.frame, steps=5, renewals=0, tolerance=3e-3)
+        # A rough fit suffices for the decision; the last fit is taken to convergence.
+        model = _with_term(whole, index, form)
+        trial = fitter.fit(model, fit.linearisation, steps=5, relinearisations=0, tolerance=3e-3)
         form, reached = trial.model.active[index], trial.objective
         inflation = max(1.0, min(inflation, trial.chi2_per_dof))
     return trial if trial is not None and trial.objective < best.objective else None
 
 
 def _release_refinements(form: EffectTerm) -> EffectTerm:
-    """An effect with its refinements free, but for those that lead to its second form, where it is at its first."""
+    """An effect with its refinements free, except those that lead from its first form to the second."""
     declared = ((n, form.candidate.named(n)) for n in form.candidate.of_role(ParameterRole.REFINEMENT))
     return form.release(*(n for n, p in declared if p.other_form is None or form.values[n] != p.neutral))
 
@@ -169,7 +171,7 @@ def _with_term(fit: Fit, index: int, form: EffectTerm) -> Model:
 
 
 def _select_refinements(whole: Fit, form: EffectTerm, inflation: float) -> list[str]:
-    """Refinements that bring most of what those do which are not free yet."""
+    """Fixed refinements that together bring most of the gain of all fixed ones."""
     free = whole.model.free
     requested = [k for k, (a, n) in enumerate(free) if a.name == form.name and n not in form.free]
     order = [*(k for k in range(len(free)) if k not in requested), *requested]
@@ -188,16 +190,16 @@ def refinement_groups(
     inflation: float,
     share: float | None = None,
 ) -> list[tuple[list[int], float]]:
-    """Columns of some refinements of an effect by their names, each group with what it has to bring of chi2.
+    """Groups of an effect's refinements as column indices, each with the fall of chi2 required of it.
 
-    Where something is left, details have to bring a `share` of it as well: they bend to anything that is missing.
+    Details must also remove a `share` of the excess chi2, because they adapt to any missing effect.
     """
     limits = fit.criteria.selection
     first, details = list[int](), list[int]()
     for k in which:
         (details if active.candidate.named(names[k]).detail else first).append(k)
-    least = 2.0 * limits.tie * inflation
+    min_gain = 2.0 * limits.tie * inflation
     if fit.chi2_per_dof <= limits.detected_chi2:
-        return [(first, least), (details, least)]
+        return [(first, min_gain), (details, min_gain)]
     share = LEAST_SHARE_OF_FORM_DETAIL if share is None else share
-    return [(first, least), (details, max(least, share * (fit.chi2 - fit.dof)))]
+    return [(first, min_gain), (details, max(min_gain, share * (fit.chi2 - fit.dof)))]

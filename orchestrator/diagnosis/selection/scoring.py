@@ -1,4 +1,4 @@
-"""What an effect is worth: to first order where it is not in the model, by evidence where it is. Decides nothing."""
+"""Gain of an effect: to first order while it is absent, by log evidence once it is in the model."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.types import Array
@@ -16,26 +16,27 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Score:
-    """What an effect would bring, by a linear estimate."""
+    """Linear estimate of an absent effect."""
 
     candidate: CandidateEffect
     gain: float
-    """Fall of chi2."""
+    """Fall of chi2 with its prior."""
     coordinates: Array
+    """Standardised amplitudes, shape (amplitudes,)."""
 
 
 @dataclass(frozen=True)
 class LinearView:
-    """What every effect of the library would do to a fit, to first order.
+    """A fit with all absent effects of the library, to first order.
 
     Attributes
     ----------
     absent : tuple of CandidateEffect
         Effects that are not in the model.
     columns : tuple of (EffectTerm, str)
-        The model's free parameters, then the amplitudes of the absent effects.
-    normal, right : array
-        Normal matrix and gradient of the columns, R_s and the map following.
+        The model's free parameters, the amplitudes of the absent effects, then refinements asked for.
+    normal, right : array, shape (columns, columns) and (columns,)
+        Normal matrix and gradient of the columns, with R_s and the map eliminated.
     """
 
     fit: Fit
@@ -57,12 +58,12 @@ def log_evidence(fit: Fit, inflation: float) -> float:
 
 
 def add_threshold(fit: Fit, candidate: CandidateEffect) -> float:
-    """Log evidence that an effect has to bring to be named."""
+    """Gain in log evidence required to name an effect [nat]."""
     return fit.criteria.selection.log_evidence - candidate.prior_log_odds
 
 
 def keep_threshold(fit: Fit, candidate: CandidateEffect) -> float:
-    """Log evidence below which an effect that is in the model goes: what is expected, where absence is likelier."""
+    """Log evidence below which an effect is removed; an effect included a priori needs evidence against it [nat]."""
     usual = fit.criteria.selection.prior_probability
     if candidate.included_a_priori:
         return -(candidate.prior_log_odds + math.log(usual / (1.0 - usual)))
@@ -70,26 +71,29 @@ def keep_threshold(fit: Fit, candidate: CandidateEffect) -> float:
 
 
 def fits_as_well(rival: Fit, named: Fit) -> bool:
-    """Whether data and priors together lose nothing by a rival, whatever number of parameters that takes.
+    """Whether an alternative fits data and priors as well as the named effect, whatever its number of parameters.
 
-    What is named, evidence decides; but that a rival has more freedom is nothing that was measured.
+    Log evidence decides which one is named, but its penalty for parameters is no measurement that separates the two.
     """
     inflation = max(1.0, min(rival.chi2_per_dof, named.chi2_per_dof))
     return rival.objective - named.objective < 2.0 * named.criteria.selection.tie * inflation
 
 
 def linear_view(
-    fitter: Fitter, fit: Fit, candidates: Sequence[CandidateEffect], bends: Sequence[tuple[EffectTerm, str]] = ()
+    fitter: Fitter,
+    fit: Fit,
+    candidates: Library,
+    refinement_columns: Sequence[tuple[EffectTerm, str]] = (),
 ) -> LinearView:
-    """All effects that are not in the model beside those that are, to first order; and what bends one that is."""
+    """Linear view of a fit with all absent effects, and with some refinements of those present."""
     absent = tuple(c for c in candidates if c.name not in fit.model.names)
-    columns = [*absent_columns(absent), *bends]
-    normal, right = fitter.evaluate(fit.model, fit.frame, columns, known=fit).projected()
+    columns = [*absent_columns(absent), *refinement_columns]
+    normal, right = fitter.evaluate(fit.model, fit.linearisation, columns, known=fit).projected()
     return LinearView(fit, absent, (*fit.model.free, *columns), normal, right)
 
 
 def score(view: LinearView) -> list[Score]:
-    """Linear scores of effects that are not in the model, best first; those that are follow, as the map does."""
+    """Linear scores of the absent effects, best first; the model's own parameters and the map adapt."""
     fitted = len(view.fit.model.free)
     scores = []
     for candidate in view.absent:
@@ -99,14 +103,14 @@ def score(view: LinearView) -> list[Score]:
 
 
 def refinement_gain(view: LinearView) -> float:
-    """Fall of chi2 by what bends an effect of the model, of those columns that a view has of it."""
+    """Fall of chi2 by the refinements that a view has columns for."""
     fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
-    bends = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name not in absent]
-    return linear_gain(view.normal, view.right, fitted, bends)[0] if bends else 0.0
+    refinement_columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name not in absent]
+    return linear_gain(view.normal, view.right, fitted, refinement_columns)[0] if refinement_columns else 0.0
 
 
 def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:
-    """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
+    """Fall of chi2 and coordinates of some columns under their priors; the first `fitted` columns are eliminated."""
     block, pull = normal[np.ix_(columns, columns)], right[columns]
     if fitted:
         inner, across = normal[:fitted, :fitted] + np.eye(fitted), normal[np.ix_(range(fitted), columns)]
@@ -117,32 +121,32 @@ def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]
 
 
 def select_columns(normal: Array, right: Array, fitted: int, columns: Sequence[int], spare: float) -> list[int]:
-    """Those of some columns that bring all of their linear gain but as much of chi2 as may be spared.
+    """The fewest of some columns that together lose no more than `spare` of their linear gain.
 
-    The least of them go, one after the other; what is fitted already, the first columns, follows.
+    Columns are dropped one by one, the smallest loss first; the first `fitted` columns are eliminated.
     """
-    kept = list(columns)
-    least = linear_gain(normal, right, fitted, kept)[0] - spare if kept else 0.0
-    while kept:
-        without = [[k for k in kept if k != gone] for gone in kept]
+    selected = list(columns)
+    min_gain = linear_gain(normal, right, fitted, selected)[0] - spare if selected else 0.0
+    while selected:
+        without = [[k for k in selected if k != gone] for gone in selected]
         gains = [linear_gain(normal, right, fitted, some)[0] if some else 0.0 for some in without]
         best = int(np.argmax(gains))
-        if gains[best] < least:
+        if gains[best] < min_gain:
             break
-        kept = without[best]
-    return kept
+        selected = without[best]
+    return selected
 
 
 def select_terms(
     view: tuple[Array, Array], fitted: int, forms: Sequence[tuple[Sequence[int], float]], later: float = 0.0
 ) -> list[int]:
-    """`select_columns` of the first of some groups of columns that brings as much of chi2 as it has to.
+    """`select_columns` of the first group of columns whose linear gain exceeds its required gain.
 
-    `later` is the part of what a group brings that may be spared as well.
+    `later` is the part of the group's gain that may be postponed.
     """
-    for columns, least in forms:
+    for columns, min_gain in forms:
         gain = linear_gain(*view, fitted, columns)[0] if columns else 0.0
-        if gain > least:
+        if gain > min_gain:
             return select_columns(*view, fitted, columns, max(forms[0][1], later * gain))
     return []
 
@@ -150,7 +154,7 @@ def select_terms(
 def linear_gain_of_absent(
     candidate: CandidateEffect, normal: Array, right: Array, fitted: int, columns: Sequence[int]
 ) -> tuple[float, Array]:
-    """`linear_gain` of an absent effect's amplitudes; their priors may stand elsewhere than at zero."""
+    """`linear_gain` of an absent effect's amplitudes, whose prior means need not be zero."""
     pull = right.copy()
     pull[columns] -= candidate.standing
     gain, x = linear_gain(normal, pull, fitted, columns)
@@ -158,21 +162,21 @@ def linear_gain_of_absent(
 
 
 def loss_without(fit: Fit, active: EffectTerm, names: Sequence[str]) -> float:
-    """How much chi2 would rise, to first order, if some parameters were put back to neutral and all others followed.
+    """Rise of chi2, to first order, if some parameters were put back to neutral and all others adapted.
 
-    Wald's test, in units of the noise that is left.
+    Wald's test, in units of the residual's variance.
     """
     away, block = _away(fit, active, names)
     return float(away @ np.linalg.solve(block, away))
 
 
 def log_density_ratio(mean: Array, covariance: Array) -> float:
-    """Of a prior of unit variance over this distribution, both normal, at zero; as a logarithm."""
+    """Log of the density ratio at zero of a unit normal prior over a normal posterior (Savage and Dickey)."""
     return 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
 
 
 def _away(fit: Fit, active: EffectTerm, names: Sequence[str]) -> tuple[Array, Array]:
-    """How far some parameters are from neutral, and their covariance."""
+    """Standardised values of some parameters, and their covariance."""
     free = fit.model.free
     which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
     away = np.array([active.standardised_value(free[k][1]) for k in which])

@@ -1,1 +1,1 @@
-"""The weak form of the voltage equation: segments as signals, windows, the equations they make, and their noise."""
+"""The weak form of the voltage equation: segments as signals, windows, equations, and noise covariance."""

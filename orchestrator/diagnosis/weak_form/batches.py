@@ -1,7 +1,6 @@
-"""Segments laid end to end, so that one call of a kernel makes the equations of all: their signals and their windows.
+"""Batches of segments: signals and windows concatenated, so that one kernel call evaluates all of them.
 
-A batch has some ten thousand samples: few enough for its arrays to stay in a processor's cache, so many that a call's
-own cost does not count. Knows nothing of motors.
+A batch has about ten thousand samples, which fit into a processor's cache and make a call's overhead negligible.
 """
 
 from __future__ import annotations
@@ -21,33 +20,32 @@ from protocols import SignalBatch
 
 
 class WindowLayout(NamedTuple):
-    """The windows of a batch's segments, as kernels read them.
+    """The windows of a batch's segments as arrays for kernels.
 
     Attributes
     ----------
     starts : array of int64, shape (segments + 1,)
         Bounds of the segments' samples.
     rows : array of int64, shape (segments + 1,)
-        Bounds of their equations: test function, mode, axis.
+        Bounds of the segments' equations, which are ordered by test function, mode, axis.
     test_functions, n_bins, n_modes, unread : array of int64, shape (segments,)
-        As `Windows`; -1 where both axes were read.
+        As in `Windows`; `unread` is -1 where both axes were measured.
     steps : array, shape (segments,)
-        Distance of the test functions in intervals.
+        Spacing of the test functions in intervals.
     bins : array of int32, shape (samples,)
-        Of the interval after each sample.
+        Bin of the interval after each sample.
     before : array of int32, shape (samples,)
-        The test function that peaks before the middle of that interval: 1 for a segment's first, 0 and what is beyond
-        the last for none, ...
+        The test function that peaks before the middle of that interval, counted from 1; 0 or beyond the last: none.
     weights : array, shape (samples, 2)
-        ... its value there, and that of the next one.
+        Value of that test function and of the next one there.
     mode_starts : array of int64, shape (segments,)
-        Where a segment's modes begin in `modes`.
+        Start of each segment's modes in `modes`.
     modes : array
-        All segments' carriers, mode by mode.
+        Values of all segments' modes, mode by mode.
     interval_s : array, shape (segments,)
-        From sample to sample.
+        Sampling interval [s].
     cos, sin : array, shape (segments,)
-        Of the angle at which the rotor is believed to lie.
+        Cosine and sine of the believed rotor angle.
     """
 
     starts: NDArray[np.int64]
@@ -74,10 +72,10 @@ class SegmentBatch:
     Attributes
     ----------
     places : tuple of int
-        Which of the recording's they are.
+        Indices of the segments in the recording.
     pieces : tuple of SegmentData
     signals : SignalBatch
-        Theirs, as measured and commanded.
+        Signals of all segments, as measured and commanded.
     """
 
     places: tuple[int, ...]
@@ -86,7 +84,7 @@ class SegmentBatch:
 
     @classmethod
     def of(cls, pieces: Sequence[SegmentData], places: Iterable[int] | None = None) -> SegmentBatch:
-        """All of some segments, or those at some places among them."""
+        """A batch of all segments, or of those at given indices."""
         at = tuple(range(len(pieces)) if places is None else places)
         chosen = tuple(pieces[k] for k in at)
         return cls(at, chosen, SignalBatch.of([p.signals for p in chosen]))
@@ -96,7 +94,7 @@ class SegmentBatch:
         windows = [p.windows for p in self.pieces]
         angles = np.array([float(p.segment.rotor_angle_rad) for p in self.pieces])
         sizes = [w.modes.size for w in windows]
-        # The last sample of a segment begins no interval.
+        # No interval follows a segment's last sample.
         bins = [np.append(w.bins, 0) for w in windows]
         before, weights = zip(*(_test_functions(w) for w in windows), strict=True)
         return WindowLayout(
@@ -119,22 +117,22 @@ class SegmentBatch:
 
     @cached_property
     def believed_rad(self) -> Array:
-        """The angle at which the rotor is believed to lie, shape (samples,), or (1,) where it is one."""
+        """Believed rotor angle, shape (samples,), or (1,) where it is the same throughout [rad]."""
         angles = np.array([float(p.segment.rotor_angle_rad) for p in self.pieces])
         return np.asarray(self.signals.per_sample(angles), dtype=np.float64)
 
     @cached_property
     def singles(self) -> tuple[SegmentBatch, ...]:
-        """Each segment as a batch of its own."""
+        """Each segment as a separate batch."""
         return tuple(SegmentBatch.of([piece]) for piece in self.pieces)
 
     def rows_of(self, j: int) -> slice:
-        """The equations of the batch's segment j."""
+        """Rows of the equations of the batch's segment j."""
         return slice(int(self.layout.rows[j]), int(self.layout.rows[j + 1]))
 
 
 def _test_functions(windows: Windows) -> tuple[NDArray[np.int32], Array]:
-    """Which test functions lie on either side of each interval of a segment, and what they are in its middle."""
+    """Indices of the test function before each interval of a segment, and the values of it and the next one there."""
     place = (np.arange(len(windows.bins) + 1) + 0.5) / windows.step
     whole = np.floor(place)
     weights = np.column_stack([1.0 - (place - whole), place - whole])
@@ -147,16 +145,15 @@ def _bounds(sizes: Sequence[int]) -> NDArray[np.int64]:
 
 
 MAX_BATCH_SAMPLES = 20_000
-"""Samples of a batch beyond which its arrays leave a processor's cache; far below, a call's own cost shows."""
+"""Samples of a batch beyond which its arrays leave a processor's cache; far below, call overhead is noticeable."""
 
 
 def in_batches(
     pieces: Sequence[SegmentData], first: Iterable[int] = (), samples: int = MAX_BATCH_SAMPLES
 ) -> tuple[tuple[SegmentBatch, ...], tuple[SegmentBatch, ...]]:
-    """A recording's segments in batches of at most so many samples, those that come first apart from the others.
+    """A recording's segments in batches of at most so many samples, with separate batches for those in `first`.
 
-    What is held out of fits, and what was read with the bridge off, is in batches of its own: neither needs all that
-    the others do.
+    Held-out segments and those with the bridge off also have separate batches, as they need fewer computations.
     """
     ahead = set(first)
     kinds: dict[tuple[bool, bool, bool], list[int]] = {}
@@ -169,13 +166,13 @@ def in_batches(
 
 
 def _split(pieces: Sequence[SegmentData], places: Sequence[int], samples: int) -> list[list[int]]:
-    """Places dealt out so that each part has much the same number of samples, the longest segments first."""
+    """Split segment indices into parts with similar numbers of samples, the longest segments first."""
     lengths = {k: len(pieces[k].signals.v_dc) for k in places}
     count = max(1, -(-sum(lengths.values()) // samples))
     parts: list[list[int]] = [[] for _ in range(min(count, len(places)))]
     filled = [0] * len(parts)
     for k in sorted(places, key=lambda k: -lengths[k]):
-        least = filled.index(min(filled))
-        parts[least].append(k)
-        filled[least] += lengths[k]
+        smallest = filled.index(min(filled))
+        parts[smallest].append(k)
+        filled[smallest] += lengths[k]
     return [sorted(part) for part in parts]

@@ -1,8 +1,8 @@
-"""Derivatives of the weak form by the co-energy's coefficients, from moments of the current in each spline cell.
+"""Matrix B of the weak form: its derivatives by the co-energy's coefficients.
 
-Within a cell of the map each spline is one polynomial, so a sum of grad B(i) over samples follows from sums of
-t_d^m t_q^n, m and n up to five: exact, and far cheaper than the splines at each sample. Beyond the map slopes go on
-linearly, as the map's own do; off its corners these bend along both axes at once besides, and the map's do not.
+Within a cell of the map each spline is a polynomial, so that sums of grad B(i) over samples follow from moments, the
+sums of t_d^m t_q^n with m and n up to five: exact, and far cheaper than the splines at each sample. Beyond the map the
+gradient continues linearly; beyond a corner the product of tangents has a bilinear term that the map itself has not.
 """
 
 from __future__ import annotations
@@ -29,54 +29,58 @@ def sum_basis(
     pieces: Array,
     overlap: float = 0.08,
 ) -> Array:
-    """Weighted sums of -(psi_{k+1} - psi_k), one column a coefficient -> (hats, n_bins, 2, coefficients).
+    """Weighted sums of -(psi_{k+1} - psi_k) per coefficient, shape (test_functions, n_bins, 2, coefficients).
 
     Parameters
     ----------
     i_dq : array, shape (n, 2)
-        Magnetising current in the true rotor frame.
+        Magnetising current in the true rotor frame [A].
     delta : array, shape (n,) or (0,)
-        True minus believed angle, by which the flux is turned back into the believed frame. Empty: zero.
+        True minus believed angle, by which the flux is rotated into the believed frame [rad]; empty: zero.
+    step, bins
+        As in `Windows`.
+    numbers, counts, pieces
+        `EvenSpline.layout` of the map, and `tensor_spline.CARDINAL`.
     overlap : float
-        How far beyond its cell a polynomial is still used, in cells: slopes part with its fourth power, 9e-5.
+        Distance in cells for which a polynomial is used beyond its cell; the gradient's error is its fourth power.
     """
     n = i_dq.shape[0]
     nq = (counts.shape[0] - 2 + 1) // 2
     out = np.zeros((test_functions, n_bins, 2, (counts[0] + 5) * nq))
     where = np.zeros((n_bins, 2), dtype=np.int64)
-    # Of the powers as they are and, where the rotor turns, times the cosine and the sine of its angle.
+    # Moments of the powers; where the angle varies, times its cosine and times its sine.
     turns = delta.shape[0] > 0
     moments = np.zeros((n_bins, 2, 2, 6, 6))
-    waiting = np.zeros(n_bins, dtype=np.bool_)
+    pending = np.zeros(n_bins, dtype=np.bool_)
     cos_now, sin_now, cos_after, sin_after = 1.0, 0.0, 1.0, 0.0
     now = np.empty((2, 6))
     after = np.empty((2, 6))
     last_bin = -1
-    span = math.floor(0.5 / step)
+    interval = math.floor(0.5 / step)
     for k in range(n - 1):
         place = (k + 0.5) / step
         functions_before = math.floor(place)
-        if functions_before != span:
+        if functions_before != interval:
             for b in range(n_bins):
-                if waiting[b]:
-                    _flush(out, span, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
-                    waiting[b] = False
-            span = functions_before
+                if pending[b]:
+                    _accumulate(out, interval, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
+                    pending[b] = False
+            interval = functions_before
         b = bins[k]
         u0 = (i_dq[k, 0] - numbers[0]) / numbers[1]
         v0 = (i_dq[k, 1] - numbers[2]) / numbers[3]
         u1 = (i_dq[k + 1, 0] - numbers[0]) / numbers[1]
         v1 = (i_dq[k + 1, 1] - numbers[2]) / numbers[3]
-        fresh = not waiting[b]
+        fresh = not pending[b]
         inside = _within(u0, u1, where[b, 0], counts[0], overlap) and _within(v0, v1, where[b, 1], counts[1], overlap)
-        if waiting[b] and not inside:
-            _flush(out, span, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
+        if pending[b] and not inside:
+            _accumulate(out, interval, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
             fresh = True
         if fresh:
             where[b, 0] = min(max(math.floor(0.5 * (u0 + u1)), 0), counts[0] - 1)
             where[b, 1] = min(max(math.floor(0.5 * (v0 + v1)), 0), counts[1] - 1)
-            waiting[b] = True
-        # The powers at the end of the last interval are those at the start of this one, if the cell is the same.
+            pending[b] = True
+        # In the same cell, the powers at the end of the last interval are those at the start of this one.
         if fresh or b != last_bin:
             _powers(u0, where[b, 0], counts[0], now[0])
             _powers(v0, where[b, 1], counts[1], now[1])
@@ -100,8 +104,8 @@ def sum_basis(
                     moments[b, 1, 1, m, j] += w1 * z
         now, after = after, now
     for b in range(n_bins):
-        if waiting[b]:
-            _flush(out, span, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
+        if pending[b]:
+            _accumulate(out, interval, b, test_functions, where[b], moments[b], turns, numbers, counts, pieces)
     return out
 
 
@@ -114,7 +118,7 @@ def _within(x0: float, x1: float, cell: int, cells: int, overlap: float) -> bool
 
 @njit(cache=True, nogil=True, inline="always")
 def _powers(u: float, cell: int, cells: int, out: Array) -> None:
-    """1, t, ... t^5 of a place within a cell; beyond the map their tangents at its edge, as the map's slopes go on."""
+    """1, t, ... t^5 of a position within a cell; beyond the map, their tangents at its edge."""
     t = min(max(u, 0.0), float(cells)) - cell
     beyond = u - cell - t
     power = 1.0
@@ -125,9 +129,9 @@ def _powers(u: float, cell: int, cells: int, out: Array) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _flush(
+def _accumulate(
     out: Array,
-    span: int,
+    interval: int,
     slot: int,
     test_functions: int,
     cell: NDArray[np.int64],
@@ -137,17 +141,17 @@ def _flush(
     counts: NDArray[np.int64],
     pieces: Array,
 ) -> None:
-    """Hands the moments of one bin to the hats on both sides of a span of intervals, and clears them."""
+    """Add the moments of one bin to the test functions on both sides of an interval between peaks, and clear them."""
     nq = (counts.shape[0] - 2 + 1) // 2
     plain = np.empty(6)
     slope = np.empty(6)
     for side in range(2):
-        hat = span - 1 + side
-        # Cosines' part of the flux along each axis stays on it, the sines' goes to the other.
+        function = interval - 1 + side
+        # The cosine part of the flux stays on its axis, the sine part goes to the other.
         for part in range(2 if turns else 1):
             m = moments[side, part]
-            for r in range(6 if 0 <= hat < test_functions else 0):
-                # Along d first: sums over the powers of t_d, with and without the derivative.
+            for r in range(6 if 0 <= function < test_functions else 0):
+                # Sums over the powers of t_d first, of the splines and of their derivatives.
                 for j in range(6):
                     plain[j] = 0.0
                     slope[j] = 0.0
@@ -165,8 +169,8 @@ def _flush(
                     d /= numbers[1]
                     q /= numbers[3]
                     col = (cell[0] + r) * nq + counts[2 + cell[1] + s]
-                    out[hat, slot, part, col] -= d
-                    out[hat, slot, 1 - part, col] -= q if part == 0 else -q
+                    out[function, slot, part, col] -= d
+                    out[function, slot, 1 - part, col] -= q if part == 0 else -q
             for a in range(6):
                 for j in range(6):
                     m[a, j] = 0.0

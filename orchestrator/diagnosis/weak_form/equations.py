@@ -1,6 +1,6 @@
-"""From corrected signals to weak-form equations: what each interval between two samples says, summed by windows.
+"""From corrected signals to weak-form equations: the voltage equation of each sampling interval, summed by windows.
 
-    y_m = sum_k w_mk [ v_k Ts - R_s int i dt - psi(i_k+1) + psi(i_k) ]  =  0 where the model is right,
+    y_m = sum_k w_mk [ v_k Ts - R_s int i dt - psi(i_k+1) + psi(i_k) ]  =  0 for a correct model,
 
 written in the believed rotor frame. int i dt is the trapezoidal rule and its correction
 Ts^2/12 (i'_start - i'_end): where saturation curves the ripple, the plain rule is biased.
@@ -26,7 +26,7 @@ from protocols import SignalBatch
 
 @dataclass(frozen=True)
 class LocalMap:
-    """Flux and inductance of the present model at every sample of a batch, in the true frame.
+    """Flux and inductance of a model at every sample of a batch, in the true frame.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class LocalMap:
     turn : array, shape (n, 2) or (0, 2)
         Cosine and sine of delta.
     psi : array, shape (n, 2)
-        Without the magnet's own [Wb].
+        Flux linkage without the magnet's [Wb].
     inductance : array, shape (n, 3)
         L_dd, L_dq, L_qq [H].
     """
@@ -49,7 +49,7 @@ class LocalMap:
     inductance: Array
 
     def part(self, at: slice) -> LocalMap:
-        """The same of some of the samples."""
+        """The local map of a slice of the samples."""
         turned = self.delta.size > 0
         return LocalMap(
             self.i_dq[at],
@@ -61,7 +61,7 @@ class LocalMap:
 
 
 def local_map(batch: SegmentBatch, signals: SignalBatch, magnetics: Magnetics) -> LocalMap:
-    """Evaluate the magnetics where the (corrected) signals of a batch are."""
+    """Evaluate the magnetics at the (corrected) signals of a batch."""
     i_dq, delta = true_frame(batch, signals)
     psi, inductance = magnetics.flux_and_inductance(i_dq)
     return LocalMap(i_dq, delta, unit_vectors(delta) if delta.size else np.zeros((0, 2)), psi, inductance)
@@ -80,10 +80,9 @@ def true_frame(batch: SegmentBatch, signals: SignalBatch) -> tuple[Array, Array]
 def voltage_and_resistance(
     batch: SegmentBatch, signals: SignalBatch, local: LocalMap, pm_flux_wb: float
 ) -> tuple[Array, Array]:
-    """The weak form's part by the voltage and the turn of the magnet, and its R_s column, shapes (rows,) and (rows,).
+    """The weak form's part by voltage and rotation of the magnet, and its R_s column, shapes (rows,) and (rows,).
 
-    y = voltage + flux terms + R_s * column + basis @ change of the coefficients, with `signals.resistance_ohm` in units
-    of R_s.
+    y = voltage + flux terms + R_s column + basis (change of coefficients); `signals.resistance_ohm` is over R_s.
     """
     motor = batch.signals.motor
     v, r = np.empty(batch.layout.rows[-1]), np.empty(batch.layout.rows[-1])
@@ -103,18 +102,18 @@ def voltage_and_resistance(
 
 
 def basis(batch: SegmentBatch, local: LocalMap, magnetics: Magnetics) -> list[Array]:
-    """The weak form's columns for the coefficients of the co-energy, of each segment: shape (rows, coefficients)."""
+    """Each segment's columns for the coefficients of the co-energy, shape (rows, coefficients)."""
     numbers, counts = magnetics.grid.layout
     columns = []
     for j, piece in enumerate(batch.pieces):
-        w, own = piece.windows, local.part(batch.signals.slice_of(j))
-        sums = sum_basis(own.i_dq, own.delta, w.step, w.test_functions, w.bins, w.n_bins, numbers, counts, CARDINAL)
+        w, part = piece.windows, local.part(batch.signals.slice_of(j))
+        sums = sum_basis(part.i_dq, part.delta, w.step, w.test_functions, w.bins, w.n_bins, numbers, counts, CARDINAL)
         columns.append(w.combine(sums))
     return columns
 
 
 def flux_terms(batch: SegmentBatch, local: LocalMap) -> Array:
-    """The weak form's -(psi_k+1 - psi_k) by the present map, without the magnet's flux; shape (rows,)."""
+    """The weak form's -(psi_k+1 - psi_k) by the map, without the magnet's flux; shape (rows,)."""
     psi = to_ab(local.psi, local.delta) if local.delta.size else local.psi
     out = np.empty(batch.layout.rows[-1])
     _sum_steps(psi, batch.layout, out)
@@ -129,12 +128,12 @@ def change_of_rows(
     pm_flux_wb: float,
     out: Array | None = None,
 ) -> Array:
-    """Change of y (rows,), to first order in the magnetics, when arrays of the signals change from what `base` has.
+    """Change of y (rows,), to first order in the magnetics, for changes of the arrays in `base`.
 
     Parameters
     ----------
     out : array, shape (rows,), optional
-        Where it is written.
+        Array for the result.
     """
 
     def of(name: str) -> Array:
@@ -166,7 +165,7 @@ def change_of_rows(
 
 @njit(cache=True, nogil=True, inline="always")
 def _add(sums: Array, layout: WindowLayout, k: int, x_d: float, x_q: float) -> None:
-    """The vector of the interval after sample k to the test functions on both sides of it."""
+    """Add the vector of the interval after sample k to the test functions on both sides of it."""
     j = layout.before[k]
     b = layout.bins[k]
     w0 = layout.weights[k, 0]
@@ -179,13 +178,13 @@ def _add(sums: Array, layout: WindowLayout, k: int, x_d: float, x_q: float) -> N
 
 @njit(cache=True, nogil=True, inline="always")
 def _sums(layout: WindowLayout, s: int) -> Array:
-    """Nothing yet of a segment's test functions, bins and axes, with room before the first and beyond the last."""
+    """Zero sums by a segment's test functions, bins and axes, padded by one before the first and after the last."""
     return np.zeros((layout.test_functions[s] + 3, layout.n_bins[s], 2))
 
 
 @njit(cache=True, nogil=True)
 def _combine(sums: Array, layout: WindowLayout, s: int, out: Array) -> None:
-    """A segment's rows from its `_sums`: each times the modes."""
+    """A segment's rows from its `_sums`, weighted by the modes."""
     n_bins, n_modes, first = layout.n_bins[s], layout.n_modes[s], layout.mode_starts[s]
     row = layout.rows[s]
     for j in range(1, layout.test_functions[s] + 1):
@@ -240,7 +239,7 @@ def _sum_intervals(
             iq0 = -sn * i_ab[k, 0] + c * i_ab[k, 1]
             id1 = c * i_ab[k + 1, 0] + sn * i_ab[k + 1, 1]
             iq1 = -sn * i_ab[k + 1, 0] + c * i_ab[k + 1, 1]
-            # i' = L^-1 (v - R i) at both ends; the frame's small error does not matter in a correction.
+            # i' = L^-1 (v - R i) at both ends; the small error of the angle is negligible in a correction.
             ed0 = vd - nominal_ohm * id0
             eq0 = vq - nominal_ohm * iq0
             ed1 = vd - nominal_ohm * id1
@@ -270,7 +269,7 @@ def _sum_intervals(
 
 @njit(cache=True, nogil=True)
 def _sum_voltages(dv: Array, layout: WindowLayout, out: Array) -> None:
-    """Rows of a change of the voltage alone, (n, 2) in the stator frame: summed there, then turned."""
+    """Rows of a change of the voltage alone, (n, 2) in the stator frame: summed there, then rotated."""
     for s in range(layout.test_functions.shape[0]):
         sums = _sums(layout, s)
         for k in range(layout.starts[s], layout.starts[s + 1] - 1):
@@ -335,7 +334,7 @@ def _sum_changes(
                     xd = ct * dim[k, 0] + st * dim[k, 1]
                     xq = -st * dim[k, 0] + ct * dim[k, 1]
                 if has_t:
-                    # The current seen from the frame turned by dtheta: -dtheta J i.
+                    # Change of the current in a frame rotated by dtheta: -dtheta J i.
                     xd += dtheta[k] * i_dq[k, 1]
                     xq -= dtheta[k] * i_dq[k, 0]
                 fd = inductance[k, 0] * xd + inductance[k, 1] * xq

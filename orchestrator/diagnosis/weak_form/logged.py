@@ -1,4 +1,4 @@
-"""What a recording logs beside vectors and bus, as effects see it: three phase currents, a temperature."""
+"""Optional channels of a recording for effects: three phase currents, a temperature."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from orchestrator.numerics.frames import from_phases, from_two_phases
 from protocols import Capture, RealArray, Signals
 
 _ROWS_COMPARED = 2000
-"""Rows by which it is seen of what a vector was made."""
+"""Rows compared to find the readings from which a vector was computed."""
 _LOG_ROUNDING = 1e-3
-"""Of the current: by how much a vector may be off what it was made of, by the rounding of a log."""
+"""Relative deviation of a vector from its readings that the rounding of a log explains."""
 _SINGLE_PRECISION_ROUNDING = 1e-6
-"""The same by the rounding of single precision."""
+"""Relative deviation that single precision explains."""
 
 
 def logged_fields(capture: Capture, rows: int, width: int) -> dict[str, Any]:
-    """The fields of `Signals` that only some recordings have.
+    """The optional fields of `Signals`.
 
     Parameters
     ----------
     rows : int
-        Of the signals.
+        Number of rows of the signals.
     width : int
-        Readings of which each row is the mean.
+        Readings averaged in each row.
     """
     found: dict[str, Any] = {}
     if capture.i_abc is not None:
@@ -39,9 +39,9 @@ def logged_fields(capture: Capture, rows: int, width: int) -> dict[str, Any]:
 
 
 def clarke_of_three(i_ab: RealArray, i_abc: RealArray) -> bool | None:
-    """Whether vectors (n, 2) were made of three readings (n, 3), or of a and b alone; None: of something else.
+    """Whether vectors (n, 2) were computed from three readings (n, 3), or from a and b alone; None: from neither.
 
-    Where the third was computed from the first two, it is the same, and no third reading.
+    A third current that was computed from the other two is no reading: the result is False.
     """
     rows = slice(None, None, max(1, len(i_ab) // _ROWS_COMPARED))
     vector, phases = i_ab[rows], i_abc[rows]
@@ -54,12 +54,12 @@ def clarke_of_three(i_ab: RealArray, i_abc: RealArray) -> bool | None:
 
 
 def since_the_start(signals: Sequence[Signals]) -> list[Signals]:
-    """Signals in the order of time, each with the first temperature that was logged."""
+    """Signals in temporal order, each with the first logged temperature."""
     first = next((float(s.temperature_c[0]) for s in signals if s.temperature_c is not None), None)
     return list(signals) if first is None else [replace(s, start_temperature_c=first) for s in signals]
 
 
 def _means(readings: RealArray, rows: int, width: int) -> RealArray:
-    """Means of `width` readings each, as many as `rows`; the readings themselves where it is one."""
+    """Means of `width` readings each, `rows` in all."""
     used = readings[: rows * width]
     return used if width == 1 else used.reshape(rows, width, -1).mean(axis=1).reshape((rows, *readings.shape[1:]))

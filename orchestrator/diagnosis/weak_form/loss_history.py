@@ -1,6 +1,6 @@
-"""Where the current and the rotor were before each segment, and the copper loss over the whole experiment.
+"""History before each segment: the current's path, the rotor's rotation, and the copper loss of the experiment.
 
-The loss is measured where it was captured, and taken from the next segment where it was not.
+The loss is measured where it was captured; in gaps it is taken from the next segment.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from orchestrator.numerics.types import Array
 from protocols import LossHistory, Manifest, RecordingReader, Segment, SegmentStage
 
 ASSUMED_SETTLING_S: float = 1.0
-"""How long before a capture its first current is assumed to have flowed, where nothing was captured [s]."""
+"""Time before a capture for which its first current is assumed to flow, where nothing was captured [s]."""
 _FINAL_READINGS = 20
-"""Whose mean is where a current was as a segment ended."""
+"""Readings averaged for the final current of a segment."""
 _MAX_HISTORY_POINTS = 24
-"""Of the way to a segment that are kept: a sweep's last period, or the last holds; what was before is wiped out."""
+"""Points kept of the path to a segment: a sweep's last period or the last holds, which erase earlier hysteresis."""
 
 LOSS_STEP_S: float = 0.05
-"""Step of the history of losses [s]: short beside a winding's thermal time constant."""
+"""Time step of the loss history [s]: much shorter than a winding's thermal time constant."""
 MAX_LOSS_STEPS: int = 2000
-"""Steps of the history of losses in a long experiment, without those at gaps."""
+"""Maximum number of steps of the loss history, without those at gaps."""
 
 _UNFITTED_STAGES = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK)
 
 
 @dataclass(frozen=True)
 class SegmentHeat:
-    """What is known of the current of one segment, for the heat it leaves.
+    """Squared current of one segment, for the copper loss.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class SegmentHeat:
     times_s, squares : array, shape (m,)
         Mean square of the current from each time to the next [A^2].
     before : float
-        The same of what had flowed until the first reading.
+        Square of the current before the first reading [A^2].
     """
 
     start_s: float
@@ -51,19 +51,19 @@ class SegmentHeat:
 
 
 def step_of(duration_s: float) -> float:
-    """Time step of the history of an experiment that took so long [s]."""
+    """Time step of the loss history for an experiment's duration [s]."""
     return max(LOSS_STEP_S, duration_s / MAX_LOSS_STEPS)
 
 
 def segment_heat(square: Array, start_s: float, end_s: float, fs: float, step_s: float, before: float) -> SegmentHeat:
-    """From the square of the current at each sample, shape (n,)."""
+    """Segment heat from the square of the current at each sample, shape (n,)."""
     starts = np.arange(0, len(square), max(1, round(step_s * fs)))
     means = np.add.reduceat(square, starts) / np.diff(np.append(starts, len(square)))
     return SegmentHeat(start_s, end_s, start_s + starts / fs, np.asarray(means, dtype=np.float64), before)
 
 
 def heat_of_unread(recording: RecordingReader, segments: Sequence[Segment], step_s: float) -> list[SegmentHeat]:
-    """Of segments that are not fitted: as captured, injection points that were left out by what they aimed at."""
+    """Heat of segments that are not fitted: from their captures, or from the set-points of skipped injection points."""
     fs = recording.manifest.drive.sampling_frequency_hz
     heats = []
     for segment in segments:
@@ -80,9 +80,9 @@ def heat_of_unread(recording: RecordingReader, segments: Sequence[Segment], step
 
 
 def loss_history(items: Sequence[SegmentHeat], resistance_ohm: float, settling_s: float) -> LossHistory:
-    """All of them in order of time.
+    """The loss history of all segments in temporal order.
 
-    In a gap the drive settles to what flows next; the rest of one longer than `settling_s` is spent without current.
+    In a gap the drive settles at the next current for up to `settling_s`; before that, no current flows.
     """
     items = sorted(items, key=lambda h: h.start_s)
     usual_s = _usual_settling_s(items, settling_s)
@@ -112,14 +112,14 @@ def loss_history(items: Sequence[SegmentHeat], resistance_ohm: float, settling_s
 
 
 def _usual_settling_s(items: Sequence[SegmentHeat], longest_s: float) -> float:
-    """How long a drive settles before a capture: as in most gaps that are no longer than the longest, if there are."""
+    """Settling time before a capture: the usual gap that is no longer than `longest_s`, if there is one."""
     ends = accumulate((item.end_s for item in items), max, initial=0.0)
     gaps = [gap for item, end in zip(items, ends, strict=False) if 0.0 < (gap := item.start_s - end) <= longest_s]
     return float(np.median(gaps)) if gaps else longest_s
 
 
 def with_current_history(pieces: Sequence[SegmentData]) -> list[SegmentData]:
-    """The pieces with where the current was on the way to each; none flows while a rotor is turned."""
+    """The segments with the current's path to each; no current flows while the rotor is turned."""
     way, known = np.zeros((0, 2)), list(pieces[:1])
     for before, piece in pairwise(pieces):
         turned = before.segment.rotor_angle_rad != piece.segment.rotor_angle_rad
@@ -129,7 +129,7 @@ def with_current_history(pieces: Sequence[SegmentData]) -> list[SegmentData]:
 
 
 def with_rotor_turn(pieces: Sequence[SegmentData]) -> list[SegmentData]:
-    """The pieces with how far the rotor was turned to each, from where it was for most of the recording."""
+    """The segments with the rotor's rotation from its most frequent position."""
     samples = dict[float, int]()
     for piece in pieces:
         angle = piece.segment.rotor_angle_rad
@@ -140,11 +140,11 @@ def with_rotor_turn(pieces: Sequence[SegmentData]) -> list[SegmentData]:
 
 
 def _current_history(piece: SegmentData) -> Array:
-    """Where the current was in a piece, shape (points, 2): all along a sweep, else as it ended."""
+    """Path of the current in a segment, shape (points, 2): a sweep's course, else the final current."""
     readings = piece.current_ab
     if not piece.signals.bridge_on:
         return np.zeros((1, 2))
-    # An injected ripple's mean is where the drive holds the current.
+    # Under injection, the drive holds the mean current.
     parts = [readings if piece.stage is SegmentStage.INJECTION else readings[-_FINAL_READINGS:]]
     if piece.stage is SegmentStage.CLASSICAL:
         parts = [*np.array_split(readings[len(readings) // 2 :], _MAX_HISTORY_POINTS - 1), *parts]
@@ -154,7 +154,7 @@ def _current_history(piece: SegmentData) -> Array:
 def with_heat(
     pieces: Sequence[SegmentData], unread: Sequence[SegmentHeat], manifest: Manifest
 ) -> tuple[SegmentData, ...]:
-    """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
+    """The segments with the copper loss since the start of the experiment, with the nameplate's resistance."""
     last = pieces[-1].signals
     step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz)
     items = [*unread, *(_heated(p, step_s, manifest.drive.sampling_frequency_hz) for p in pieces)]
@@ -166,7 +166,7 @@ def with_heat(
 
 
 def _heated(piece: SegmentData, step_s: float, fs: float) -> SegmentHeat:
-    """Of one piece: as captured, and as at its end where the segment went on after what was read."""
+    """Heat of one segment: as captured, and at its final current where it lasted longer than the capture."""
     s = piece.signals
     square = np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
     end = max(s.start_s + len(square) / s.sampling_frequency_hz, piece.segment.start_s + piece.segment.samples / fs)

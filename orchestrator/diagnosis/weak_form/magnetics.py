@@ -1,8 +1,8 @@
 """Magnetics as one scalar function: psi = grad W(i), L = Hess W(i), W a tensor B-spline, even in i_q.
 
-Reciprocity (L_dq = L_qd) and parity then hold by construction. W is linear in its coefficients, so a weak-form equation
-is linear in them too. The splines are quintic, so that L is three times differentiable; how many intervals, the fit
-decides. Units: A, Wb, H, J. The idea of one energy function for a saturated machine: Jebai, Combes, Malrait, Martin,
+Reciprocity (L_dq = L_qd) and parity then hold by construction. W is linear in its coefficients, and so are the
+weak-form equations. The splines are quintic, so that L is three times differentiable; the fit chooses the number of
+intervals. Units: A, Wb, H, J. Source of the energy function for a saturated machine: Jebai, Combes, Malrait, Martin,
 Rouchon, "Energy-based modeling of electric motors", CDC 2014.
 """
 
@@ -25,28 +25,28 @@ class Magnetics:
     Attributes
     ----------
     grid : EvenSpline
-        Over i_d and i_q [A].
+        Spline grid over i_d and i_q [A].
     coefficients : array, shape (grid.size,)
-        [J].
+        Coefficients of W [J].
     """
 
     grid: EvenSpline
     coefficients: Array
 
     def flux_and_inductance(self, i_dq: Array) -> tuple[Array, Array]:
-        """psi (n, 2) [Wb], without the magnet's own, and (L_dd, L_dq, L_qq) (n, 3) [H] at currents (n, 2) [A].
+        """psi (n, 2) [Wb], without the magnet's, and (L_dd, L_dq, L_qq) (n, 3) [H] at currents (n, 2) [A].
 
-        Beyond the grid's rectangle the flux goes on linearly.
+        Beyond the grid's rectangle the flux continues linearly.
         """
         return derivatives(np.ascontiguousarray(i_dq, dtype=np.float64), self.patches, self.grid.layout[0])
 
     @cached_property
     def patches(self) -> Array:
-        """W as polynomials, one a cell: see `EvenSpline.patches`."""
+        """W as a polynomial per cell; see `EvenSpline.patches`."""
         return self.grid.patches(self.coefficients)
 
     def on(self, grid: EvenSpline) -> Magnetics:
-        """The same co-energy on another grid; beyond its own the flux goes on linearly."""
+        """The co-energy on another grid; beyond the present one the flux continues linearly."""
         return Magnetics(grid, self.grid.on(grid, self.coefficients))
 
 
@@ -59,21 +59,20 @@ def linear_magnetics(grid: EvenSpline, l_d_h: float, l_q_h: float) -> Magnetics:
 def smoothness_prior(grid: EvenSpline, inductance_h: float, current_a: float, strength: float) -> Array:
     """Rows of a weak prior on fourth derivatives of W, each with unit variance, shape (rows, grid.size).
 
-    Where no current was measured, the map then goes on as smoothly as what was. The standard deviation of a fourth
-    derivative is `strength` * L / I^2: saturation that bends L by as much as itself over the range I is nothing
-    unusual.
+    It extrapolates the map smoothly where no current was measured. The standard deviation of a fourth derivative is
+    `strength` * L / I^2: saturation commonly changes L by as much as L over the range I.
     """
     sigma = strength * inductance_h / current_a**2
-    # As much information as 25 independent derivatives of each kind, however fine the grid.
+    # The information of 25 independent derivatives of each kind, for any grid.
     blocks = [rows / (sigma * max(math.sqrt(len(rows) / 25.0), 1.0)) for rows in grid.differences(4)]
-    # A constant is nothing: held near zero.
+    # A constant of W has no effect and is held near zero.
     blocks.append(np.eye(grid.size) / (1e3 * inductance_h * current_a**2))
     return np.asarray(np.concatenate(blocks), dtype=np.float64)
 
 
 def magnet_prior(grid: EvenSpline, std_wb: float) -> Array:
-    """The row of a prior on psi_d without current, beside the magnet's own, shape (1, grid.size).
+    """Row of a prior on psi_d at zero current in addition to the magnet's flux, shape (1, grid.size).
 
-    It is invisible while the rotor stands; one that twists by nothing at all would make of it as much as is wanted.
+    That flux is unobservable at standstill; with a slightly twisting rotor it would be estimated arbitrarily.
     """
     return grid.rows(np.clip(np.zeros((1, 2)), [grid.low, 0.0], [grid.high, 0.0]), 1, 0) / std_wb

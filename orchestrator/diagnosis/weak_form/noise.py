@@ -1,6 +1,6 @@
-"""Noise of the current sensors: measured, carried through the weak form and the effects, and whitened away.
+"""Noise of the current sensors: estimate, propagation through effects and weak form, and whitening.
 
-Only sensor noise is random here; it enters interval k through both of its samples,
+Sensor noise enters interval k through both of its samples,
 
     xi_k = a_k n_k + b_k n_k+1,   a_k = (L_k - R Ts/2) T_k + Ts S_k,   b_k = -(L_k+1 + R Ts/2) T_k+1,
 
@@ -30,32 +30,32 @@ from orchestrator.numerics.types import Array
 from protocols import ModelNoise, SegmentStage
 
 LEAST_CORRELATION: float = 0.08
-"""Correlation of successive readings below which a recording's length does not tell them from white noise."""
+"""Correlation of successive readings below which they count as white noise."""
 
 _MAX_CORRELATION = 0.98
 """Correlation beyond which noise and a moving current are not separable."""
 
 
 _SIGNIFICANCE_SIGMAS = 3.0
-"""Standard deviations."""
+"""Standard deviations from zero at which a correlation is significant."""
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Noise of the current readings, as the recording itself shows it.
+    """Noise of the current readings, estimated from the recording.
 
     Attributes
     ----------
     covariance : array, shape (2, 2)
-        Of one reading of (i_alpha, i_beta) [A^2], from the holds where there are any.
+        Covariance of one reading of (i_alpha, i_beta) [A^2], from holds where available.
     ripple : array, shape (2, 2)
-        The same while a ripple is injected, from repeated periods; jitter and PWM ripple show here.
+        Covariance under injection, from repeated periods; it includes jitter and PWM ripple [A^2].
     correlation : float
-        From each reading to the next, as of a first-order process.
+        Correlation of successive readings as a first-order process.
     lines : tuple of SpectralLine
-        Disturbances of a fixed frequency.
+        Disturbances at fixed frequencies.
     of_model : ModelNoise
-        What is noise to a model beside the readings' own.
+        Model-error noise in addition to the readings'.
     """
 
     covariance: Array
@@ -65,15 +65,15 @@ class SensorNoise:
     of_model: ModelNoise = field(default_factory=ModelNoise)
 
     def of(self, piece: SegmentData) -> Array:
-        """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
+        """Covariance of one sample of a segment (a mean of several readings), assuming independent samples [A^2]."""
         covariance = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
         return np.asarray(covariance / piece.averaged)
 
     def with_quiet_current(self, piece: SegmentData) -> SegmentData:
-        """A hold that has its current without noise beside the measured one; any other piece as it is.
+        """A hold with its noise-free current added; other segments are returned unchanged.
 
-        A hold's window is so long that the noise in it is that of the mean, which stays. In a sweep's short windows the
-        readings' own noise passes through the inverter, and is counted so.
+        A hold's long window averages the noise. In a sweep's short windows the noise passes through the inverter's
+        characteristic, which the covariance includes.
         """
         if piece.stage is not SegmentStage.RESISTANCE:
             return piece
@@ -81,7 +81,7 @@ class SensorNoise:
         return replace(piece, signals=replace(piece.signals, i_quiet_ab=quiet))
 
     def colour(self, piece: SegmentData) -> Array:
-        """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
+        """Power of the noise at each mode's frequency over that of white noise, shape (modes,)."""
         w, rho = piece.windows, self.correlation
         if len(w.modes) == 1 and self.lines:
             return np.array([self._steady(piece)])
@@ -91,7 +91,7 @@ class SensorNoise:
         return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
 
     def _steady(self, piece: SegmentData) -> float:
-        """Of a hat: correlation, and switching ripple."""
+        """Noise power in a test function over that of white noise: correlation, and switching ripple."""
         rho, s = self.correlation, piece.signals
         motor, variance = s.motor, 0.5 * float(np.trace(self.of(piece)))
         ohm = (motor.stator_resistance_ohm if motor else None) or 1.0
@@ -102,16 +102,16 @@ class SensorNoise:
 
 
 def sensor_noise(pieces: Sequence[SegmentData]) -> SensorNoise:
-    """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
+    """Noise of the current readings: medians over segments, which are robust against disturbances of some.
 
-    From holds and gates-off readings; where there are none, from trapezoids, then from steps or the injection itself.
+    From holds and gates-off readings; where there are none, from trapezoids, then from steps or injection.
     """
     of = {stage: [p.scatter for p in pieces if p.stage is stage] for stage in SegmentStage}
     steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
     steady = steady or _quietest([s for s in of[SegmentStage.STEPS] if np.isfinite(s.covariance).all()])
     repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
     rho = _correlation(steady, of[SegmentStage.GATES_OFF], LEAST_CORRELATION)
-    # Differences of three neighbours see 6 - 8 rho + 2 rho^2 of the variance, not 6.
+    # The variance of second differences is 6 - 8 rho + 2 rho^2 times the readings', not 6.
     seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
     covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)
     holds = [p for p in pieces if p.stage is SegmentStage.RESISTANCE]
@@ -122,10 +122,9 @@ def sensor_noise(pieces: Sequence[SegmentData]) -> SensorNoise:
 
 
 def _quietest(scatters: Sequence[Scatter]) -> list[Scatter]:
-    """The one that scatters least: how the iron bends a fast current adds to it, and nothing takes away from it.
+    """The smallest scatter, as the curvature of a fast current only adds to it.
 
-    Where the current across the stepped axis was not logged but written as zero, it does not scatter at all: that says
-    nothing of the sensors.
+    An unlogged axis, written as zero, does not scatter and is disregarded.
     """
     whole = [s for s in scatters if np.linalg.eigvalsh(s.covariance)[0] > 1e-6 * float(np.trace(s.covariance))]
     even = [replace(s, covariance=float(np.trace(s.covariance)) * np.eye(2)) for s in scatters]
@@ -137,15 +136,15 @@ def _typical(scatters: Sequence[Scatter]) -> Array:
     return np.asarray(covariance + (1e-12 + 1e-6 * float(np.trace(covariance))) * np.eye(2))
 
 
-def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], least: float) -> float:
+def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], min_correlation: float) -> float:
     """rho of the readings' noise as a first-order process; 0 where it may be chance.
 
-    Current control answers to noise, by which readings are alike; with the gates off nothing does. Where these are so
-    few that what they tell may be chance, rho of white noise being 1 / sqrt(n) off, it is none if that is nearer.
+    Current control responds to noise and correlates readings, so that gates-off readings are preferred. Where their rho
+    is insignificant (white noise has 1 / sqrt(n)) and nearer to zero than to that of the holds, it is zero.
     """
     correlated, free = ([s for s in some if math.isfinite(s.correlation)] for some in (steady, off))
     rho = float(np.median([s.correlation for s in correlated])) if correlated else 0.0
-    if abs(rho) < least:
+    if abs(rho) < min_correlation:
         return 0.0
     if free:
         held, rho = rho, float(np.median([s.correlation for s in free]))
@@ -157,7 +156,7 @@ def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], least: float
 
 @dataclass(frozen=True)
 class Slopes:
-    """How noise passes through the effects of a piece; None where the effects leave it alone.
+    """Sensitivities of a segment's effects to current noise.
 
     Attributes
     ----------
@@ -174,12 +173,12 @@ class Slopes:
 def banded_covariance(
     piece: SegmentData, local: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
 ) -> Array:
-    """Covariance of a piece's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
+    """Covariance of a segment's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
 
     Parameters
     ----------
     resistance : array, shape (n,)
-        Of the corrected signals, in units of R_s.
+        Resistance of the corrected signals, in units of R_s.
     """
     w = piece.windows
     angle = float(piece.segment.rotor_angle_rad)
@@ -198,7 +197,7 @@ def banded_covariance(
         w.n_bins,
     )
     shifted = np.stack([np.roll(w.modes, -d, axis=1) for d in (-1, 0, 1)])
-    # Carriers first: no order is much better whatever the sizes, and a search for it takes as long as the products.
+    # A fixed order is nearly optimal for all sizes, and a search for one takes as long as the products.
     order = ["einsum_path", (0, 1), (0, 1)]
     blocks = np.einsum("hb,dgb,jtbdxy->jthxgy", w.modes, shifted, sums, optimize=order)
     size = 2 * len(w.modes)
@@ -208,7 +207,7 @@ def banded_covariance(
 
 
 def _decoupled(blocks: Array, axis: int) -> Array:
-    """The blocks with one axis' rows as noisy as the other's, and with nothing in common with them."""
+    """The blocks with one axis' rows uncorrelated with the other's, and with its variances."""
     blocks = blocks.copy()
     mine, other = np.arange(axis, blocks.shape[-1], 2), np.arange(1 - axis, blocks.shape[-1], 2)
     blocks[:, :, mine, :] = 0.0
@@ -218,32 +217,32 @@ def _decoupled(blocks: Array, axis: int) -> Array:
 
 
 def _banded(blocks: Array) -> Array:
-    """Block-tridiagonal (hats, 2, size, size), own and next, to lower banded form."""
+    """Block-tridiagonal (test_functions, 2, size, size), diagonal and next block, to lower banded form."""
     test_functions, _, size, _ = blocks.shape
     out = np.zeros((2 * size, test_functions, size))
     for column in range(size):
         out[: size - column, :, column] = blocks[:, 0, column, column:].T
-        # blocks[j, 1] couples rows of hat j with columns of hat j + 1: its transpose is below the diagonal.
+        # blocks[j, 1] couples test functions j (rows) and j + 1 (columns): its transpose is below the diagonal.
         out[size - column : 2 * size - column, :-1, column] = blocks[:-1, 1, column, :].T
     return out.reshape(2 * size, test_functions * size)
 
 
 @dataclass(frozen=True)
 class Whitener:
-    """Turns rows of one piece into rows with independent unit noise.
+    """Transforms rows of one segment to independent unit noise.
 
     Attributes
     ----------
     variance : array, shape (rows,)
-        Of every row, before whitening.
+        Variance of every row before whitening.
     factor : array, shape (bandwidth + 1, rows)
-        Of the covariance of what rows do not have in common, in LAPACK's lower banded form.
+        Cholesky factor of the banded covariance, without common errors, in LAPACK's lower banded form.
     log_det : float
-        Of the covariance.
+        Log determinant of the whole covariance.
     directions : array, shape (rows, few)
-        Orthonormal, whitened: along them rows have something in common.
+        Orthonormal directions of common errors, whitened.
     less : array, shape (few,)
-        How much less than one is left of them.
+        Scale along each direction minus one.
     """
 
     variance: Array
@@ -254,15 +253,15 @@ class Whitener:
 
     @classmethod
     def of(cls, covariance: Array, common: Array | None = None) -> Whitener:
-        """For a covariance, and what rows have in common.
+        """A whitener for a covariance and common errors.
 
         Parameters
         ----------
         covariance : array, shape (bandwidth + 1, rows)
-            Of the rows, in LAPACK's lower banded form.
+            Covariance of the rows in LAPACK's lower banded form.
         common : array, shape (rows, few), optional
-            What each error that all readings have in common does to the rows, in its standard deviations: with U
-            whitened, (1 + U U^T)^-1/2 is one but for the few directions of U.
+            Change of the rows by one standard deviation of each common error. With U whitened, (1 + U U^T)^-1/2
+            differs from one only along the few directions of U.
         """
         factor = _factored(covariance)
         log_det = 2.0 * float(np.log(factor[0]).sum())
@@ -282,11 +281,11 @@ class Whitener:
 
 
 def _independent(factor: Array, rows: Array) -> Array:
-    """Rows with the readings' own noise whitened."""
+    """Rows whitened by the banded covariance's factor."""
     from scipy.linalg.lapack import dtbtrs
 
     if rows.size == 0:
-        # LAPACK's wrapper does not bear a matrix without columns.
+        # LAPACK's wrapper fails on a matrix without columns.
         return rows.copy()
     solved, info = dtbtrs(factor, rows if rows.ndim == 2 else rows[:, None], uplo="L")
     if info != 0:
@@ -297,8 +296,7 @@ def _independent(factor: Array, rows: Array) -> Array:
 def _factored(covariance: Array) -> Array:
     """Cholesky factor of a covariance in lower banded form.
 
-    Rows further apart than the band are taken to have nothing in common. Where a map that is not found yet is too steep
-    for that, nothing has the rest to be a covariance: the covariances are then reduced, the variances stay.
+    Correlations beyond the band are neglected. Where that makes it indefinite, the off-diagonals are reduced.
     """
     from scipy.linalg import cholesky_banded
 
@@ -328,10 +326,10 @@ def _pair_sums(
     bins: NDArray[np.int64],
     n_bins: int,
 ) -> Array:
-    """sum_k g_mk Sigma g_m'k^T before the carriers -> (hats, own/next hat, bins, bin -1/0/+1, 2, 2)."""
+    """sum_k g_mk Sigma g_m'k^T by bins, shape (test_functions, same/next function, bins, bin -1/0/+1, 2, 2)."""
     n = inductance.shape[0]
     out = np.zeros((test_functions, 2, n_bins, 3, 2, 2))
-    hat = np.empty(4, dtype=np.int64)
+    function = np.empty(4, dtype=np.int64)
     slot = np.empty(4, dtype=np.int64)
     g = np.empty((4, 2, 2))
     a = np.empty((2, 2))
@@ -373,7 +371,7 @@ def _pair_sums(
                 was = last_w0 if side == 0 else last_w1
                 if now == 0.0 and was == 0.0:
                     continue
-                hat[used], slot[used] = j + side, bins[k]
+                function[used], slot[used] = j + side, bins[k]
                 for x in range(2):
                     for y in range(2):
                         g[used, x, y] = now * a[x, y] + was * b[x, y]
@@ -383,7 +381,7 @@ def _pair_sums(
                 weight = w0 if side == 0 else (w1 if side == 1 else (last_w0 if side == 2 else last_w1))
                 if weight == 0.0 or (side >= 2 and k == 0):
                     continue
-                hat[used] = j + side if side < 2 else last_j + side - 2
+                function[used] = j + side if side < 2 else last_j + side - 2
                 slot[used] = bins[k] if side < 2 else bins[k - 1]
                 for x in range(2):
                     for y in range(2):
@@ -397,7 +395,7 @@ def _pair_sums(
                     g[e, x, y] = p0 * sensor_factor[0, y] + p1 * sensor_factor[1, y]
         for e in range(used):
             for f in range(used):
-                t = hat[f] - hat[e]
+                t = function[f] - function[e]
                 if t < 0 or t > 1:
                     continue
                 d = slot[f] - slot[e]
@@ -409,5 +407,5 @@ def _pair_sums(
                     continue
                 for x in range(2):
                     for y in range(2):
-                        out[hat[e], t, slot[e], d + 1, x, y] += g[e, x, 0] * g[f, y, 0] + g[e, x, 1] * g[f, y, 1]
+                        out[function[e], t, slot[e], d + 1, x, y] += g[e, x, 0] * g[f, y, 0] + g[e, x, 1] * g[f, y, 1]
     return out

@@ -1,7 +1,7 @@
 """Flux linkage and current over time without the sensors' noise: fast from the voltage, slow from the map.
 
-psi(i) alone carries the current's noise, which drives a hysteresis operator to and fro; the integral of v - R i
-alone drifts. The observer follows the integral and is drawn to psi(i) with a time constant of some ms. Fits nothing.
+psi(i) alone has the current's noise, which makes a hysteresis operator reverse; the integral of v - R i alone drifts.
+The observer follows the integral and approaches psi(i) with a time constant of a few ms.
 """
 
 from __future__ import annotations
@@ -28,31 +28,30 @@ def smooth_flux(
     interval_s: Array,
     time_constant_s: float,
 ) -> tuple[Array, Array, Array]:
-    """Flux linkage with its noise, without it, and the current that belongs to the latter, each (n, 2).
+    """Flux linkage with and without noise, and the current of the latter, each (n, 2).
 
     Parameters
     ----------
     psi_dq : array, shape (n, 2)
-        The map's flux at the measured current, without the magnet's, in the frame turned by `turn` [Wb].
+        The map's flux at the measured current, without the magnet's, in the frame rotated by `turn` [Wb].
     inductance : array, shape (n, 3)
         L_dd, L_dq, L_qq there [H].
     v_ab, i_ab : array, shape (n, 2)
-        Impressed voltage and stator current.
+        Impressed voltage [V] and stator current [A].
     resistance_ohm : array, shape (n,)
     turn : array, shape (n, 2) or (segments, 2)
-        Cosine and sine of the rotor's angle; one for each segment where it rests.
+        Cosine and sine of the rotor's angle, per sample or per segment.
     starts : array of int64, shape (segments + 1,)
-        Bounds of the segments, each of which begins anew.
+        Bounds of the segments, in each of which the observer starts anew.
     interval_s : array, shape (segments,)
-        From sample to sample.
+        Sampling interval [s].
 
     Returns
     -------
     psi_ab, smooth_ab : array
-        In the stator frame, magnet included [Wb].
+        Flux linkage in the stator frame, magnet included [Wb].
     i_smooth_ab : array
-        i + L^-1 (psi_smooth - psi(i)) [A], no further from i than the segment's largest i: a map on trial may be nearly
-        flat.
+        i + L^-1 (psi_smooth - psi(i)) [A]; differs from i by no more than the largest i, for nearly flat trial maps.
     """
     n = psi_dq.shape[0]
     psi = np.empty((n, 2))
@@ -71,7 +70,7 @@ def smooth_flux(
             mean_d += inductance[k, 0] / (end - first)
             mean_q += inductance[k, 2] / (end - first)
             largest = max(largest, math.hypot(i_ab[k, 0], i_ab[k, 1]))
-        least = 1e-3 * mean_d * mean_q
+        min_determinant = 1e-3 * mean_d * mean_q
         for k in range(first, end):
             c, s = turn[m if is_fixed else k]
             d = psi_dq[k, 0] + pm_flux
@@ -88,7 +87,7 @@ def smooth_flux(
             y = out[k, 1] - psi[k, 1]
             step_d = c * x + s * y
             step_q = -s * x + c * y
-            det = max(inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2, least)
+            det = max(inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2, min_determinant)
             i_d = (inductance[k, 2] * step_d - inductance[k, 1] * step_q) / det
             i_q = (inductance[k, 0] * step_q - inductance[k, 1] * step_d) / det
             bearable = largest / max(largest, math.hypot(i_d, i_q), 1e-300)

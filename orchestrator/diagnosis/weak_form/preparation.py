@@ -1,4 +1,4 @@
-"""A recording, read once: which segments are used, how many samples of each, and which are held out. Judges nothing."""
+"""Reading of a recording: which segments are used, how many samples of each, and which are held out."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, Segment, SegmentStage
 
 HELD_OUT_EVERY: int = 5
-"""Every so many-th injection point is kept out of all fits and used to validate them."""
+"""One in this many injection points is held out of all fits, for validation."""
 THINNED_TURNS: float = 1.25
-"""Turns of the injected direction that a thinned point keeps: a whole one, whatever its windows lose at the ends."""
+"""Turns of the injected direction that a thinned point keeps: at least a full one after losses at the ends."""
 LEAST_THINNED_SAMPLES: int = 1000
-"""Samples that a thinned point keeps at least."""
+"""Minimum number of samples of a thinned point."""
 COARSE_POINTS: int = 16
-"""Injection points in the part of a recording that is searched first."""
+"""Maximum number of injection points in the part of a recording that is searched first."""
 COARSE_TURNS: float = 0.75
-"""Part of a turn of each injection point that the first search uses."""
+"""Turns of the injected direction of each injection point that the first search uses."""
 LEAST_COARSE_SAMPLES: int = 100
 """Samples below which a segment is not shortened for the first search."""
 USABLE = (
@@ -59,9 +59,9 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     Raises
     ------
     RecordingError
-        Where a capture is not what the manifest says.
+        If a capture contradicts the manifest.
     NotMeasuredError
-        Where there is no segment with current in it.
+        If no usable segment has current.
     """
     manifest = recording.manifest
     remarks: list[Remark] = []
@@ -69,7 +69,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     cutting = criteria.weak_form
     segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, cutting, remarks)
     injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
-    # Not of a grid's first row or column, where the map would have to extrapolate.
+    # Held-out points exclude a grid's first row and column, where the map would have to extrapolate.
     held_out = set(injections[2::HELD_OUT_EVERY]) if len(injections) >= cutting.held_out_from else set()
     pieces: list[SegmentData] = []
     short: list[Segment] = []
@@ -87,33 +87,33 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
     pieces = with_rotor_turn(with_current_history(pieces))
     read = {p.segment.id for p in pieces}
-    # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
+    # Segments that are not fitted heat the motor too: alignment, lock check, skipped points.
     unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], LOSS_STEP_S)
     return PreparedRecording(manifest, with_heat(pieces, unread, manifest), tuple(remarks), criteria)
 
 
 def coarse(prepared: PreparedRecording) -> PreparedRecording:
-    """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points.
+    """A part of the recording for the search: a period of each trapezoid, less than a turn of some injection points.
 
-    What is held out is for the whole to be judged by, and is not in it.
+    It has no held-out segments.
     """
     cutting = prepared.criteria.weak_form
     points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
-    most = min(COARSE_POINTS, len(points))
-    spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
+    count = min(COARSE_POINTS, len(points))
+    spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, count)}
     pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
     return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
 
 
 def _held_out_among_fitted(pieces: list[SegmentData]) -> list[SegmentData]:
-    """Held out is what lies among the currents that are fitted, and nothing where else nothing would move."""
+    """Hold out only segments within the range of fitted currents, and none if no excited segment would remain."""
     fitted = [_currents(p) for p in pieces if not p.held_out and p.stage in _EXCITED_STAGES]
     held = {p.segment.id for p in pieces if p.held_out and lies_among(_currents(p), fitted)}
     return [replace(p, held_out=p.segment.id in held) if p.held_out else p for p in pieces]
 
 
 def _currents(piece: SegmentData) -> Array:
-    """Some of its currents in the believed frame, (n, 2)."""
+    """A selection of a segment's currents in the believed frame, (n, 2)."""
     every = len(piece.signals.i_ab) // 1000 + 1
     return to_dq(piece.signals.i_ab[::every], float(piece.segment.rotor_angle_rad))
 
@@ -141,13 +141,12 @@ def _part(piece: SegmentData, criteria: WeakFormCriteria) -> SegmentData:
 
 def _nothing_long_enough(short: Sequence[Segment]) -> str:
     kinds = ", ".join(dict.fromkeys(segment.stage.value for segment in short)) or "none but readings without current"
-    least = LEAST_SEGMENT_SAMPLES
-    needed = f"a segment needs {least} samples, and several periods where one is injected"
+    needed = f"a segment needs {LEAST_SEGMENT_SAMPLES} samples, and several periods where one is injected"
     return f"nothing with current in it that is long enough to be used ({kinds}): {needed}"
 
 
 def _too_short(segments: Sequence[Segment]) -> list[Remark]:
-    """One remark for all segments of a stage that tell nothing."""
+    """One remark per stage on its segments that are too short."""
     by_stage: dict[SegmentStage, list[str]] = {}
     for segment in segments:
         by_stage.setdefault(segment.stage, []).append(segment.id)
@@ -159,7 +158,7 @@ def _too_short(segments: Sequence[Segment]) -> list[Remark]:
 def _thinned(
     segments: Sequence[Segment], fs: float, criteria: WeakFormCriteria, remarks: list[Remark]
 ) -> tuple[list[Segment], dict[str, int]]:
-    """The segments to be read, and how many samples of each injection point."""
+    """The segments to read, and the number of samples of each injection point."""
     points = [s for s in segments if s.stage is SegmentStage.INJECTION]
     wanted = {s.id: s.samples for s in points}
     if sum(wanted.values()) <= criteria.most_samples:
@@ -174,7 +173,7 @@ def _thinned(
 
 
 HULL_TOLERANCE = 0.1
-"""Of the largest current, by which a current may be beyond the others; and the part of them that may be further."""
+"""Allowed distance beyond the hull over the largest current, and part of the currents that may exceed it."""
 
 
 def lies_among(current: Array, others: Sequence[Array]) -> bool:

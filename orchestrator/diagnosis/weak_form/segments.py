@@ -1,4 +1,4 @@
-"""A segment as float64 signals with its windows and the scatter of its readings. Judges nothing."""
+"""A segment as float64 signals with its windows and the scatter of its readings."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from protocols import Manifest, ModulatorTimer, RealArray, RecordingReader, Rema
 from protocols.fleet_priors import FleetPriors
 
 LEAST_TEST_FUNCTIONS_PER_TRAPEZOID: int = 8
-"""Test functions in a trapezoid of a sweep; in one shorter than ten milliseconds they are shortened."""
+"""Minimum number of test functions in a trapezoid of a sweep; in a short trapezoid they are shortened."""
 LEAST_SAMPLES_PER_TEST_FUNCTION: int = 8
-"""Samples between the centres of two test functions of a trapezoid."""
+"""Minimum number of samples between the centres of two test functions of a trapezoid."""
 TEST_FUNCTIONS_PER_VOLTAGE_STEP: float = 4.0
-"""Test functions from one turn of a voltage step to the next: a lag shows in the first, R_s in the others."""
+"""Test functions between two voltage steps: a lag is visible in the first, R_s in the others."""
 LEAST_SAMPLES_PER_STEP_TEST_FUNCTION: float = 2.0
 """Samples between two test functions of voltage steps; with fewer, neighbours carry the same information."""
 TEST_FUNCTIONS_PER_TURN: int = 8
-"""Test functions in a turn of an injected direction: the flux along it turns twice, and each half turn needs two."""
+"""Test functions per turn of an injected direction: the flux along it has two periods, with two per half period."""
 LEAST_PERIODS_PER_TEST_FUNCTION: int = 4
 """Injection periods between two test functions; with fewer, the Fourier modes of a period are not separable."""
 LEAST_SAMPLES_PER_PERIOD: int = 4
@@ -42,17 +42,17 @@ LEAST_SAMPLES_PER_PERIOD: int = 4
 MAX_BINS_PER_PERIOD: int = 40
 """Bins of an injection period; modes up to the fifth need no more."""
 LEAST_SEGMENT_SAMPLES: int = 17
-"""Readings below which a segment is not used: a test function takes eight on either side."""
+"""Readings below which a segment is not used: a test function extends over eight on either side."""
 INITIAL_READINGS: int = 5
-"""Readings whose mean is the current that flowed until a segment began."""
+"""Readings averaged for the current before a segment."""
 LEAST_SWING_RATIO_OF_DIAGONAL: float = 0.5
-"""Swing of one axis over the other's from which a sweep is of both axes; a sweep of one hardly moves the other."""
+"""Ratio of the smaller to the larger axis' current swing from which a sweep counts as one of both axes."""
 LEAST_AVERAGED_SAMPLES: int = 200
-"""Averaged samples that a segment keeps at least."""
+"""Minimum number of averaged samples of a segment."""
 Axis = Literal["d", "q", "dq"]
 AXES: tuple[Axis, ...] = ("d", "q", "dq")
 _ZERO_TOLERANCE = 1e-6
-"""Of the other axis: single precision turned from frame to frame makes a tenth of it."""
+"""Largest current and voltage of an unread axis relative to the other's; rotated single precision leaves 1e-7."""
 
 
 @dataclass(frozen=True)
@@ -63,22 +63,22 @@ class SegmentData:
     ----------
     segment : Segment
     held_out : bool
-        Kept out of every fit, to judge it by.
+        Whether it is excluded from all fits, for validation.
     signals : Signals
-        As measured and commanded; `resistance_ohm` is 1 (a factor), to be scaled.
-        Of the slow stages each sample is the mean of `averaged` readings, at the middle of their times.
+        Measured and commanded signals; `resistance_ohm` is 1, a factor on R_s.
+        In slow stages each sample is the mean of `averaged` readings, at the middle of their times.
     windows : Windows
     scatter : Scatter
-        What the readings say of the current noise.
+        Scatter of the current readings.
     averaged : int
     before_ab : array, shape (2,)
-        Current at the first readings, ripple aside: what had flowed until then [A].
+        Mean of the first readings without ripple: the current before the segment [A].
     current_ab : array, shape (readings, 2)
-        Currents as they were read.
+        Unaveraged current readings [A].
     command_ab : array, shape (readings, 2)
-        Voltages as they were commanded, each when it was.
+        Unaveraged voltage commands [V].
     delay_samples : float
-        By how much each acts later.
+        Delay of the voltage behind its command.
     """
 
     segment: Segment
@@ -99,27 +99,27 @@ class SegmentData:
 
 @dataclass(frozen=True)
 class PreparedRecording:
-    """A recording as the diagnosis works on it."""
+    """A recording as the diagnosis uses it."""
 
     manifest: Manifest
     pieces: tuple[SegmentData, ...]
     remarks: tuple[Remark, ...]
     criteria: Criteria
     fleet: FleetPriors | None = None
-    """What other motors of its kind let expect."""
+    """Priors from other motors of this type."""
     quantiser: ModulatorTimer | None = None
-    """Whose rounding is in the pieces' voltages."""
+    """The timer whose rounding the segments' voltages include."""
     ripples: bool = False
-    """Whether the current ripples within a carrier's period by as much as matters to its resistance."""
+    """Whether current ripple within a carrier period matters for the resistive drop."""
 
     @property
     def rows(self) -> tuple[int, ...]:
-        """How many equations each piece makes."""
+        """Number of equations of each segment."""
         return tuple(piece.windows.rows for piece in self.pieces)
 
     @property
     def current_range(self) -> tuple[float, float, float]:
-        """Lowest and highest i_d and highest |i_q| in the believed frame, gates-off aside [A]."""
+        """Lowest and highest i_d and highest |i_q| in the believed frame, without gates-off segments [A]."""
         low, high, q = 0.0, 0.0, 0.0
         for piece in self.pieces:
             if piece.stage is SegmentStage.GATES_OFF:
@@ -146,7 +146,7 @@ def read_segment(
         return None
     ripple = segment.stage is SegmentStage.INJECTION
     scatter = _scatter(segment, fs, i_ab, v_ab)
-    # An injected ripple moves the current at once; its mean is what the drive had settled to.
+    # An injected ripple moves the current at once; the drive had settled at its mean.
     before, start = (i_ab if ripple else i_ab[:INITIAL_READINGS]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)
     if width > 1:
@@ -183,7 +183,7 @@ def read_segment(
 
 
 def _scatter(segment: Segment, fs: float, i_ab: Array, v_ab: Array) -> Scatter:
-    """Scatter of a segment's readings, by differences that its voltage does not cause."""
+    """Scatter of a segment's readings, from differences that its voltage does not cause."""
     if segment.stage is SegmentStage.STEPS:
         return scatter_between(i_ab, v_ab)
     period = injection_period(segment, fs, v_ab) if segment.stage is SegmentStage.INJECTION else None
@@ -193,25 +193,25 @@ def _scatter(segment: Segment, fs: float, i_ab: Array, v_ab: Array) -> Scatter:
 
 
 def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormCriteria) -> int:
-    """How many readings of a slow stage may be averaged: so few that the current hardly moves from mean to mean."""
+    """Number of readings of a slow stage to average, such that the current hardly changes between means."""
     slow = stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE)
-    most = criteria.most_averaged_at_rest if slow else criteria.most_averaged_in_sweeps
-    most = min(most, len(i_ab) // LEAST_AVERAGED_SAMPLES)
-    if most < 2 or stage in (SegmentStage.INJECTION, SegmentStage.STEPS):
+    max_width = criteria.most_averaged_at_rest if slow else criteria.most_averaged_in_sweeps
+    max_width = min(max_width, len(i_ab) // LEAST_AVERAGED_SAMPLES)
+    if max_width < 2 or stage in (SegmentStage.INJECTION, SegmentStage.STEPS):
         return 1
-    # Means of 32 readings, so that noise is not taken for movement; a jump at the start of a capture is let pass.
+    # Means of 32 readings suppress noise; the quantile ignores a jump at the start of a capture.
     length = len(i_ab) // 32 * 32
     means = i_ab[:length].reshape(-1, 32, 2).mean(axis=1)
     usual = float(np.quantile(np.abs(np.diff(means, axis=0)).max(axis=1), 0.95)) / 32.0
     allowed = max(criteria.averaged_step * float(np.abs(means).max()), criteria.averaged_noise * noise_a)
-    return int(min(most, max(1.0, allowed / max(usual, 1e-12))))
+    return int(min(max_width, max(1.0, allowed / max(usual, 1e-12))))
 
 
 def mean_between(command_ab: Array, width: int, delay_samples: float) -> Array:
     """The voltage that acts between the middles of means of `width` readings, shape (readings // width, 2).
 
-    dpsi/dt = v - R i holds for means as for samples: the mean current of one block and the next differ by what
-    the voltage does in between, and each v_k of 2 width - 1 intervals counts by the share of readings it moves.
+    dpsi/dt = v - R i holds for means as for samples: the mean currents of successive blocks differ by the voltage's
+    integral, where each v_k of 2 width - 1 intervals is weighted by the share of readings that it moves.
     """
     if width == 1 and delay_samples == 0.0:
         return command_ab
@@ -221,13 +221,13 @@ def mean_between(command_ab: Array, width: int, delay_samples: float) -> Array:
 
 
 def block_means(x: Array, width: int) -> Array:
-    """Means of blocks of so many rows; what is left over at the end is left out."""
+    """Means of blocks of `width` rows; an incomplete last block is dropped."""
     blocks = len(x) // width
     return np.asarray(x[: blocks * width].reshape(blocks, width, -1).mean(axis=1), dtype=np.float64)
 
 
 def swept_axis(segment: Segment, i_ab: RealArray) -> Axis:
-    """The axis along which a sweep moves the current: as it says itself, else by what moved."""
+    """The axis along which a sweep moves the current: from its metadata, else from the currents."""
     stated = segment.settings.get("swept_axis")
     for axis in AXES:
         if stated == axis:
@@ -239,10 +239,7 @@ def swept_axis(segment: Segment, i_ab: RealArray) -> Axis:
 
 
 def unread_axis(segment: Segment, i_ab: RealArray, v_ab: RealArray) -> int | None:
-    """The axis (0 for d, 1 for q) of which neither current nor voltage is anything but a rounded zero.
-
-    A sensor has noise: what is nothing throughout was written, not read.
-    """
+    """The axis (0: d, 1: q) whose current and voltage are zeros throughout, so written instead of measured; or None."""
     size = np.array([np.abs(to_dq(x, segment.rotor_angle_rad)).max(axis=0) for x in (i_ab, v_ab)])
     nothing = np.flatnonzero((size <= _ZERO_TOLERANCE * size.max(axis=1, keepdims=True)).all(axis=0))
     return int(nothing[0]) if len(nothing) == 1 else None
@@ -253,8 +250,8 @@ def windows_of(
 ) -> Windows | None:
     """The windows that suit a segment's stage; None where it is too short for one.
 
-    One hat of a dwell, overlapping ones of a sweep and within each swing of steps, and of an injection hats times the
-    period's Fourier modes.
+    One test function for a dwell, overlapping ones for a sweep and within each voltage step, and for injection test
+    functions times the Fourier modes of a period.
     """
     intervals = len(i_ab) - 1
     if segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE):
@@ -274,7 +271,7 @@ def windows_of(
 
 
 def injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | None:
-    """Samples in an injection period: by the set point, else half the distance of the voltage's strongest lines."""
+    """Samples in an injection period: from the set point, else from the spacing of the voltage's strongest lines."""
     requested = segment.settings.get("frequency_hz")
     highest = fs / LEAST_SAMPLES_PER_PERIOD
     if isinstance(requested, int | float) and 0 < requested < highest:
@@ -285,12 +282,12 @@ def injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | No
     ahead = int(np.argmax(spectrum[1 : n // 2])) + 1
     behind = int(np.argmax(spectrum[: n // 2 : -1])) + 1
     frequency = 0.5 * (ahead + behind) * fs / n
-    # A line nearer to zero than a Hann window's width is the mean's.
+    # A line within a Hann window's width of zero belongs to the mean.
     return fs / frequency if 4.0 * fs / n < frequency < highest else None
 
 
 def delayed(v_ab: Array, samples: float) -> Array:
-    """The voltage that acts over [t_k, t_k+1) when each command is `samples` late."""
+    """The mean voltage over [t_k, t_k+1) when each command is delayed by `samples`."""
     if samples == 0.0:
         return v_ab
     late_by = math.floor(samples)
@@ -298,7 +295,7 @@ def delayed(v_ab: Array, samples: float) -> Array:
 
 
 def late_beside(v_ab: Array, samples: float) -> Array | None:
-    """What the voltage at t_k+1 then has beside its mean since t_k; None where it does not change in between."""
+    """The delayed voltage at t_k+1 minus its mean since t_k; None where it is constant between samples."""
     late_by = math.floor(samples)
     if samples == late_by:
         return None

@@ -1,4 +1,4 @@
-"""What one segment's raw readings say of the current noise: differences that cancel the current itself. No model."""
+"""Current noise of one segment from its raw readings, by differences that cancel the current itself."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from orchestrator.diagnosis.nuisances.spectral_lines import spectrum_of
 from orchestrator.numerics.types import Array
 
 BLOCK_READINGS = 50
-"""Readings, of which some are usual and some are not."""
+"""Readings in a block of which the power of differences is compared with the usual one."""
 MAX_POWER_RATIO = 2.0
-"""Times the usual power of differences, from which on a block has a current that moves: five sigma of white noise."""
+"""Ratio to the usual power of differences from which a block has a moving current: five sigma of white noise."""
 MAX_PERIOD_MISMATCH = 0.05
-"""Power of a voltage's differences over one period, as a part of its own, below which it repeats: an injected direction
-that turns once in a hundred periods leaves 0.004, and what is drawn at random leaves 2."""
+"""Power of a voltage's differences over one period, relative to its own, below which it is periodic: an injected
+direction that turns once in a hundred periods has 0.004, a random voltage 2."""
 LOCAL_BLOCK_READINGS = 100
-"""Differences in a block, over which the inductance hardly changes."""
+"""Differences in a block over which the inductance is nearly constant."""
 ARX_LAGS = (1, 2, 3, 4, 5, 7, 10, 16)
-"""Samples back at which stretches of voltage end that a difference answers to as one: the last ones each by itself,
-earlier ones, to which eddy currents alone still answer, together."""
+"""Lags [samples] at which the regressors of the local model end: single recent voltages, then sums of earlier ones,
+to which only eddy currents still respond."""
 MAX_CORRELATION_DISAGREEMENT = 0.3
-"""By which differences may find readings more alike than differences of these, which see it less well."""
+"""Excess of the correlation by first differences over that by second differences up to which it is trusted."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Scatter:
     Attributes
     ----------
     covariance : array, shape (2, 2)
-        Of the noise of (i_alpha, i_beta) if each reading's were independent [A^2].
+        Covariance of the noise of (i_alpha, i_beta), assuming independent readings [A^2].
     correlation : float
-        From each reading to the next, as of a first-order process; NaN where the current's own ripple forbids to look.
+        Correlation of successive readings as a first-order process; NaN where ripple prevents an estimate.
     spectrum : array
-        `spectrum_of` the readings; empty where something is injected.
+        `spectrum_of` the readings; empty under injection.
     readings : int
-        From which the correlation is estimated.
+        Number of readings behind the correlation.
     """
 
     covariance: Array
@@ -56,38 +56,38 @@ def scatter_of(i_ab: Array, period: float | None, *, steady: bool = False) -> Sc
     ----------
     i_ab : array, shape (n, 2)
     period : float, optional
-        Samples in a period of injected ripple; its repetitions are compared where it is a whole number.
+        Samples in a period of injected ripple; periods are compared where it is a whole number.
     steady : bool
-        The current does not move: then how alike successive readings are shows in their differences, which see a
-        correlation four times as well as differences of these do.
+        Whether the current is constant: the correlation is then estimated from first differences, which are four times
+        as sensitive to it as second differences.
     """
     if period is None:
-        # Coefficients (1, -2, 1) cancel what is linear in time, and multiply the variance of white noise by six.
+        # Coefficients (1, -2, 1) cancel a linear trend and multiply the variance of white noise by six.
         d = i_ab[2:] - 2.0 * i_ab[1:-1] + i_ab[:-2]
         usual = _usual(d)
-        alike = _of_second_differences(_lag(d, usual))
+        correlation = _of_second_differences(_lag(d, usual))
         if steady:
-            # A hold may begin before its current has settled, or not settle at all: only what both see is noise.
+            # A hold's current may still settle, which first differences take for correlation.
             at_rest = 1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0))
-            alike = at_rest if at_rest - alike < MAX_CORRELATION_DISAGREEMENT else alike
-        return Scatter(_moments(d, usual, 6.0), alike, spectrum_of(i_ab), len(i_ab))
+            correlation = at_rest if at_rest - correlation < MAX_CORRELATION_DISAGREEMENT else correlation
+        return Scatter(_moments(d, usual, 6.0), correlation, spectrum_of(i_ab), len(i_ab))
     p = round(period)
     settled = i_ab[len(i_ab) // 4 :]
     if abs(p - period) > 1e-6 or len(settled) < 6 * p:
         return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
-    # (1, -3, 3, -1) over periods: the ripple's slow turning cancels too.
+    # Coefficients (1, -3, 3, -1) over periods also cancel the ripple's slow rotation.
     d = settled[3 * p :] - 3.0 * settled[2 * p : -p] + 3.0 * settled[p : -2 * p] - settled[: -3 * p]
     return Scatter(_moments(d, _usual(d), 20.0), float("nan"), np.zeros(0))
 
 
 def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
-    """Scatter of readings under voltage steps, by fourth differences where nothing has turned for some samples.
+    """Scatter of readings under voltage steps, from fourth differences well after each step.
 
     Parameters
     ----------
     i_ab, v_ab : array, shape (n, 2)
     answered : int
-        Samples within which a turn has acted, whatever the delay.
+        Samples after a step within which its response may begin, for any delay.
     """
     jumps = np.linalg.norm(np.diff(v_ab, axis=0), axis=1)
     turned = np.flatnonzero(jumps > 0.1 * jumps.max(initial=1e-300))
@@ -97,20 +97,20 @@ def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
         quiet[near[(near >= 0) & (near < len(quiet))]] = False
     d = np.diff(i_ab, n=4, axis=0)
     if np.count_nonzero(quiet) < 8:
-        # A voltage that moves all the time has no edges either.
+        # A continuously varying voltage leaves no quiet samples.
         return Scatter(_moments(d, _usual(d), 70.0), float("nan"), np.zeros(0))
     d = d[quiet]
     return Scatter(d.T @ d / (70.0 * len(d)), float("nan"), np.zeros(0))
 
 
 def repeats(v_ab: Array, period: float) -> bool:
-    """Whether a voltage repeats itself after a whole number of samples: only then does the current without noise.
+    """Whether a voltage is periodic with a whole number of samples, as then the noise-free current is.
 
     Parameters
     ----------
     v_ab : array, shape (n, 2)
     period : float
-        In samples.
+        Period in samples.
     """
     p = round(period)
     if p < 1 or len(v_ab) < 2 * p:
@@ -120,11 +120,11 @@ def repeats(v_ab: Array, period: float) -> bool:
 
 
 def scatter_beside_answer(i_ab: Array, v_ab: Array) -> Scatter:
-    """Scatter of readings under a voltage that never repeats: what a short local model leaves of their differences.
+    """Scatter of readings under an aperiodic voltage: the residual of a local ARX model of their differences.
 
-    In each block the difference from one reading to the next is linear in the last voltages and the current, as an
-    inductance, a resistance and eddy currents make it: an ARX model by least squares (L. Ljung, System Identification,
-    2nd ed., section 4.2). The voltage must not answer to the readings, or it would explain their noise.
+    In each block the difference of successive readings is linear in recent voltages and the current, by inductance,
+    resistance and eddy currents (least squares; L. Ljung, System Identification, 2nd ed., section 4.2). The voltage
+    must not be controlled by the readings, or it would explain their noise.
 
     Parameters
     ----------
@@ -139,20 +139,20 @@ def scatter_beside_answer(i_ab: Array, v_ab: Array) -> Scatter:
     blocks = len(d) // LOCAL_BLOCK_READINGS
     if blocks == 0:
         return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
-    left = np.zeros((2, 2))
+    covariance = np.zeros((2, 2))
     for block in range(blocks):
         rows = slice(block * LOCAL_BLOCK_READINGS, (block + 1) * LOCAL_BLOCK_READINGS)
         q = np.linalg.qr(x[rows])[0]
         rest = d[rows] - q @ (q.T @ d[rows])
-        left += rest.T @ rest / (LOCAL_BLOCK_READINGS - q.shape[1])
+        covariance += rest.T @ rest / (LOCAL_BLOCK_READINGS - q.shape[1])
     # A difference has the noise of two readings.
-    return Scatter(left / (2.0 * blocks), float("nan"), np.zeros(0))
+    return Scatter(covariance / (2.0 * blocks), float("nan"), np.zeros(0))
 
 
 def _usual(d: Array) -> npt.NDArray[np.bool_]:
-    """Which differences (n, 2) are of blocks with the usual power: where a current steps on, they are not of noise.
+    """Mask of the differences (n, 2) in blocks with the usual power; others contain a moving current.
 
-    Nor are a block's beside such a one, which a step ends in. All, where that leaves none.
+    Neighbouring blocks are excluded too, as a step may extend into them. All are used where none would remain.
     """
     starts = np.arange(0, len(d), BLOCK_READINGS)
     powers = np.add.reduceat(np.square(d).sum(axis=1), starts) / np.diff(np.append(starts, len(d)))
@@ -162,13 +162,13 @@ def _usual(d: Array) -> npt.NDArray[np.bool_]:
 
 
 def _moments(d: Array, usual: npt.NDArray[np.bool_], times: float) -> Array:
-    """Second moments of the readings' noise, shape (2, 2), by some differences that have it so many times."""
+    """Second moments of the readings' noise, shape (2, 2), from differences with `times` the variance."""
     some = d if usual.all() else d[usual]
     return np.asarray(some.T @ some / (times * len(some)))
 
 
 def _lag(d: Array, usual: npt.NDArray[np.bool_] | None = None) -> float:
-    """First autocorrelation of (some) differences (n, 2); NaN where there are none but zeros."""
+    """First autocorrelation of (selected) differences (n, 2); NaN where all are zero."""
     if usual is not None and not usual.all():
         pairs = usual[1:] & usual[:-1]
         power = float(np.square(d[usual]).sum()) * pairs.sum() / usual.sum()
@@ -180,7 +180,7 @@ def _lag(d: Array, usual: npt.NDArray[np.bool_] | None = None) -> float:
 def _of_second_differences(lag: float) -> float:
     """rho of a first-order process whose second differences have this first autocorrelation.
 
-    That is -2/3 where readings are independent, nearer to -1/2 where they are alike.
+    It is -2/3 for independent readings, and approaches -1/2 for correlated ones.
     """
     if np.isnan(lag):
         return lag

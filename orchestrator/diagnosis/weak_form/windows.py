@@ -1,8 +1,7 @@
-"""Windows of the weak form: overlapping hats in time, Fourier modes within an injection period.
+"""Windows of the weak form: overlapping test functions in time, times Fourier modes of an injection period.
 
-A weight is w_mk = s_j(k) c_h(b(k)): s_j a hat, c_h a carrier that depends only on the bin b(k) of
-interval k within the injection period. So sums over samples go into (hat, bin) first, and the
-carriers are one small matrix product afterwards. Knows nothing of motors.
+A weight is w_mk = s_j(k) c_h(b(k)): s_j a triangular test function, c_h a mode that depends only on the bin b(k) of
+interval k within the injection period. Sums are by (test function, bin); the modes are one small product afterwards.
 """
 
 from __future__ import annotations
@@ -21,24 +20,24 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Windows:
-    """How one segment's intervals are weighted.
+    """Weights of one segment's intervals.
 
     Attributes
     ----------
     test_functions : int
-        Number of hats; hat j peaks at interval position (j + 1) * step and vanishes one step away.
+        Number of test functions; function j peaks at interval position (j + 1) * step and is zero one step away.
     step : float
-        Distance of hats in intervals.
+        Spacing of the test functions in intervals.
     bins : array of int64, shape (n - 1,)
-        Bin of each interval within the injection period; zeros where nothing is injected.
-    modes : array, shape (carriers, n_bins)
-        Value of each carrier in each bin.
+        Bin of each interval within the injection period; zeros without injection.
+    modes : array, shape (modes, n_bins)
+        Value of each mode in each bin.
     period : float
-        Intervals in an injection period; 0 where nothing is injected.
+        Intervals in an injection period; 0 without injection.
     orders : tuple of int
-        Fourier mode of each carrier; the mean is of order 0.
+        Fourier order of each mode; 0 for the mean.
     unread : int, optional
-        The axis whose current nobody read (0 for d, 1 for q): its equations say nothing.
+        The axis whose current was not measured (0 for d, 1 for q); its equations are zero.
     """
 
     test_functions: int
@@ -55,16 +54,16 @@ class Windows:
 
     @property
     def rows(self) -> int:
-        """Number of weak-form equations: hats x carriers x two axes."""
+        """Number of weak-form equations: test functions x modes x two axes."""
         return self.test_functions * len(self.modes) * 2
 
     @property
     def informative(self) -> int:
-        """Number of those that say something."""
+        """Number of equations of measured axes."""
         return self.rows if self.unread is None else self.rows // 2
 
     def combine(self, sums: Array) -> Array:
-        """Carriers applied to sums of shape (hats, n_bins, 2, ...) -> (rows, ...): hat, carrier, axis."""
+        """Apply the modes to sums (test_functions, n_bins, 2, ...); rows are ordered by test function, mode, axis."""
         if self.modes.size != 1:
             sums = np.moveaxis(np.tensordot(self.modes, sums, axes=(1, 1)), 0, 1)
         rows = np.ascontiguousarray(sums).reshape(self.rows, *sums.shape[3:])
@@ -76,13 +75,13 @@ class Windows:
 
     @cached_property
     def absolute_weight(self) -> Array:
-        """sum_k |w_mk| for each row, shape (rows,): what turns y_m / Ts into a mean."""
+        """sum_k |w_mk| of each row, shape (rows,); y_m / Ts over it is a mean."""
         mean = np.abs(self.modes).mean(axis=1) if self.n_bins > 1 else np.ones(1)
         return np.repeat(np.tile(mean * self.step, self.test_functions), 2)
 
 
 def plain_windows(intervals: int, step: float) -> Windows | None:
-    """Hats `step` apart without carriers; None where not one fits."""
+    """Test functions spaced by `step`, without modes; None where none fits."""
     test_functions = math.floor(intervals / step + 1e-9) - 1
     if test_functions < 1:
         return None
@@ -90,17 +89,16 @@ def plain_windows(intervals: int, step: float) -> Windows | None:
 
 
 def periodic_windows(
-    intervals: int, step: float, period: float, most_bins: int, harmonics: Sequence[int] = (1, 2, 3, 5)
+    intervals: int, step: float, period: float, max_bins: int, harmonics: Sequence[int] = (1, 2, 3, 5)
 ) -> Windows | None:
-    """Hats `step` apart, times the mean and Fourier modes of a period of `period` samples.
+    """Test functions spaced by `step`, times the mean and Fourier modes of a period of `period` samples.
 
-    Bins follow the period even where it is no whole number of samples: any weight gives a valid
-    equation, and the bins are the weight.
+    The period need not be a whole number of samples: any weight gives a valid equation, and bins define the weight.
     """
     test_functions = math.floor(intervals / step + 1e-9) - 1
     if test_functions < 1:
         return None
-    n_bins = int(min(round(period), most_bins))
+    n_bins = int(min(round(period), max_bins))
     phase = np.mod((np.arange(intervals) + 0.5) / period, 1.0)
     bins = np.minimum((phase * n_bins).astype(np.int64), n_bins - 1)
     centre = 2 * np.pi * (np.arange(n_bins) + 0.5) / n_bins
@@ -112,7 +110,7 @@ def periodic_windows(
 
 @njit(cache=True, nogil=True)
 def function_weights(k: int, step: float, test_functions: int) -> tuple[int, float, float]:
-    """Index of the hat before interval k (-1 where none), its weight, and that of the next."""
+    """Index of the test function before interval k (-1: none), its weight, and that of the next."""
     x = (k + 0.5) / step
     before = math.floor(x) - 1
     after = x - math.floor(x)
@@ -127,7 +125,7 @@ def function_weights(k: int, step: float, test_functions: int) -> tuple[int, flo
 
 @njit(cache=True, nogil=True)
 def sum_intervals(x: Array, step: float, test_functions: int, bins: NDArray[np.int64], n_bins: int) -> Array:
-    """Weighted sums of per-interval vectors x (n - 1, 2) -> (hats, n_bins, 2)."""
+    """Weighted sums of per-interval vectors x (n - 1, 2), shape (test_functions, n_bins, 2)."""
     out = np.zeros((test_functions, n_bins, 2))
     for k in range(x.shape[0]):
         j, w0, w1 = function_weights(k, step, test_functions)

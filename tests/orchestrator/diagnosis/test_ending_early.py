@@ -11,7 +11,7 @@ from orchestrator.diagnosis import InterimResult, diagnose_recording, judge
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import Checkpoint
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.recording import Recording, read_model
@@ -125,9 +125,9 @@ def test_effects_that_were_fitted_together_to_a_part_have_a_ladder_of_the_whole(
     absent = [c.absent() for c in scaled_library([VoltageBias(), VoltageDelay()], made.manifest)]
     bare, part = setup.fitter.fit(free_model()), setup.coarse_fitter.fit(free_model())
     both = setup.coarse_fitter.fit(part.model.with_active(absent))
-    first, search = (Step(None, bare),), Search([Step(None, part), Step(None, both)])
+    first, search = (AcceptedModel(None, bare),), SearchResult([AcceptedModel(None, part), AcceptedModel(None, both)])
     for is_part, fit in ((True, both), (False, setup.fitter.fit(both.model))):
-        kept = Search([search.steps[0], Step(None, fit)])
+        kept = SearchResult([search.steps[0], AcceptedModel(None, fit)])
         found, doubtful = unfinished_search(Checkpoint(setup, first, kept, is_part, is_joint=True))
         assert [step.added for step in found.steps] == [None, "voltage_bias"]
         assert all(step.fit.prepared is setup.prepared for step in found.steps)

@@ -46,10 +46,11 @@ def test_every_effect_has_columns_for_its_amplitudes_in_every_shape(known: Infor
 def test_shapes_span_those_between() -> None:
     rehearsal = rehearse(plan(HOLDS, SWEEPS), DRIVE, machine(), NOISE_A)
     library, fitter = scaled_library(effects("dead_time"), rehearsal.setup.prepared.manifest), rehearsal.setup.fitter
-    shapes, frame = information(rehearsal, library).effects["dead_time"].shapes, fitter.frame(rehearsal.model)
+    shapes = information(rehearsal, library).effects["dead_time"].shapes
+    linearisation = fitter.linearise(rehearsal.model)
     for x in (-1.75, -0.25, 0.25, 1.25, 1.75):
         wanted = [(a, "voltage_v") for a in (library[0].absent().moved("threshold_a", x), *shapes)]
-        states = [fitter.equations.at(rehearsal.model, kept) for kept in frame.batches]
+        states = [fitter.equations.at(rehearsal.model, kept) for kept in linearisation.batches]
         columns = [row.columns for state in states for row in fitter.equations.rows(state, wanted)]
         between, spanned = np.split(np.concatenate(columns), [1], axis=1)
         left = np.linalg.lstsq(spanned, between, rcond=None)[1]

@@ -26,7 +26,7 @@ from tests.orchestrator.experiment_design.plans import (
 def test_rehearsed_signals_fulfil_the_voltage_equation_in_every_stage() -> None:
     rehearsal = rehearse(plan(GATES_OFF, HOLDS, SWEEPS, RIPPLE), DRIVE, machine(), NOISE_A)
     fitter = rehearsal.setup.fitter
-    fit = fitter.evaluate(rehearsal.model, fitter.frame(rehearsal.model))
+    fit = fitter.evaluate(rehearsal.model, fitter.linearise(rehearsal.model))
     assert fit.chi2_per_dof < 1e-3
     assert fit.model.r_s == pytest.approx(4.25, rel=1e-4)
 

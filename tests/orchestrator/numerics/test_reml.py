@@ -34,7 +34,7 @@ def written_out(rows: Array, target: Array, t: float, noise_known: bool = True) 
 @pytest.mark.parametrize("t", [1e-4, 0.1, 1.0, 1e4])
 def test_the_restricted_likelihood_is_that_of_the_datas_covariance(t: float, noise_known: bool) -> None:
     rows, target, _ = made(0.3, 4)
-    likelihood = RestrictedLikelihood(rows, target, FREE, noise_known=noise_known, unseen=0.0)
+    likelihood = RestrictedLikelihood(rows, target, FREE, noise_known=noise_known, ridge=0.0)
     assert likelihood.cost(1.0 / t) == pytest.approx(written_out(rows, target, t, noise_known), rel=1e-8)
 
 

@@ -92,6 +92,6 @@ def test_what_lies_in_a_plane_or_is_too_few_is_refused() -> None:
 def test_many_rows_are_tried_on_a_part_and_ended_on_all() -> None:
     rows = sample(4000, 3)
     rows[::3] += 30.0
-    found = robust_scatter(rows, Concentration(starts=50, most_rows=300))
+    found = robust_scatter(rows, Concentration(starts=50, max_rows=300))
     assert not found.counted[::3].any()
     assert found.counted.sum() > 0.9 * len(rows) * 2.0 / 3.0

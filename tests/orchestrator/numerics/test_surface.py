@@ -42,7 +42,7 @@ IN_THE_SPLINTER = np.array([[0.5, 0.4 * THIN], [1.0, 0.5 * THIN], [2.0, 0.3 * TH
 
 def test_a_splinter_along_the_hull_reproduces_planes() -> None:
     surface = TaylorSurface(NEARLY_IN_LINE, IN_THE_SPLINTER, "test")
-    assert surface.slender.all()
+    assert surface.is_sliver.all()
     slope = np.array([2.0, -30.0])
     found = surface(NEARLY_IN_LINE @ slope, np.tile(slope, (4, 1)))
     assert_close(found, IN_THE_SPLINTER @ slope, 1e-12)

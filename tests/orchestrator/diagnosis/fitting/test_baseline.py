@@ -29,7 +29,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.motor_model import kept_model, restored
-from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.recording import open_recording
@@ -123,10 +123,12 @@ def test_a_map_that_does_not_reach_the_recordings_currents_is_refused(setup: Dia
 def test_a_map_is_made_as_wide_as_the_currents_where_the_rotor_lies(setup: DiagnosisSetup) -> None:
     effect = RotorMisalignment()
     library = scaled_library([effect], setup.prepared.manifest, ())
-    fit = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=0)
+    fit = setup.fitter.fit(baseline_model(setup, Saturated()), relinearisations=0)
     assert widened_map(setup, setup.fitter, fit) is fit
     turned = library[0].absent().moved("angle_rad", 4.0)
-    seen = setup.fitter.evaluate(fit.model.with_active([turned]), setup.fitter.frame(fit.model.with_active([turned])))
+    seen = setup.fitter.evaluate(
+        fit.model.with_active([turned]), setup.fitter.linearise(fit.model.with_active([turned]))
+    )
     wider = widened_map(setup, setup.fitter, seen).model.space.grid
     own = fit.model.space.grid
     angle = turned.values["angle_rad"]
@@ -150,7 +152,7 @@ def test_a_finer_map_is_asked_though_one_between_is_not_worth_its_freedom(
     setup: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where a knee lies between the nodes of eight intervals and on one of ten."""
-    fit = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=0)
+    fit = setup.fitter.fit(baseline_model(setup, Saturated()), relinearisations=0)
     finest = replace(fit, chi2=0.9 * fit.chi2)
 
     def at_the_finest(_: DiagnosisSetup, __: Fitter, given: Fit, cells: tuple[int, int]) -> Fit | None:
@@ -192,15 +194,15 @@ def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_com
     sharp: DiagnosisSetup, rests: bool
 ) -> None:
     """A frame in which they have moved far is of before; where they rest it is as good as one made anew."""
-    bare = sharp.fitter.fit(baseline_model(sharp, Saturated()), renewals=0)
+    bare = sharp.fitter.fit(baseline_model(sharp, Saturated()), relinearisations=0)
     lag = scaled_library([CurrentFilter()], sharp.prepared.manifest)[0].absent()
     lag = lag.moved("time_constant_s", lag.standardised_value("time_constant_s") + 20.0)
     moved = bare.model.with_active([lag if not rests else replace(lag, free=())])
-    fit = sharp.fitter.fit(moved, renewals=2) if rests else sharp.fitter.evaluate(moved, bare.frame)
+    fit = sharp.fitter.fit(moved, relinearisations=2) if rests else sharp.fitter.evaluate(moved, bare.linearisation)
     cells = (fit.model.space.grid.cells[0], 12)
     finer = finer_map(sharp, sharp.fitter, fit, cells)
     assert finer is not None
-    anew = sharp.fitter.fit(on_the_grid(sharp, fit, cells), steps=2, renewals=0)
+    anew = sharp.fitter.fit(on_the_grid(sharp, fit, cells), steps=2, relinearisations=0)
     assert finer.chi2 == pytest.approx(anew.chi2, rel=2e-3 if rests else 1e-12)
 
 
@@ -210,7 +212,7 @@ def test_iron_that_saturates_sharply_gets_a_finer_map_along_that_axis_alone(shar
     assert q >= 20
     assert d < q
     finest = sharp.criteria.intervals[-1]
-    usual = sharp.fitter.fit(on_the_grid(sharp, fit, (finest, finest)), renewals=0)
+    usual = sharp.fitter.fit(on_the_grid(sharp, fit, (finest, finest)), relinearisations=0)
     assert usual.chi2_per_dof > 3.0
     assert has_fine_grid(fit)
     assert not has_fine_grid(usual)
@@ -221,16 +223,16 @@ def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
     sharp: DiagnosisSetup, setup: DiagnosisSetup
 ) -> None:
     fit = fit_baseline(sharp)
-    usual = sharp.fitter.fit(on_usual_grid(sharp, fit), renewals=0)
+    usual = sharp.fitter.fit(on_usual_grid(sharp, fit), relinearisations=0)
     assert not has_fine_grid(usual)
     assert keep_fine_grid(fit, usual)
     linear = fit_baseline(setup)
     rough = replace(
         linear.model, space=replace(linear.model.space, roughness=9.0, prior=linear.model.space.prior / 9.0)
     )
-    needless = setup.fitter.fit(rough, renewals=0)
+    needless = setup.fitter.fit(rough, relinearisations=0)
     assert has_fine_grid(needless)
-    assert not keep_fine_grid(needless, setup.fitter.fit(on_usual_grid(setup, needless), renewals=0))
+    assert not keep_fine_grid(needless, setup.fitter.fit(on_usual_grid(setup, needless), relinearisations=0))
 
 
 def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Model:
@@ -241,7 +243,7 @@ def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Mode
 
 def test_a_map_that_was_let_be_rough_is_as_rough_when_it_is_read_back(sharp: DiagnosisSetup) -> None:
     fit = fit_baseline(sharp)
-    kept = kept_model(sharp, fit, Saturated(), (), [rung(Step(None, fit))])
+    kept = kept_model(sharp, fit, Saturated(), (), [rung(AcceptedModel(None, fit))])
     again = restored(sharp, MotorModel.model_validate_json(kept.model_dump_json()), Saturated(), {})
     np.testing.assert_allclose(again.space.prior, fit.model.space.prior)
     assert again.space.roughness == fit.model.space.roughness

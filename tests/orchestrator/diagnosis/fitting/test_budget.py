@@ -32,19 +32,19 @@ def test_what_is_left_takes_as_long_as_most_evaluations_in_proportion(
         now[0] += took_s
     budget.spend(10.0)
     budget.calibrate()
-    assert budget.left == ""
+    assert budget.remaining_time == ""
     budget.expect(expected)
     now[0] += later_s
-    assert budget.left == left
+    assert budget.remaining_time == left
 
 
 def test_nothing_is_told_before_anything_was_computed() -> None:
     now = [100.0]
     budget = Budget(clock=lambda: now[0])
     budget.expect(50.0)
-    assert budget.left == ""
+    assert budget.remaining_time == ""
     now[0] += 5.0
     budget.spend(0.0)
     budget.calibrate()
     budget.expect(50.0)
-    assert budget.left == ""
+    assert budget.remaining_time == ""

@@ -25,7 +25,7 @@ def maker() -> Fitter:
 
 def test_both_descents_end_in_the_same_place(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
-    anew = maker.fit(model, steps=8, renewals=3, tolerance=1e-6)
+    anew = maker.fit(model, steps=8, relinearisations=3, tolerance=1e-6)
     kept = fit_with_frozen_jacobian(maker, model, rounds=10, tolerance=1e-6)
     assert kept.objective == pytest.approx(anew.objective, rel=1e-3)
     for name in ("bias_a_v", "bias_b_v"):
@@ -41,7 +41,7 @@ def test_more_rounds_do_not_climb(maker: Fitter) -> None:
 
 def test_a_model_without_effects_is_evaluated(maker: Fitter) -> None:
     fit = fit_with_frozen_jacobian(maker, free_model(), rounds=3, tolerance=1e-4)
-    assert fit.objective == pytest.approx(maker.evaluate(free_model(), maker.frame(free_model())).objective)
+    assert fit.objective == pytest.approx(maker.evaluate(free_model(), maker.linearise(free_model())).objective)
 
 
 def test_what_is_taken_from_an_earlier_fit_leads_to_the_same_place(maker: Fitter) -> None:
@@ -82,8 +82,8 @@ def test_steps_that_a_new_frame_undoes_are_not_made_again_and_again(maker: Fitte
 
     @dataclass
     class Undoing(Fitter):
-        def renewed(self, model: Model, *args: Any, **known: Any) -> Fit:
-            made = super().renewed(model, *args, **known)
+        def relinearise(self, model: Model, *args: Any, **known: Any) -> Fit:
+            made = super().relinearise(model, *args, **known)
             tried.append(made.model.active[0].values["bias_a_v"])
             return replace(made, objective=made.objective + (1e9 if len(tried) > 1 else 0.0))
 

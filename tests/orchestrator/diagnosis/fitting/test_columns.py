@@ -45,9 +45,9 @@ def all_effects(maker: Fitter, times: float = 1.0) -> Model:
 def whole(maker: Fitter, model: Model, fit: Fit) -> list[Array]:
     """Every column of every training segment, each led through all effects."""
     columns: dict[int, Array] = {}
-    for frame in fit.frame.batches:
-        rows = maker.equations.rows(maker.equations.at(model, frame), model.free)
-        columns |= {k: row.columns for k, row in zip(frame.batch.places, rows, strict=True)}
+    for linearisation in fit.linearisation.batches:
+        rows = maker.equations.rows(maker.equations.at(model, linearisation), model.free)
+        columns |= {k: row.columns for k, row in zip(linearisation.batch.places, rows, strict=True)}
     return [columns[k] for k, p in enumerate(maker.prepared.pieces) if not p.held_out]
 
 
@@ -65,16 +65,16 @@ def training(maker: Fitter, fit: Fit) -> list[Array]:
 
 def test_columns_through_effects_that_answer_are_the_whole_ones(maker: Fitter) -> None:
     model = all_effects(maker)
-    fit = maker.evaluate(model, maker.frame(model))
+    fit = maker.evaluate(model, maker.linearise(model))
     assert fit.parameters == tuple((a.name, n) for a, n in model.free)
     assert distance(training(maker, fit), whole(maker, model, fit)).max() < len(ACTIVE) * LEAST_RESPONSE
 
 
 def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> None:
     first = all_effects(maker)
-    known = maker.evaluate(first, maker.frame(first))
+    known = maker.evaluate(first, maker.linearise(first))
     model = all_effects(maker, 1.05)
-    kept = maker.evaluate(model, known.frame, known=known)
+    kept = maker.evaluate(model, known.linearisation, known=known)
     far = distance(training(maker, kept), whole(maker, model, kept))
     assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
     last = next(k for k in reversed(range(len(kept.columns))) if not maker.prepared.pieces[k].held_out)
@@ -85,7 +85,7 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
 
 def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_grown(maker: Fitter) -> None:
     first = all_effects(maker)
-    known = maker.evaluate(first, maker.frame(first))
+    known = maker.evaluate(first, maker.linearise(first))
     assert set(known.answers.of) == set(known.parameters)
     assert known_answers(all_effects(maker, 1.05), known) is known.answers
     grown = known_answers(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known)
@@ -97,9 +97,9 @@ def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_gr
 @pytest.mark.slow
 def test_a_wholly_different_model_keeps_no_column_that_moved(maker: Fitter) -> None:
     first = all_effects(maker, 0.1)
-    known = maker.evaluate(first, maker.frame(first))
+    known = maker.evaluate(first, maker.linearise(first))
     model = all_effects(maker, 3.0)
-    fit = maker.evaluate(model, maker.frame(model), known=known)
+    fit = maker.evaluate(model, maker.linearise(model), known=known)
     far = distance(training(maker, fit), whole(maker, model, fit))
     assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
 

@@ -51,12 +51,12 @@ def test_gradient_of_the_objective_is_that_of_finite_differences(
     biased: Fitter, effect: Effect, values: dict[str, float]
 ) -> None:
     (name, _), *_ = values.items()
-    fit = biased.evaluate(model := with_free(free_model(), biased, effect, **values), biased.frame(model))
+    fit = biased.evaluate(model := with_free(free_model(), biased, effect, **values), biased.linearise(model))
     k = [n for _, n in model.free].index(name)
     x, h = model.active[0].standardised_value(name), 1e-2 * abs(model.active[0].standardised_value(name))
 
     def objective(at: float) -> float:
-        return biased.evaluate(model.with_active([model.active[0].moved(name, at)]), fit.frame).objective
+        return biased.evaluate(model.with_active([model.active[0].moved(name, at)]), fit.linearisation).objective
 
     slope = (objective(x + h) - objective(x - h)) / (2.0 * h)
     # The column is a secant a twentieth of the size long, and an inverter's form bends.
@@ -66,19 +66,19 @@ def test_gradient_of_the_objective_is_that_of_finite_differences(
 def test_columns_of_absent_effects_do_not_change_the_fit(biased: Fitter) -> None:
     bare = biased.fit(free_model())
     (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
-    asked = biased.evaluate(bare.model, bare.frame, [(candidate.absent(), n) for n in candidate.amplitudes])
-    assert asked.chi2 == pytest.approx(biased.evaluate(bare.model, bare.frame).chi2, rel=1e-12)
+    asked = biased.evaluate(bare.model, bare.linearisation, [(candidate.absent(), n) for n in candidate.amplitudes])
+    assert asked.chi2 == pytest.approx(biased.evaluate(bare.model, bare.linearisation).chi2, rel=1e-12)
     assert asked.columns[0].shape[1] == 2
 
 
 def test_a_frame_is_kept_as_far_as_the_model_did_not_move(biased: Fitter) -> None:
     model = free_model()
     equations, batch = biased.equations, SegmentBatch.of(biased.prepared.pieces[-2:])
-    frame = equations.renewed(model, batch, None).frame
-    again = equations.renewed(model, batch, frame).frame
+    linearisation = equations.relinearise(model, batch, None).linearisation
+    again = equations.relinearise(model, batch, linearisation).linearisation
     delayed = with_free(model, biased, VoltageDelay(), delay_s=1e-5)
-    later = equations.renewed(delayed, batch, frame).frame
-    for first, second, third in zip(frame.pieces, again.pieces, later.pieces, strict=True):
+    later = equations.relinearise(delayed, batch, linearisation).linearisation
+    for first, second, third in zip(linearisation.pieces, again.pieces, later.pieces, strict=True):
         assert second.whitener is first.whitener
         assert second.white_basis is first.white_basis
         assert third.basis is first.basis
@@ -86,15 +86,15 @@ def test_a_frame_is_kept_as_far_as_the_model_did_not_move(biased: Fitter) -> Non
 
 def test_what_readings_have_in_common_is_what_an_offset_of_all_of_them_does(biased: Fitter) -> None:
     model = with_free(free_model(), biased, DeadTime(), voltage_v=2.0)
-    fit, equations, offset_a = biased.evaluate(model, biased.frame(model)), biased.equations, 1e-4
+    fit, equations, offset_a = biased.evaluate(model, biased.linearise(model)), biased.equations, 1e-4
     compared = []
-    for frame in fit.frame.batches:
-        common = equations.common(model, frame)
+    for linearisation in fit.linearisation.batches:
+        common = equations.common(model, linearisation)
         for phase, one in enumerate(((1.0, 0.0), (0.0, 1.0))):
-            off = frame.base.i_ab + offset_a * from_two_phases(*one)
-            there = replace(frame, base=frame.base.corrected(Correction(i_ab=off)))
-            before, after = (equations.rows(equations.at(model, f)) for f in (frame, there))
-            for j, k in enumerate(frame.batch.places):
+            off = linearisation.base.i_ab + offset_a * from_two_phases(*one)
+            there = replace(linearisation, base=linearisation.base.corrected(Correction(i_ab=off)))
+            before, after = (equations.rows(equations.at(model, f)) for f in (linearisation, there))
+            for j, k in enumerate(linearisation.batch.places):
                 moved = (after[j].white - before[j].white) @ np.array([1.0, model.r_s]) / offset_a
                 if k < 8:
                     assert np.linalg.norm(common[j][:, phase] - moved) < 0.02 * np.linalg.norm(moved)
@@ -109,7 +109,7 @@ def test_a_resistance_below_nothing_loses_nothing(biased: Fitter) -> None:
     piece = replace(bare, signals=replace(bare.signals, losses=history))
     for r_s, power_w in ((-1.0, 0.0), (2.0 * R_S, 10.0)):
         model = replace(free_model(), r_s=r_s)
-        (signals,) = biased.equations.renewed(model, SegmentBatch.of([piece]), None).frame.base.segments
+        (signals,) = biased.equations.relinearise(model, SegmentBatch.of([piece]), None).linearisation.base.segments
         assert signals.losses is not None
         assert signals.losses.power_w[-1] == pytest.approx(power_w)
 
@@ -121,7 +121,7 @@ def test_effects_see_the_flux_of_the_rotor_where_it_lies(angle: float) -> None:
     model = with_free(free_model(), made, BrakeCompliance(), rad_per_nm=0.05)
     piece = made.prepared.pieces[-1]
     batch = SegmentBatch.of([piece])
-    state = made.equations.at(model, made.equations.renewed(model, batch, None).frame)
+    state = made.equations.at(model, made.equations.relinearise(model, batch, None).linearisation)
     i_d, i_q = map(float, to_dq(piece.signals.i_ab, angle)[-1])
 
     def torque_nm(delta: float) -> float:
@@ -137,10 +137,10 @@ def test_effects_see_the_flux_of_the_current_that_magnetises() -> None:
     made = fitter(prepared(plan(sparse=True), noise_a=0.0))
     model = with_free(free_model(), made, EddyCurrents(), core_loss_ohm=300.0)
     piece = made.prepared.pieces[-1]
-    state = made.equations.at(model, made.equations.renewed(model, SegmentBatch.of([piece]), None).frame)
+    state = made.equations.at(model, made.equations.relinearise(model, SegmentBatch.of([piece]), None).linearisation)
     magnetising = TRUE_MAP.flux_and_inductance(to_dq(state.cascade.corrected.i_m_ab, 0.0))[0] + np.array([PM_WB, 0.0])
     of_all = TRUE_MAP.flux_and_inductance(to_dq(piece.signals.i_ab, 0.0))[0] + np.array([PM_WB, 0.0])
-    seen = state.frame.base.psi_ab
+    seen = state.linearisation.base.psi_ab
     assert seen is not None
     apart = np.abs(of_all - magnetising).max()
     assert apart > 1e-3 * np.ptp(of_all)
@@ -152,8 +152,9 @@ def test_what_iron_may_remember_is_expected_as_noise() -> None:
     model = with_free(free_model(), made, Hysteresis(), half_width_a=0.5)
     piece = next(p for p in made.prepared.pieces if p.stage is SegmentStage.CLASSICAL)
     batch = SegmentBatch.of([piece])
-    state = made.equations.at(model, made.equations.renewed(model, batch, None).frame)
-    aware, bare = (f.pieces[0].whitener for f in (state.frame, made.equations.renewed(free_model(), batch, None).frame))
+    state = made.equations.at(model, made.equations.relinearise(model, batch, None).linearisation)
+    plain = made.equations.relinearise(free_model(), batch, None)
+    aware, bare = (s.linearisation.pieces[0].whitener for s in (state, plain))
     changes = list(state.cascade.random_directions())
     assert changes
     for change in changes:

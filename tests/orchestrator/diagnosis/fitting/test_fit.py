@@ -93,7 +93,7 @@ def test_a_step_that_left_a_curved_valley_is_led_back_to_it() -> None:
     fit = maker.fit(model.with_active([rigid.release("threshold_a", "softness")]))
     (active,) = fit.model.active
     ahead = active.moved("threshold_a", active.standardised_value("threshold_a") + 1.0)
-    trial = maker.evaluate(fit.model.with_active([ahead]), fit.frame)
+    trial = maker.evaluate(fit.model.with_active([ahead]), fit.linearisation)
     wanted = 0.5 * (trial.objective + fit.objective)
     back = maker.correct_step(trial, wanted)
     assert back.objective < wanted < trial.objective
@@ -121,10 +121,10 @@ def _lost(signals: Signals, **parameters: float) -> Array:
 @pytest.mark.parametrize("steps", [1, 2, 4])
 def test_more_steps_never_raise_the_objective(biased: Fitter, steps: int) -> None:
     model = with_free(free_model(), biased, DeadTime(), voltage_v=-1.0)
-    frame = biased.frame(model)
-    start = biased.evaluate(model, frame).objective
-    one = biased.fit(model, frame, steps=steps, renewals=0).objective
-    more = biased.fit(model, frame, steps=steps + 1, renewals=0).objective
+    linearisation = biased.linearise(model)
+    start = biased.evaluate(model, linearisation).objective
+    one = biased.fit(model, linearisation, steps=steps, relinearisations=0).objective
+    more = biased.fit(model, linearisation, steps=steps + 1, relinearisations=0).objective
     assert one <= start + OBJECTIVE_SLACK
     assert more <= one + OBJECTIVE_SLACK
 
@@ -133,7 +133,7 @@ def test_effort_counts_samples_and_columns_and_what_poll_raises_ends_the_fit() -
     made = prepared(plan(sparse=True))
     samples = sum(len(p.signals.v_dc) for p in made.pieces)
     maker = fitter(made)
-    maker.evaluate(model := free_model(), maker.frame(model))
+    maker.evaluate(model := free_model(), maker.linearise(model))
     assert maker.budget.spent == samples * COLUMNS_PER_EVALUATION
 
     def stop() -> None:

@@ -22,16 +22,16 @@ def maker() -> Fitter:
 
 def test_one_step_brings_what_is_linear_to_its_end_and_keeps_its_promise(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
-    fit = maker.evaluate(model, maker.frame(model))
+    fit = maker.evaluate(model, maker.linearise(model))
     move, promised = newton_step(fit, fit.projected(), 0.0)
-    after = maker.evaluate(moved_by(fit.model, move), fit.frame)
+    after = maker.evaluate(moved_by(fit.model, move), fit.linearisation)
     assert fit.objective - after.objective == pytest.approx(promised, rel=1e-3)
     assert newton_step(after, after.projected(), 0.0)[1] < 1e-4 * promised
 
 
 def test_damping_shortens_the_step(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
-    fit = maker.evaluate(model, maker.frame(model))
+    fit = maker.evaluate(model, maker.linearise(model))
     lengths = [float(np.linalg.norm(newton_step(fit, fit.projected(), damping)[0])) for damping in (0.0, 1.0, 10.0)]
     assert lengths[0] > lengths[1] > lengths[2] > 0.0
 
@@ -41,7 +41,7 @@ def test_a_parameter_at_its_bound_stays_and_the_others_move_as_if_it_were_fixed(
     low = active.candidate.named("bias_b_v").low
     at_bound = replace(active, values={**active.values, "bias_b_v": low})
     model = free_model().with_active([at_bound])
-    fit = maker.evaluate(model, maker.frame(model))
+    fit = maker.evaluate(model, maker.linearise(model))
     own, right = fit.projected()
     right = right.copy()
     right[1] = 1e9  # drawn beyond the bound
@@ -64,7 +64,7 @@ def test_no_step_leaves_the_bounds(maker: Fitter, size: float) -> None:
 
 def test_a_bounded_step_without_shapes_is_the_whole_step(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
-    fit = maker.evaluate(model, maker.frame(model))
+    fit = maker.evaluate(model, maker.linearise(model))
     move, promised = bounded_step(fit, fit.projected(), 0.1)
     whole, same = newton_step(fit, fit.projected(), 0.0)
     np.testing.assert_allclose(move, whole, rtol=1e-6, atol=1e-9 * np.abs(whole).max())
@@ -74,7 +74,7 @@ def test_a_bounded_step_without_shapes_is_the_whole_step(maker: Fitter) -> None:
 def test_no_shape_moves_further_than_the_radius_and_less_is_promised(maker: Fitter) -> None:
     (active,) = with_free(free_model(), maker, DeadTime(), voltage_v=1.0).active
     model = free_model().with_active([active.release("threshold_a")])
-    fit = maker.evaluate(model, maker.frame(model))
+    fit = maker.evaluate(model, maker.linearise(model))
     promises = []
     for radius in (0.01, 0.1, 1.0):
         move, promised = bounded_step(fit, fit.projected(), radius)
@@ -85,7 +85,7 @@ def test_no_shape_moves_further_than_the_radius_and_less_is_promised(maker: Fitt
 
 def test_a_bounded_step_ends_at_the_bounds(maker: Fitter) -> None:
     (active,) = with_free(free_model(), maker, VoltageBias()).active
-    fit = maker.evaluate(free_model().with_active([active]), maker.frame(free_model()))
+    fit = maker.evaluate(free_model().with_active([active]), maker.linearise(free_model()))
     own, right = fit.projected()
     move, _ = bounded_step(fit, (own, right + 1e12), 1.0)
     low, _ = reach(active, "bias_a_v")

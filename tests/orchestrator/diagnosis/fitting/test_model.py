@@ -47,7 +47,7 @@ def test_covariance_is_that_of_all_unknowns_together(fit: Fit) -> None:
     count = len(fit.model.free)
     rows = [
         np.column_stack([r, f.white_basis, d])
-        for p, f, d, r in zip(fit.prepared.pieces, fit.frame.pieces, fit.columns, fit.resistance, strict=True)
+        for p, f, d, r in zip(fit.prepared.pieces, fit.linearisation.pieces, fit.columns, fit.resistance, strict=True)
         if not p.held_out
     ]
     whole = sum((x.T @ x for x in rows), np.zeros((1 + GRID.size + count,) * 2))
@@ -57,22 +57,22 @@ def test_covariance_is_that_of_all_unknowns_together(fit: Fit) -> None:
 
 
 def test_each_segment_of_a_frame_is_found_wherever_its_batch_is(fit: Fit) -> None:
-    places = [k for frame in fit.frame.batches for k in frame.batch.places]
+    places = [k for linearisation in fit.linearisation.batches for k in linearisation.batch.places]
     assert sorted(places) == list(range(len(fit.prepared.pieces)))
     assert places != sorted(places)
     for k, piece in enumerate(fit.prepared.pieces):
-        batch, base = fit.frame.base_of(k)
+        batch, base = fit.linearisation.base_of(k)
         assert batch.pieces == (piece,)
         np.testing.assert_array_equal(base.i_ab, piece.signals.i_ab)
-        np.testing.assert_array_equal(base.resistance_ohm, fit.frame.batches[0].base.resistance_ohm[0])
-        assert len(fit.frame.pieces[k].basis) == piece.windows.rows
+        np.testing.assert_array_equal(base.resistance_ohm, fit.linearisation.batches[0].base.resistance_ohm[0])
+        assert len(fit.linearisation.pieces[k].basis) == piece.windows.rows
     with pytest.raises(IndexError):
-        fit.frame.base_of(len(fit.prepared.pieces))
+        fit.linearisation.base_of(len(fit.prepared.pieces))
 
 
 def test_a_segment_is_corrected_as_if_it_were_alone(fit: Fit) -> None:
     for k, piece in enumerate(fit.prepared.pieces):
-        base = fit.frame.base_of(k)[1].segment(0)
+        base = fit.linearisation.base_of(k)[1].segment(0)
         alone = apply_effects(SignalBatch.of([base]), fit.model.active).signals
         corrected = fit.corrected(k)
         assert corrected.samples == len(piece.signals.v_dc)
@@ -83,7 +83,7 @@ def test_a_segment_is_corrected_as_if_it_were_alone(fit: Fit) -> None:
 def test_true_currents_are_those_of_the_rotor_where_the_effects_have_it() -> None:
     maker = fitter(prepared(plan(sparse=True), angle=0.4))
     model = with_free(free_model(), maker, RotorMisalignment(), angle_rad=0.05)
-    fit = maker.evaluate(model, maker.frame(model))
+    fit = maker.evaluate(model, maker.linearise(model))
     currents = fit.true_currents()
     assert len(currents) == len(maker.prepared.pieces)
     for k, (piece, current) in enumerate(zip(maker.prepared.pieces, currents, strict=True)):

@@ -18,8 +18,8 @@ def clean() -> Fitter:
 
 
 def test_residual_is_orthogonal_to_what_was_solved_for(clean: Fitter) -> None:
-    fit = clean.evaluate(model := free_model(), clean.frame(model))
-    parts = zip(clean.prepared.pieces, fit.frame.pieces, fit.resistance, fit.residual, strict=True)
+    fit = clean.evaluate(model := free_model(), clean.linearise(model))
+    parts = zip(clean.prepared.pieces, fit.linearisation.pieces, fit.resistance, fit.residual, strict=True)
     training = [(r, f.white_basis, e) for p, f, r, e in parts if not p.held_out]
     drop = sum(float(r @ e) for r, _, e in training)
     assert abs(drop) < 1e-6 * sum(float(np.abs(r) @ np.abs(e)) for r, _, e in training)

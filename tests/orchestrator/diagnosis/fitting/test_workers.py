@@ -189,7 +189,7 @@ def with_all(maker: Fitter) -> Model:
 
 
 def arrays_of(fit: Fit) -> list[Array]:
-    return [*fit.residual, *fit.volts, *fit.columns, *fit.resistance, fit.normal, fit.frame.gram]
+    return [*fit.residual, *fit.volts, *fit.columns, *fit.resistance, fit.normal, fit.linearisation.gram]
 
 
 def assert_same(one: Fit, other: Fit) -> None:
@@ -200,11 +200,11 @@ def assert_same(one: Fit, other: Fit) -> None:
     np.testing.assert_array_equal(one.model.magnetics.coefficients, other.model.magnetics.coefficients)
     for mine, theirs in zip(arrays_of(one), arrays_of(other), strict=True):
         np.testing.assert_array_equal(mine, theirs)
-    for here, there in zip(one.frame.pieces, other.frame.pieces, strict=True):
+    for here, there in zip(one.linearisation.pieces, other.linearisation.pieces, strict=True):
         np.testing.assert_array_equal(here.white_basis, there.white_basis)
         np.testing.assert_array_equal(here.whitener.factor, there.whitener.factor)
         assert here.noise_parameters == there.noise_parameters
-    for first, second in zip(one.frame.batches, other.frame.batches, strict=True):
+    for first, second in zip(one.linearisation.batches, other.linearisation.batches, strict=True):
         for name in ("i_ab", "v_ab", "resistance_ohm", "heat_j", "psi_ab", "psi_smooth_ab", "inductance_ab"):
             np.testing.assert_array_equal(getattr(first.base, name), getattr(second.base, name))
 
@@ -225,10 +225,10 @@ def test_so_is_one_of_all_effects_whose_columns_are_kept_and_probed(alone: Fitte
 def test_so_is_one_that_begins_in_a_frame_of_other_noise_or_of_before(alone: Fitter, joined: Fitter) -> None:
     ends = []
     for maker in (alone, joined):
-        first = maker.fit(free_model(), maker.frame(free_model()))
+        first = maker.fit(free_model(), maker.linearise(free_model()))
         biased = with_free(first.model, maker, VoltageBias())
-        weighed = maker.with_noise(ModelNoise(offset_scatter_a=1e-3)).fit(biased, first.frame)
-        ends.append(maker.fit(with_free(weighed.model, maker, VoltageDelay()), first.frame))
+        weighed = maker.with_noise(ModelNoise(offset_scatter_a=1e-3)).fit(biased, first.linearisation)
+        ends.append(maker.fit(with_free(weighed.model, maker, VoltageDelay()), first.linearisation))
     assert_same(*ends)
 
 
@@ -259,11 +259,11 @@ def test_an_effect_that_raises_in_a_thread_raises_the_same_line_as_without(alone
         lines = []
         for maker in (alone, joined):
             with pytest.raises(PluginError, match="effects: raises_late: correct: ValueError: this late") as caught:
-                maker.frame(bad)
+                maker.linearise(bad)
             lines.append(str(caught.value))
         assert lines[0] == lines[1]
         assert "\n" not in lines[0]
-        assert_same(joined.renewed(good), alone.renewed(good))
+        assert_same(joined.relinearise(good), alone.relinearise(good))
 
 
 class _Stop(Exception):
@@ -284,7 +284,7 @@ def test_a_fit_ends_where_its_poll_raises(alone: Fitter, stop: type[BaseExceptio
     with executor_of(2) as executor:
         maker = replace(alone, executor=executor, poll=poll)
         with pytest.raises(stop):
-            maker.fit(model, steps=50, renewals=50)
+            maker.fit(model, steps=50, relinearisations=50)
     assert polled == 3
     assert not threads_here()
 
@@ -292,8 +292,8 @@ def test_a_fit_ends_where_its_poll_raises(alone: Fitter, stop: type[BaseExceptio
 def test_batches_of_any_size_come_to_the_same_fit(alone: Fitter) -> None:
     model = with_all(alone)
     whole = fitter(alone.prepared)
-    one, other = (maker.evaluate(model, maker.frame(model)) for maker in (alone, whole))
-    assert len(one.frame.batches) > len(other.frame.batches)
+    one, other = (maker.evaluate(model, maker.linearise(model)) for maker in (alone, whole))
+    assert len(one.linearisation.batches) > len(other.linearisation.batches)
     assert one.objective == pytest.approx(other.objective, rel=1e-9)
     for mine, theirs in zip(one.columns, other.columns, strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=0.0, atol=1e-8 * max(np.abs(theirs).max(initial=0.0), 1.0))

@@ -67,7 +67,7 @@ def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(cl
     fit = fit_baseline(setup)
     library = scaled_library([VoltageDelay(), EddyCurrents(), CurrentOffset(), CurrentGainMismatch()], clean.manifest)
     columns = absent_columns(library)
-    loose = setup.fitter.evaluate(fit.model, fit.frame, columns)
+    loose = setup.fitter.evaluate(fit.model, fit.linearisation, columns)
     share = ripple_share([(piece, rows) for piece, _, rows in projected_rows(loose)])
     by_name = {active.name: float(s) for (active, _), s in zip(columns, share, strict=True)}
     assert by_name["voltage_delay"] > 0.98
@@ -97,7 +97,7 @@ def test_what_is_there_is_surely_there_and_what_is_not_may_be_absent(delayed: tu
     (late,) = fit.model.active
     (offset,) = scaled_library([CurrentOffset()], fit.prepared.manifest)
     model = fit.model.with_active([late, offset.absent().moved("offset_a_a", 1e-6)])
-    both = fitter.evaluate(model, fit.frame)
+    both = fitter.evaluate(model, fit.linearisation)
     assert possibly_absent(fitter, both) == ["current_offset"]
     assert not is_none_significant(fitter, both)
 
@@ -113,7 +113,7 @@ def test_two_that_stand_in_for_each_other_may_each_be_absent_and_not_both(delaye
     for part, sure in ((0.5, True), (1e-6, False)):
         each = part * late.standardised_value("delay_s")
         twins = [one.absent().moved("delay_s", each) for one in (late.candidate, other)]
-        both = fitter.evaluate(fit.model.with_active(twins), fit.frame)
+        both = fitter.evaluate(fit.model.with_active(twins), fit.linearisation)
         assert possibly_absent(fitter, both) == list(both.model.names)
         assert is_none_significant(fitter, both) != sure
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.judgement.map_band import MapUncertainty, Unseen, flux_rows
+from orchestrator.diagnosis.judgement.map_band import AbsentEffect, MapUncertainty, flux_rows
 from plugins.effects.resistance import WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch
 from plugins.effects.timing import CurrentFilter, VoltageDelay
@@ -45,7 +45,7 @@ def test_r_s_and_map_are_no_surer_for_effects_that_may_be_there() -> None:
     less = 0.999 * plain.of_map(POINTS)
     assert (aware.of_map(POINTS) >= less - 1e-6 * less.max(axis=0)).all()
     assert aware.resistance_ohm >= 0.999 * plain.resistance_ohm
-    assert all(0.0 <= one.probability <= 1.0 for one in aware.unseen)
+    assert all(0.0 <= one.probability <= 1.0 for one in aware.absent)
 
 
 def test_an_effect_that_was_left_out_lies_within_what_it_might_do() -> None:
@@ -56,14 +56,14 @@ def test_an_effect_that_was_left_out_lies_within_what_it_might_do() -> None:
     back = [a.moved("delay_s", -a.standardised_value("delay_s")) for a in truth.active]
     late = fitter(with_effects(maker.prepared, back))
     without = late.fit(free_model())
-    (unseen,) = MapUncertainty.of(late, without, [candidate]).unseen
-    assert unseen.probability > 0.99
+    (absent,) = MapUncertainty.of(late, without, [candidate]).absent
+    assert absent.probability > 0.99
     put = late.fit(without.model.with_active([candidate.absent()]))
     change = put.model.magnetics.coefficients - without.model.magnetics.coefficients
-    np.testing.assert_allclose(unseen.shift[0], put.model.r_s - without.model.r_s, atol=0.1 * abs(unseen.shift).max())
+    np.testing.assert_allclose(absent.shift[0], put.model.r_s - without.model.r_s, atol=0.1 * abs(absent.shift).max())
     flux = flux_rows(without, POINTS)
     expected = flux @ change
-    np.testing.assert_allclose(flux @ unseen.shift[1:], expected, atol=0.1 * np.abs(expected).max())
+    np.testing.assert_allclose(flux @ absent.shift[1:], expected, atol=0.1 * np.abs(expected).max())
 
 
 def test_inductances_of_the_truth_lie_within_their_errors() -> None:
@@ -80,13 +80,14 @@ def test_what_would_have_to_be_less_than_nothing_is_not_there() -> None:
     maker = fitter(prepared(plan()))
     (candidate,) = scaled_library([lag], maker.prepared.manifest)
 
-    def unseen_beside(delay_s: float) -> Unseen:
+    def absent_effect_beside(delay_s: float) -> AbsentEffect:
         truth = with_free(free_model(), maker, VoltageDelay(), delay_s=delay_s)
         other = fitter(with_effects(maker.prepared, truth.active))
-        (unseen,) = MapUncertainty.of(other, other.fit(free_model()), [candidate]).unseen
-        return unseen
+        (absent,) = MapUncertainty.of(other, other.fit(free_model()), [candidate]).absent
+        return absent
 
-    one_way, other_way = sorted((unseen_beside(4e-6), unseen_beside(-4e-6)), key=lambda unseen: unseen.probability)
+    both = absent_effect_beside(4e-6), absent_effect_beside(-4e-6)
+    one_way, other_way = sorted(both, key=lambda absent: absent.probability)
     assert other_way.probability > 0.99
     assert one_way.probability < 0.2
     assert np.abs(one_way.shift).max() == 0.0

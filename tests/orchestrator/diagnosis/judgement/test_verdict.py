@@ -11,7 +11,7 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import excitation_v, left_of_excitation
 from orchestrator.diagnosis.judgement.judge import judge
-from orchestrator.diagnosis.judgement.verdict import fitted_verdict, left_fraction, verdict_record
+from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of, verdict_record
 from plugins.effects.inverter import DeadTime
 from protocols import SegmentStage, Verdict
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
@@ -110,9 +110,9 @@ def test_what_chance_makes_of_few_readings_is_noise(fit: Fit) -> None:
 
 
 def test_what_is_left_is_a_ratio_of_amplitudes(fit: Fit) -> None:
-    assert left_fraction(101.0, _with_chi2(fit, 2.0)) == pytest.approx(0.1)
-    assert left_fraction(1.05, _with_chi2(fit, 1.05)) == 0.0
-    assert left_fraction(101.0, _with_chi2(fit, 0.9)) == 0.0
+    assert residual_fraction_of(101.0, _with_chi2(fit, 2.0)) == pytest.approx(0.1)
+    assert residual_fraction_of(1.05, _with_chi2(fit, 1.05)) == 0.0
+    assert residual_fraction_of(101.0, _with_chi2(fit, 0.9)) == 0.0
 
 
 def test_what_only_the_held_out_part_shows_is_not_explained(fit: Fit) -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from orchestrator.diagnosis.nuisances.pwm_quantiser import (
     QuantiserEstimate,
     leg_step_of,
-    own_leg_step_of,
+    nominal_leg_step_of,
     rounded_by,
     with_quantiser,
 )
@@ -67,7 +67,7 @@ def test_a_recording_gets_the_voltages_that_its_timer_lets_through_once() -> Non
     made = _campaign()
     once = with_quantiser(made, timer(STEP_S, 0.3, 0.6))
     twice = with_quantiser(once, timer(STEP_S, 0.3, 0.6))
-    step_v = own_leg_step_of(STEP_S, made.manifest.drive)
+    step_v = nominal_leg_step_of(STEP_S, made.manifest.drive)
     for before, after, again in zip(made.pieces, once.pieces, twice.pieces, strict=True):
         np.testing.assert_array_equal(after.signals.v_ab, again.signals.v_ab)
         moved = np.abs(_lines(after.signals.v_ab - before.signals.v_ab)).max()

@@ -66,8 +66,8 @@ def test_a_part_is_asked_around_a_fit_of_the_whole() -> None:
     )
     fit = whole.fit(free_model().with_active([one.absent() for one in effects]))
     assert len(fit.parameters) > FEW_COLUMNS
-    assert sum(map(len, part.renewed(fit.model).residual)) < sum(map(len, fit.residual))
-    around, anew = scatter_of(part, fit, effects), scatter_of(part, part.renewed(fit.model), effects)
+    assert sum(map(len, part.relinearise(fit.model).residual)) < sum(map(len, fit.residual))
+    around, anew = scatter_of(part, fit, effects), scatter_of(part, part.relinearise(fit.model), effects)
     # R_s and the map, around which all is linear, are the whole's or the part's.
     assert around.chi2 == pytest.approx(anew.chi2, rel=1e-2)
     assert around.noise.scatters == anew.noise.scatters

@@ -10,7 +10,7 @@ import pytest
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.findings import (
-    above_residual,
+    credible_effects,
     derived_quantities,
     effect_remarks,
     found_effects,
@@ -48,7 +48,7 @@ def test_of_what_only_a_second_angle_shows_nothing_is_said_at_one() -> None:
 
 
 def test_a_map_that_is_constant_has_neither_saturation_nor_cross_saturation() -> None:
-    fit = MAKER.renewed(free_model(), held=True)
+    fit = MAKER.relinearise(free_model(), held=True)
     saturation, cross = map_effects(fit, {"saturation": 1.0, "cross_saturation": 0.0})
     assert saturation.parameters["relative_change"].value == pytest.approx(0.0, abs=1e-9 * (L_D + L_Q))
     assert cross.relative_size == pytest.approx(0.0, abs=1e-9)
@@ -88,8 +88,8 @@ def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
         FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
         for name, share in (("a", 0.5), ("b", 0.02))
     ]
-    assert [effect.name for effect in above_residual(some, 0.42, 3.0)] == ["a"]
-    assert [effect.name for effect in above_residual(some, 0.0, 3.0)] == ["a", "b"]
+    assert [effect.name for effect in credible_effects(some, 0.42, 3.0)] == ["a"]
+    assert [effect.name for effect in credible_effects(some, 0.0, 3.0)] == ["a", "b"]
 
 
 @pytest.mark.parametrize(("left", "listed"), [(0.1, ["a"]), (0.0, ["a", "b"])])
@@ -100,7 +100,7 @@ def test_what_takes_away_many_times_the_error_while_something_is_left_is_not_lis
         FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
         for name, share in (("a", 0.5), ("b", 30.0))
     ]
-    assert [effect.name for effect in above_residual(some, left, 3.0)] == listed
+    assert [effect.name for effect in credible_effects(some, left, 3.0)] == listed
 
 
 MANIFEST = prepared(plan()).manifest

@@ -11,7 +11,7 @@ import pytest
 from orchestrator.diagnosis import Diagnosis
 from orchestrator.diagnosis.reporting import keeping
 from orchestrator.diagnosis.reporting.diagnosis_file import load_diagnosis
-from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.forward_search import SearchResult
 from orchestrator.recording import Recording
 from protocols import DiagnosisStep
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis, some_steps
@@ -30,7 +30,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         seen.update(asked)
         for step in STEPS:
             on_step(step)
-        return Diagnosis(REPORT, None, Search([]), ())
+        return Diagnosis(REPORT, None, SearchResult([]), ())
 
     monkeypatch.setattr(keeping, "diagnose_recording", diagnose)
     monkeypatch.setattr(keeping, "in_words", lambda diagnosis: WORDS)

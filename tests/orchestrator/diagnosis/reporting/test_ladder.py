@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import kept_rungs, mean_rms_v, noise_rms_v, rung
-from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
 
@@ -30,7 +30,7 @@ def test_a_fit_to_the_noise_leaves_the_noise(fit: Fit) -> None:
 
 
 def test_a_rung_is_its_fit_in_numbers(fit: Fit) -> None:
-    told = rung(Step("voltage_bias", fit))
+    told = rung(AcceptedModel("voltage_bias", fit))
     assert told.added == "voltage_bias"
     assert told.chi2 == fit.chi2_per_dof
     assert told.rms_v == mean_rms_v(fit, lambda p: not p.held_out)
@@ -40,5 +40,5 @@ def test_a_rung_is_its_fit_in_numbers(fit: Fit) -> None:
 
 def test_a_rung_that_is_kept_is_the_model_held_against_the_recording(fit: Fit) -> None:
     setup = setup_of(MAKER)
-    (kept,) = kept_rungs(setup, [Step(None, fit)])
+    (kept,) = kept_rungs(setup, [AcceptedModel(None, fit)])
     assert kept.chi2 == pytest.approx(fit.chi2_per_dof, rel=0.01)

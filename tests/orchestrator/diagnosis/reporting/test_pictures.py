@@ -15,13 +15,13 @@ from orchestrator.diagnosis.reporting.excerpts import ripple_pair
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step, kept_rows
 from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO
-from orchestrator.diagnosis.selection.forward_search import Step, with_effect
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
 from protocols import DiagnosisStep, Saturated
 from tests.support.close import assert_close
 
-Ladder = tuple[tuple[Step, ...], DiagnosisSetup, tuple[DiagnosisStep, ...]]
+Ladder = tuple[tuple[AcceptedModel, ...], DiagnosisSetup, tuple[DiagnosisStep, ...]]
 
 RATIO = LEAST_AMPLITUDE_RATIO
 
@@ -30,9 +30,9 @@ RATIO = LEAST_AMPLITUDE_RATIO
 def ladder(with_dead_time: Recording) -> Ladder:
     """The map alone, then with the dead time that is really there."""
     setup = open_for_diagnosis(with_dead_time)
-    bare = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=1)
+    bare = setup.fitter.fit(baseline_model(setup, Saturated()), relinearisations=1)
     candidate = scaled_library([DeadTime()], setup.prepared.manifest)[0]
-    steps = (Step(None, bare), Step("dead_time", with_effect(setup.fitter, bare, candidate)))
+    steps = (AcceptedModel(None, bare), AcceptedModel("dead_time", with_effect(setup.fitter, bare, candidate)))
     return steps, setup, tuple(diagnosis_step(k, step, setup) for k, step in enumerate(steps))
 
 

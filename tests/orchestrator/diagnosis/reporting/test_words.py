@@ -11,7 +11,7 @@ from orchestrator.diagnosis import Diagnosis, in_words
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
-from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset
 from protocols import Contrast
@@ -30,12 +30,13 @@ BIAS: dict[str, Any] = {
 
 
 @pytest.fixture(scope="module")
-def search() -> Search:
+def search() -> SearchResult:
     """The map alone, then with the bias that is really there."""
-    return Search([Step(None, MAKER.fit(free_model())), Step("voltage_bias", fitted_bias(MAKER))])
+    bare = AcceptedModel(None, MAKER.fit(free_model()))
+    return SearchResult([bare, AcceptedModel("voltage_bias", fitted_bias(MAKER))])
 
 
-def said(search: Search, **changes: Any) -> Any:
+def said(search: SearchResult, **changes: Any) -> Any:
     """The words for a report of this search."""
     ladder = [rung(step).model_dump() for step in search.steps]
     report = a_diagnosis(**{"ladder": ladder, "effects": [BIAS], "next_experiment": None, **changes})
@@ -44,8 +45,9 @@ def said(search: Search, **changes: Any) -> Any:
     return in_words(Diagnosis(report, setup, search, library))
 
 
-def test_a_clean_recording_has_nothing_to_say(search: Search) -> None:
-    words = said(Search(search.steps[:1]), verdict="clean", effects=[], ladder=[rung(search.steps[0]).model_dump()])
+def test_a_clean_recording_has_nothing_to_say(search: SearchResult) -> None:
+    ladder = [rung(search.steps[0]).model_dump()]
+    words = said(SearchResult(search.steps[:1]), verdict="clean", effects=[], ladder=ladder)
     assert words.where_it_fails == "nowhere beyond the noise"
     assert words.what_it_looks_like == "noise"
     assert words.likely_cause == "none: the model fits within the noise"
@@ -53,19 +55,19 @@ def test_a_clean_recording_has_nothing_to_say(search: Search) -> None:
     assert words.to_decide == "nothing left to decide"
 
 
-def test_what_is_too_faint_to_be_a_cause_is_said(search: Search) -> None:
+def test_what_is_too_faint_to_be_a_cause_is_said(search: SearchResult) -> None:
     words = said(search, verdict="clean", effects=[], minor=[BIAS])
     assert words.likely_cause == "none that counts; voltage_bias shows, and is in the model"
 
 
-def test_what_was_found_is_named_with_its_size_and_its_signature(search: Search) -> None:
+def test_what_was_found_is_named_with_its_size_and_its_signature(search: SearchResult) -> None:
     words = said(search)
     assert words.likely_cause == "voltage_bias (bias a 300.0 mV, 95 %: 299.0 to 301.0)"
     assert words.what_it_looks_like == VoltageBias.signature
     assert words.to_decide == "nothing left to decide"
 
 
-def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: Search) -> None:
+def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: SearchResult) -> None:
     where = said(search).where_it_fails
     assert any(where.startswith(f"worst in {piece.segment.id} (") for piece in MAKER.prepared.pieces)
     assert not where.startswith("worst in gates_off")
@@ -73,7 +75,7 @@ def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: Sear
     assert "where noise alone makes" in where
 
 
-def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: Search) -> None:
+def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: SearchResult) -> None:
     gain = said(search).if_added
     assert gain.startswith("held-out error ")
     assert "the model's R_s" in gain
@@ -81,7 +83,7 @@ def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: Search) 
     assert said(search, ladder=nothing).if_added.startswith("error ")
 
 
-def test_twins_are_named_with_what_would_tell_them_apart(search: Search) -> None:
+def test_twins_are_named_with_what_would_tell_them_apart(search: SearchResult) -> None:
     words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     needed = CONTRASTS[Contrast.GATES_OFF].text
     assert "indistinguishable from current_offset here" in words.likely_cause
@@ -89,7 +91,7 @@ def test_twins_are_named_with_what_would_tell_them_apart(search: Search) -> None
     assert needed in words.to_decide
 
 
-def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: Search) -> None:
+def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: SearchResult) -> None:
     proposal = {"stage": {"kind": "gates_off"}, "separates": ["voltage_bias", "current_offset"], "minutes": 0.5}
     words = said(search, next_experiment=proposal)
     assert words.to_decide == "gates_off stage of 30 s, tells voltage_bias from current_offset"
@@ -102,14 +104,14 @@ def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: Se
         ("mostly_explained", "% of the error remains", "a part of the error remains that nothing"),
     ],
 )
-def test_what_is_left_unexplained_is_said(search: Search, verdict: str, cause: str, next_step: str) -> None:
+def test_what_is_left_unexplained_is_said(search: SearchResult, verdict: str, cause: str, next_step: str) -> None:
     words = said(search, verdict=verdict)
     assert words.likely_cause.startswith("voltage_bias (")
     assert cause in words.likely_cause
     assert words.to_decide.startswith(next_step)
 
 
-def test_an_unknown_is_described_by_its_shape(search: Search) -> None:
+def test_an_unknown_is_described_by_its_shape(search: SearchResult) -> None:
     shape = [{"group": "periodic", "share": 0.8}, {"group": "constant", "share": 0.2}]
     words = said(search, verdict="unknown_remains", effects=[], unexplained={"fraction": 0.9, "shape": shape})
     assert words.what_it_looks_like.startswith("80 % periodic at the mains frequency; 20 % constant")

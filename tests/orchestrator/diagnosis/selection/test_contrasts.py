@@ -54,14 +54,17 @@ WHOLE = prepared(plan(sparse=True))
 BRIDGE_ON = replace(WHOLE, pieces=tuple(p for p in WHOLE.pieces if p.stage is not SegmentStage.GATES_OFF))
 
 
-def test_what_parts_two_effects_is_what_both_need() -> None:
+def test_two_effects_are_separated_by_the_contrasts_that_both_need() -> None:
     assert separating_contrasts(VoltageBias(), CurrentOffset()) == (Contrast.GATES_OFF,)
     assert separating_contrasts(DeadTime(), DeviceDrop()) == (Contrast.SECOND_PWM_FREQUENCY,)
+
+
+def test_effects_that_need_different_contrasts_are_separable_by_any_recording() -> None:
     assert separating_contrasts(DeadTime(), CurrentOffset()) == ()
+    assert separable(BRIDGE_ON, DeadTime(), CurrentOffset())
 
 
-def test_a_recording_parts_what_it_holds_the_contrast_for() -> None:
+def test_a_recording_separates_two_effects_if_it_holds_their_contrast() -> None:
     assert separable(WHOLE, VoltageBias(), CurrentOffset())
     assert not separable(BRIDGE_ON, VoltageBias(), CurrentOffset())
     assert not separable(WHOLE, DeadTime(), DeviceDrop())
-    assert separable(BRIDGE_ON, DeadTime(), CurrentOffset())

@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection import forward_search as forward_search_module
-from orchestrator.diagnosis.selection.forward_search import Step, forward
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, forward
 from orchestrator.diagnosis.selection.refining import extend_newest
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.timing import VoltageDelay
@@ -28,7 +28,7 @@ def biased() -> Fitter:
 
 def test_the_search_names_what_is_there_and_nothing_beside_it(biased: Fitter) -> None:
     library = scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], biased.prepared.manifest)
-    search = forward(biased, [Step(None, biased.fit(free_model()))], library)
+    search = forward(biased, [AcceptedModel(None, biased.fit(free_model()))], library)
     assert [step.added for step in search.steps] == [None, "voltage_bias"]
     assert search.fit.chi2_per_dof == pytest.approx(1.0, abs=0.2)
 
@@ -36,7 +36,7 @@ def test_the_search_names_what_is_there_and_nothing_beside_it(biased: Fitter) ->
 def test_noise_alone_is_given_no_name() -> None:
     maker = fitter(prepared(plan(sparse=True), seed=3))
     library = scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], maker.prepared.manifest)
-    search = forward(maker, [Step(None, maker.fit(free_model()))], library)
+    search = forward(maker, [AcceptedModel(None, maker.fit(free_model()))], library)
     assert [step.added for step in search.steps] == [None]
     assert search.detected_not_named == []
     (screen,) = maker.trace.events
@@ -49,7 +49,7 @@ def test_noise_alone_is_given_no_name() -> None:
 def test_every_refit_is_on_record_with_the_score_that_decided(biased: Fitter) -> None:
     maker = replace(biased, trace=SearchRecorder())
     library = scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], maker.prepared.manifest)
-    search = forward(maker, [Step(None, maker.fit(free_model()))], library)
+    search = forward(maker, [AcceptedModel(None, maker.fit(free_model()))], library)
     refits = [event for event in maker.trace.events if event.move == "refit"]
     (added,) = [event for event in maker.trace.events if event.move == "add"]
     assert added.effects == ("voltage_bias",)
@@ -64,7 +64,7 @@ def test_thresholds_are_those_that_are_handed_in(biased: Fitter) -> None:
     strict = Criteria(selection=SelectionCriteria(log_evidence=1e9))
     maker = replace(biased, prepared=replace(biased.prepared, criteria=strict))
     search = forward(
-        maker, [Step(None, maker.fit(free_model()))], scaled_library([VoltageBias()], maker.prepared.manifest)
+        maker, [AcceptedModel(None, maker.fit(free_model()))], scaled_library([VoltageBias()], maker.prepared.manifest)
     )
     assert len(search.steps) == 1
 
@@ -81,7 +81,7 @@ def test_an_effect_that_explains_more_is_let_in_before_the_newest_one_is_bent(mo
         return extend_newest(maker, fit, inflation)
 
     monkeypatch.setattr(forward_search_module, "extend_newest", noted)
-    search = forward(maker, [Step(None, maker.fit(free_model()))], library)
+    search = forward(maker, [AcceptedModel(None, maker.fit(free_model()))], library)
     assert set(search.fit.model.names) == {"dead_time", "voltage_bias"}
     assert search.fit.chi2_per_dof == pytest.approx(1.0, abs=0.2)
     # What came first was bent with the other one there, not alone.
@@ -92,7 +92,7 @@ def test_an_effect_that_explains_more_is_let_in_before_the_newest_one_is_bent(mo
 def test_what_waited_for_another_effect_is_bent_where_none_comes(biased: Fitter) -> None:
     library = scaled_library([VoltageBias()], biased.prepared.manifest)
     bare = biased.fit(free_model())
-    search = forward(biased, [Step(None, bare)], library)
+    search = forward(biased, [AcceptedModel(None, bare)], library)
     search.has_deferred_refinements = True
     assert forward_search_module._free_deferred(biased, search)
     assert not forward_search_module._free_deferred(biased, search)

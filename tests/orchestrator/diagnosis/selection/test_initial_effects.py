@@ -8,7 +8,7 @@ import pytest
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel
 from orchestrator.diagnosis.selection.initial_effects import include_measured
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
@@ -35,9 +35,9 @@ def _setup(bias_v: float) -> DiagnosisSetup:
     return setup_of(made, sensor_noise(made.pieces))
 
 
-def _steps(bias_v: float, effect: Effect) -> list[Step]:
+def _steps(bias_v: float, effect: Effect) -> list[AcceptedModel]:
     setup = _setup(bias_v)
-    bare = Step(None, setup.fitter.fit(free_model()))
+    bare = AcceptedModel(None, setup.fitter.fit(free_model()))
     return include_measured(setup, [bare], scaled_library([effect], setup.prepared.manifest))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.timing import VoltageDelay
@@ -63,9 +63,9 @@ def test_an_answer_is_told_when_it_changes_and_not_again(fits: tuple[Fit, Fit]) 
     setup = setup_of(fitter(bare.prepared))
     told: list[InterimResult] = []
     recorder = InterimRecorder(told.append)
-    first = [Step(None, bare)]
-    search = Search([Step(None, bare), Step("voltage_bias", biased, 100.0)])
-    recorder.record(setup, first, Search(list(first)), is_part=True)
+    first = [AcceptedModel(None, bare)]
+    search = SearchResult([AcceptedModel(None, bare), AcceptedModel("voltage_bias", biased, 100.0)])
+    recorder.record(setup, first, SearchResult(list(first)), is_part=True)
     for _ in range(2):
         recorder.record(setup, first, search, is_part=True)
     recorder.record(setup, first, search, is_part=False)
@@ -82,9 +82,9 @@ def test_an_answer_is_told_when_it_changes_and_not_again(fits: tuple[Fit, Fit]) 
 def test_what_is_remembered_does_not_change_as_the_search_goes_on(fits: tuple[Fit, Fit]) -> None:
     bare, biased = fits
     recorder = InterimRecorder()
-    search = Search([Step(None, bare)])
+    search = SearchResult([AcceptedModel(None, bare)])
     recorder.record(setup_of(fitter(bare.prepared)), search.steps, search, is_part=True)
-    search.steps.append(Step("voltage_bias", biased, 100.0))
+    search.steps.append(AcceptedModel("voltage_bias", biased, 100.0))
     search.detected_not_named.append("voltage_delay")
     assert recorder.checkpoint is not None
     assert recorder.checkpoint.search.fit is bare
@@ -97,6 +97,6 @@ def test_of_effects_that_are_fitted_together_those_are_named_that_the_data_ask_f
     library = scaled_library([VoltageBias(), VoltageDelay()], bare.prepared.manifest)
     both = maker.fit(bare.model.with_active([c.absent() for c in library]))
     told: list[InterimResult] = []
-    quick = Search([Step(None, bare)])
+    quick = SearchResult([AcceptedModel(None, bare)])
     InterimRecorder(told.append).record_joint(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
     assert [one.effects for one in told] == [("voltage_bias",)]

@@ -87,7 +87,7 @@ def test_evidence_is_what_the_density_at_nothing_says(
     """For one amplitude: log N(0; 0, 1) - log N(0; x, s), from the fit's own normal matrix."""
     bias = fit.model.active[0]
     one = fit.model.with_active([replace(bias, free=("bias_a_v",))])
-    single = maker.evaluate(one, maker.frame(one))
+    single = maker.evaluate(one, maker.linearise(one))
     factor = log_bayes_factors(single)["voltage_bias"]
     noise = np.linalg.inv(single.projected()[0] / single.chi2_per_dof + np.eye(1))[0, 0]
     between = block_scatter(single)[0] ** 2 / BLOCKS
@@ -99,7 +99,7 @@ def test_evidence_is_what_the_density_at_nothing_says(
 
 def test_an_effect_of_no_size_can_go(maker: Fitter, library: tuple[CandidateEffect, ...], fit: Fit) -> None:
     more = fit.model.with_active([*fit.model.active, library[0].absent()])
-    beside = maker.evaluate(more, maker.frame(more))
+    beside = maker.evaluate(more, maker.linearise(more))
     assert redundant_terms(beside) == ["dead_time"]
     assert probabilities(beside)["dead_time"] < 0.2
 

@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import joint_workflow
-from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import log_bayes_factors
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
@@ -34,8 +34,8 @@ def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkey
     bare = setup.fitter.fit(free_model())
     of_a_part = setup.coarse_fitter.fit(free_model().with_active([library[0].absent()]))
     monkeypatch.setattr(joint_workflow, "joint_search", lambda *_: (of_a_part, {}))
-    steps = [Step(None, bare)]
-    assert joint_workflow.search_jointly(setup, steps, Search(steps), library, InterimRecorder()) is None
+    steps = [AcceptedModel(None, bare)]
+    assert joint_workflow.search_jointly(setup, steps, SearchResult(steps), library, InterimRecorder()) is None
 
 
 def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup, Fit, Fit]:
@@ -53,7 +53,7 @@ def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup
 def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
     """A biased voltage, and gains that nobody looks for: another resistance in a phase takes some of what they do."""
     setup, bare, whole = _fitted(0.2, [VoltageBias(), PhaseResistanceImbalance()])
-    search = joint_workflow.build_ladder(setup, [Step(None, bare)], whole, {}, [])
+    search = joint_workflow.build_ladder(setup, [AcceptedModel(None, bare)], whole, {}, [])
     assert search.contributions["phase_resistance_imbalance"].relative_to_error > whole.criteria.selection.named_share
     assert [step.added for step in search.steps] == [None, "voltage_bias"]
     assert search.below_materiality == ("phase_resistance_imbalance",)
@@ -62,11 +62,13 @@ def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
 def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share() -> None:
     """Another form's error is left: what an effect takes of it, and others could take as well, may be that form's."""
     setup, bare, whole = _fitted(0.02, [VoltageBias(), CurrentGainMismatch()])
-    assert joint_workflow.build_ladder(setup, [Step(None, bare)], whole, {}, []).below_materiality == ()
+    assert joint_workflow.build_ladder(setup, [AcceptedModel(None, bare)], whole, {}, []).below_materiality == ()
     lesser, larger = sorted(log_bayes_factors(whole).items(), key=lambda item: item[1])
     between = 0.5 * (lesser[1] + larger[1])
     left = replace(whole, chi2=whole.dof + 2.0 * between)
-    assert joint_workflow.build_ladder(setup, [Step(None, bare)], left, {}, []).below_materiality == (lesser[0],)
+    assert joint_workflow.build_ladder(setup, [AcceptedModel(None, bare)], left, {}, []).below_materiality == (
+        lesser[0],
+    )
 
 
 @pytest.mark.parametrize(("left", "named"), [(0.1, True), (0.4, False)])
@@ -74,9 +76,9 @@ def test_what_drifts_by_more_than_is_left_disagrees_on_something_else(
     left: float, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    search = joint_workflow.build_ladder(setup, [Step(None, bare)], whole, {}, [])
+    search = joint_workflow.build_ladder(setup, [AcceptedModel(None, bare)], whole, {}, [])
     monkeypatch.setattr(joint_workflow, "fitted_verdict", lambda *_: "unknown_remains")
-    monkeypatch.setattr(joint_workflow, "left_fraction", lambda *_: left)
+    monkeypatch.setattr(joint_workflow, "residual_fraction_of", lambda *_: left)
     monkeypatch.setattr(joint_workflow, "block_scatter_ratio", lambda fit: dict.fromkeys(fit.model.names, 0.3))
     after, doubtful = joint_workflow.drop_confounded(setup.fitter, search)
     assert ("voltage_bias" in doubtful) != named
@@ -91,11 +93,11 @@ def test_what_takes_away_many_times_the_whole_error_or_twice_it_beside_another_i
     taken: float, by_another: float, named: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    search = joint_workflow.build_ladder(setup, [Step(None, bare)], whole, {}, [])
+    search = joint_workflow.build_ladder(setup, [AcceptedModel(None, bare)], whole, {}, [])
     sizes = {"voltage_bias": taken, "current_gain_mismatch": by_another}
     larger = {name: replace(share, relative_to_error=sizes[name]) for name, share in search.contributions.items()}
     monkeypatch.setattr(joint_workflow, "fitted_verdict", lambda *_: "unknown_remains")
-    monkeypatch.setattr(joint_workflow, "left_fraction", lambda *_: 0.01)
+    monkeypatch.setattr(joint_workflow, "residual_fraction_of", lambda *_: 0.01)
     _, doubtful = joint_workflow.drop_confounded(setup.fitter, replace(search, contributions=larger))
     assert ("voltage_bias" not in doubtful) == named
 
@@ -103,7 +105,7 @@ def test_what_takes_away_many_times_the_whole_error_or_twice_it_beside_another_i
 @pytest.mark.parametrize("sure", [False, True])
 def test_where_nothing_is_sure_nothing_is_found(sure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    search = joint_workflow.build_ladder(setup, [Step(None, bare)], whole, {}, [])
+    search = joint_workflow.build_ladder(setup, [AcceptedModel(None, bare)], whole, {}, [])
     monkeypatch.setattr(joint_workflow, "is_none_significant", lambda *_: not sure)
     after, doubtful = joint_workflow.drop_confounded(setup.fitter, search)
     assert after.fit is (search.fit if sure else bare)

@@ -31,7 +31,9 @@ def biased() -> Fitter:
 def test_gain_in_evidence_is_the_integral_over_a_linear_effects_amplitudes(biased: Fitter) -> None:
     bare = biased.fit(free_model())
     view = linear_view(biased, bare, scaled_library([VoltageBias()], biased.prepared.manifest))
-    full = biased.fit(bare.model.with_active([view.absent[0].absent()]), bare.frame, renewals=0, tolerance=0.0)
+    full = biased.fit(
+        bare.model.with_active([view.absent[0].absent()]), bare.linearisation, relinearisations=0, tolerance=0.0
+    )
     # int exp(-1/2 |e + A x|^2) N(x; 0, 1) dx, in closed form: pull' (I + A'A)^-1 pull and the determinant.
     spread = np.eye(2) + view.normal
     expected = 0.5 * view.right @ np.linalg.solve(spread, view.right) - 0.5 * np.linalg.slogdet(spread)[1]
@@ -45,14 +47,14 @@ def test_linear_score_is_the_fall_of_the_objective(biased: Fitter) -> None:
     best, other = score(linear_view(biased, bare, library))
     assert (best.candidate.name, other.candidate.name) == ("voltage_bias", "voltage_delay")
     model = bare.model.with_active([best.candidate.absent()])
-    fit = biased.fit(model, bare.frame, renewals=0)
+    fit = biased.fit(model, bare.linearisation, relinearisations=0)
     assert best.gain == pytest.approx(bare.objective - fit.objective, rel=1e-3)
 
 
 def test_a_rival_does_as_well_by_what_it_leaves_and_not_by_how_many_parameters_it_took(biased: Fitter) -> None:
     bare = biased.fit(free_model())
     (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
-    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.frame, renewals=0)
+    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.linearisation, relinearisations=0)
     assert fits_as_well(full, bare)
     assert not fits_as_well(bare, full)
     least = 2.0 * bare.criteria.selection.tie * max(full.chi2_per_dof, 1.0)
@@ -64,7 +66,7 @@ def test_a_rival_does_as_well_by_what_it_leaves_and_not_by_how_many_parameters_i
 def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> None:
     bare = biased.fit(free_model())
     (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
-    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.frame, renewals=0)
+    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.linearisation, relinearisations=0)
     lost = loss_without(full, full.model.active[0], candidate.amplitudes)
     # Wald's test counts in units of the noise that is left.
     assert lost * max(full.chi2_per_dof, 1.0) == pytest.approx(bare.chi2 - full.chi2, rel=0.05)

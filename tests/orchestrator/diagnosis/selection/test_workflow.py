@@ -10,7 +10,7 @@ import pytest
 from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection import workflow
-from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.workflow import (
     coarsen_map,
@@ -35,16 +35,16 @@ from tests.orchestrator.diagnosis.pieces import (
 )
 
 
-def _biased(of_resistance: float) -> tuple[Fitter, list[Step]]:
+def _biased(of_resistance: float) -> tuple[Fitter, list[AcceptedModel]]:
     """A biased voltage, and so much more of R_s in phase a; the ladder of both."""
     biased = with_voltage(prepared(plan(), noise_a=0.002), np.array([2.0, -1.0]))
     extra = {p.segment.id: of_resistance * R_S * p.signals.i_ab * np.array([1.0, 0.0]) for p in biased.pieces}
     maker = fitter(with_voltage(biased, extra))
-    steps = [Step(None, maker.fit(free_model()))]
+    steps = [AcceptedModel(None, maker.fit(free_model()))]
     for effect in (VoltageBias(), PhaseResistanceImbalance()):
         before = steps[-1].fit.model
         model = before.with_active([*before.active, *with_free(before, maker, effect).active])
-        steps.append(Step(effect.name, maker.fit(model), 100.0))
+        steps.append(AcceptedModel(effect.name, maker.fit(model), 100.0))
     return maker, steps
 
 
@@ -55,7 +55,7 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
     maker, steps = _biased(of_resistance)
     assert steps[0].fit.chi2_per_dof > 1e5 > 1e4 * steps[-1].fit.chi2_per_dof
     setup = setup_of(maker)
-    assert prune(setup, Search(steps))[1] == spared
+    assert prune(setup, SearchResult(steps))[1] == spared
 
 
 def test_voltages_that_differ_by_chance_are_noise() -> None:
@@ -80,18 +80,18 @@ def test_a_map_that_was_made_sharp_for_an_effect_s_form_is_a_usual_one(
     usual, sharp = maker.fit(biased), maker.fit(replace(biased, space=space))
     if earned:
         monkeypatch.setattr(workflow, "keep_fine_grid", lambda *_: True)
-    search = Search([Step(None, first), Step("voltage_bias", sharp, 20.0)])
+    search = SearchResult([AcceptedModel(None, first), AcceptedModel("voltage_bias", sharp, 20.0)])
     after = coarsen_map(setup_of(maker), search)
     assert has_fine_grid(sharp)
     assert has_fine_grid(after.fit) == earned
     assert after.fit.model.names == ("voltage_bias",)
-    asked_nothing = Search([Step(None, first), Step("voltage_bias", usual, 20.0)])
+    asked_nothing = SearchResult([AcceptedModel(None, first), AcceptedModel("voltage_bias", usual, 20.0)])
     assert coarsen_map(setup_of(maker), asked_nothing) is asked_nothing
 
 
 def test_a_timer_that_leaves_more_than_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     setup = setup_of(fitter(with_voltage(prepared(plan(), noise_a=0.002), np.array([0.05, 0.0]))))
-    steps = [Step(None, setup.fitter.fit(free_model()))]
+    steps = [AcceptedModel(None, setup.fitter.fit(free_model()))]
     assert steps[0].fit.chi2_per_dof > 1.08
     monkeypatch.setattr(
         workflow, "with_detected_quantiser", lambda given, *_: given.with_quantiser(timer(2e-6, 0.3, 0.6))

@@ -120,7 +120,7 @@ def test_an_inverters_slope_multiplies_the_noise() -> None:
     n = len(HOLD.v_dq)
     slopes = Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(np.broadcast_to(ohm * np.eye(2), (n, 2, 2))))
     plain, steep = _whitener(HOLD).variance, _whitener(HOLD, slopes).variance
-    # A reading counts by L (w_k - w_k-1) and by Ts (slope - R) w_k; the mean square of a hat is a third.
+    # A reading counts by L (w_k - w_k-1) and by Ts (slope - R) w_k; the mean square of a test function is a third.
     step = piece(HOLD).windows.step
     flux = np.array([L_D, L_Q]) / step
     expected = (flux**2 + ((ohm - R_S) / FS) ** 2 / 3.0) / (flux**2 + (R_S / FS) ** 2 / 3.0)

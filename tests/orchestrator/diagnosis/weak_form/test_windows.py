@@ -1,4 +1,4 @@
-"""Windows: hats that add up to one, and carriers that see their own harmonic only."""
+"""Windows: test functions that add up to one, and modes that respond to their own harmonic only."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from orchestrator.diagnosis import Diagnosis, save_diagnosis
-from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.forward_search import SearchResult
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.interface.cli._further import next_stages
 from protocols import Compared, Diagnosed, InputError, PointDone, StagesAppended
@@ -76,7 +76,7 @@ def test_the_experiment_is_measured_into_the_run_and_diagnosed_again(
 def test_a_run_without_a_diagnosis_is_diagnosed_with_a_proposal(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def diagnose(recording: object, effects: object, *, propose: object) -> Diagnosis:
         assert propose is next_experiment
-        return Diagnosis(a_diagnosis(next_experiment=None), None, Search([]), ())
+        return Diagnosis(a_diagnosis(next_experiment=None), None, SearchResult([]), ())
 
     monkeypatch.setattr("orchestrator.interface.cli._further.diagnose_recording", diagnose)
     (run / "results" / "diagnosis.json").unlink()
