@@ -62,7 +62,8 @@ class LockCheckStage(EnergisedStage):
     max_duration_ratio: Annotated[float, Field(ge=1.0)] | None = None
     """How many times `duration_s` a point may be captured for where the first rest is too noisy to tell.
 
-    None: 8 where the nameplate's L_q is within 15 % of L_d, else 1: then nothing is added.
+    None: 8 where the nameplate's L_q is within 15 % of L_d, else 1: then nothing is added. Less where that adds a
+    twentieth of limits.energy_j or limits.duration_s.
     """
     tolerance_rad: Positive = 0.02
     """Largest lasting rotation (electrical) that still counts as locked."""
@@ -94,11 +95,31 @@ class LockCheckStage(EnergisedStage):
             "frequency_hz": frequency,
             "rotation_hz": rotation,
             "duration_s": duration,
-            "max_duration_ratio": self.max_duration_ratio or (8.0 if scaling.is_weakly_salient else 1.0),
+            "max_duration_ratio": self.max_duration_ratio
+            or self._duration_ratio(scaling, context, rest, torque, duration),
             "settle_s": scaling.settle_s(self.settle_s, self.control),
             "control": scaling.control(self.control),
         }
         return self.model_copy(update=update)
+
+    most_of_limits: ClassVar[float] = 0.05
+    """Share of the limits on heat and time that longer captures of all lock checks may add."""
+
+    def _duration_ratio(
+        self, scaling: Scaling, context: StageContext, rest_a: float, torque_a: float, duration_s: float
+    ) -> float:
+        """What `max_duration_ratio` is where it is left out."""
+        if not scaling.is_weakly_salient:
+            return 1.0
+        limits, resistance_ohm = context.procedure.limits, context.procedure.motor.stator_resistance_ohm or 0.0
+        squared_a2 = sum(rest_a**2 + (sign * torque_a) ** 2 for sign in _TORQUES)
+        heat_j = 1.5 * resistance_ohm * squared_a2 * duration_s  # of captures as long as the first
+        share = self.most_of_limits / max(1, sum(entry.kind == self.name for entry in context.procedure.stages))
+        ratio = 8.0
+        for limit, used in ((limits.energy_j, heat_j), (limits.duration_s, len(_TORQUES) * duration_s)):
+            if limit is not None and used > 0.0:
+                ratio = min(ratio, 1.0 + share * limit / used)
+        return float(f"{ratio:.2g}") if ratio >= 2.0 else 1.0
 
     def points(self) -> Iterator[StagePoint]:
         longest_s = given(self.max_duration_ratio) * given(self.duration_s)
@@ -140,9 +161,8 @@ class LockCheckStage(EnergisedStage):
         if ratio <= 1.0:
             return True, first_s
         ratio = min(ratio, given(self.max_duration_ratio))
-        run.publish(
-            Note(level="info", text=f"{self.name}: little saliency; captures {ratio:.2g} times as long as that")
-        )
+        text = f"noise hides the rotor's angle in {first_s:.2g} s: captures {ratio:.2g} times as long follow"
+        run.publish(Note(level="info", text=f"{self.name}: {text}"))
         return False, ratio * first_s
 
     def _injection(self, sign: int, duration_s: float) -> Injection:

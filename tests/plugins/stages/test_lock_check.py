@@ -58,6 +58,26 @@ def test_a_weakly_salient_motor_has_a_rest_more_and_the_plan_holds_the_longest_c
     assert [i.duration_s for i in injections(plan, "lock_check")] == [0.5] + 5 * [4.0]
 
 
+@pytest.mark.parametrize(
+    ("limits", "longest_s"), [({"energy_j": 4000.0}, 1.7), ({"duration_s": 200.0}, 1.5), ({"energy_j": 1000.0}, 0.5)]
+)
+def test_longer_captures_add_a_twentieth_of_the_limits_at_most(
+    pm400: Bench, limits: dict[str, float], longest_s: float
+) -> None:
+    procedure = pm400.procedure(
+        {"kind": "lock_check", "duration_s": 0.5, "torque_current_a": 2.0, "rest_current_a": 1.0},
+        {"kind": "lock_check", "max_duration_ratio": 1.0},
+    )
+    motor = procedure.motor.model_copy(update={"q_inductance_h": procedure.motor.d_inductance_h})
+    allowed = procedure.limits.model_copy(update=limits)
+    plan = make_plan(procedure.model_copy(update={"motor": motor, "limits": allowed}), None)
+    own = [point.excitation for point in plan.points_of(0)]
+    assert max(injection.captured_s for injection in own) == pytest.approx(longest_s, rel=0.05)
+    heat_j = 1.5 * 4.25 * sum(math.hypot(*i.start_dq_a) ** 2 * (i.captured_s - 0.5) for i in own)
+    assert heat_j <= 0.5 * 0.05 * limits.get("energy_j", math.inf) * 1.05
+    assert sum(i.captured_s - 0.5 for i in own) <= 0.5 * 0.05 * limits.get("duration_s", math.inf) * 1.05
+
+
 STAGES: list[dict[str, Any]] = [
     {"kind": "alignment", "settle_s": 0.5, "duration_s": 0.02},
     {"kind": "lock_check", "settle_s": 0.2, "duration_s": 0.2, "max_duration_ratio": 8.0},
