@@ -23,7 +23,7 @@ from orchestrator.analysis._resistance import (
 )
 from orchestrator.analysis._ripple import Ripple, axes_apart_rad, demodulate, injection_frequency, one_way_rad
 from orchestrator.analysis._ripple_regression import ONE_AXIS
-from orchestrator.analysis._rotor_lock import judge_lock
+from orchestrator.analysis._rotor_lock import judge_lock, lock_duration_ratio
 from orchestrator.analysis._row_decay import decay_weight, exact_inductance
 from orchestrator.analysis._spin import (
     SpinFit,
@@ -105,6 +105,7 @@ __all__ = [
     "judge_lock",
     "known_map",
     "known_resistance",
+    "lock_duration_ratio",
     "magnet_axis",
     "one_way_rad",
     "rated_flux_wb",

@@ -37,6 +37,8 @@ NAMEPLATE_SHARE = 0.9
 """Of a current that follows from the nameplate's flux and inductances, which hold to some percent."""
 MOVEMENT_SIGMAS = 3.0
 """Standard deviations of a rotation beyond the tolerance from which on the rotor counts as moved."""
+DECIDING_SIGMAS = 4.5
+"""Standard deviations in the tolerance with which a rotor that is held is found locked 99 times of 100."""
 
 
 def judge_lock(
@@ -110,6 +112,45 @@ def judge_lock(
         "the motor shows no saliency at rest, neither in its inductances nor in their saturation, that turns with it"
     )
     return _unknown(tolerance_rad, f"{reason}, so a rotation is invisible")
+
+
+def lock_duration_ratio(
+    segment: Segment, capture: Capture, tolerance_rad: float, *, voltage_delay_samples: float = 0.0
+) -> float:
+    """How many times as long as this capture those of a lock check have to be for its noise to leave no doubt.
+
+    Parameters
+    ----------
+    segment, capture : Segment, Capture
+        Injection at rest, before any torque: noise of the rest that later ones are compared with cannot be made up for.
+    tolerance_rad : float
+        Largest lasting rotation (electrical) that counts as locked.
+    voltage_delay_samples : float
+        As in `demodulate`.
+
+    Notes
+    -----
+    Noise falls with the root of the time. Below 1 where this capture is longer than it need be; 1 where it shows no
+    direction, so that nobody knows what a longer one would show.
+    """
+    try:
+        ripple = demodulate(
+            capture, segment.rotor_angle_rad, voltage_delay_samples=voltage_delay_samples, where=segment.id
+        )
+    except NotMeasuredError:
+        return 1.0
+    saliency, saturation, gain = saliency_direction(ripple), saturation_direction(ripple), saliency_gain([ripple])
+    turns = saliency is not None and _turns_with_rotor(gain)
+    direction = saliency if turns else saturation or saliency
+    if direction is None:
+        return 1.0
+    std = math.sqrt(2.0) * direction.std  # between two rests
+    return _duration_ratio(std / abs(gain[0]) if turns else std, tolerance_rad)
+
+
+def _duration_ratio(std_rad: float, tolerance_rad: float) -> float:
+    """How many times as long a capture has to be for a rotation of this standard deviation to be decided."""
+    return (DECIDING_SIGMAS * std_rad / tolerance_rad) ** 2
 
 
 def _turns_with_rotor(gain: tuple[float, float]) -> bool:
@@ -199,8 +240,7 @@ def _verdict(
         if by_inverter > 0.5 * std and inverter is not None:
             words += f": {inverter.describe(by_inverter)}"
         else:
-            # noise falls with the root of the time; a third of the tolerance is enough for both answers
-            longer = max(2.0, (MOVEMENT_SIGMAS * std / tolerance_rad) ** 2)
+            longer = max(2.0, _duration_ratio(std, tolerance_rad))
             words += f": a duration_s {longer:.2g} times as long would tell"
     elif free is None:
         words = (

@@ -45,6 +45,8 @@ class ScalingRules:
     of_ripple: float = 3.0
     """A d-axis current that keeps phase currents from zero, against the ripple: two phases carry half of it, and a
     saturated motor has half as much ripple again."""
+    weak_saliency: float = 1.15
+    """Ratio of the inductances below which noise of a few turns of an injection may hide where the d axis is."""
     shortest_hold_s: float = 0.5
     """A hold averages over several periods of the mains."""
 
@@ -87,6 +89,12 @@ class Scaling:
     def stiffest_hold_a(self) -> float:
         """d-axis current with the largest holding stiffness for a free rotor [A]; see `stiffest_hold_a`."""
         return stiffest_hold_a(self._motor)
+
+    @property
+    def is_weakly_salient(self) -> bool:
+        """Whether the nameplate's L_q is within 15 % of L_d."""
+        d, q = self._motor.d_inductance_h, self._motor.q_inductance_h
+        return d is not None and q is not None and max(d, q) <= self._rules.weak_saliency * min(d, q)
 
     @property
     def reach_a(self) -> float:

@@ -16,6 +16,7 @@ from protocols import (
     AddReport,
     CompareReport,
     Effect,
+    Estimate,
     EstimationReport,
     Explanation,
     FluxMap,
@@ -40,7 +41,13 @@ Effects = Place | Sequence[Effect]
 
 
 @one_thread()
-def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Place | None = None) -> EstimationReport:
+def estimate(
+    place: Place,
+    *,
+    estimators: Sequence[str] | None = None,
+    out: Place | None = None,
+    on_estimate: Callable[[Estimate], None] = lambda _: None,
+) -> EstimationReport:
     """R_s, flux and inductance maps, and checks of their consistency; written to ``results/``.
 
     Parameters
@@ -49,6 +56,8 @@ def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Plac
         Names of the estimators; all installed ones by default.
     out : path, optional
         Folder for ``results/``; the recording by default.
+    on_estimate : callable
+        Called with each resistance and each flux map as soon as its estimator is done.
 
     Raises
     ------
@@ -61,7 +70,7 @@ def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Plac
     refuse_file(target)
     refuse_file(target / "results")
     plugins = make_plugins(PluginKind.ESTIMATORS, estimators or None)
-    return estimate_recording(open_any(path, keep=out is None), plugins, target)
+    return estimate_recording(open_any(path, keep=out is None), plugins, target, on_estimate=on_estimate)
 
 
 @one_thread()

@@ -30,6 +30,9 @@ _NUMBERS = (
     "servo.fixed_voltage_mode",
 )
 
+_MARKER, _MARKER_ANSWER = b"tel fmt servo_stats 0", b"OK"
+"""A question that changes nothing, as the library asks for binary telemetry, and its answer, which is no number."""
+
 
 @dataclass(frozen=True)
 class Reading:
@@ -104,11 +107,22 @@ class Board:
         return values
 
     async def _configured(self, name: str) -> float:
-        line = await self._on_stream(lambda: self._stream.command(f"conf get {name}".encode(), allow_any_response=True))
+        async def ask() -> str:
+            line = await self._stream.command(f"conf get {name}".encode(), allow_any_response=True)
+            # An answer does not name its question: one that comes twice would be read as the next one's.
+            after = await self._stream.command(_MARKER, allow_any_response=True)
+            if after != _MARKER_ANSWER:
+                raise RuntimeError(f"{line!r} and {after!r} answer conf get {name}")
+            return str(line.decode("latin1")).strip()
+
         try:
-            return float(line)
+            answer = await self._on_stream(ask)
+        except RuntimeError as error:
+            problem = f"answers on the diagnostic stream are not those of their questions: {error}"
+            raise DriveFault(FaultCause.WRONG_DATA, problem) from error
+        try:
+            return float(answer)
         except ValueError as error:
-            answer = line.decode("latin1").strip()
             raise DriveFault(FaultCause.WRONG_DATA, f"the board has no number for {name}: {answer}") from error
 
     async def limit_current(self, current_a: float) -> None:

@@ -45,7 +45,8 @@ def test_a_plan_of_everything_fits_limits_and_drive(bench: Bench, every_stage: S
     rated = procedure.motor.rated_current_a
     assert rated is not None
     assert rated < summary.peak_current_a <= procedure.limits.current_a
-    assert len(plan.points) == 1 + 1 + 5 + 18 + 11 + 25
+    lock_check = 6 if procedure.motor.d_inductance_h == procedure.motor.q_inductance_h else 5
+    assert len(plan.points) == 1 + 1 + lock_check + 18 + 11 + 25
 
 
 @pytest.mark.parametrize("name", ["demo", "quick"])

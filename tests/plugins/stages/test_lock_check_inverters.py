@@ -4,18 +4,30 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from contextlib import suppress
 from typing import Any
 
 import pytest
 
-from orchestrator.analysis import judge_lock
 from orchestrator.config import PlannedPoint, make_plan
-from orchestrator.stages import stiffest_hold_a
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions
-from protocols import Capture, DriveSetup, LockChecked, Procedure, Segment, SegmentStage
+from plugins.stages.lock_check import LockCheckStage
+from protocols import (
+    Capabilities,
+    Capture,
+    DriveSetup,
+    Excitation,
+    Injection,
+    LockChecked,
+    Message,
+    Note,
+    Procedure,
+    RunAborted,
+    Segment,
+    StageState,
+)
 from tests.support.simulated import joined
 
-TOLERANCE_RAD = 0.02
 MOVED_DEG = 2.0
 
 # L_d [H], L_q / L_d, R_s [ohm], rated current [A rms], magnet's flux [Wb], pole pairs, bus [V], sampling [Hz]
@@ -69,15 +81,47 @@ OUTRUNNER_DRIVE = {
 }
 
 
-def check_lock(
+class SimulatedRun:
+    """What the lock check sees of a run, with the captures in memory."""
+
+    def __init__(self, procedure: Procedure, capabilities: Capabilities) -> None:
+        self.procedure, self.capabilities = procedure, capabilities
+        self.segments: list[Segment] = []
+        self.captures: dict[str, Capture] = {}
+        self.published: list[Message] = []
+
+    def recording(self) -> SimulatedRun:
+        return self
+
+    def load(self, segment: Segment) -> Capture:
+        return self.captures[segment.id]
+
+    def enter(self, state: StageState) -> None:
+        assert state in LockCheckStage.working
+
+    def check(self) -> None:
+        pass
+
+    def publish(self, message: Message, *, durable: bool = False) -> None:
+        self.published.append(message)
+
+    def ask(self, prompt: str, *, answered: bool) -> None:
+        pass
+
+    @property
+    def captured_s(self) -> float:
+        return sum(segment.samples for segment in self.segments) / self.capabilities.sampling_frequency_hz
+
+
+def run_lock_check(
     motor: dict[str, Any],
     limits: dict[str, float],
     drive: dict[str, Any],
     moved_deg: float | None = 0.0,
     *,
-    duration_s: float = 0.5,
     seed: int = 1,
-) -> LockChecked:
+    **settings: float,
+) -> tuple[LockChecked, SimulatedRun]:
     """The verdict; as the torque comes the rotor is turned by so much (electrically). None: it is free."""
     procedure = Procedure.model_validate(
         {
@@ -88,33 +132,47 @@ def check_lock(
             "limits": limits,
             "drive": {"name": "simulated", "watchdog_s": None, **drive},
             "seed": seed,
-            "stages": [{"kind": "alignment"}, {"kind": "lock_check", "duration_s": duration_s}, {"kind": "resistance"}],
+            "stages": [{"kind": "alignment"}, {"kind": "lock_check", **settings}, {"kind": "resistance"}],
         }
     )
     options = SimulatedOptions.model_validate(procedure.drive.options)
     device = SimulatedDrive(DriveSetup(motor=procedure.motor, options=options, seed=seed))
     capabilities = device.connect()
     device.arm(procedure.limits)
-    measured = []
-    for point in make_plan(procedure, capabilities).points:
-        if point.stage == SegmentStage.RESISTANCE:
-            break
-        if moved_deg is not None and point.settings.get("torque"):
+    plan = make_plan(procedure, capabilities)
+    execute(device, plan.points_of(0)[0].excitation)
+    stage, run = plan.stages[1], SimulatedRun(procedure, capabilities)
+    left = plan.points_of(1)
+    # what the stage uses of a run is all there
+    excitations = stage.as_run(run, [point.excitation for point in left])  # type: ignore[arg-type]
+    for point, excitation in zip(left, excitations, strict=False):
+        assert isinstance(excitation, Injection)
+        if moved_deg is not None and excitation.target_q_a:
             device._plant.turn_to(math.radians(moved_deg))
-        capture = execute(device, point)
-        if point.stage == SegmentStage.LOCK_CHECK:
-            measured.append((segment_of(point, capture), capture))
+        capture = execute(device, excitation)
+        run.segments.append(segment_of(point.run_as(excitation), capture))
+        run.captures[point.id] = capture
     device.close()
-    return judge_lock(
-        measured,
-        TOLERANCE_RAD,
-        voltage_delay_samples=capabilities.voltage_delay_samples or 0.0,
-        aligning_current_a=2.0 * stiffest_hold_a(procedure.motor),
-    )
+    with suppress(RunAborted):
+        stage.work(run)  # type: ignore[arg-type]
+    (verdict,) = [message for message in run.published if isinstance(message, LockChecked)]
+    return verdict, run
 
 
-def execute(device: SimulatedDrive, point: PlannedPoint) -> Capture:
-    return joined([block for block in device.execute(point.excitation) if len(block)])
+def check_lock(
+    motor: dict[str, Any],
+    limits: dict[str, float],
+    drive: dict[str, Any],
+    moved_deg: float | None = 0.0,
+    *,
+    seed: int = 1,
+    **settings: float,
+) -> LockChecked:
+    return run_lock_check(motor, limits, drive, moved_deg, seed=seed, **settings)[0]
+
+
+def execute(device: SimulatedDrive, excitation: Excitation) -> Capture:
+    return joined([block for block in device.execute(excitation) if len(block)])
 
 
 def segment_of(point: PlannedPoint, capture: Capture) -> Segment:
@@ -147,6 +205,46 @@ def test_a_current_that_the_control_does_not_reach_is_named() -> None:
     assert "longer settle_s" in verdict.summary
 
 
+@pytest.mark.parametrize("row", [MOTORS[3], MOTORS[9]], ids=["8 uH", "200 uH"])
+def test_captures_of_a_weakly_salient_motor_become_long_enough_to_tell(row: tuple[float, ...]) -> None:
+    motor, limits, drive = bench(row, 0.2e-6)
+    once, short = run_lock_check(motor, limits, drive, max_duration_ratio=1.0)
+    assert once.locked is None
+    assert "times as long would tell" in once.summary
+    verdict, run = run_lock_check(motor, limits, drive)
+    assert verdict.locked, verdict.summary
+    assert 3.0 * verdict.moved_std_rad < 0.02
+    first, *others = [segment.samples for segment in run.segments]
+    assert first == short.segments[0].samples
+    assert len(others) == 5
+    assert all(first < samples <= 8 * first + 1 for samples in others)
+    (note,) = [message.text for message in run.published if isinstance(message, Note)]
+    assert "times as long" in note
+
+
+@pytest.mark.parametrize("moved_deg", [MOVED_DEG, -MOVED_DEG])
+def test_a_rotation_at_the_first_torque_is_seen_in_longer_captures(moved_deg: float) -> None:
+    motor, limits, drive = bench(MOTORS[9], 0.2e-6)
+    verdict = check_lock(motor, limits, drive, moved_deg)
+    assert verdict.locked is False, verdict.summary
+    assert verdict.moved_rad == pytest.approx(math.radians(moved_deg), abs=3.0 * verdict.moved_std_rad)
+
+
+def test_a_first_rest_that_is_quiet_enough_stays_the_reference() -> None:
+    motor, limits, drive = bench(MOTORS[6], 0.2e-6)
+    verdict, run = run_lock_check(motor, limits, drive, max_duration_ratio=8.0)
+    assert verdict.locked, verdict.summary
+    assert [(q > 0.0) - (q < 0.0) for q in (s.settings["target_q_a"] for s in run.segments)] == [0, 1, 0, -1, 0]
+    assert len({segment.samples for segment in run.segments}) == 1
+
+
+def test_captures_are_no_longer_than_the_drive_takes() -> None:
+    motor, limits, drive = bench(MOTORS[9], 0.2e-6)
+    _, run = run_lock_check(motor, limits, {**drive, "longest_capture_s": 1.5})
+    sampling_hz = drive["sampling_frequency_hz"]
+    assert [segment.samples / sampling_hz for segment in run.segments] == pytest.approx([0.5] + 5 * [1.5])
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.02, 0.3])
 @pytest.mark.parametrize(
     "row", [MOTORS[4], MOTORS[8], MOTORS[11]], ids=["outrunner", "salient", "reluctance outweighs"]
@@ -165,18 +263,22 @@ def test_a_free_rotor_that_the_current_at_rest_brings_back_is_not_locked(
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_twenty_motors_behind_dead_time_are_judged_without_an_error() -> None:
-    """Of 60 held rotors 12 and of 120 that moved 12 are not known; the rest is right."""
+    """Of 60 held rotors 12 and of 120 that moved 12 are not known; the rest is right.
+
+    In captures of one length 21 and 18 are not. Of the motors that are left three do not reach their current in the
+    time, one has L / R of a sample, and on two a free rotor would look alike.
+    """
     counts: Counter[tuple[bool, bool | None]] = Counter()
     for number, row in enumerate(MOTORS):
         for dead_time_s in (0.2e-6, 0.7e-6, 2e-6):
             motor, limits, drive = bench(row, dead_time_s)
             for moved_deg in (0.0, MOVED_DEG, -MOVED_DEG):
-                verdict = check_lock(motor, limits, drive, moved_deg, duration_s=2.0, seed=number + 1)
+                verdict = check_lock(motor, limits, drive, moved_deg, seed=number + 1)
                 counts[moved_deg == 0.0, verdict.locked] += 1
     assert counts[True, False] == 0, counts
     assert counts[False, True] == 0, counts
-    assert counts[True, True] >= 45, counts
-    assert counts[False, False] >= 105, counts
+    assert counts[True, True] >= 48, counts
+    assert counts[False, False] >= 108, counts
 
 
 def bench(row: tuple[float, ...], dead_time_s: float) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:

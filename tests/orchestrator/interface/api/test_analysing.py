@@ -8,10 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+import fluxbench
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.interface.api import add, chosen_effects, chosen_model, compare, diagnose, estimate, map_of, remove
 from plugins.effects.inverter import DeadTime, VoltageBias
-from protocols import FluxMap, InputError, MotorModel, PluginError, RecordingError
+from protocols import (
+    Estimate,
+    FluxMap,
+    FluxMapEstimate,
+    InputError,
+    MotorModel,
+    PluginError,
+    RecordingError,
+    RecordingReader,
+    ResistanceEstimate,
+)
 
 DATA = Path(__file__).parents[3] / "data" / "pm400-reduced"
 
@@ -72,6 +83,20 @@ def test_results_go_where_they_are_wanted(tmp_path: Path) -> None:
         estimate(DATA, out=tmp_path / "results" / "estimates.json")
 
 
+def test_estimates_are_given_as_they_come_before_anything_is_written(tmp_path: Path) -> None:
+    found: list[Estimate] = []
+
+    def keep(estimate: Estimate) -> None:
+        assert not (tmp_path / "results").exists()
+        found.append(estimate)
+
+    report = fluxbench.estimate(DATA, estimators=["resistance", "injection"], out=tmp_path, on_estimate=keep)
+    (resistance,) = [estimate for estimate in found if isinstance(estimate, ResistanceEstimate)]
+    assert report.resistance == resistance
+    assert [isinstance(estimate, FluxMapEstimate) for estimate in found if estimate is not resistance] == [True]
+    fluxbench.estimate(DATA, estimators=["resistance"], out=tmp_path / "unasked")
+
+
 @pytest.mark.slow
 def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
     messages: list[str] = []
@@ -97,6 +122,29 @@ def test_a_diagnosis_is_asked_to_propose_the_next_experiment(monkeypatch: pytest
     monkeypatch.setattr("orchestrator.diagnosis.diagnose_and_keep", diagnose_and_keep)
     assert str(diagnose(DATA, out=tmp_path)) == "kept"
     assert seen["propose"] is next_experiment
+
+
+def test_a_diagnosis_of_some_segments_sees_these_alone(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    seen: list[RecordingReader] = []
+
+    def diagnose_and_keep(recording: RecordingReader, effects: object, **options: Any) -> tuple[None, str]:
+        seen.append(recording)
+        return None, "kept"
+
+    monkeypatch.setattr("orchestrator.diagnosis.diagnose_and_keep", diagnose_and_keep)
+    every = [segment.id for segment in fluxbench.open(DATA).segments]
+    wanted = [every[3], every[1]]
+    fluxbench.diagnose(DATA, segments=wanted, out=tmp_path)
+    fluxbench.diagnose(DATA, out=tmp_path)
+    assert [[segment.id for segment in recording.segments()] for recording in seen] == [sorted(wanted), every]
+
+
+def test_a_segment_that_there_is_not_is_one_clear_error(tmp_path: Path) -> None:
+    known = fluxbench.open(DATA).segments[0].id
+    with pytest.raises(RecordingError, match="injection-999: no such segment") as refused:
+        fluxbench.diagnose(DATA, segments=[known, "injection-999"], out=tmp_path)
+    assert "\n" not in str(refused.value)
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_flux_map_is_a_model(tmp_path: Path) -> None:

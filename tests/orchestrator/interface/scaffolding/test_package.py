@@ -8,7 +8,9 @@ import re
 import shlex
 import subprocess
 import sys
+import sysconfig
 import tomllib
+import venv
 from pathlib import Path
 
 import pytest
@@ -19,6 +21,9 @@ from protocols import InputError, PluginError
 from tests.support.cases import few
 
 ROOT = Path(__file__).parents[4]
+NO_INDEX = re.compile(
+    "Failed to establish a new connection|Temporary failure in name resolution|Network is unreachable"
+)
 
 
 def installed_as(folder: Path) -> None:
@@ -103,6 +108,46 @@ def test_a_name_too_long_for_a_file_is_refused_in_one_short_line(tmp_path: Path,
         write_package("drive", name, tmp_path / "new")
     assert len(str(caught.value)) < 100
     assert not (tmp_path / "new").exists()
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The interpreter of an environment that has this one's packages, where plugins may be installed."""
+    folder = tmp_path_factory.mktemp("environment")
+    venv.create(folder, with_pip=False, symlinks=True)
+    packages = folder / "lib" / f"python{sys.version_info.major}.{sys.version_info.minor}" / "site-packages"
+    (packages / "here.pth").write_text("\n".join([str(ROOT), sysconfig.get_path("purelib")]))
+    return folder / "bin" / "python"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_next_steps_run_as_they_are_printed(
+    kind: str,
+    environment: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(sys, "executable", str(environment))
+    assert new(kind, f"next_{kind}", tmp_path / f"a new {kind}") == 0
+    last = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
+    done = subprocess.run(
+        ["bash", "-c", last],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    if NO_INDEX.search(done.stderr):
+        pytest.skip("no package index within reach, which pip builds the package with")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"\d+ passed", done.stdout), done.stdout
+    found = subprocess.run(
+        [str(environment), "-m", "fluxbench", "plugins"], capture_output=True, text=True, check=True, env={**os.environ}
+    )
+    assert f"next_{kind}" in found.stdout
 
 
 def test_what_to_do_next_can_be_pasted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

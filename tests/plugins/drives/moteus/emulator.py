@@ -50,6 +50,8 @@ class Servo:
         self.mode, self.code, self.bus_v = 0, 0, 24.0
         self.register_map, self.knows_flow_control = 5, True
         self.mute, self.angle_error_rad = False, 0.0
+        self.answers_twice: Callable[[str], bool] = lambda question: False
+        """Whether the answer to a question on the diagnostic stream comes twice."""
         self.position_commands = 0
         self._command: dict[int, float] = {}
         self._expires_s = self._enabled_s = math.inf
@@ -159,7 +161,8 @@ class Servo:
             self._input += part.data
             while b"\n" in self._input:
                 line, _, self._input = self._input.partition(b"\n")
-                self._output += self._talk(line.decode())
+                question = line.decode()
+                self._output += self._talk(question) * (2 if self.answers_twice(question) else 1)
             return b""
         if part.type is SubframeType.STREAM_CLIENT_POLL_SERVER:
             data, self._pending = self._taken(part.data[0]), b""

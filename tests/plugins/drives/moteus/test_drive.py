@@ -301,6 +301,38 @@ def test_an_answer_that_comes_twice_spoils_no_conversation(monkeypatch: pytest.M
     assert asked[:2] == ["servo_control", "servo_control"]
 
 
+@pytest.mark.parametrize("question", ["conf get motor.poles", "conf get servo.timeout_mode", "tel fmt servo_stats 0"])
+def test_a_line_that_comes_twice_is_not_the_next_answer(question: str) -> None:
+    left = [question]
+
+    def once(asked: str) -> bool:
+        if asked not in left:
+            return False
+        left.remove(asked)
+        return True
+
+    with fdcanusb(lambda servo: setattr(servo, "answers_twice", once)) as port:
+        drive = made(port)
+        says = drive.connect()
+        assert (says.max_current_a, says.pwm_frequency_hz, says.watchdog_s) == (20.0, 30000.0, 0.3)
+        assert left == []
+        left.append("conf set servo.max_current_A 8.000000")
+        drive.arm(LIMITS)
+        assert left == []
+        assert port.servo.configuration["servo.max_current_A"] == 8.0
+        drive.close()
+
+
+def test_lines_that_always_come_twice_are_one_clear_error() -> None:
+    with fdcanusb(lambda servo: setattr(servo, "answers_twice", lambda asked: asked.startswith("conf"))) as port:
+        drive = made(port)
+        with pytest.raises(DriveFault, match="not those of their questions") as fault:
+            drive.connect()
+        drive.close()
+    assert fault.value.cause is FaultCause.WRONG_DATA
+    assert "\n" not in str(fault.value)
+
+
 def test_a_fault_found_on_connecting_stays_unless_it_was_seen_to() -> None:
     with connected(lambda servo: servo.trip(34)) as (drive, _):
         assert drive.telemetry().state is DriveState.FAULTED
