@@ -25,19 +25,19 @@ EXPECTED = {
     "L / R": [round(0.5 / (3.0 * LINE_ERROR) ** 0.5, 1)],
     "R_s, half of its 95 % interval": [MapCriteria().resistance_percent],
     "measured bus, of the nominal one": [*PLAUSIBLE_BOUNDS.bus],
-    "largest current": [100 * sufficiency.LEAST_CURRENT, sufficiency.LEAST_CURRENT_SIGMAS],
+    "largest current": [100 * sufficiency.MIN_CURRENT, sufficiency.MIN_CURRENT_SIGMAS],
     "noise, as a voltage, of the excitation": [100 * CRITERIA.verdict.noise_of_excitation],
     "error of the simulated current, of its range": [100 * CRITERIA.verdict.current_error],
     "currents of a log, of the rated one": [*PLAUSIBLE_BOUNDS.rated_currents],
     "operating points for any cause": [
-        sufficiency.LEAST_OPERATING_POINTS,
-        sufficiency.LEAST_OPERATING_POINTS // sufficiency.OPERATING_POINTS_PER_SWEEP,
+        sufficiency.MIN_OPERATING_POINTS,
+        sufficiency.MIN_OPERATING_POINTS // sufficiency.OPERATING_POINTS_PER_SWEEP,
     ],
     "operating points for a safe cause": [CRITERIA.selection.few_views],
     "injection points for held-out data": [CRITERIA.weak_form.held_out_from],
     "half of the map's 95 % band": [CRITERIA.verdict.widest_band_percent],
     "the same, where no effect was found": [100 * CRITERIA.materiality.material_flux],
-    "length of a hold": [1e3 * sufficiency.LEAST_HOLD_S],
+    "length of a hold": [1e3 * sufficiency.MIN_HOLD_S],
 }
 
 

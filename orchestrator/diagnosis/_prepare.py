@@ -28,7 +28,7 @@ from protocols.fleet_priors import FleetPriors
 
 MAX_RATED_CURRENT_FACTOR: float = 2.0
 """Factor of the largest current used that limits the rated current as the scale of the map's smoothness."""
-LEAST_RIPPLE_NOISE_RATIO: float = 1.1
+MIN_RIPPLE_NOISE_RATIO: float = 1.1
 """Ratio of the readings' scatter under injection to that at rest from which a remark is made."""
 
 
@@ -124,7 +124,7 @@ def _noise_remarks(noise: SensorNoise) -> list[Remark]:
         text = "the current readings' noise is correlated, {correlation:.2f} from one to the next"
         remarks.append(Remark.of("noise_correlated", text, correlation=noise.correlation))
     ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
-    if ratio > LEAST_RIPPLE_NOISE_RATIO:
+    if ratio > MIN_RIPPLE_NOISE_RATIO:
         text = "the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)"
         remarks.append(Remark.of("noise_under_injection", text, ratio=ratio))
     for line in noise.lines:
@@ -162,7 +162,7 @@ def _rough_inductance(prepared: PreparedRecording) -> float:
     return ratio
 
 
-LEAST_RESISTIVE_RIPPLE: float = 0.02
+MIN_RESISTIVE_RIPPLE: float = 0.02
 """R_s over the inductance, times the carrier's period, from which R_s is included in the ripple within a period: the
 ripple's effect is its square over 24, and 2e-5 of the voltage is the smallest that recordings resolve."""
 
@@ -179,7 +179,7 @@ def with_carrier_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
 def _matters(setup: DiagnosisSetup) -> bool:
     drive, ohm = setup.prepared.manifest.drive, setup.prepared.manifest.motor.stator_resistance_ohm or 0.0
     period_s = 1.0 / (drive.pwm_frequency_hz or drive.sampling_frequency_hz)
-    return ohm * period_s > LEAST_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h)
+    return ohm * period_s > MIN_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h)
 
 
 def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:

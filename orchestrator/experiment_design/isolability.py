@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.selection.forward_search import LEAST_EFFECT_SIZE
+from orchestrator.diagnosis.selection.forward_search import MIN_EFFECT_SIZE
 from orchestrator.experiment_design.information import Information
 from orchestrator.numerics.types import Array
 
@@ -85,13 +85,13 @@ def detection_size(known: Information, normal: Array, name: str, others: Sequenc
     x, limits = known.effects[name].typical, criteria.selection
     gain = float(x @ m @ np.linalg.solve(m + np.eye(len(x)), m @ x))
     threshold = 2.0 * limits.log_evidence + float(np.linalg.slogdet(m + np.eye(len(x)))[1])
-    return max(LEAST_EFFECT_SIZE, _size(threshold, gain))
+    return max(MIN_EFFECT_SIZE, _size(threshold, gain))
 
 
 def separation_size(known: Information, normal: Array, name: str, other: str, criteria: Criteria) -> float:
     """Size from which an effect is separated from another one that imitates it, in the shape that does so best."""
     x, m = known.effects[name].typical, known.marginal(normal, name, known.effects[other].all)
-    return max(LEAST_EFFECT_SIZE, _size(criteria.design.least_separation, float(x @ m @ x)))
+    return max(MIN_EFFECT_SIZE, _size(criteria.design.least_separation, float(x @ m @ x)))
 
 
 def _size(threshold: float, at_one: float) -> float:

@@ -23,7 +23,7 @@ from orchestrator.diagnosis.fitting.model import Model
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.preparation import THINNED_TURNS, prepare
-from orchestrator.diagnosis.weak_form.segments import LEAST_PERIODS_PER_TEST_FUNCTION, TEST_FUNCTIONS_PER_TURN
+from orchestrator.diagnosis.weak_form.segments import MIN_PERIODS_PER_TEST_FUNCTION, TEST_FUNCTIONS_PER_TURN
 from orchestrator.experiment_design.machine import Machine, current_of
 from orchestrator.experiment_design.separation import PLANNED_TURN_S
 from orchestrator.numerics.frames import from_two_phases, to_ab
@@ -201,7 +201,7 @@ def _with_short_turns(excitation: Excitation) -> Excitation:
     """An injection that turns as fast as its windows allow: its information per time stays the same."""
     if not isinstance(excitation, Injection) or not excitation.rotation_hz:
         return excitation
-    periods = TEST_FUNCTIONS_PER_TURN * LEAST_PERIODS_PER_TEST_FUNCTION
+    periods = TEST_FUNCTIONS_PER_TURN * MIN_PERIODS_PER_TEST_FUNCTION
     turn_s = max(PLANNED_TURN_S, periods / excitation.frequency_hz)
     return excitation.model_copy(update={"rotation_hz": max(excitation.rotation_hz, 1.0 / turn_s)})
 

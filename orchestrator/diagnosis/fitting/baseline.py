@@ -37,13 +37,13 @@ MAX_ROUGHNESS_STEP: float = 3.0
 """Factor by which a finer map's roughness may grow in one step."""
 MAX_ROUGHNESS_FACTOR: float = 100.0
 """Largest roughness of a finer map, relative to the usual one."""
-LEAST_RESIDUAL_SHARE_OF_FINE_MAP: float = 0.1
+MIN_RESIDUAL_SHARE_OF_FINE_MAP: float = 0.1
 """Part of the excess chi2 that a finer map has to remove; it removes little where an effect is missing."""
-LEAST_FINAL_SHARE_OF_FINE_MAP: float = 0.5
+MIN_FINAL_SHARE_OF_FINE_MAP: float = 0.5
 """Part of the excess chi2 that a fine map has to remove at the end, when all forms and the scatter are known."""
 GIVEN_MAP_INTERVALS: int = 28
 """Spline intervals on each axis for a given map."""
-LEAST_AXIS_RANGE: float = 0.05
+MIN_AXIS_RANGE: float = 0.05
 """Range of the map on an axis where no current flowed, as a part of the other axis' range."""
 MAX_OVERREACH: float = 0.005
 """Distance of currents beyond the map, relative to its range, from which it is widened. Outside, the map continues
@@ -52,9 +52,9 @@ LEAST_CHI2_FOR_FINER_MAP: float = 1.03
 """chi2 per degree of freedom above which a finer map is tried: noise alone stays within a few hundredths of one."""
 MAX_CHI2_FOR_FINER_MAP: float = 10.0
 """chi2 per degree of freedom, on the whole recording, above which the misfit is a missing effect, not the map."""
-LEAST_GAIN_PER_MAP_FREEDOM: float = 6.0
+MIN_GAIN_PER_MAP_FREEDOM: float = 6.0
 """Fall of the objective required per additional degree of freedom of a finer map; chance brings one."""
-LEAST_GAIN_OF_FINER_MAP: float = 30.0
+MIN_GAIN_OF_FINER_MAP: float = 30.0
 """Fall of the objective required of a finer map beyond that of its degrees of freedom."""
 KNOWN_MAGNET_STD: float = 0.05
 """Standard deviation of a nameplate's magnet flux, relative to the larger of it and L I."""
@@ -280,7 +280,7 @@ def _widened_grid(fit: Fit) -> EvenSpline:
 
 def is_finer_map_justified(trial: Fit, fit: Fit) -> bool:
     """Whether a fit on a finer map gains more than its degrees of freedom and the threshold require."""
-    threshold = LEAST_GAIN_PER_MAP_FREEDOM * max(fit.dof - trial.dof, 1.0) + LEAST_GAIN_OF_FINER_MAP
+    threshold = MIN_GAIN_PER_MAP_FREEDOM * max(fit.dof - trial.dof, 1.0) + MIN_GAIN_OF_FINER_MAP
     return fit.objective - trial.objective > threshold * max(trial.chi2_per_dof, 1.0)
 
 
@@ -307,13 +307,13 @@ def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float
 
 def keep_fine_grid(sharp: Fit, usual: Fit) -> bool:
     """Whether a fit on a fine map is sufficiently better than one on a usual map, both with all effects refitted."""
-    removes_enough = _excess_chi2(sharp) <= (1.0 - LEAST_FINAL_SHARE_OF_FINE_MAP) * _excess_chi2(usual)
+    removes_enough = _excess_chi2(sharp) <= (1.0 - MIN_FINAL_SHARE_OF_FINE_MAP) * _excess_chi2(usual)
     return removes_enough and is_finer_map_justified(sharp, usual)
 
 
 def _removes_much(finer: Fit, fit: Fit) -> bool:
     """Whether a finer map removes enough of the excess chi2."""
-    return _excess_chi2(finer) <= (1.0 - LEAST_RESIDUAL_SHARE_OF_FINE_MAP) * _excess_chi2(fit)
+    return _excess_chi2(finer) <= (1.0 - MIN_RESIDUAL_SHARE_OF_FINE_MAP) * _excess_chi2(fit)
 
 
 def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
@@ -364,7 +364,7 @@ def finer_map(
 
 def _grid(setup: DiagnosisSetup, cells: tuple[int, int]) -> EvenSpline:
     low, high, q = setup.prepared.current_range
-    min_range = LEAST_AXIS_RANGE * max(-low, high, q)
+    min_range = MIN_AXIS_RANGE * max(-low, high, q)
     return EvenSpline(min(low, -min_range), max(high, min_range), max(q, min_range), cells)
 
 

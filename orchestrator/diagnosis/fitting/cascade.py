@@ -19,7 +19,7 @@ from protocols import ParameterRole, SignalBatch
 
 SECANT_STEP: float = 0.01
 """Step of a secant, relative to the standardised value: far above rounding, and small enough to be nearly linear."""
-LEAST_SECANT_AMPLITUDE: float = 0.02
+MIN_SECANT_AMPLITUDE: float = 0.02
 """Standardised value of an amplitude below which the secant's step stays constant."""
 
 Change = dict[str, Array]
@@ -125,7 +125,7 @@ def step_of(active: EffectTerm, name: str) -> float:
     elif active.is_absent:
         step = typical_standardised_value(p)
     else:
-        step = SECANT_STEP * max(abs(x), LEAST_SECANT_AMPLITUDE)
+        step = SECANT_STEP * max(abs(x), MIN_SECANT_AMPLITUDE)
     return max((_within(active, name, side) for side in (step, -step)), key=abs)
 
 

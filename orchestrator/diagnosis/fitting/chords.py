@@ -5,12 +5,12 @@ A column costs as much as the residual itself, and all effects together have doz
 
 from __future__ import annotations
 
-from orchestrator.diagnosis.fitting.fit import LEAST_GAIN, Fitter
+from orchestrator.diagnosis.fitting.fit import MIN_GAIN, Fitter
 from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, moved_by
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.formatting.quantities import number
 
-LEAST_JOINT_GAIN: float = 2.0
+MIN_JOINT_GAIN: float = 2.0
 """Fall of the objective below which a round with all effects ends; a round costs as much as a fit of one effect."""
 MAX_CHORD_STEP: float = 1.0
 """Largest change of a shape in one step with frozen columns, in standard deviations of its prior."""
@@ -18,7 +18,7 @@ GOOD_CHORD_REDUCTION_RATIO: float = 0.5
 """Ratio of actual to predicted reduction from which the next step reuses the columns and may be longer."""
 CHORD_STEP_FACTOR: float = 0.3
 """Factor on the step length after a step below that ratio."""
-LEAST_CHORD_STEP: float = 0.01
+MIN_CHORD_STEP: float = 0.01
 """Step length below which the descent ends, in standard deviations of the prior."""
 
 
@@ -43,7 +43,7 @@ def fit_with_frozen_jacobian(
     best = fitter.relinearise(model, known.linearisation if known else None, known=known)
     for _ in range(rounds if model.free else 0):
         fitter.under_way(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
-        min_gain = LEAST_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
+        min_gain = MIN_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _frozen_steps(fitter, best, min(radius, widest), min_gain, widest)
         if trial is best:
             break
@@ -52,7 +52,7 @@ def fit_with_frozen_jacobian(
         if gain < 0.0:
             # The linearisation does not hold that far; repeating the steps would not help.
             widest = CHORD_STEP_FACTOR * min(radius, widest)
-            if widest < LEAST_CHORD_STEP:
+            if widest < MIN_CHORD_STEP:
                 break
             continue
         best = renewed
@@ -64,12 +64,12 @@ def fit_with_frozen_jacobian(
 def trial_step(fitter: Fitter, model: Model, known: Fit) -> Fit:
     """Improve a model similar to an earlier fit's with that fit's columns and linearisation."""
     best = fitter.evaluate(model, known.linearisation, known=known)
-    return _frozen_steps(fitter, best, MAX_CHORD_STEP, LEAST_GAIN, MAX_CHORD_STEP)[0]
+    return _frozen_steps(fitter, best, MAX_CHORD_STEP, MIN_GAIN, MAX_CHORD_STEP)[0]
 
 
 def _frozen_steps(fitter: Fitter, best: Fit, radius: float, min_gain: float, widest: float) -> tuple[Fit, float]:
     """Steps with frozen columns while predictions hold; returns the best fit and the trust radius."""
-    while radius >= LEAST_CHORD_STEP:
+    while radius >= MIN_CHORD_STEP:
         move, predicted = bounded_step(best, best.projected(), radius)
         if predicted < min_gain:
             break

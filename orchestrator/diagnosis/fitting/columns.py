@@ -20,7 +20,7 @@ PROBE_EVERY: int = 16
 """One in this many segments of a stage is a probe."""
 MAX_COLUMN_CHANGE: float = 0.02
 """Relative change of a column on the probes below which it is reused on the other segments."""
-LEAST_RESPONSE: float = 0.001
+MIN_RESPONSE: float = 0.001
 """Share of an inner effect's response in a column below which it is not computed. Where two effects nearly cancel, the
 difference of their columns is as small: at 0.005 a descent ended a thousand nats above the minimum."""
 MAX_GROWTH_BEFORE_PROBE: float = 2.0
@@ -114,7 +114,7 @@ def column_plan(
     for probe in probes.values():
         for key, value in probe.answers.items():
             answers[key] = answers.get(key, 0.0) + value
-    responding = {key for key, value in answers.items() if value > LEAST_RESPONSE**2 * power[key[0]]}
+    responding = {key for key, value in answers.items() if value > MIN_RESPONSE**2 * power[key[0]]}
     answering = tuple(
         previous[column] if column in previous else frozenset(name for j, name in responding if j == k)
         for k, column in enumerate(names)

@@ -45,21 +45,21 @@ from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModelNoise
 
-LEAST_GAIN: float = 0.2
+MIN_GAIN: float = 0.2
 """Fall of the objective below which a step is not worth its evaluation: a tenth in log evidence."""
 OBJECTIVE_SLACK: float = 0.05
 """Rise of the objective that rounding and a relinearised noise covariance explain."""
-LEAST_RELINEARISATION_CHANGE: float = 1e-3
+MIN_RELINEARISATION_CHANGE: float = 1e-3
 """Relative change of chi2 below which relinearisation ends."""
 FIRST_DAMPING: float = 0.1
 """Levenberg-Marquardt damping with which a failed step is tried again; it grows tenfold each time."""
-LEAST_DAMPING: float = 2e-3
+MIN_DAMPING: float = 2e-3
 """Damping falls to a tenth after each good step, and to zero below this value."""
 MAX_DAMPING: float = 50.0
 """Damping beyond which no further step is tried."""
 GOOD_REDUCTION_RATIO: float = 0.75
 """Ratio of actual to predicted reduction of a damped step from which the next one may be damped less."""
-LEAST_PREDICTED_REDUCTION: float = 2.0
+MIN_PREDICTED_REDUCTION: float = 2.0
 """Predicted reduction below which a failed step is not tried again: one in log evidence."""
 MAX_RETURNS: int = 5
 """Steps after a failed one in which a fit may come back to a curved valley further on."""
@@ -162,7 +162,7 @@ class Fitter:
         for _ in range(relinearisations):
             old = best
             best = self._descend(self.relinearise(best.model, best.linearisation), steps, tolerance)
-            if abs(best.chi2 - old.chi2) < LEAST_RELINEARISATION_CHANGE * best.chi2:
+            if abs(best.chi2 - old.chi2) < MIN_RELINEARISATION_CHANGE * best.chi2:
                 break
         return best
 
@@ -170,7 +170,7 @@ class Fitter:
         damping = 0.0
         for _ in range(steps if best.model.free else 0):
             system = best.projected()
-            min_gain = LEAST_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
+            min_gain = MIN_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
             predicted = newton_step(best, system, 0.0)[1]
             if predicted < min_gain:
                 break
@@ -179,7 +179,7 @@ class Fitter:
                 move, damped_reduction = newton_step(best, system, damping)
                 trial = self.correct_step(self.evaluate(moved_by(best.model, move), best.linearisation), best.objective)
                 missed = trial.objective >= best.objective + OBJECTIVE_SLACK
-                if not missed or damping > MAX_DAMPING or predicted < LEAST_PREDICTED_REDUCTION:
+                if not missed or damping > MAX_DAMPING or predicted < MIN_PREDICTED_REDUCTION:
                     break
                 damping = 10.0 * damping or FIRST_DAMPING
             gain = best.objective - trial.objective
@@ -189,7 +189,7 @@ class Fitter:
                 break
             # A step that needed more damping is usually followed by one that does.
             if damping == first_damping and gain > GOOD_REDUCTION_RATIO * damped_reduction:
-                damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
+                damping = 0.1 * damping if damping > MIN_DAMPING else 0.0
         return best
 
     def predicted_reduction(self, fit: Fit) -> float:

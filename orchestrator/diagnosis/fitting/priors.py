@@ -21,7 +21,7 @@ from orchestrator.numerics.types import Array
 from protocols import EffectParameter, InputError, Manifest, ParameterRole
 from protocols.fleet_priors import EffectPrior, FleetPriors, NormalPrior
 
-LEAST_PROBABILITY_OF_INCLUSION = 0.8
+MIN_PROBABILITY_OF_INCLUSION = 0.8
 """Probability from which an effect is included before the search: four of five motors have it."""
 
 
@@ -116,7 +116,7 @@ def _with_prior(candidate: CandidateEffect, prior: EffectPrior, default_probabil
         parameters=tuple(parameters),
         centres=centres,
         prior_log_odds=odds - usual,
-        included_a_priori=bool(centres) and prior.probability > LEAST_PROBABILITY_OF_INCLUSION,
+        included_a_priori=bool(centres) and prior.probability > MIN_PROBABILITY_OF_INCLUSION,
     )
 
 

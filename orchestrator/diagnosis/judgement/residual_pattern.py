@@ -18,7 +18,7 @@ from orchestrator.numerics.frames import from_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, EffectParameters, ShapeGroup, Signals, amplitude
 
-LEAST_PATTERN_SHARE: float = 0.02
+MIN_PATTERN_SHARE: float = 0.02
 """Part of the residual below which a pattern is not reported."""
 LEAST_PATTERN_CHI2: float = 20.0
 """Fall of chi2 required of a pattern; chance reaches it once in 1e3."""
@@ -98,14 +98,14 @@ def residual_pattern(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[S
             for name, columns in remaining.items()
         }
         name = max(gains, key=lambda n: gains[n])
-        if gains[name] < max(LEAST_PATTERN_SHARE * excess, LEAST_PATTERN_CHI2):
+        if gains[name] < max(MIN_PATTERN_SHARE * excess, LEAST_PATTERN_CHI2):
             break
         chosen += [fitted + k for k in remaining.pop(name)]
         explained += gains[name]
         group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
         shares.append((group, min(gains[name] / excess, 1.0)))
     rest = 1.0 - sum(share for _, share in shares)
-    if rest > LEAST_PATTERN_SHARE:
+    if rest > MIN_PATTERN_SHARE:
         shares.append(("other", rest))
     total = sum(share for _, share in shares)
     return [(group, share / total) for group, share in sorted(shares, key=lambda item: -item[1])]

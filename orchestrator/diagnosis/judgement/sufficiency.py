@@ -9,21 +9,21 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO, SAME_CURRENT
+from orchestrator.diagnosis.selection.contrasts import MIN_AMPLITUDE_RATIO, SAME_CURRENT
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import LEAST_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentData
+from orchestrator.diagnosis.weak_form.segments import MIN_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentData
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
-LEAST_CURRENT: float = 0.02
+MIN_CURRENT: float = 0.02
 """Largest current required, relative to the rated one."""
-LEAST_CURRENT_SIGMAS: float = 5.0
+MIN_CURRENT_SIGMAS: float = 5.0
 """Largest current required, in standard deviations of a reading."""
-LEAST_HOLD_S: float = 0.01
+MIN_HOLD_S: float = 0.01
 """Minimum length of an informative hold [s]."""
-LEAST_EQUATIONS: int = 10
+MIN_EQUATIONS: int = 10
 """Minimum number of equations of an informative sweep or injection."""
-LEAST_OPERATING_POINTS: int = 6
+MIN_OPERATING_POINTS: int = 6
 """Number of operating points below which no cause can be named: fewer than the simplest map's unknowns."""
 OPERATING_POINTS_PER_SWEEP: int = 2
 """Operating points of a sweep, one on each side; a hold or an injection has one."""
@@ -47,7 +47,7 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     """
     cutting = prepared.criteria.weak_form
     fs = prepared.manifest.drive.sampling_frequency_hz
-    min_hz = LEAST_SAMPLES_PER_TEST_FUNCTION / cutting.hat_s
+    min_hz = MIN_SAMPLES_PER_TEST_FUNCTION / cutting.hat_s
     if fs < min_hz:
         problem = f"{fs:g} Hz is too slow for a diagnosis; expected {min_hz:g} Hz at least"
         raise NotMeasuredError(prepared.manifest.name, "drive.sampling_frequency_hz", problem)
@@ -55,13 +55,13 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     reach = max(-low, high, q)
     spread = math.sqrt(float(np.trace(noise.covariance)))
     rated = prepared.manifest.motor.rated_current_a or 0.0
-    if reach < max(LEAST_CURRENT * rated, LEAST_CURRENT_SIGMAS * spread):
+    if reach < max(MIN_CURRENT * rated, MIN_CURRENT_SIGMAS * spread):
         problem = f"no excitation: currents stay below {reach:.3g} A"
         raise NotMeasuredError(prepared.manifest.name, "i_alpha, i_beta", problem)
-    if (views := _operating_points(prepared)) < LEAST_OPERATING_POINTS:
+    if (views := _operating_points(prepared)) < MIN_OPERATING_POINTS:
         used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
-        sweeps = LEAST_OPERATING_POINTS // 2
-        expected = f"{LEAST_OPERATING_POINTS} holds or injections at different currents, or {sweeps} sweeps"
+        sweeps = MIN_OPERATING_POINTS // 2
+        expected = f"{MIN_OPERATING_POINTS} holds or injections at different currents, or {sweeps} sweeps"
         problem = (
             f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {views} places of the current plane: "
             f"too little to tell a cause from; expected {expected}"
@@ -114,11 +114,11 @@ def _seconds(piece: SegmentData) -> float:
 def _is_informative(piece: SegmentData, same_a: float) -> bool:
     """Whether a segment is long enough and, if it is a hold, has settled."""
     if piece.stage is not SegmentStage.RESISTANCE:
-        return piece.windows.rows >= LEAST_EQUATIONS
+        return piece.windows.rows >= MIN_EQUATIONS
     i = piece.signals.i_ab
     half, last = len(i) // 2, len(i) // 4
     moved = i[half:-last].mean(axis=0) - i[-last:].mean(axis=0)
-    return _seconds(piece) >= LEAST_HOLD_S and float(np.abs(moved).max()) < same_a
+    return _seconds(piece) >= MIN_HOLD_S and float(np.abs(moved).max()) < same_a
 
 
 def _distinct_segments(pieces: Sequence[SegmentData], same_a: float) -> list[SegmentData]:
@@ -166,7 +166,7 @@ def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
         pass  # the edges of steps show what a ripple would
     elif not amplitudes:
         add("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
-    elif max(amplitudes) < LEAST_AMPLITUDE_RATIO * min(amplitudes):
+    elif max(amplitudes) < MIN_AMPLITUDE_RATIO * min(amplitudes):
         add("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
         add(

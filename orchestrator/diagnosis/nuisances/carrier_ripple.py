@@ -25,7 +25,7 @@ from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from protocols import Signals
 
-LEAST_INDUCTANCE_RATIO = 0.1
+MIN_INDUCTANCE_RATIO = 0.1
 """Smallest plausible inductance relative to the nameplate's: saturated iron still leaves the slot leakage."""
 
 
@@ -73,9 +73,9 @@ def _believable(inductance: Array, signals: Signals) -> Array:
     l_d, l_q = motor.d_inductance_h, motor.q_inductance_h
     dd, dq, qq = inductance.T
     sound = (
-        (dd > LEAST_INDUCTANCE_RATIO * l_d)
-        & (qq > LEAST_INDUCTANCE_RATIO * l_q)
-        & (dd * qq - dq * dq > LEAST_INDUCTANCE_RATIO**2 * l_d * l_q)
+        (dd > MIN_INDUCTANCE_RATIO * l_d)
+        & (qq > MIN_INDUCTANCE_RATIO * l_q)
+        & (dd * qq - dq * dq > MIN_INDUCTANCE_RATIO**2 * l_d * l_q)
     )
     return np.where(sound[:, None], inductance, np.array([l_d, 0.0, l_q]))
 

@@ -20,7 +20,7 @@ from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
-LEAST_TIMER_STEP_S: float = 2e-9
+MIN_TIMER_STEP_S: float = 2e-9
 """Finest timer step that is searched [s]: half a gigahertz is finer than the control's jitter."""
 
 EXCITED_STAGES = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
@@ -29,7 +29,7 @@ LAGS = 30
 """Number of past readings and commands in the combination: a few milliseconds."""
 BLOCK_READINGS = 20_000
 """Readings fitted with one combination of 120 coefficients; saturation within a block acts as noise."""
-LEAST_BLOCK_READINGS = 20 * LAGS
+MIN_BLOCK_READINGS = 20 * LAGS
 MAX_BLOCKS = 45
 """Maximum number of blocks, evenly spread; a million readings suffice."""
 LINEAR_STRETCH_READINGS = 300
@@ -79,9 +79,9 @@ def command_traces(
         (piece, slice(start, start + BLOCK_READINGS))
         for piece in prepared.pieces
         if piece.stage in EXCITED_STAGES and not piece.held_out
-        for start in range(0, len(piece.command_ab) - LEAST_BLOCK_READINGS, BLOCK_READINGS)
+        for start in range(0, len(piece.command_ab) - MIN_BLOCK_READINGS, BLOCK_READINGS)
         if _command_rms(piece.command_ab[start : start + BLOCK_READINGS])
-        > leg_step_of(LEAST_TIMER_STEP_S, piece.signals.pwm_frequency_hz, bus_v)
+        > leg_step_of(MIN_TIMER_STEP_S, piece.signals.pwm_frequency_hz, bus_v)
     ]
     decay = np.exp(-resistance_ohm / (np.array(inductance_h) * fs))
     stride = max(1.0, len(blocks) / MAX_BLOCKS)

@@ -16,7 +16,7 @@ from protocols import Remark, SegmentStage
 
 FIRST_NUMBERS_CHECKED = 2000
 """Number of values of a log that are checked first."""
-LEAST_ROUNDING_VARIANCE_RATIO = 0.1
+MIN_ROUNDING_VARIANCE_RATIO = 0.1
 """Rounding variance over the noise's in an equation from which a remark is made."""
 
 
@@ -26,7 +26,7 @@ def rounding_remarks(pieces: Sequence[SegmentData], noise: SensorNoise) -> list[
     volts = logged_step(used, lambda piece: piece.command_ab)
     if (
         volts is not None
-        and max(_rounding_variance_ratio(piece, noise, volts) for piece in used) > LEAST_ROUNDING_VARIANCE_RATIO
+        and max(_rounding_variance_ratio(piece, noise, volts) for piece in used) > MIN_ROUNDING_VARIANCE_RATIO
     ):
         text = (
             "voltages are logged in steps of {step_v:.3g} V: where the drive's own are finer, that rounding shows "

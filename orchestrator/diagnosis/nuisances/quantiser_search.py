@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from orchestrator.diagnosis.nuisances.command_traces import LEAST_TIMER_STEP_S, LINEAR_STRETCH_READINGS, CommandTrace
+from orchestrator.diagnosis.nuisances.command_traces import LINEAR_STRETCH_READINGS, MIN_TIMER_STEP_S, CommandTrace
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, legs_rounded_by
 from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
@@ -42,7 +42,7 @@ SAWTOOTH_HARMONICS = 4
 """Harmonics of the sawtooth that are used: 87 % of its power."""
 PHASES_PER_STEP = 32
 """Phases within a step that are tried for each edge."""
-LEAST_GAIN_RATIO_TO_BEST = 0.5
+MIN_GAIN_RATIO_TO_BEST = 0.5
 """Gain of an alternative timer relative to the likeliest, below which it is dropped."""
 SAME_STEP_TOLERANCE = 1e-3
 """Relative difference below which two steps are the same."""
@@ -96,7 +96,7 @@ def _most_certain(found: Sequence[tuple[float, QuantiserEstimate]]) -> tuple[Qua
     certain = max((estimate.gain for _, estimate in found), default=0.0)
     best = list[QuantiserEstimate]()
     for _, one in sorted(found, key=lambda one: -one[0]):
-        if one.gain > LEAST_GAIN_RATIO_TO_BEST * certain and not any(_same(one.timer, other.timer) for other in best):
+        if one.gain > MIN_GAIN_RATIO_TO_BEST * certain and not any(_same(one.timer, other.timer) for other in best):
             best.append(one)
     return tuple(best)
 
@@ -201,7 +201,7 @@ def _harmonic_sums(traces: Sequence[CommandTrace], centred: bool, bus_v: float) 
         volts_per_s = leg_step_of(1.0, pwm_hz, bus_v)
         widths_s = [legs_of(trace.command_ab, centred) / volts_per_s for trace in selected]
         # A quarter of the period of the finest sawtooth's last harmonic.
-        spacing_s = LEAST_TIMER_STEP_S / (4.0 * SAWTOOTH_HARMONICS)
+        spacing_s = MIN_TIMER_STEP_S / (4.0 * SAWTOOTH_HARMONICS)
         place = np.round(np.concatenate(widths_s) / spacing_s).astype(np.int64)
         count = ZERO_PADDING_FACTOR * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
         # The machine responds to the two-axis vector of the legs' voltages: the transpose of `from_phases`.
@@ -215,7 +215,7 @@ def _harmonic_sums(traces: Sequence[CommandTrace], centred: bool, bus_v: float) 
 def _spectrum(all_sums: Sequence[_HarmonicSums]) -> tuple[Array, Array]:
     """Frequencies of the steps tried, and the gain in log likelihood by a line of each."""
     spacing_hz = FREQUENCY_SPACING_LINEWIDTHS / max(sums.reach_s for sums in all_sums)
-    frequency = np.arange(1.0 / MAX_TIMER_STEP_S, 1.0 / LEAST_TIMER_STEP_S, spacing_hz)
+    frequency = np.arange(1.0 / MAX_TIMER_STEP_S, 1.0 / MIN_TIMER_STEP_S, spacing_hz)
     gains = [sums.gains(frequency) for sums in all_sums]
     return frequency, np.sum(gains, axis=0)
 

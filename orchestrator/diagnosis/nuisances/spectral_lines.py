@@ -15,11 +15,11 @@ import numpy as np
 
 from orchestrator.numerics.types import Array
 
-LEAST_LINE_FREQUENCY_HZ: float = 40.0
+MIN_LINE_FREQUENCY_HZ: float = 40.0
 """Frequency below which lines are not searched: current control responds to slow disturbances [Hz]."""
-LEAST_LINE_HEIGHT: float = 30.0
+MIN_LINE_HEIGHT: float = 30.0
 """Height of a line over the median around it, in spectra averaged over all holds; chance does not reach it."""
-LEAST_LINE_RMS: float = 0.3
+MIN_LINE_RMS: float = 0.3
 """rms of a line in the hold where it is strongest, in standard deviations of a reading, from which it matters."""
 MAX_RIPPLE_AMPLITUDE_SPREAD: float = 0.35
 """Largest spread of a switching ripple's amplitude from hold to hold, relative to its mean."""
@@ -78,20 +78,20 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple
     beside = np.pad(mean, 1, constant_values=0.0)
     remaining, lines = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
     for _ in range(MAX_LINES):
-        remaining[: max(2, math.ceil(LEAST_LINE_FREQUENCY_HZ / step_hz))] = 0.0
+        remaining[: max(2, math.ceil(MIN_LINE_FREQUENCY_HZ / step_hz))] = 0.0
         at = int(np.argmax(remaining))
         low, high = max(at - far, 1), min(at + far + 1, length)
         around = np.concatenate([mean[low : max(at - near, low)], mean[min(at + near + 1, high) : high]])
-        if remaining[at] < LEAST_LINE_HEIGHT * float(np.median(around)):
+        if remaining[at] < MIN_LINE_HEIGHT * float(np.median(around)):
             break
         bins = slice(max(at - near, 0), min(at + near + 1, length))
         remaining[bins] = 0.0
         # A Hann window spreads a line over bins that add up to its power times n / 2 (twice at the very end).
         each = spectra[:, bins].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
         size = np.sqrt(np.maximum(each, 0.0))
-        if size.max() < LEAST_LINE_RMS * math.sqrt(noise):
+        if size.max() < MIN_LINE_RMS * math.sqrt(noise):
             continue
-        quiet = all(_height(s, at * step_hz, fs) < LEAST_LINE_HEIGHT for s in off)
+        quiet = all(_height(s, at * step_hz, fs) < MIN_LINE_HEIGHT for s in off)
         steady = float(np.std(size)) < MAX_RIPPLE_AMPLITUDE_SPREAD * float(np.mean(size))
         switching = bool(off) and quiet and steady and at < length - 2
         lines.append(SpectralLine(at * step_hz, float(each.mean()), switching))

@@ -13,7 +13,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
-from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO
+from orchestrator.diagnosis.selection.contrasts import MIN_AMPLITUDE_RATIO
 from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.segments import AXES, Axis, SegmentData, swept_axis
 from orchestrator.numerics.frames import to_ab, to_dq
@@ -33,7 +33,7 @@ SIMULATION_SETTLING_S: float = 0.1
 def excerpts(fit: Fit) -> tuple[CurrentExcerpt, ...]:
     """Ripple at one injection point, at two amplitudes where there are two, and one period of a trapezoid."""
     pieces = fit.prepared.pieces
-    ripples = (_ripple_excerpt(fit, k) for k in ripple_pair(pieces, LEAST_AMPLITUDE_RATIO))
+    ripples = (_ripple_excerpt(fit, k) for k in ripple_pair(pieces, MIN_AMPLITUDE_RATIO))
     trapezoid = (_trapezoid_excerpt(fit, k) for k in _trapezoid(pieces))
     return tuple(e for e in itertools.chain(ripples, trapezoid) if e is not None)
 

@@ -28,7 +28,7 @@ MAX_ROWS: int = 4000
 """Maximum number of rows of the residual in a step."""
 MAX_DWELLS: int = 400
 """Maximum number of points of the resistance over time."""
-LEAST_DWELL_CURRENT: float = 0.2
+MIN_DWELL_CURRENT: float = 0.2
 """Current of a dwell, relative to the largest, below which its R_s is too uncertain."""
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -169,7 +169,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
             continue
         current = row.i_dq.mean(axis=0)
         square = float(current @ current)
-        if square < (LEAST_DWELL_CURRENT * largest) ** 2 or square == 0.0:
+        if square < (MIN_DWELL_CURRENT * largest) ** 2 or square == 0.0:
             continue
         _, base = fit.linearisation.base_of(row.index)
         model = float(fit.corrected(row.index).resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])

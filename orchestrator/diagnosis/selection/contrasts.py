@@ -15,7 +15,7 @@ from protocols import Contrast, Effect, SegmentStage
 
 SAME_CURRENT: float = 0.02
 """Difference of two currents, relative to the largest, below which they are one operating point."""
-LEAST_AMPLITUDE_RATIO: float = 1.3
+MIN_AMPLITUDE_RATIO: float = 1.3
 """Ratio of two injected amplitudes from which they count as different."""
 LONG_HOLD_S: float = 30.0
 """Length of a hold that warms the winding noticeably [s]."""
@@ -101,7 +101,7 @@ def _long_hold(prepared: PreparedRecording) -> bool:
 
 def _two_amplitudes(prepared: PreparedRecording) -> bool:
     swings = [float(np.linalg.norm(np.std(p.signals.v_ab, axis=0))) for p in _of(prepared, SegmentStage.INJECTION)]
-    return bool(swings) and max(swings) > LEAST_AMPLITUDE_RATIO * min(swings)
+    return bool(swings) and max(swings) > MIN_AMPLITUDE_RATIO * min(swings)
 
 
 def _two_ripple_frequencies(prepared: PreparedRecording) -> bool:

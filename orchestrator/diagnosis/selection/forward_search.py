@@ -40,13 +40,13 @@ from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import ParameterRole
 
-LEAST_SHARE_BEFORE_REFINEMENTS: float = 0.5
+MIN_SHARE_BEFORE_REFINEMENTS: float = 0.5
 """Part of the excess chi2 that an absent effect has to explain to be tried before refinements."""
-LEAST_EFFECT_SIZE: float = 0.02
+MIN_EFFECT_SIZE: float = 0.02
 """Size of an effect, relative to its typical size, below which it is not named."""
-LEAST_SHARE_OF_EXCESS: float = 0.2
+MIN_SHARE_OF_EXCESS: float = 0.2
 """Part of the excess chi2 - 1 that an effect has to remove to be added; half of it in the linear estimate."""
-LEAST_RELATIVE_LINEAR_GAIN: float = 0.3
+MIN_RELATIVE_LINEAR_GAIN: float = 0.3
 """Linear gain of an alternative, relative to the best one's, from which it is refitted too."""
 MAX_EXCESS_RATIO_TO_BEST: float = 2.0
 """Factor of the best alternative's excess chi2 up to which others are fitted to convergence."""
@@ -166,7 +166,7 @@ def _add_best(fitter: Fitter, search: SearchResult, candidates: Library, rejecte
     if gain < limits.log_evidence:
         record("add", [name], after=trial, score=gain, taken=False)
         return False
-    if _size(trial, name) < LEAST_EFFECT_SIZE or _share(fit, trial) < LEAST_SHARE_OF_EXCESS:
+    if _size(trial, name) < MIN_EFFECT_SIZE or _share(fit, trial) < MIN_SHARE_OF_EXCESS:
         note = "too small, or removes too little of the misfit"
         record("add", [name], after=trial, score=gain, taken=False, note=note)
         rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
@@ -219,7 +219,7 @@ def _outweighs_refinements(view: LinearView) -> bool:
     Refinements would adapt to the missing effect; they are tried again once it is in the model.
     """
     scores, fit = score(view), view.fit
-    min_gain = LEAST_SHARE_BEFORE_REFINEMENTS * (fit.chi2 - fit.dof)
+    min_gain = MIN_SHARE_BEFORE_REFINEMENTS * (fit.chi2 - fit.dof)
     return bool(scores) and scores[0].gain > max(refinement_gain(view), min_gain)
 
 
@@ -257,14 +257,14 @@ def _shortlist(scores: Sequence[Score], fit: Fit) -> list[Score]:
     def resembles_best(s: Score) -> bool:
         return bool(separating_contrasts(s.candidate.effect, best.candidate.effect))
 
-    shortlist = [s for s in scores if s.gain > LEAST_RELATIVE_LINEAR_GAIN * best.gain or resembles_best(s)]
+    shortlist = [s for s in scores if s.gain > MIN_RELATIVE_LINEAR_GAIN * best.gain or resembles_best(s)]
     return [s for s in shortlist if s.gain > min_gain(s)][: limits.most_trials]
 
 
 def _min_gain(best: Score, fit: Fit) -> float:
     """Linear gain required of the best effect, half of what its refit has to reach: a free shape adds to it."""
     inflation = max(1.0, (fit.chi2 - best.gain) / fit.dof)
-    share = 0.5 * LEAST_SHARE_OF_EXCESS
+    share = 0.5 * MIN_SHARE_OF_EXCESS
     return max(2.0 * add_threshold(fit, best.candidate) * inflation, share * (fit.chi2 - fit.dof))
 
 

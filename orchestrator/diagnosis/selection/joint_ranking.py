@@ -19,7 +19,7 @@ from protocols import FoundEffect, JointEntry, Remark
 
 MAX_CORRELATION: float = 0.995
 """Correlation above which two effects share a column in the joint fit; the priors separate similar ones below it."""
-LEAST_SIZE_EXCESS: float = 1.5
+MIN_SIZE_EXCESS: float = 1.5
 """Ratio of the joint fit's first effect to the largest named one, in typical sizes, from which it is reported."""
 CERTAIN_SIGMAS: float = 4.0
 """Standard deviations beyond which an effect is not due to chance."""
@@ -64,7 +64,7 @@ def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> 
     first, size, z = joint[0].name, joint[0].relative_size or 0.0, abs(joint[0].z or 0.0)
     largest = max(found, key=lambda e: e.relative_size or 0.0)
     named = largest.relative_size or 0.0
-    if z < CERTAIN_SIGMAS or size < LEAST_SIZE_EXCESS * named:
+    if z < CERTAIN_SIGMAS or size < MIN_SIZE_EXCESS * named:
         return []
     text = (
         "with all effects fitted together {first} is the largest, {first_size:.2g} of its typical size; "

@@ -37,7 +37,7 @@ from orchestrator.diagnosis.selection.scoring import (
 from orchestrator.numerics.types import Array
 from protocols import Effect, ParameterRole, SearchMove
 
-LEAST_GAIN_OF_SECOND_EFFECT: float = 0.3
+MIN_GAIN_OF_SECOND_EFFECT: float = 0.3
 """Part of the largest predicted gain of an absent effect from which another one is tried together with it."""
 MAX_JOINT_ROUNDS: tuple[int, int] = (6, 15)
 """Relinearisations of the model with all effects: with amplitudes alone, and with shapes."""
@@ -157,7 +157,7 @@ def forward_step(fitter: Fitter, fit: Fit, library: Library) -> Fit:
         return fit
     best_gain = max(s.gain for s in asking)
     overlooked = []
-    for one in (s for s in asking if s.gain > LEAST_GAIN_OF_SECOND_EFFECT * best_gain):
+    for one in (s for s in asking if s.gain > MIN_GAIN_OF_SECOND_EFFECT * best_gain):
         active = one.candidate.absent().release(*one.candidate.of_role(ParameterRole.SHAPE))
         for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
             active = active.moved(name, float(x))

@@ -38,7 +38,7 @@ from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
 
-LEAST_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
+MIN_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
 """Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
 MAX_SHARE_OF_ERROR: float = 10.0
 """Factor of the first model's error that an effect may remove while something unknown remains; one that removes more
@@ -52,7 +52,7 @@ EVALUATIONS_LEFT_PER_EFFECT = {"together": 25.0, "forms": 23.0, "search": 17.0, 
 """Evaluations of the first model that take as long as the rest of a diagnosis from where its steps begin, per effect of
 the library; medians of benches of many effects. Where no form explains the error it may be three times that."""
 
-LEAST_RELATIVE_CHANGE_FOR_NEW_SEARCH = 0.05
+MIN_RELATIVE_CHANGE_FOR_NEW_SEARCH = 0.05
 """Change of the objective over chi2, by a new quantiser estimate, from which all effects are searched again."""
 
 
@@ -164,7 +164,7 @@ def with_quantiser_of_fit(
         return setup, fit, indistinguishable
     before, others = fit, indistinguishable
     anew, fit = timed
-    if abs(before.objective - fit.objective) > LEAST_RELATIVE_CHANGE_FOR_NEW_SEARCH * before.chi2:
+    if abs(before.objective - fit.objective) > MIN_RELATIVE_CHANGE_FOR_NEW_SEARCH * before.chi2:
         fit, others = _search_again(anew, fit, library)
         more = refine_quantiser_by_fit(anew, fit, library)
         if more is not None and more[-1].objective < fit.objective:
@@ -203,7 +203,7 @@ def build_ladder(
     order = sorted(known, key=lambda name: -sizes[name].relative_to_error)
     limits = whole.criteria.selection
     min_share = max(
-        limits.named_share, LEAST_RATIO_OF_CAUSE_TO_RESIDUAL * residual_fraction_of(steps[0].fit.chi2_per_dof, whole)
+        limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * residual_fraction_of(steps[0].fit.chi2_per_dof, whole)
     )
     # A cause's log evidence must exceed half the excess chi2: less may be another effect's form.
     min_factor = 0.5 * max(whole.chi2 - whole.dof, 0.0)

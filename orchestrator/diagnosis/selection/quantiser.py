@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Library
-from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
+from orchestrator.diagnosis.fitting.chords import MIN_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.command_traces import command_traces
 from orchestrator.diagnosis.nuisances.quantiser_beside_fit import quantiser_beside
@@ -69,6 +69,6 @@ def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -
         gained += gain if turn == 0 else 0.0
         timed = timed.with_quantiser(timer)
         sharper = refit_briefly(timed.coarse_fitter, sharper.model, sharper)
-        if gain < LEAST_JOINT_GAIN:
+        if gain < MIN_JOINT_GAIN:
             break
     return None if gained < 2.0 * limits.log_evidence * fit.chi2_per_dof else (timed, sharper)

@@ -18,7 +18,7 @@ from protocols import ParameterRole
 MAX_DEFERRED_FORM_GAIN: float = 0.3
 """Part of a flexible form's linear gain that may be postponed: few of its parameters bring most of the gain, and the
 others are judged anew once those are free."""
-LEAST_SHARE_OF_FORM_DETAIL: float = 0.5
+MIN_SHARE_OF_FORM_DETAIL: float = 0.5
 """Part of the excess chi2 that a form's details have to remove to be freed; less may belong to another effect."""
 MAX_FORM_EXTENSIONS: int = 8
 """Maximum number of extensions of a flexible form."""
@@ -201,5 +201,5 @@ def refinement_groups(
     min_gain = 2.0 * limits.tie * inflation
     if fit.chi2_per_dof <= limits.detected_chi2:
         return [(first, min_gain), (details, min_gain)]
-    share = LEAST_SHARE_OF_FORM_DETAIL if share is None else share
+    share = MIN_SHARE_OF_FORM_DETAIL if share is None else share
     return [(first, min_gain), (details, max(min_gain, share * (fit.chi2 - fit.dof)))]

@@ -24,7 +24,7 @@ from orchestrator.diagnosis.judgement.intervals import certainty
 from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of, with_scatter_as_noise
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import (
-    LEAST_EFFECT_SIZE,
+    MIN_EFFECT_SIZE,
     AcceptedModel,
     SearchResult,
     forward,
@@ -47,9 +47,9 @@ MAX_EXCESS_OF_REDUNDANT_EFFECTS: float = 0.03
 """Excess chi2 allowed without the minor effects, over the root of the excess before the first effect."""
 OBVIOUS_EFFECT_FACTOR: float = 10.0
 """Factor of that excess from which an effect's linear loss exempts it from the test."""
-LEAST_UNDETECTED_SIZE: float = 0.03
+MIN_UNDETECTED_SIZE: float = 0.03
 """Relative size from which an effect is named although the model fits without it."""
-LEAST_CERTAINTY: float = 5.0
+MIN_CERTAINTY: float = 5.0
 """Significance from which a minor effect is named, in standard deviations including the scatter between blocks."""
 
 ModelChoice = str | FluxMap | MotorModel
@@ -384,11 +384,11 @@ def _is_redundant(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     gained = _evidence_lost(full, without)
     if active.candidate.included_a_priori:
         return gained < keep_threshold(full, active.candidate)
-    if size < LEAST_EFFECT_SIZE or certainty(full)[name] < LEAST_CERTAINTY:
+    if size < MIN_EFFECT_SIZE or certainty(full)[name] < MIN_CERTAINTY:
         return True
     if gained < keep_threshold(full, active.candidate):
         return True
-    if without.chi2_per_dof < limits.detected_chi2 and size < LEAST_UNDETECTED_SIZE:
+    if without.chi2_per_dof < limits.detected_chi2 and size < MIN_UNDETECTED_SIZE:
         return True
     # Another effect's slightly wrong form would leave a misfit; an effect that removes all of it is real.
     to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and without.chi2_per_dof > NOTEWORTHY_CHI2

@@ -29,7 +29,7 @@ from orchestrator.numerics.quieting import quieted
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise, SegmentStage
 
-LEAST_CORRELATION: float = 0.08
+MIN_CORRELATION: float = 0.08
 """Correlation of successive readings below which they count as white noise."""
 
 _MAX_CORRELATION = 0.98
@@ -110,7 +110,7 @@ def sensor_noise(pieces: Sequence[SegmentData]) -> SensorNoise:
     steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
     steady = steady or _quietest([s for s in of[SegmentStage.STEPS] if np.isfinite(s.covariance).all()])
     repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
-    rho = _correlation(steady, of[SegmentStage.GATES_OFF], LEAST_CORRELATION)
+    rho = _correlation(steady, of[SegmentStage.GATES_OFF], MIN_CORRELATION)
     # The variance of second differences is 6 - 8 rho + 2 rho^2 times the readings', not 6.
     seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
     covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)

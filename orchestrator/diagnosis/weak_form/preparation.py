@@ -17,7 +17,7 @@ from orchestrator.diagnosis.weak_form.loss_history import (
     with_rotor_turn,
 )
 from orchestrator.diagnosis.weak_form.segments import (
-    LEAST_SEGMENT_SAMPLES,
+    MIN_SEGMENT_SAMPLES,
     PreparedRecording,
     SegmentData,
     read_segment,
@@ -31,13 +31,13 @@ HELD_OUT_EVERY: int = 5
 """One in this many injection points is held out of all fits, for validation."""
 THINNED_TURNS: float = 1.25
 """Turns of the injected direction that a thinned point keeps: at least a full one after losses at the ends."""
-LEAST_THINNED_SAMPLES: int = 1000
+MIN_THINNED_SAMPLES: int = 1000
 """Minimum number of samples of a thinned point."""
 COARSE_POINTS: int = 16
 """Maximum number of injection points in the part of a recording that is searched first."""
 COARSE_TURNS: float = 0.75
 """Turns of the injected direction of each injection point that the first search uses."""
-LEAST_COARSE_SAMPLES: int = 100
+MIN_COARSE_SAMPLES: int = 100
 """Samples below which a segment is not shortened for the first search."""
 USABLE = (
     SegmentStage.GATES_OFF,
@@ -127,7 +127,7 @@ def _part(piece: SegmentData, criteria: WeakFormCriteria) -> SegmentData:
     elif piece.stage is SegmentStage.INJECTION and settings.get("rotation_hz"):
         count = round(COARSE_TURNS * fs / float(settings["rotation_hz"]))
     stop = count + 1
-    if stop >= n or count < LEAST_COARSE_SAMPLES:
+    if stop >= n or count < MIN_COARSE_SAMPLES:
         return piece
     cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
     signals = replace(s, **{**cut, "i_m_ab": cut["i_ab"]})
@@ -141,7 +141,7 @@ def _part(piece: SegmentData, criteria: WeakFormCriteria) -> SegmentData:
 
 def _nothing_long_enough(short: Sequence[Segment]) -> str:
     kinds = ", ".join(dict.fromkeys(segment.stage.value for segment in short)) or "none but readings without current"
-    needed = f"a segment needs {LEAST_SEGMENT_SAMPLES} samples, and several periods where one is injected"
+    needed = f"a segment needs {MIN_SEGMENT_SAMPLES} samples, and several periods where one is injected"
     return f"nothing with current in it that is long enough to be used ({kinds}): {needed}"
 
 
@@ -164,7 +164,7 @@ def _thinned(
     if sum(wanted.values()) <= criteria.most_samples:
         return list(segments), wanted
     turns = {s.id: THINNED_TURNS * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
-    wanted = {s.id: min(s.samples, max(round(turns[s.id]), LEAST_THINNED_SAMPLES)) for s in points}
+    wanted = {s.id: min(s.samples, max(round(turns[s.id]), MIN_THINNED_SAMPLES)) for s in points}
     stride = max(1.0, sum(wanted.values()) / criteria.most_samples)
     spread = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
     text = "{used} of {points} injection points are used, evenly spread, and one turn of each"

@@ -25,29 +25,29 @@ from orchestrator.numerics.types import Array
 from protocols import Manifest, ModulatorTimer, RealArray, RecordingReader, Remark, Segment, SegmentStage, Signals
 from protocols.fleet_priors import FleetPriors
 
-LEAST_TEST_FUNCTIONS_PER_TRAPEZOID: int = 8
+MIN_TEST_FUNCTIONS_PER_TRAPEZOID: int = 8
 """Minimum number of test functions in a trapezoid of a sweep; in a short trapezoid they are shortened."""
-LEAST_SAMPLES_PER_TEST_FUNCTION: int = 8
+MIN_SAMPLES_PER_TEST_FUNCTION: int = 8
 """Minimum number of samples between the centres of two test functions of a trapezoid."""
 TEST_FUNCTIONS_PER_VOLTAGE_STEP: float = 4.0
 """Test functions between two voltage steps: a lag is visible in the first, R_s in the others."""
-LEAST_SAMPLES_PER_STEP_TEST_FUNCTION: float = 2.0
+MIN_SAMPLES_PER_STEP_TEST_FUNCTION: float = 2.0
 """Samples between two test functions of voltage steps; with fewer, neighbours carry the same information."""
 TEST_FUNCTIONS_PER_TURN: int = 8
 """Test functions per turn of an injected direction: the flux along it has two periods, with two per half period."""
-LEAST_PERIODS_PER_TEST_FUNCTION: int = 4
+MIN_PERIODS_PER_TEST_FUNCTION: int = 4
 """Injection periods between two test functions; with fewer, the Fourier modes of a period are not separable."""
-LEAST_SAMPLES_PER_PERIOD: int = 4
+MIN_SAMPLES_PER_PERIOD: int = 4
 """Samples in an injection period; with fewer, its edges cannot be resolved."""
 MAX_BINS_PER_PERIOD: int = 40
 """Bins of an injection period; modes up to the fifth need no more."""
-LEAST_SEGMENT_SAMPLES: int = 17
+MIN_SEGMENT_SAMPLES: int = 17
 """Readings below which a segment is not used: a test function extends over eight on either side."""
 INITIAL_READINGS: int = 5
 """Readings averaged for the current before a segment."""
-LEAST_SWING_RATIO_OF_DIAGONAL: float = 0.5
+MIN_SWING_RATIO_OF_DIAGONAL: float = 0.5
 """Ratio of the smaller to the larger axis' current swing from which a sweep counts as one of both axes."""
-LEAST_AVERAGED_SAMPLES: int = 200
+MIN_AVERAGED_SAMPLES: int = 200
 """Minimum number of averaged samples of a segment."""
 Axis = Literal["d", "q", "dq"]
 AXES: tuple[Axis, ...] = ("d", "q", "dq")
@@ -142,7 +142,7 @@ def read_segment(
     delay = drive.voltage_delay_samples or 0.0
     v_ab = delayed(command_ab, delay)
     v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
-    if len(i_ab) < LEAST_SEGMENT_SAMPLES:
+    if len(i_ab) < MIN_SEGMENT_SAMPLES:
         return None
     ripple = segment.stage is SegmentStage.INJECTION
     scatter = _scatter(segment, fs, i_ab, v_ab)
@@ -196,7 +196,7 @@ def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormC
     """Number of readings of a slow stage to average, such that the current hardly changes between means."""
     slow = stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE)
     max_width = criteria.most_averaged_at_rest if slow else criteria.most_averaged_in_sweeps
-    max_width = min(max_width, len(i_ab) // LEAST_AVERAGED_SAMPLES)
+    max_width = min(max_width, len(i_ab) // MIN_AVERAGED_SAMPLES)
     if max_width < 2 or stage in (SegmentStage.INJECTION, SegmentStage.STEPS):
         return 1
     # Means of 32 readings suppress noise; the quantile ignores a jump at the start of a capture.
@@ -233,7 +233,7 @@ def swept_axis(segment: Segment, i_ab: RealArray) -> Axis:
         if stated == axis:
             return axis
     swing_d, swing_q = np.ptp(to_dq(i_ab, segment.rotor_angle_rad), axis=0)
-    if min(swing_d, swing_q) > LEAST_SWING_RATIO_OF_DIAGONAL * max(swing_d, swing_q):
+    if min(swing_d, swing_q) > MIN_SWING_RATIO_OF_DIAGONAL * max(swing_d, swing_q):
         return "dq"
     return "d" if swing_d > swing_q else "q"
 
@@ -259,21 +259,21 @@ def windows_of(
     if segment.stage is SegmentStage.STEPS:
         swing = intervals / (turns_of(np.asarray(v_ab, dtype=np.float64)) + 1)
         return plain_windows(
-            intervals, max(swing / TEST_FUNCTIONS_PER_VOLTAGE_STEP, LEAST_SAMPLES_PER_STEP_TEST_FUNCTION)
+            intervals, max(swing / TEST_FUNCTIONS_PER_VOLTAGE_STEP, MIN_SAMPLES_PER_STEP_TEST_FUNCTION)
         )
     period = injection_period(segment, fs, v_ab) if segment.stage is SegmentStage.INJECTION else None
     if period is None:
-        shorter = max(intervals / LEAST_TEST_FUNCTIONS_PER_TRAPEZOID, LEAST_SAMPLES_PER_TEST_FUNCTION)
+        shorter = max(intervals / MIN_TEST_FUNCTIONS_PER_TRAPEZOID, MIN_SAMPLES_PER_TEST_FUNCTION)
         return plain_windows(intervals, min(criteria.hat_s * fs, shorter))
     turn_s = 1.0 / float(segment.settings.get("rotation_hz") or 1.0)
     step = min(turn_s / TEST_FUNCTIONS_PER_TURN * fs, intervals / 4)
-    return periodic_windows(intervals, max(step, LEAST_PERIODS_PER_TEST_FUNCTION * period), period, MAX_BINS_PER_PERIOD)
+    return periodic_windows(intervals, max(step, MIN_PERIODS_PER_TEST_FUNCTION * period), period, MAX_BINS_PER_PERIOD)
 
 
 def injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | None:
     """Samples in an injection period: from the set point, else from the spacing of the voltage's strongest lines."""
     requested = segment.settings.get("frequency_hz")
-    highest = fs / LEAST_SAMPLES_PER_PERIOD
+    highest = fs / MIN_SAMPLES_PER_PERIOD
     if isinstance(requested, int | float) and 0 < requested < highest:
         return fs / float(requested)
     n = len(v_ab)

@@ -7,9 +7,9 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.fitting.columns import (
-    LEAST_RESPONSE,
     MAX_COLUMN_CHANGE,
     MAX_GROWTH_BEFORE_PROBE,
+    MIN_RESPONSE,
     ColumnProbe,
     column_plan,
     known_answers,
@@ -67,7 +67,7 @@ def test_columns_through_effects_that_answer_are_the_whole_ones(maker: Fitter) -
     model = all_effects(maker)
     fit = maker.evaluate(model, maker.linearise(model))
     assert fit.parameters == tuple((a.name, n) for a, n in model.free)
-    assert distance(training(maker, fit), whole(maker, model, fit)).max() < len(ACTIVE) * LEAST_RESPONSE
+    assert distance(training(maker, fit), whole(maker, model, fit)).max() < len(ACTIVE) * MIN_RESPONSE
 
 
 def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> None:
@@ -76,7 +76,7 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
     model = all_effects(maker, 1.05)
     kept = maker.evaluate(model, known.linearisation, known=known)
     far = distance(training(maker, kept), whole(maker, model, kept))
-    assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
+    assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * MIN_RESPONSE
     last = next(k for k in reversed(range(len(kept.columns))) if not maker.prepared.pieces[k].held_out)
     assert last not in probe_segments(maker.prepared.pieces)
     same = [np.array_equal(a, b) for a, b in zip(kept.columns[last].T, known.columns[last].T, strict=True)]
@@ -101,7 +101,7 @@ def test_a_wholly_different_model_keeps_no_column_that_moved(maker: Fitter) -> N
     model = all_effects(maker, 3.0)
     fit = maker.evaluate(model, maker.linearise(model), known=known)
     far = distance(training(maker, fit), whole(maker, model, fit))
-    assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
+    assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * MIN_RESPONSE
 
 
 def test_segments_of_every_stage_are_probed_and_none_that_is_held_out(maker: Fitter) -> None:
@@ -115,9 +115,9 @@ def test_segments_of_every_stage_are_probed_and_none_that_is_held_out(maker: Fit
 def test_an_answer_counts_by_its_share_of_the_column() -> None:
     columns = np.array([[3.0, 0.0], [4.0, 1.0]])
     answers = {
-        (0, "loud"): (2.0 * LEAST_RESPONSE * 5.0) ** 2,
-        (0, "silent"): (0.5 * LEAST_RESPONSE * 5.0) ** 2,
-        (1, "silent"): (0.5 * LEAST_RESPONSE) ** 2,
+        (0, "loud"): (2.0 * MIN_RESPONSE * 5.0) ** 2,
+        (0, "silent"): (0.5 * MIN_RESPONSE * 5.0) ** 2,
+        (1, "silent"): (0.5 * MIN_RESPONSE) ** 2,
     }
     plan = column_plan([("one", "x"), ("two", "y")], {0: ColumnProbe(columns, answers)}, None)
     assert plan.answering == (frozenset({"loud"}), frozenset())

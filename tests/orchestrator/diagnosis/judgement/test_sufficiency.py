@@ -53,7 +53,7 @@ def test_currents_within_the_noise_are_no_excitation() -> None:
 
 
 def test_a_rate_with_too_few_samples_between_windows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sufficiency, "LEAST_SAMPLES_PER_TEST_FUNCTION", 1000)
+    monkeypatch.setattr(sufficiency, "MIN_SAMPLES_PER_TEST_FUNCTION", 1000)
     with pytest.raises(NotMeasuredError, match="too slow"):
         require_enough(ENOUGH, NOISE)
 

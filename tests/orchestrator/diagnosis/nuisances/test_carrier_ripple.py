@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.nuisances.carrier_ripple import LEAST_INDUCTANCE_RATIO, carrier_ripple_voltage
+from orchestrator.diagnosis.nuisances.carrier_ripple import MIN_INDUCTANCE_RATIO, carrier_ripple_voltage
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.frames import to_dq, to_phases
 from protocols import SegmentStage
@@ -101,4 +101,4 @@ def test_a_map_that_is_none_yet_makes_no_voltage_without_bounds(scale: float) ->
     wrong = carrier_ripple_voltage(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients + rough))
     np.testing.assert_allclose(flat, right, rtol=1e-9, atol=1e-12 * np.abs(right).max())
     # Not more than what a ripple at the least inductance drops across the resistance.
-    assert np.abs(wrong).max() < OHM * BUS_V / FS / (LEAST_INDUCTANCE_RATIO * L_D)
+    assert np.abs(wrong).max() < OHM * BUS_V / FS / (MIN_INDUCTANCE_RATIO * L_D)

@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.excerpts import ripple_pair
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step, kept_rows
-from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO
+from orchestrator.diagnosis.selection.contrasts import MIN_AMPLITUDE_RATIO
 from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
@@ -23,7 +23,7 @@ from tests.support.close import assert_close
 
 Ladder = tuple[tuple[AcceptedModel, ...], DiagnosisSetup, tuple[DiagnosisStep, ...]]
 
-RATIO = LEAST_AMPLITUDE_RATIO
+RATIO = MIN_AMPLITUDE_RATIO
 
 
 @pytest.fixture(scope="module")

@@ -73,7 +73,7 @@ def test_every_so_many_th_injection_and_diagonal_sweeps_are_held_out_where_other
 def test_what_is_too_short_is_said_once_a_stage(clean: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     holds = clean.segments(SegmentStage.RESISTANCE)
     longest = max(segment.samples for segment in holds)
-    monkeypatch.setattr(segments, "LEAST_SEGMENT_SAMPLES", longest + 1)
+    monkeypatch.setattr(segments, "MIN_SEGMENT_SAMPLES", longest + 1)
     made = prepare(clean, Criteria())
     said = [remark.text for remark in made.remarks if remark.code == "too_short"]
     assert f"{holds[0].id} to {holds[-1].id} ({len(holds)}): too short to be used" in said
