@@ -17,7 +17,6 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, added_by, leg_step_of
-from orchestrator.diagnosis.nuisances.quantiser_counter import counter_models
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import LocalMap, change_of_rows, local_map
 from orchestrator.diagnosis.weak_form.noise import Whitener
@@ -68,7 +67,6 @@ def quantiser_beside(
     for step_ratio in DIFFERENCE_STEPS:
         x = _descended(rounding, x, step_ratio)
     x = _over_jumps(rounding, x)
-    x = _or_counting(rounding, x, 2.0 * fit.criteria.selection.log_evidence * fit.chi2_per_dof)
     return rounding.estimate.moved(x), rounding.cost(rounding.start) - rounding.cost(x)
 
 
@@ -78,13 +76,6 @@ def _over_jumps(rounding: _Rounding, x: Array) -> Array:
         moved = rounding.scanned(x, place, around=SCANNED_NEARBY)
         x = x if moved is x else _descended(rounding, moved, DIFFERENCE_STEPS[-1])
     return x
-
-
-def _or_counting(rounding: _Rounding, x: Array, evidence: float) -> Array:
-    """The likeliest timer of a counter model, unless `x` is better by more than `evidence` in chi2."""
-    families = [*counter_models(rounding.estimate, rounding.start), *counter_models(rounding.estimate, x)]
-    best = min((one.likeliest(rounding.cost) for one in families), key=rounding.cost, default=x)
-    return best if rounding.cost(best) < rounding.cost(x) + evidence else x
 
 
 def _descended(rounding: _Rounding, x: Array, step_ratio: float) -> Array:

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from orchestrator.diagnosis.nuisances.dwells import dwells
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, rounded_by
-from orchestrator.diagnosis.nuisances.quantiser_counter import CounterModel, counter_models
 from orchestrator.diagnosis.nuisances.segment_scatter import Likelihood, is_same_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.types import Array, Indices
@@ -51,38 +49,23 @@ def quantiser_of_dwells(
     """
     if not likelihood.dwells:
         return estimate[0].timer, scatter
-    free, constrained = list[_JointEstimate](), list[_JointEstimate]()
+    found = list[_JointEstimate]()
     for one in estimate:
         held = _HeldCommands.of(prepared, one.timer.centred)
         known = one.at(np.unique(held.pwm_hz).tolist())
-        free.append(_alternate(likelihood, held, known, scatter))
-        constrained += [
-            _alternate(likelihood, held, known, scatter, family)
-            for family in counter_models(known, known.to(known.timer))
-        ]
-    best = min(free, key=lambda one: one.cost)
-    # A counter model is the default; a timer without one needs evidence.
-    evidence = 2.0 * prepared.criteria.selection.log_evidence
-    best = min([one for one in constrained if one.cost < best.cost + evidence], key=lambda one: one.cost, default=best)
+        found.append(_alternate(likelihood, held, known, scatter))
+    best = min(found, key=lambda one: one.cost)
     return best.timer, best.scatter
 
 
 def _alternate(
-    likelihood: Likelihood,
-    held: _HeldCommands,
-    estimate: QuantiserEstimate,
-    scatter: ModelNoise,
-    family: CounterModel | None = None,
+    likelihood: Likelihood, held: _HeldCommands, estimate: QuantiserEstimate, scatter: ModelNoise
 ) -> _JointEstimate:
-    """The most likely timer near an estimate, or of a family, and the scatter, each estimated given the other."""
+    """The most likely timer near an estimate, and the scatter, each estimated given the other."""
     doubt = 0.0
-    x = _scan_phases(held, estimate, *likelihood.held_volts(scatter)) if family is None else family.at(0.0)
+    x = _scan_phases(held, estimate, *likelihood.held_volts(scatter))
     for _ in range(MAX_ALTERNATIONS):
-        normal, pull = likelihood.held_volts(scatter)
-        if family is None:
-            x = _minimise(held, estimate, x, normal, pull)
-        else:
-            x = family.likeliest(partial(_cost, held, estimate, normal=normal, pull=pull))
+        x = _minimise(held, estimate, x, *likelihood.held_volts(scatter))
         with_it = likelihood.with_volts(held.rounded_by(estimate.moved(x)))
         doubt = float(x @ estimate.curvature @ x) - 2.0 * estimate.gain
         before, scatter = scatter, with_it.most_likely((True, True), dithered=False, near=scatter)
