@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration
 from orchestrator.formatting.sentences import listed, typographic
@@ -14,8 +16,13 @@ def next_steps(material: Material) -> list[Line]:
     return [Line("The map", _about_map(material)), Line("The model", _about_model(material))]
 
 
+def _typed(material: Material) -> str:
+    """The run as a command of a shell takes it: by the path that was given."""
+    return shlex.quote(str(material.directory))
+
+
 def _about_map(material: Material) -> str:
-    report, run = material.estimates, material.directory.resolve().name
+    report, run = material.estimates, _typed(material)
     if report is None:
         return f"none yet: fluxbench estimate {run} makes it."
     if report.usable and "flux_map" in report.files:
@@ -25,7 +32,7 @@ def _about_map(material: Material) -> str:
 
 
 def _about_model(material: Material) -> str:
-    run = material.directory.resolve().name
+    run = _typed(material)
     if material.diagnosis is None:
         return f"not diagnosed: fluxbench diagnose {run} names what it misses."
     report = material.diagnosis.report

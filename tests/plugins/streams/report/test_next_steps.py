@@ -25,15 +25,15 @@ def an_estimate(**change: object) -> EstimationReport:
 @pytest.mark.parametrize(
     ("estimates", "text"),
     [
-        (None, "none yet: fluxbench estimate run"),
-        (an_estimate(), "use results/flux_map.nc; fluxbench export run"),
+        (None, "none yet: fluxbench estimate runs/first makes"),
+        (an_estimate(), "use results/flux_map.nc; fluxbench export runs/first writes"),
         (an_estimate(usable=False, reasons=["the rotor turned"]), "do not rely on it: the rotor turned."),
     ],
 )
 def test_the_first_line_is_about_the_map(estimates: EstimationReport | None, text: str) -> None:
-    about_map, about_model = next_steps(Material(Path("run"), None, None, (), estimates, {}, Paths(), None, ()))
+    about_map, about_model = next_steps(Material(Path("runs/first"), None, None, (), estimates, {}, Paths(), None, ()))
     assert about_map.text.startswith(text)
-    assert about_model.text.startswith("not diagnosed: fluxbench diagnose run")
+    assert about_model.text.startswith("not diagnosed: fluxbench diagnose runs/first names")
 
 
 def test_each_torque_has_its_shortest_current() -> None:
