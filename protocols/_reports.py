@@ -116,6 +116,8 @@ class Rung(Lenient):
     rms_v: Number
     heldout_rms_v: Number
     current_rms_a: Number
+    effects: tuple[str, ...] = ()
+    """All effects of this model: some, too small to be causes, are added without a rung of their own."""
 
 
 class ShapeShare(Lenient):

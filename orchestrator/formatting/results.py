@@ -86,17 +86,24 @@ def coefficient_rows(form: ClosedForm) -> list[tuple[str, ...]]:
 
 
 def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]:
-    """Ladder steps: the added effect, chi2, rms error fitted and held out, error of the simulated current."""
-    return [
-        (
-            rung_name(rung.added, k),
-            number(rung.chi2),
-            quantity(rung.rms_v, "V"),
-            quantity(rung.heldout_rms_v, "V"),
-            quantity(rung.current_rms_a, "A"),
+    """Ladder steps: the added effect, chi2, rms error fitted and held out, error of the simulated current.
+
+    A step that adds effects without a step of their own, because they are too small to be causes, names them too.
+    """
+    rows, before = [], {rung.added for rung in ladder}
+    for k, rung in enumerate(ladder):
+        beside = [plain(name) for name in rung.effects if name not in before]
+        before.update(rung.effects)
+        rows.append(
+            (
+                rung_name(rung.added, k) + (f" (with {listed(beside)})" if beside else ""),
+                number(rung.chi2),
+                quantity(rung.rms_v, "V"),
+                quantity(rung.heldout_rms_v, "V"),
+                quantity(rung.current_rms_a, "A"),
+            )
         )
-        for k, rung in enumerate(ladder)
-    ]
+    return rows
 
 
 def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:

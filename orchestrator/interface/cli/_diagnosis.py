@@ -167,6 +167,7 @@ def _print_refit(report: AddReport, path: Path, as_json: bool) -> None:
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
     say_table(("model", "chi2", "rms error", "held out", "current error"), ladder_rows(report.ladder))
-    rows = [(effect.name, *row) for effect in report.effects for row in parameter_rows(effect)]
+    immaterial = report.minor if isinstance(report, DiagnosisReport) else ()
+    rows = [(effect.name, *row) for effect in (*report.effects, *immaterial) for row in parameter_rows(effect)]
     if rows:
         say("", text_table(("effect", "parameter", "value", "95 %"), rows, numbers=False))

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from orchestrator.formatting.results import benefit_line, parameter_rows, share_notes
-from protocols import FoundEffect, Materiality, ParameterValue, Remark
+from orchestrator.formatting.results import benefit_line, ladder_rows, parameter_rows, share_notes
+from protocols import FoundEffect, Materiality, ParameterValue, Remark, Rung
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -32,6 +32,18 @@ def test_sizes_and_what_they_mean_for_the_drive_are_listed_and_the_rest_is_count
         ("dead time", "148 ns", "130 to 167"),
         ("its form", "2 more parameters in model.json", ""),
     ]
+
+
+def test_a_step_of_the_ladder_names_effects_that_have_no_step_of_their_own() -> None:
+    def step(added: str | None, *effects: str) -> Rung:
+        return Rung(added=added, chi2=1.0, rms_v=0.1, heldout_rms_v=None, current_rms_a=None, effects=effects)
+
+    offset, small = "current_offset", "eddy_currents"
+    ladder = [step(None), step(offset, offset), step("hysteresis", offset, small, "hysteresis")]
+    assert [row[0] for row in ladder_rows(ladder)] == [
+        "the model alone", "+ current offset", "+ hysteresis (with eddy currents)",
+    ]  # fmt: skip
+    assert ladder_rows([step(None), step(offset, offset, small)])[1][0] == "+ current offset (with eddy currents)"
 
 
 def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_explained() -> None:

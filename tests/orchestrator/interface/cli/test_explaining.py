@@ -92,3 +92,10 @@ def test_diagnose_prints_the_reasons_below_the_verdict_and_how_well_the_model_do
     assert lines[1].startswith("  chi2 per degree of freedom fell from 900 to 1.01")
     assert any("0.4 % of its range" in line for line in lines)
     assert any("±0.12 % of the rated flux" in line for line in lines)
+
+
+def test_an_effect_that_is_no_cause_has_its_parameters_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    small = a_report().effects[0].model_copy(update={"name": "eddy_currents"})
+    _diagnosis._print_diagnosis(a_report().model_copy(update={"minor": (small,)}), WORDS)
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["eddy_currents", "voltage", "400.0", "mV", "399.0", "to", "401.0"] in rows
