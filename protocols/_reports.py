@@ -229,6 +229,8 @@ class Explanation(Lenient):
     verdict_record: VerdictRecord | None
     search: tuple[SearchEvent, ...]
     effects: tuple[EffectBasis, ...]
+    model_changes: tuple[str, ...] = ()
+    """What `add` and `remove` have changed in `model.json` since: "+ dead time (does not help)"."""
 
 
 class StageError(Lenient):

@@ -90,7 +90,8 @@ def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]
 
     A step that adds effects without a step of their own, because they are too small to be causes, names them too.
     """
-    rows, before = [], {rung.added for rung in ladder}
+    rows: list[tuple[str, ...]] = []
+    before = {rung.added for rung in ladder}
     for k, rung in enumerate(ladder):
         beside = [plain(name) for name in rung.effects if name not in before]
         before.update(rung.effects)

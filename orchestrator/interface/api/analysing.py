@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.interface.api.threads import one_thread
-from orchestrator.recording import read_model
+from orchestrator.recording import has_model, read_model
 from orchestrator.registry.plugins import PluginKind, load_effects_file, make_plugins
 from orchestrator.runs import open_any, refuse_file
 from protocols import (
@@ -171,7 +171,7 @@ def explain(place: Place) -> Explanation:
     diagnosis = load_diagnosis(path)
     if diagnosis is None:
         raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
-    return explanation_of(diagnosis.report)
+    return explanation_of(diagnosis.report, read_model(path) if has_model(path) else None)
 
 
 @one_thread()

@@ -26,6 +26,8 @@ def _print(explanation: Explanation) -> None:
     say(*(f"  {reason.sentence}" for reason in explanation.reasons))
     if not explanation.reasons:
         say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")
+    if explanation.model_changes:
+        say(f"  model.json was changed since: {', '.join(explanation.model_changes)}")
     if explanation.search:
         say("", "steps of the search (chi2 per degree of freedom, before → after):")
         say_wide_table(SEARCH_HEAD, search_rows(explanation.search))

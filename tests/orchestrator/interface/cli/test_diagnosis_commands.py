@@ -204,6 +204,7 @@ def test_a_model_is_held_against_a_recording_and_exported(tmp_path: Path, capsys
     report = json.loads(capsys.readouterr().out)
     kept = json.loads((tmp_path / "model.json").read_text())
     assert report["model"] == "linear + voltage_bias"
+    assert [isinstance(effect["helps"], bool) for effect in kept["effects"]] == [True]
     assert report["chi2"] == pytest.approx(kept["ladder"][-1]["chi2"], rel=1e-9)
     assert run_app(["export", file, "--format", "csv", "--out", str(tmp_path / "export"), "--json"]) == 0
     assert 20.0 < json.loads(capsys.readouterr().out)["measured_percent"] < 100.0
