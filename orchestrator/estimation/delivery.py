@@ -140,6 +140,8 @@ def _of_the_estimators(directory: Path, method: str) -> tuple[EstimationReport, 
     """What the estimators alone found, and their maps by method; nothing where they did not run."""
     try:
         report = load_estimates(directory)
+        if report.estimators is None and report.model is not None:
+            return _NOTHING, {}
         own = EstimationReport(**{**_fields(report.estimators or report), "files": {}})
         names = [name for name in own.maps if name != method]
         return own, {name: load_flux_map(_map_file(directory, report, name)) for name in names}

@@ -9,6 +9,7 @@ from orchestrator.formatting.quantities import (
     UNKNOWN,
     Scale,
     axes_percent,
+    duration,
     measured,
     number,
     percent,
@@ -36,6 +37,7 @@ from protocols import (
 UNDONE_BY = {"helps": None, "does_not_help": "remove", "needed": "add", "not_needed": None}
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
 BENEFITS = frozenset(UNDONE_BY)
+_ENDS = ["in the first segment", "in the last"]
 
 
 def resistance(estimate: ResistanceEstimate) -> str:
@@ -44,9 +46,12 @@ def resistance(estimate: ResistanceEstimate) -> str:
 
 
 def resistance_course(estimate: ResistanceEstimate) -> str:
-    """R_s at both ends of the recording, with the digits of R_s itself."""
+    """R_s at the first and the last reading, with the digits of R_s itself; a model has no readings, but segments."""
     scale = Scale.of(estimate.value_ohm, estimate.low, estimate.high, "ohm")
-    return f"{scale.quantity(estimate.first_ohm)} at the start, {scale.quantity(estimate.last_ohm)} at the end"
+    ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if estimate.readings else _ENDS
+    return ", ".join(
+        f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)
+    )
 
 
 def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:

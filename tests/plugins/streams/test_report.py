@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from matplotlib import pyplot
 
 from plugins.streams.report import ReportStream, _figures, write_report
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, formulas, map_rows, remarks
+from plugins.streams.report._content import checks, events, formulas, map_rows, remarks
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -264,6 +265,13 @@ def test_a_lost_capture_costs_the_picture_of_the_paths_only(run: Path) -> None:
 def test_a_run_that_was_killed_is_told_as_not_ended(tmp_path: Path) -> None:
     page = page_of(a_run_directory(tmp_path / "run", ended=False))
     assert "not ended: interrupted from outside, or still under way" in page.text
+
+
+def test_an_event_that_the_journal_has_twice_on_end_is_one_row(finished: Path) -> None:
+    material = collect(finished, reads_paths=False)
+    ended = next(entry for entry in material.journal if isinstance(entry.message, RunEnded))
+    (event,) = events(replace(material, journal=(ended, ended)))
+    assert (event.kind, event.text) == ("finished", "every stage is done")
 
 
 def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
