@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from orchestrator.formatting.names import parameter_words, plain, rung_name, symbol_of
 from orchestrator.formatting.quantities import (
@@ -25,6 +25,7 @@ from protocols import (
     ClosedForm,
     DiagnosisReport,
     DiagnosisStep,
+    EffectBasis,
     EstimationReport,
     EstimatorsReport,
     FoundEffect,
@@ -34,6 +35,10 @@ from protocols import (
     UsabilityCheck,
 )
 
+CHI2_MEANING = (
+    "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most in it, because the "
+    "noise averages out over their many samples."
+)
 UNDONE_BY = {"helps": None, "does_not_help": "remove", "needed": "add", "not_needed": None}
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
 BENEFITS = frozenset(UNDONE_BY)
@@ -140,14 +145,18 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
     ]
 
 
+def large_share_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
+    """A note where an effect's part of the error is above 100 %."""
+    text = (
+        "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
+        "whose R_s and map compensated a part of it"
+    )
+    return [text] if any((effect.share or 0.0) > 1.0 for effect in effects) else []
+
+
 def share_notes(report: DiagnosisReport) -> list[str]:
     """Notes on `share_rows`: parts above 100 %, and causes that are not material."""
-    notes = []
-    if any((effect.share or 0.0) > 1.0 for effect in (*report.effects, *report.minor)):
-        notes.append(
-            "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
-            "whose R_s and map compensated a part of it"
-        )
+    notes = large_share_notes((*report.effects, *report.minor))
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     if small and report.materiality is not None:
         flux, volts = percent(report.materiality.flux_percent), percent(report.materiality.voltage_percent)

@@ -13,7 +13,7 @@ from orchestrator.interface.cli import _diagnosis
 from orchestrator.interface.cli._running import run_app
 from protocols import DiagnosisReport
 from tests.orchestrator.diagnosis.judgement.test_judge import a_record
-from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
 
 
 def a_report() -> DiagnosisReport:
@@ -44,7 +44,18 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     rows = [" ".join(line.split()) for line in out.splitlines()]
     assert "step move effects gain threshold chi2 decision" in rows
     assert "2 add dead time 812 nat 16 nat – taken" in rows
+    assert "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it" in out
+    assert "above 100 %" not in out
     assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
+
+
+def test_a_share_above_the_whole_error_is_explained_below_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    effect = a_report().effects[0].model_copy(update={"share": 2.29})
+    save_diagnosis(tmp_path, a_report().model_copy(update={"effects": (effect,)}), WORDS, ())
+    assert run_app(["explain", str(tmp_path)]) == 0
+    assert "note: above 100 % of the error: without this effect" in capsys.readouterr().out
 
 
 def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -99,3 +110,10 @@ def test_an_effect_that_is_no_cause_has_its_parameters_in_the_table(capsys: pyte
     _diagnosis._print_diagnosis(a_report().model_copy(update={"minor": (small,)}), WORDS)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["eddy_currents", "voltage", "400.0", "mV", "399.0", "to", "401.0"] in rows
+
+
+def test_compare_says_what_chi2_is_and_that_its_currents_are_means(capsys: pytest.CaptureFixture[str]) -> None:
+    _diagnosis._print_comparison(a_comparison())
+    out = capsys.readouterr().out
+    assert "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most" in out
+    assert ["worst", "mean", "i_d", "mean", "i_q", "rms", "error"] in [line.split() for line in out.splitlines()]
