@@ -67,13 +67,26 @@ def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys:
     assert result["effects"][0]["steps"] == [2]
 
 
-@pytest.mark.parametrize("place", [".", "nowhere"])
-def test_without_a_diagnosis_there_is_one_line(place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("place", "problem"),
+    [
+        ("runs/first", "has no diagnosis yet; run `fluxbench diagnose"),
+        ("runs/first.sealed", "neither a run nor a recording, and has no diagnosis"),
+        ("runs", "a folder of runs, not a run; `fluxbench runs --folder"),
+        ("nowhere", "no such directory"),
+    ],
+)
+def test_without_a_diagnosis_there_is_one_line(
+    place: str, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("first", "first.sealed"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+    (tmp_path / "runs" / "first" / "run.json").write_text("{}")
     assert run_app(["explain", str(tmp_path / place)]) == 2
     out, err = capsys.readouterr()
     assert not out
     assert err.count("\n") == 1
-    assert ("run `fluxbench diagnose" in err) is (place == ".")
+    assert problem in err
 
 
 def test_a_diagnosis_of_an_older_version_says_that_it_has_no_reasons(
