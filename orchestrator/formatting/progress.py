@@ -9,7 +9,6 @@ from typing import TextIO
 
 from orchestrator.formatting.sentences import cut, for_output
 
-
 LINE_PERIOD_S = 1.0
 """Least time between two steps at a terminal; an added effect is printed at once."""
 FILE_LINE_PERIOD_S = 10.0
