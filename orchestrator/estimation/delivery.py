@@ -131,7 +131,8 @@ def _recommended(
     Crossings stay: they are the recording's, whichever map is made of it.
     """
     against = {check.remark.code for check in own.checks if not check.is_met}
-    others = (r for r in own.remarks if r.code not in _OF_NO_OTHER)
+    anew = {*_OF_NO_OTHER, *(remark.code for remark in model.resistance.remarks)}
+    others = (r for r in own.remarks if r.code not in anew)
     rest = [r.by(own.method) if own.method and r.code in against else r for r in others]
     resistance = model.resistance
     if own.resistance is not None:
