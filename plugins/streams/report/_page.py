@@ -237,8 +237,11 @@ def _reach(means: RealArray, maps: dict[str, FluxMap], axis: str) -> str:
     """How far the mean currents go along an axis, and the ripple beyond them, which the maps reach."""
     if not len(means):
         return ""
-    grids = [np.asarray(getattr(grid, f"i_{axis}")) for grid in maps.values()]
-    largest, ripple = float(np.abs(means[:, "dq".index(axis)]).max()), max(float(np.abs(grid).max()) for grid in grids)
+    column = "dq".index(axis)
+    known = [
+        np.asarray(getattr(grid, f"i_{axis}"))[np.isfinite(grid.psi_d).any(axis=1 - column)] for grid in maps.values()
+    ]
+    largest, ripple = (float(np.abs(currents).max()) for currents in (means[:, column], np.concatenate(known)))
     if ripple < 1.05 * largest:
         return ""
     held, reached = quantity(largest, "A", 2), quantity(ripple, "A", 2)
