@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration
@@ -25,8 +26,9 @@ def next_steps(material: Material) -> list[Line]:
 
 
 def _typed(material: Material) -> str:
-    """The run as a command of a shell takes it: by the path that was given."""
-    return shlex.quote(str(material.directory))
+    """The run as a command takes it from this folder; the name of one elsewhere, as a page does not tell its place."""
+    place, here = material.directory.resolve(), Path.cwd()
+    return shlex.quote(str(place.relative_to(here)) if place.is_relative_to(here) else place.name)
 
 
 def _about_map(material: Material) -> str:

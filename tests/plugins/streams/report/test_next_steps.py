@@ -38,6 +38,11 @@ def test_the_first_line_is_about_the_map(estimates: EstimationReport | None, tex
     assert about_model.text.startswith("not diagnosed: fluxbench diagnose runs/first names")
 
 
+def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
+    _, about_model = next_steps(Material(tmp_path / "a run", None, None, (), None, {}, Paths(), None, ()))
+    assert about_model.text.startswith("not diagnosed: fluxbench diagnose 'a run' names")
+
+
 @pytest.mark.parametrize(
     ("causes", "advice"),
     [
