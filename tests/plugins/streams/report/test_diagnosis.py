@@ -230,7 +230,7 @@ def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: 
     assert "0.4 % of its range (rms)" in text
     (folded,) = re.findall(r"<details>.*?</details>", page, flags=re.S)
     assert words_of(folded).split("decision ")[1].startswith("1 screen dead time 60000 of χ² 32 of χ² – tried 2 add")
-    assert "in 2 moves" in folded
+    assert "Steps of the search (2)" in folded
 
 
 def test_a_diagnosis_without_reasons_has_no_empty_list(page: str) -> None:
