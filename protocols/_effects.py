@@ -430,6 +430,15 @@ FORMER_HOOKS: Mapping[str, EffectHook] = MappingProxyType(
 """Former names of such methods, which effects may go on using, and today's."""
 
 
+def is_compensable(effect: Effect | type[Effect]) -> bool:
+    """Whether a drive can take an effect out of its readings and commands.
+
+    It can for what acts in the drive itself: sensors, delays, the bus, the inverter. An effect on another layer that it
+    can take out too, such as a wrong rotor angle, has `compensable = True`.
+    """
+    return bool(getattr(effect, "compensable", effect.layer <= EffectLayer.INVERTER))
+
+
 def hook_of(effect: Effect, hook: EffectHook) -> Callable[..., Any] | None:
     """The effect's own method of this name, or of its former name; None where it has neither."""
     names = (hook, *(former for former, today in FORMER_HOOKS.items() if today == hook))

@@ -101,6 +101,8 @@ class ModelEffect(Strict):
     twins: tuple[str, ...] = ()
     relative_size: Number
     log_evidence: Number
+    helps: bool | None = None
+    """Whether it helped when `add` put it in, on stages that were not fitted; null for an effect of the diagnosis."""
 
 
 class ModelNoise(Strict):

@@ -116,6 +116,8 @@ class Rung(Lenient):
     rms_v: Number
     heldout_rms_v: Number
     current_rms_a: Number
+    effects: tuple[str, ...] = ()
+    """All effects of this model: some, too small to be causes, are added without a rung of their own."""
 
 
 class ShapeShare(Lenient):
@@ -227,6 +229,8 @@ class Explanation(Lenient):
     verdict_record: VerdictRecord | None
     search: tuple[SearchEvent, ...]
     effects: tuple[EffectBasis, ...]
+    model_changes: tuple[str, ...] = ()
+    """What `add` and `remove` have changed in `model.json` since: "+ dead time (does not help)"."""
 
 
 class StageError(Lenient):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import MappingProxyType
 
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map, with_freed_map
@@ -22,7 +23,7 @@ from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.judgement.contributions import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.sufficiency import solvable
-from orchestrator.diagnosis.reporting.benefit import added_remark, removed_remark
+from orchestrator.diagnosis.reporting.benefit import added_remark, helps, removed_remark
 from orchestrator.diagnosis.reporting.delivery import delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
@@ -113,13 +114,11 @@ def _added(
         tell("is a finer map worth its freedom?")
         steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
     ladder = (*(saved.ladder[:-1] if saved is not None else ()), *kept_rungs(setup, steps))
-    report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out)
+    added = [(after.added, before.fit, after.fit) for before, after in pairwise(steps) if after.added is not None]
+    helping = {name: helps(before, after) for name, before, after in added}
+    report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
-    benefits = [
-        added_remark(after.added, before.fit, after.fit, found.get(after.added))
-        for before, after in pairwise(steps)
-        if after.added is not None
-    ]
+    benefits = [added_remark(name, before, after, found.get(name)) for name, before, after in added]
     return report.model_copy(update={"remarks": (*benefits, *report.remarks)})
 
 
@@ -243,6 +242,7 @@ def _keep_refit(
     ladder: Sequence[Rung],
     remarks: Sequence[Remark],
     out: Path | None,
+    helping: Mapping[str, bool] = MappingProxyType({}),
 ) -> AddReport:
     """Write the model to `model.json` and report on it; raises `StorageError`."""
     setup.fitter.tell("how sure is what was fitted?")
@@ -250,6 +250,9 @@ def _keep_refit(
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
     found = found_effects(setup.fitter, fit, evidence, twins)
     saved = kept_model(setup, fit, baseline, found, ladder)
+    earlier = {e.name: e.helps for e in before.effects} if before is not None else {}
+    effects = tuple(e.model_copy(update={"helps": helping.get(e.name, earlier.get(e.name))}) for e in saved.effects)
+    saved = saved.model_copy(update={"effects": effects})
     write_model(out or recording.path, saved)
     uncertainty = MapUncertainty.of(setup.fitter, fit)
     band_percent = 100.0 * uncertainty.band_wb(mean_currents(fit)) / rated_flux_wb(setup)

@@ -1,6 +1,6 @@
 """One pass of the estimators over a recording, and its results as files."""
 
-from orchestrator.estimation.delivery import deliver_model
+from orchestrator.estimation.delivery import deliver_model, estimate_of_map
 from orchestrator.estimation.estimation import estimate_recording
 from orchestrator.estimation.flux_map_file import flux_dataset, load_flux_map, save_flux_map
 from orchestrator.estimation.results import RECOMMENDED_MAP, has_estimates, load_estimates
@@ -8,6 +8,7 @@ from orchestrator.estimation.results import RECOMMENDED_MAP, has_estimates, load
 __all__ = [
     "RECOMMENDED_MAP",
     "deliver_model",
+    "estimate_of_map",
     "estimate_recording",
     "flux_dataset",
     "has_estimates",

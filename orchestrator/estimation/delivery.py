@@ -7,6 +7,8 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from orchestrator.analysis._checks import reference_flux_wb
 from orchestrator.estimation.flux_map_file import load_flux_map
 from orchestrator.estimation.judgement import inductances_of
@@ -18,6 +20,8 @@ from protocols import (
     EstimationReport,
     EstimatorsReport,
     FluxMap,
+    FluxMapEstimate,
+    FluxPoints,
     Manifest,
     MapChecks,
     MapReport,
@@ -97,6 +101,23 @@ def earlier_model(directory: Path, manifest: Manifest) -> tuple[FluxMap, Deliver
         return None
 
 
+def estimate_of_map(grid: FluxMap, report: EstimationReport | None, points_per_axis: int = 9) -> FluxMapEstimate:
+    """A map among the results as an estimator publishes its own, with all remarks where it is the recommended one.
+
+    The points that were measured are not kept with a map; some points of its grid stand for them.
+    """
+    axes = (np.asarray(axis) for axis in (grid.i_d, grid.i_q))
+    rows, columns = (np.unique(np.linspace(0, len(axis) - 1, points_per_axis).astype(int)) for axis in axes)
+    d, q = np.meshgrid(grid.i_d[rows], grid.i_q[columns], indexing="ij")
+    psi = np.stack([getattr(grid, name)[np.ix_(rows, columns)] for name in ("psi_d", "psi_q")], axis=-1)
+    known = np.isfinite(psi).all(axis=-1)
+    i_dq = np.stack([d[known], q[known]], axis=1).astype(np.float64)
+    points = FluxPoints(i_dq=i_dq, psi_dq=psi[known].astype(np.float64), segment=("",) * len(i_dq))
+    checks = report.maps[grid.method].checks if report is not None and grid.method in report.maps else MapChecks()
+    remarks = report.remarks if report is not None and report.method == grid.method else ()
+    return FluxMapEstimate(map=grid, points=points, checks=checks, remarks=remarks)
+
+
 def _digest(manifest: Manifest) -> str:
     """Of what the segments are and hold, as far as the manifest knows."""
     return sha256("\n".join(segment.model_dump_json() for segment in manifest.segments).encode()).hexdigest()
@@ -110,7 +131,8 @@ def _recommended(
     Crossings stay: they are the recording's, whichever map is made of it.
     """
     against = {check.remark.code for check in own.checks if not check.is_met}
-    others = (r for r in own.remarks if r.code not in _OF_NO_OTHER)
+    anew = {*_OF_NO_OTHER, *(remark.code for remark in model.resistance.remarks)}
+    others = (r for r in own.remarks if r.code not in anew)
     rest = [r.by(own.method) if own.method and r.code in against else r for r in others]
     resistance = model.resistance
     if own.resistance is not None:
@@ -140,6 +162,8 @@ def _of_the_estimators(directory: Path, method: str) -> tuple[EstimationReport, 
     """What the estimators alone found, and their maps by method; nothing where they did not run."""
     try:
         report = load_estimates(directory)
+        if report.estimators is None and report.model is not None:
+            return _NOTHING, {}
         own = EstimationReport(**{**_fields(report.estimators or report), "files": {}})
         names = [name for name in own.maps if name != method]
         return own, {name: load_flux_map(_map_file(directory, report, name)) for name in names}

@@ -64,7 +64,8 @@ def empty_figure(width: float = STYLE.width_in, height: float = STYLE.height_in)
 
 
 def bare(axes: Axes) -> Axes:
-    """Axes without the frame's upper and right side."""
+    """Axes without the frame's upper and right side, each tick with its whole number: no offset stands beside them."""
+    axes.ticklabel_format(useOffset=False)
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=STYLE.small_pt)
     return axes

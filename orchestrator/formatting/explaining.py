@@ -15,6 +15,9 @@ BASIS_HEAD = (
     "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "moves",
     "indistinguishable from",
 )  # fmt: skip
+LOG_EVIDENCE_SCALE = (
+    "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it, so that large values are usual"
+)
 _MAX_NAMES = 4
 """Effects of one step of the search that are written out."""
 

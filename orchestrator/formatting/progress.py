@@ -1,4 +1,4 @@
-"""Progress messages: on standard error at a terminal; in files and pipes results alone."""
+"""Progress messages: on standard error at a terminal; in files and pipes beside the results, and fewer of them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ from typing import TextIO
 
 from orchestrator.formatting.sentences import cut, for_output
 
+LINE_PERIOD_S = 1.0
+"""Least time between two steps at a terminal; an added effect is printed at once."""
+FILE_LINE_PERIOD_S = 10.0
+"""Least time between two steps in a file or pipe, and before the first one."""
+
 
 class Progress:
     """Prints the current step of a computation, with the time since its start.
@@ -16,11 +21,11 @@ class Progress:
     Parameters
     ----------
     where : TextIO, optional
-        Standard error by default. A file or pipe gets no progress lines.
+        Standard error by default.
     clock : callable, optional
         Seconds, of any origin.
     results : TextIO, optional
-        Output for `result` if `where` is no terminal; `where` by default.
+        Output if `where` is no terminal; `where` by default.
     """
 
     def __init__(
@@ -32,15 +37,15 @@ class Progress:
         self._where = sys.stderr if where is None else where
         self._results = self._where if results is None else results
         self._clock, self._began = clock, clock()
-        self._next = self._began
+        self._next = self._began if self._where.isatty() else self._began + FILE_LINE_PERIOD_S
 
     def __call__(self, text: str) -> None:
         now = self._clock()
-        # An added effect is printed at once; other steps at most once a second.
-        if not self._where.isatty() or (now < self._next and not text.startswith("+ ")):
+        on_terminal = self._where.isatty()
+        if now < self._next and not (on_terminal and text.startswith("+ ")):
             return
-        self._next = now + 1.0
-        self._print(f"{now - self._began:5.0f} s  {text}", self._where)
+        self._next = now + (LINE_PERIOD_S if on_terminal else FILE_LINE_PERIOD_S)
+        self._print(f"{now - self._began:5.0f} s  {text}", self._where if on_terminal else self._results)
 
     def result(self, text: str) -> None:
         """Print a result: at a terminal at once with the time, in a file or pipe as a plain line."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from orchestrator.formatting.names import parameter_words, plain, rung_name, symbol_of
 from orchestrator.formatting.quantities import (
     UNKNOWN,
     Scale,
     axes_percent,
+    duration,
     measured,
     number,
     percent,
@@ -24,6 +25,7 @@ from protocols import (
     ClosedForm,
     DiagnosisReport,
     DiagnosisStep,
+    EffectBasis,
     EstimationReport,
     EstimatorsReport,
     FoundEffect,
@@ -33,9 +35,14 @@ from protocols import (
     UsabilityCheck,
 )
 
+CHI2_MEANING = (
+    "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most in it, because the "
+    "noise averages out over their many samples."
+)
 UNDONE_BY = {"helps": None, "does_not_help": "remove", "needed": "add", "not_needed": None}
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
 BENEFITS = frozenset(UNDONE_BY)
+_ENDS = ["in the first segment", "in the last"]
 
 
 def resistance(estimate: ResistanceEstimate) -> str:
@@ -44,9 +51,12 @@ def resistance(estimate: ResistanceEstimate) -> str:
 
 
 def resistance_course(estimate: ResistanceEstimate) -> str:
-    """R_s at both ends of the recording, with the digits of R_s itself."""
+    """R_s at the first and the last reading, with the digits of R_s itself; a model has no readings, but segments."""
     scale = Scale.of(estimate.value_ohm, estimate.low, estimate.high, "ohm")
-    return f"{scale.quantity(estimate.first_ohm)} at the start, {scale.quantity(estimate.last_ohm)} at the end"
+    ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if estimate.readings else _ENDS
+    return ", ".join(
+        f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)
+    )
 
 
 def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:
@@ -86,17 +96,25 @@ def coefficient_rows(form: ClosedForm) -> list[tuple[str, ...]]:
 
 
 def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]:
-    """Ladder steps: the added effect, chi2, rms error fitted and held out, error of the simulated current."""
-    return [
-        (
-            rung_name(rung.added, k),
-            number(rung.chi2),
-            quantity(rung.rms_v, "V"),
-            quantity(rung.heldout_rms_v, "V"),
-            quantity(rung.current_rms_a, "A"),
+    """Ladder steps: the added effect, chi2, rms error fitted and held out, error of the simulated current.
+
+    A step that adds effects without a step of their own, because they are too small to be causes, names them too.
+    """
+    rows: list[tuple[str, ...]] = []
+    before = {rung.added for rung in ladder}
+    for k, rung in enumerate(ladder):
+        beside = [plain(name) for name in rung.effects if name not in before]
+        before.update(rung.effects)
+        rows.append(
+            (
+                rung_name(rung.added, k) + (f" (with {listed(beside)})" if beside else ""),
+                number(rung.chi2),
+                quantity(rung.rms_v, "V"),
+                quantity(rung.heldout_rms_v, "V"),
+                quantity(rung.current_rms_a, "A"),
+            )
         )
-        for k, rung in enumerate(ladder)
-    ]
+    return rows
 
 
 def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
@@ -127,14 +145,18 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
     ]
 
 
+def large_share_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
+    """A note where an effect's part of the error is above 100 %."""
+    text = (
+        "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
+        "whose R_s and map compensated a part of it"
+    )
+    return [text] if any((effect.share or 0.0) > 1.0 for effect in effects) else []
+
+
 def share_notes(report: DiagnosisReport) -> list[str]:
     """Notes on `share_rows`: parts above 100 %, and causes that are not material."""
-    notes = []
-    if any((effect.share or 0.0) > 1.0 for effect in (*report.effects, *report.minor)):
-        notes.append(
-            "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
-            "whose R_s and map compensated a part of it"
-        )
+    notes = large_share_notes((*report.effects, *report.minor))
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     if small and report.materiality is not None:
         flux, volts = percent(report.materiality.flux_percent), percent(report.materiality.voltage_percent)

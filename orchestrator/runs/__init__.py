@@ -2,7 +2,7 @@
 
 from orchestrator.runs._directory import RunDirectory, is_run, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
-from orchestrator.runs._opening import open_any, refuse_file, run_rows
+from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows
 from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
 
@@ -17,5 +17,6 @@ __all__ = [
     "private_directory",
     "provenance",
     "refuse_file",
+    "refuse_folder_of_runs",
     "run_rows",
 ]

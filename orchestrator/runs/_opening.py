@@ -19,9 +19,17 @@ def open_any(path: Path, *, keep: bool = False) -> Recording:
     if manifest.exists() and not manifest.is_file():
         raise RecordingError(str(manifest), "", "is not a plain file")
     if not is_run(path):
+        refuse_folder_of_runs(path)
         return open_recording(path)
     run = RunDirectory.open(path)
     return Recording(run.path, run.write_manifest() if keep else run.manifest())
+
+
+def refuse_folder_of_runs(path: Path) -> None:
+    """Raise `RecordingError` where a directory holds runs, and is none itself."""
+    if not is_run(path) and not (path / MANIFEST_NAME).exists() and any(path.glob("*/run.json")):
+        problem = f"a folder of runs, not a run; `fluxbench runs --folder {path}` lists them"
+        raise RecordingError(str(path), "", problem)
 
 
 def refuse_file(path: Path) -> None:

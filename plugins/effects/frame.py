@@ -28,6 +28,8 @@ class RotorMisalignment(BatchEffect):
     layer: ClassVar[EffectLayer] = EffectLayer.FRAME
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
     gauge: ClassVar[str] = "The angle is visible only through the assumed evenness in i_q."
+    compensable: ClassVar[bool] = True
+    """By the angle's offset in the drive."""
 
     class Parameters(EffectParameters):
         angle_rad: float = amplitude("rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6)

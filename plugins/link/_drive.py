@@ -15,7 +15,7 @@ from pydantic import Field
 
 from orchestrator.driving import DriveShell
 from plugins.link._claims import ENERGISED, require_memory, require_sound
-from plugins.link._errors import link_errors
+from plugins.link._errors import PROBE_HINT, link_errors
 from plugins.link._host import Host, fault_names, known_fault, refused, require_held, words
 from plugins.link._link import Link
 from plugins.link._machine import Machine, longest_capture, row_format
@@ -108,7 +108,7 @@ class LinkDrive(DriveShell):
         DriveRefused
             Another host has the drive armed, it speaks another version, or lacks an option.
         """
-        with link_errors("the drive's link"):
+        with link_errors("the drive's link", PROBE_HINT):
             port = self.open_port()
         self._link = Link(port, self._options.telemetry_period_s)
         self._host = host = Host(self._link, self._options.answer_timeout_s)

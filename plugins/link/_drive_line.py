@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 
+from plugins.link._errors import PROBE_HINT
 from plugins.link._line import Line
 from protocols import DriveFault, FaultCause
 
@@ -32,7 +33,7 @@ class DriveLine:
         try:
             self._line = Line(port, baud_rate)
         except OSError as error:
-            raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {error.strerror or error}") from None
+            raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {error.strerror or error}{PROBE_HINT}") from None
 
     def write_bytes(self, data: bytes) -> None:
         """Write; raises `DriveFault` where it does not go out."""

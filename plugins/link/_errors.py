@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import termios
 from collections.abc import Iterator
@@ -10,10 +11,12 @@ from typing import Any
 
 from protocols import DriveFault, FaultCause
 
+PROBE_HINT = "; `fluxbench probe` lists the drives on this machine's ports"
+
 
 @contextmanager
-def link_errors(where: str) -> Iterator[None]:
-    """Turn whatever a link's library raises into `DriveFault` (link_lost) that names the link.
+def link_errors(where: str, hint: str = "") -> Iterator[None]:
+    """Turn whatever a link's library raises into `DriveFault` (link_lost) that names the link, with a hint behind it.
 
     pyserial's errors are `OSError`, except for those that `termios` lets through; python-can has a
     base of its own, which is known only once it was imported.
@@ -21,8 +24,14 @@ def link_errors(where: str) -> Iterator[None]:
     try:
         yield
     except _raised_by_libraries() as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]
-        raise DriveFault(FaultCause.LINK_LOST, f"{where}: {reason}") from error
+        raise DriveFault(FaultCause.LINK_LOST, f"{where}: {_reason(error)}{hint}") from error
+
+
+def _reason(error: Exception) -> str:
+    """The error's first line; pyserial's without the system's error, which it repeats with its number."""
+    if isinstance(error, OSError) and error.errno and error.strerror and ": [Errno" in error.strerror:
+        return f"{error.strerror.partition(': [Errno')[0]}: {os.strerror(error.errno)}"
+    return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def _raised_by_libraries() -> tuple[type[Exception], ...]:

@@ -19,11 +19,13 @@ from protocols import (
     Diagnosed,
     DiagnosisStep,
     ExperimentProposed,
+    MapEstimated,
     Note,
     NotMeasuredError,
     PluginUse,
     Procedure,
     ProcedureError,
+    ResistanceEstimated,
     Stage,
     StageEntry,
     StageRun,
@@ -32,7 +34,7 @@ from protocols import (
 )
 
 if TYPE_CHECKING:
-    from orchestrator.diagnosis import InterimResult
+    from orchestrator.diagnosis import Diagnosis, InterimResult
 
 COMPARING = StageState("comparing", "compare")
 DIAGNOSING = StageState("diagnosing", "diagnose", after=COMPARING.name)
@@ -147,13 +149,27 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
         on_interim=waiting.keep,
         workers=workers_here(),
     )
-    if diagnosis.estimates is not None:
-        run.conclude(diagnosis.estimates)
+    publish_model(run, diagnosis)
     message = Diagnosed(round=run.appended, report=kept.report, words=kept.words)
     experiment = diagnosis.report.next_experiment
     if experiment is None:
         return message, None
     return message, ExperimentProposed(**experiment.model_dump(), round=run.appended, accepted=False)
+
+
+def publish_model(run: StageRun, diagnosis: Diagnosis) -> None:
+    """Hand over R_s and the map of the diagnosed model, which replace the estimators' where they are recommended."""
+    from orchestrator.estimation import estimate_of_map
+
+    estimates, delivery = diagnosis.estimates, diagnosis.delivery
+    if estimates is None:
+        return
+    run.conclude(estimates)
+    if delivery is not None and estimates.method == delivery.map.method:
+        if estimates.resistance is not None:
+            run.publish(ResistanceEstimated(estimate=estimates.resistance))
+        why = {"remarks": tuple(check.remark for check in estimates.checks)}
+        run.publish(MapEstimated(estimate=estimate_of_map(delivery.map, estimates).model_copy(update=why)))
 
 
 class _Waiting:

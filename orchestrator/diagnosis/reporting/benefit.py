@@ -24,12 +24,17 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
         The effect with its intervals; None for a freed map.
     """
     errors = _errors(before, after)
-    if _log_likelihood_gain(before, after) > _min_gain(after):
+    if helps(before, after):
         text = "{effect} helps: {of} {course}; noise alone leaves {noise}"
         return _remark("helps", text, name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
     why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""
     return _remark("does_not_help", "{effect} does not help: {of} {only}{course}" + why, name, errors)
+
+
+def helps(before: Fit, after: Fit) -> bool:
+    """Whether the fit with an effect predicts stages that were not fitted better than the fit without it."""
+    return _log_likelihood_gain(before, after) > _min_gain(after)
 
 
 def removed_remark(name: str, before: Fit, after: Fit) -> Remark:

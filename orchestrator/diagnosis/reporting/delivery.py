@@ -90,7 +90,7 @@ def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
         for k, piece in enumerate(fit.prepared.pieces)
         if piece.stage is not SegmentStage.GATES_OFF
     ]
-    text = "R_s is that of the whole model, the winding as warm as at the start"
+    text = "R_s is that of the whole model at 0 s, before any current warms the winding"
     remark = Remark.of("of_the_model", text)
     return ResistanceEstimate(
         value_ohm=value,

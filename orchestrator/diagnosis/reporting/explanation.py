@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from protocols import DiagnosisReport, EffectBasis, Explanation, SearchEvent
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS
+from orchestrator.formatting.names import plain
+from protocols import DiagnosisReport, EffectBasis, Explanation, MotorModel, SearchEvent
 
 
-def explanation_of(report: DiagnosisReport) -> Explanation:
-    """The verdict with its reasons, the search, and the evidence of each named effect."""
+def explanation_of(report: DiagnosisReport, model: MotorModel | None = None) -> Explanation:
+    """The verdict with its reasons, the search, and the evidence of each named effect.
+
+    Parameters
+    ----------
+    model : MotorModel, optional
+        The recording's model as it is now.
+    """
     return Explanation(
         recording=report.recording,
         verdict=report.verdict,
@@ -26,7 +34,20 @@ def explanation_of(report: DiagnosisReport) -> Explanation:
             )
             for effect in report.effects
         ),
+        model_changes=() if model is None else model_changes(report, model),
     )
+
+
+def model_changes(report: DiagnosisReport, model: MotorModel) -> tuple[str, ...]:
+    """Effects that were added to a diagnosed model since, or removed: ``+ dead time (does not help)``."""
+    rungs, record = report.ladder, report.verdict_record
+    before = (rungs[-1].effects if rungs else ()) or tuple(record.effect_widths if record is not None else ())
+    if {effect.name for effect in report.effects} - {*before, *MAP_RUNGS}:
+        return ()  # a file of an older version does not have them
+    names = [effect.name for effect in model.effects]
+    useless = {effect.name for effect in model.effects if effect.helps is False}
+    added = [f"+ {plain(n)}{' (does not help)' * (n in useless)}" for n in names if n not in before]
+    return (*added, *(f"− {plain(n)}" for n in before if n not in names))
 
 
 def _supports(event: SearchEvent, name: str) -> bool:

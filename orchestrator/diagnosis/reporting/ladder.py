@@ -59,6 +59,7 @@ def rung(step: AcceptedModel) -> Rung:
         rms_v=mean_rms_v(step.fit, training),
         heldout_rms_v=mean_rms_v(step.fit, held_out),
         current_rms_a=current_rms(step.fit),
+        effects=step.fit.model.names,
     )
 
 

@@ -152,7 +152,7 @@ def _add_best(fitter: Fitter, search: SearchResult, candidates: Library, rejecte
     if not shortlist:
         search.detected_not_named += _sub_threshold_effects(scores, fit)
         return False
-    fitter.tell(f"which is missing? {', '.join(plain(s.candidate.name) for s in shortlist)}")
+    fitter.under_way(f"which is missing? {', '.join(plain(s.candidate.name) for s in shortlist)}")
     trials = _refit_all(fitter, fit, shortlist)
     inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
     before = log_evidence(fit, inflation)

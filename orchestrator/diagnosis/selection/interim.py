@@ -35,16 +35,21 @@ class InterimResult:
         chi2 per degree of freedom.
     is_part : bool
         Whether only a part of the recording was fitted.
+    fitted_together : int
+        Effects of a joint fit, of which `effects` are those that the data clearly require; 0 in a search one by one.
     """
 
     effects: tuple[str, ...]
     verdict: Verdict
     chi2: float
     is_part: bool
+    fitted_together: int = 0
 
     @property
     def sentence(self) -> str:
         """The result in plain English, on one line."""
+        if self.fitted_together and not self.effects:
+            return f"so far: {self.fitted_together} effects fitted together, none named yet (chi2 {number(self.chi2)})"
         first, more = self.effects[:MAX_NAMES], len(self.effects) - MAX_NAMES
         names = ", ".join(plain(name) for name in first) + (f" and {more} more" if more > 0 else "")
         data = "the part of the recording that was searched" if self.is_part else "the recording"
@@ -114,7 +119,8 @@ class InterimRecorder:
         self.checkpoint = Checkpoint(setup, tuple(first), snapshot, is_part, is_joint)
         before, fit = search.steps[0].fit, search.fit
         names = _clear_effects(fit) if is_joint else _causes(search)
-        result = InterimResult(names, fitted_verdict(before, fit), fit.chi2_per_dof, is_part)
+        together = len(fit.model.names) if is_joint else 0
+        result = InterimResult(names, fitted_verdict(before, fit), fit.chi2_per_dof, is_part, together)
         answer = (set(names), result.verdict, is_part)
         if answer != self._last_answer:
             self._last_answer = answer

@@ -13,6 +13,7 @@ from orchestrator.flux_maps.exporting._motulator_script import motulator_file
 from orchestrator.flux_maps.exporting._numeric_files import csv_file, netcdf_file, npz_file
 from orchestrator.flux_maps.exporting._products import FileContent, Products
 from orchestrator.flux_maps.exporting._simulator_tables import ltspice_file, modelica_file, plecs_file
+from orchestrator.formatting.sentences import listed
 from orchestrator.recording import replace_file
 from protocols import FluxMap, InputError, Motor, StorageError, Strict
 
@@ -76,6 +77,14 @@ class ExportReport(Strict):
     notes: tuple[str, ...]
 
 
+def _suggestion(name: str) -> str:
+    """The formats that an unknown name may mean; empty where it resembles none."""
+    if get_close_matches(name.lower(), ["matlab"]):
+        return f"MATLAB reads {listed([key for key, text in FORMATS.items() if text.startswith('MATLAB')])}; "
+    close = get_close_matches(name, FORMATS, 1)
+    return f"did you mean {close[0]}? " if close else ""
+
+
 def export_map(
     flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str] | None = None, *, recording: str = ""
 ) -> ExportReport:
@@ -104,9 +113,7 @@ def export_map(
     """
     for name in formats or ():
         if name not in FORMATS:
-            close = get_close_matches(name, FORMATS, 1)
-            hint = f"; did you mean {close[0]}?" if close else ""
-            raise InputError("export", name, f"no such format{hint} There are {', '.join(FORMATS)}")
+            raise InputError("export", name, f"no such format; {_suggestion(name)}there are {', '.join(FORMATS)}")
     products = Products(flux_map, motor, recording)
     contents, omitted = _contents(products, formats)
     try:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection, Sequence
+from difflib import get_close_matches
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from orchestrator.interface.api.threads import one_thread
-from orchestrator.recording import read_model
+from orchestrator.recording import has_model, read_model
 from orchestrator.registry.plugins import PluginKind, load_effects_file, make_plugins
-from orchestrator.runs import open_any, refuse_file
+from orchestrator.runs import open_any, refuse_file, refuse_folder_of_runs
 from protocols import (
     AddReport,
     CompareReport,
@@ -36,6 +37,8 @@ Place = str | PathLike[str]
 """A run or recording: its directory, or `Measurements`."""
 Model = Place | FluxMap | MotorModel
 """``saturated``, ``linear``, a flux map or a motor model, or the file of either."""
+BASELINES = ("linear", "saturated")
+"""The model before any effect: constant inductances of the nameplate, or a free map."""
 Effects = Place | Sequence[Effect]
 """Candidates beside the installed effects: a Python file, or the effects themselves."""
 
@@ -179,8 +182,11 @@ def explain(place: Place) -> Explanation:
         raise InputError(str(path), "", "no such directory")
     diagnosis = load_diagnosis(path)
     if diagnosis is None:
+        refuse_folder_of_runs(path)
+        if not any((path / name).is_file() for name in ("run.json", "recording.json")):
+            raise InputError(str(path), "", "neither a run nor a recording, and has no diagnosis")
         raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
-    return explanation_of(diagnosis.report)
+    return explanation_of(diagnosis.report, read_model(path) if has_model(path) else None)
 
 
 @one_thread()
@@ -247,10 +253,14 @@ def chosen_model(choice: Model | None) -> ModelChoice | None:
     if choice is None or isinstance(choice, FluxMap | MotorModel):
         return choice
     path = Path(choice)
-    if str(path) in ("linear", "saturated"):
+    if str(path) in BASELINES:
         return str(path)
     from orchestrator.flux_maps import load_map
 
+    if not path.suffix and not path.exists():
+        close = get_close_matches(str(path), BASELINES, 1)
+        hint = f"; did you mean '{close[0]}'?" if close else "; a file ends in .nc, .csv, .npz, .mat, .json or .yaml"
+        raise InputError(str(path), "", f"neither {', '.join(BASELINES)} nor a file{hint}")
     return read_model(path) if path.suffix == ".json" else load_map(path)
 
 

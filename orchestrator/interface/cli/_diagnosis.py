@@ -13,6 +13,7 @@ from orchestrator.formatting.progress import Progress
 from orchestrator.formatting.quantities import number, quantity
 from orchestrator.formatting.results import (
     BENEFITS,
+    CHI2_MEANING,
     benefit_line,
     ladder_rows,
     parameter_rows,
@@ -120,9 +121,10 @@ def _print_comparison(report: CompareReport) -> None:
         for stage in report.stages
     ]
     say_table(("stage", "rms error", "chi2", "current error"), rows)
+    say(CHI2_MEANING)
     say(f"noise floor {quantity(report.noise_floor.rms_v, 'V')}, chi2 over all {number(report.chi2)}")
     worst = [(w.segment, quantity(w.i_d_a, "A"), quantity(w.i_q_a, "A"), quantity(w.rms_v, "V")) for w in report.worst]
-    say_table(("worst", "i_d", "i_q", "rms error"), worst)
+    say_table(("worst", "mean i_d", "mean i_q", "rms error"), worst)
     say_notes(report.notes)
 
 
@@ -167,6 +169,7 @@ def _print_refit(report: AddReport, path: Path, as_json: bool) -> None:
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
     say_table(("model", "chi2", "rms error", "held out", "current error"), ladder_rows(report.ladder))
-    rows = [(effect.name, *row) for effect in report.effects for row in parameter_rows(effect)]
+    immaterial = report.minor if isinstance(report, DiagnosisReport) else ()
+    rows = [(effect.name, *row) for effect in (*report.effects, *immaterial) for row in parameter_rows(effect)]
     if rows:
         say("", text_table(("effect", "parameter", "value", "95 %"), rows, numbers=False))

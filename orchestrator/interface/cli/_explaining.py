@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.formatting.explaining import BASIS_HEAD, SEARCH_HEAD, basis_rows, search_rows
+from orchestrator.formatting.explaining import BASIS_HEAD, LOG_EVIDENCE_SCALE, SEARCH_HEAD, basis_rows, search_rows
 from orchestrator.formatting.names import VERDICTS, plain
+from orchestrator.formatting.results import large_share_notes
 from orchestrator.interface import api
-from orchestrator.interface.cli._output import say, say_document, say_wide_table
+from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
 from protocols import Explanation
 
 
@@ -26,9 +27,12 @@ def _print(explanation: Explanation) -> None:
     say(*(f"  {reason.sentence}" for reason in explanation.reasons))
     if not explanation.reasons:
         say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")
+    if explanation.model_changes:
+        say(f"  model.json was changed since: {', '.join(explanation.model_changes)}")
     if explanation.search:
         say("", "steps of the search (chi2 per degree of freedom, before → after):")
         say_wide_table(SEARCH_HEAD, search_rows(explanation.search))
     if explanation.effects:
         say("evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
+        say_notes((*large_share_notes(explanation.effects), LOG_EVIDENCE_SCALE))

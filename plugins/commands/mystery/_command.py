@@ -85,7 +85,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         _print_line(f"{path} is a motor with something hidden in it, or nothing. Look at it:")
         _print_line(f"  fluxbench compare {path}")
         _print_line(f"  fluxbench diagnose {path}")
-        _print_line("and say what it is, by the names that `fluxbench plugins` lists as effects:")
+        _print_line("and say what it is, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
     return 0
@@ -146,7 +146,9 @@ def _print_verdict(verdict: Verdict) -> None:
     if verdict.complete:
         _print_line("That is all there is." if verdict.right else "Right: nothing is hidden in this motor.")
     elif verdict.still_hidden:
-        _print_line(f"{verdict.still_hidden} {'more is' if verdict.still_hidden == 1 else 'more are'} hidden.")
+        more = " more" if verdict.right else ""
+        hidden = f"{verdict.still_hidden}{more} {'is' if verdict.still_hidden == 1 else 'are'} hidden."
+        _print_line(hidden if verdict.right or verdict.wrong else f"nothing: wrong; {hidden}")
 
 
 def _off(ratio: float | None) -> str:

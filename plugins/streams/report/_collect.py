@@ -12,7 +12,7 @@ import numpy as np
 
 from orchestrator.estimation import load_estimates, load_flux_map
 from orchestrator.numerics.frames import to_dq
-from orchestrator.recording import Recording, open_recording
+from orchestrator.recording import Recording, has_model, open_recording, read_model
 from orchestrator.runs import Journal, JournalRecord, RunDirectory, RunRecord
 from protocols import (
     EstimationReport,
@@ -68,6 +68,8 @@ class Material:
     diagnosis: SavedDiagnosis | None
     problems: tuple[str, ...]
     """What could not be read, one line each."""
+    model_changes: tuple[str, ...] = ()
+    """Effects that were added to `model.json` since the diagnosis, or removed."""
 
     @property
     def ended(self) -> RunEnded | None:
@@ -105,7 +107,7 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
     if not is_worth_a_report(directory):
         raise RecordingError(str(directory), "", "neither run.json nor recording.json is there: nothing to report on")
     # Its kernels take a second to import, and the stream is loaded when a run begins.
-    from orchestrator.diagnosis import load_diagnosis
+    from orchestrator.diagnosis import load_diagnosis, model_changes
 
     problems: list[str] = []
 
@@ -138,9 +140,12 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
         paths = attempt(lambda: _paths(recording, achieved, problems), wanted=reads_paths)
     manifest = None if recording is None else recording.manifest
     diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
+    model = attempt(lambda: read_model(directory), wanted=has_model(directory))
+    changes = model_changes(diagnosis.report, model) if diagnosis is not None and model is not None else ()
     problems += _notes_after_the_end(journal)
+    shown = paths or Paths()
     return Material(
-        directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), diagnosis, tuple(problems)
+        directory, manifest, record, tuple(journal), estimates, maps, shown, diagnosis, tuple(problems), changes
     )
 
 

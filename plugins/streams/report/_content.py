@@ -211,9 +211,13 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
 
 
 def events(material: Material) -> list[Event]:
-    """What the journal says beside single points, the oldest first."""
-    described = ((entry.t, describe(entry.message)) for entry in material.journal)
-    return [Event(_clock(t), event.subject, event.text, event.mood) for t, event in described if event is not None]
+    """What the journal says beside single points, the oldest first; the same twice on end is one event."""
+    found: list[Event] = []
+    for entry in material.journal:
+        event = describe(entry.message)
+        if event is not None and (not found or (event.subject, event.text) != (found[-1].kind, found[-1].text)):
+            found.append(Event(_clock(entry.t), event.subject, event.text, event.mood))
+    return found
 
 
 def _outcome(material: Material) -> Line:

@@ -44,10 +44,11 @@ def ladder_rows(diagnosis: SavedDiagnosis) -> Rows:
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
     """Every parameter of every effect, with its interval and the effects that are indistinguishable from it."""
     rows: Rows = []
-    for effect in diagnosis.report.effects:
+    for effect in (*diagnosis.report.effects, *diagnosis.report.minor):
         about = (number(effect.relative_size, 3), listed([plain(twin) for twin in effect.twins]) or "nothing")
+        name = plain(effect.name) + (" (immaterial)" if effect in diagnosis.report.minor else "")
         first, *others = parameter_rows(effect)
-        rows += [(plain(effect.name), *first, *about), *(("", *row, "", "") for row in others)]
+        rows += [(name, *first, *about), *(("", *row, "", "") for row in others)]
     return rows
 
 

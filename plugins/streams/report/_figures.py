@@ -55,14 +55,16 @@ def paths_figure(paths: Paths) -> str:
     return uri(figure)
 
 
-def flux_figure(maps: dict[str, FluxMap], axis: str) -> str:
+def flux_figure(maps: dict[str, FluxMap], axis: str, reached: RealArray | None = None) -> str:
     """psi_d over i_d for several i_q (axis "d"), or psi_q over i_q for several i_d (axis "q").
 
-    Fluxes count from the one at zero current, as in the paper; the band is 95 %.
+    Fluxes count from the one at zero current, as in the paper; the band is 95 %. `reached` are currents of the other
+    axis that were held while it was measured.
     """
     figure, axes = new_figure()
     other = "q" if axis == "d" else "d"
-    held = held_currents(maps.values(), other)
+    held = held_currents(maps.values(), other, reached)
+    line = BASIS_LINES.get(next(iter(maps.values())).basis, ":")
     for value, colour in zip(held, _colours_of(held), strict=True):
         for grid in maps.values():
             current, flux, std = profile(grid, f"psi_{axis}", axis, value)
@@ -70,7 +72,7 @@ def flux_figure(maps: dict[str, FluxMap], axis: str) -> str:
             axes.plot(current, flux, BASIS_LINES.get(grid.basis, ":"), color=colour, lw=1.5)
             if grid.basis is not Basis.INTEGRATION:
                 axes.fill_between(current, flux - 1.96e3 * std, flux + 1.96e3 * std, color=colour, alpha=0.2, lw=0)
-        axes.plot([], [], "-", color=colour, label=_amperes(value, held))
+        axes.plot([], [], line, color=colour, label=_amperes(value, held))
     name_axes(axes, CURRENT_LABELS[axis], rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")
     axes.legend(title=f"held $i_{other}$", frameon=False, fontsize=STYLE.small_pt, title_fontsize=STYLE.small_pt)
     return uri(figure)
@@ -152,15 +154,17 @@ def resistance_figure(
     return uri(figure)
 
 
-def held_currents(maps: Iterable[FluxMap], axis: str) -> tuple[float, ...]:
+def held_currents(maps: Iterable[FluxMap], axis: str, reached: RealArray | None = None) -> tuple[float, ...]:
     """Up to five currents of an axis to draw curves for: zero, both ends and the middles between.
 
-    They lie on the first map's grid, so that its curves are the file's own numbers.
+    They are among those that were reached, where these are given and in the map, else nodes of the first map's grid.
     """
     first = next(iter(maps))
     grid = np.asarray(getattr(first, f"i_{axis}"))
     known = np.isfinite(first.psi_d).any(axis=1 if axis == "d" else 0)
     usable = grid[known] if known.any() else grid
+    if reached is not None and np.ptp(reached) > 0.1 * np.ptp(usable):  # else it was held at zero, but for noise
+        usable = np.sort(np.append(reached[(reached >= usable[0]) & (reached <= usable[-1])], 0.0))
     wanted = np.array([usable[0], usable[0] / 2, 0.0, usable[-1] / 2, usable[-1]])
     nearest = usable[np.abs(usable[:, None] - wanted).argmin(axis=0)]
     return tuple(float(value) for value in np.unique(nearest))
@@ -168,7 +172,7 @@ def held_currents(maps: Iterable[FluxMap], axis: str) -> tuple[float, ...]:
 
 def _amperes(value: float, among: Sequence[float]) -> str:
     """A held current to the digits that the largest among them needs."""
-    rounded = round(value, decimals_of(max(map(abs, among)), 2))
+    rounded = round(value, decimals_of(max(map(abs, among)), 3))
     return f"{rounded:+.6g} A".replace("-", "−") if rounded else "0 A"
 
 

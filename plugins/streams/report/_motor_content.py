@@ -26,7 +26,8 @@ def motor_lines(material: Material) -> Iterator[Line]:
     """Label and text; nothing of what was not measured."""
     report, motor = material.estimates, motor_of(material)
     if report is not None and report.resistance is not None:
-        yield Line("R_s", resistance(report.resistance))
+        of_model = any(remark.code == "model.of_the_model" for remark in report.resistance.remarks)
+        yield Line("R_s", resistance(report.resistance) + (" at 0 s, by the model" if of_model else ""))
         ambient_c = None if material.record is None else material.record.procedure.about.ambient_c
         yield Line("R_s at 20 °C", _at_20_c(report.resistance, ambient_c))
         yield Line("R_s over the run", resistance_course(report.resistance))

@@ -1,21 +1,38 @@
-"""What to do now, in two lines: with the map, and about what the model misses."""
+"""What to do now, in two or three lines: with the map, with a changed model, and about what the model misses."""
 
 from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
 
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration
 from orchestrator.formatting.sentences import listed, typographic
+from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line
+from protocols import PluginError, is_compensable
 
 
 def next_steps(material: Material) -> list[Line]:
-    """One line on the map, one on the diagnosis."""
-    return [Line("The map", _about_map(material)), Line("The model", _about_model(material))]
+    """One line on the map, one on the diagnosis; between them the changes of the model since."""
+    lines = [Line("The map", _about_map(material)), Line("The model", _about_model(material))]
+    if material.model_changes:
+        changes = ", ".join(material.model_changes)
+        text = f"model.json was changed since the diagnosis: {changes}. R_s and the map are of model.json; ladder and "
+        lines.insert(1, Line("Changed", text + "effects are of the diagnosis."))
+    return lines
+
+
+def _typed(material: Material) -> str:
+    """The run as a command takes it from this folder; the name of one elsewhere, as a page does not tell its place."""
+    place, here = material.directory.resolve(), Path.cwd()
+    return shlex.quote(str(place.relative_to(here)) if place.is_relative_to(here) else place.name)
 
 
 def _about_map(material: Material) -> str:
-    report, run = material.estimates, material.directory.resolve().name
+    report, run = material.estimates, _typed(material)
     if report is None:
         return f"none yet: fluxbench estimate {run} makes it."
     if report.usable and "flux_map" in report.files:
@@ -25,7 +42,7 @@ def _about_map(material: Material) -> str:
 
 
 def _about_model(material: Material) -> str:
-    run = material.directory.resolve().name
+    run = _typed(material)
     if material.diagnosis is None:
         return f"not diagnosed: fluxbench diagnose {run} names what it misses."
     report = material.diagnosis.report
@@ -40,9 +57,24 @@ def _about_model(material: Material) -> str:
         case "clean":
             return "nothing is missing in it."
         case "explained":
-            causes = listed([plain(effect.name) for effect in report.effects])
-            return (
-                f"nothing is left to measure; compensate {causes} in the drive, or use model.json, which includes that."
-            )
+            return f"nothing is left to measure; {_remedy([effect.name for effect in report.effects])}."
         case _:
             return f"{typographic(material.diagnosis.words.to_decide)}."
+
+
+def _remedy(causes: Sequence[str]) -> str:
+    """Compensation in the drive for those causes that allow it, and the model for all."""
+    in_drive = [plain(name) for name in causes if _is_compensable(name)]
+    others = [plain(name) for name in causes if not _is_compensable(name)]
+    if not others:
+        return f"compensate {listed(in_drive)} in the drive, or use model.json, which includes that"
+    rest = f"use model.json for {listed(others)}, which no drive compensates"
+    return f"compensate {listed(in_drive)} in the drive, and {rest}" if in_drive else rest
+
+
+def _is_compensable(name: str) -> bool:
+    """As the installed effect states it; not of one's own effect, nor of a part of the map."""
+    try:
+        return is_compensable(load_plugin(PluginKind.EFFECTS, name))
+    except PluginError:
+        return False

@@ -13,7 +13,7 @@ from orchestrator.flux_maps.exporting import Trajectory, mtpa, mtpv
 from orchestrator.formatting.drawing import BASIS_LINES
 from orchestrator.formatting.explaining import accuracy_sentences, search_rows
 from orchestrator.formatting.names import MAP_QUANTITIES, VERDICTS, plain, slots
-from orchestrator.formatting.quantities import percent
+from orchestrator.formatting.quantities import percent, quantity
 from orchestrator.formatting.sentences import cut, typographic, visible
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
@@ -25,7 +25,7 @@ from plugins.streams.report._content import Picture
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
 from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
 from plugins.streams.report._next_steps import next_steps
-from protocols import Basis, FluxbenchError, FluxMap, Motor
+from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray
 
 FILE_NAME = "report.html"
 INDUCTANCES = {
@@ -150,7 +150,10 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
         if not known:
             yield Picture(title, "Not drawn: no flux map was made.")
         else:
-            yield Picture(title, _methods_in_words(known), figures.flux_figure(known, axis))
+            means = material.paths.injection
+            held = means[:, "dq".index(other)] if len(means) else None
+            caption = _methods_in_words(known) + _reach(means, known, axis)
+            yield Picture(title, caption, figures.flux_figure(known, axis, held))
     yield _difference_picture(material)
     for name, title in INDUCTANCES.items():
         if main is None or not np.isfinite(getattr(main, name)).any():
@@ -228,6 +231,21 @@ def _methods_in_words(maps: dict[str, FluxMap]) -> str:
         dotted = f" Dotted: {', '.join(others)}." if others else ""
         return f"Dashed: classical, solid: injection, with its 95 % band.{dotted} Counted from zero current."
     return f"By {', '.join(maps)} alone. Counted from zero current."
+
+
+def _reach(means: RealArray, maps: dict[str, FluxMap], axis: str) -> str:
+    """How far the mean currents go along an axis, and the ripple beyond them, which the maps reach."""
+    if not len(means):
+        return ""
+    column = "dq".index(axis)
+    known = [
+        np.asarray(getattr(grid, f"i_{axis}"))[np.isfinite(grid.psi_d).any(axis=1 - column)] for grid in maps.values()
+    ]
+    largest, ripple = (float(np.abs(currents).max()) for currents in (means[:, column], np.concatenate(known)))
+    if ripple < 1.05 * largest:
+        return ""
+    held, reached = quantity(largest, "A", 2), quantity(ripple, "A", 2)
+    return f" i_{axis} was held at up to {held}; with the ripple it reached {reached}."
 
 
 def _files(material: Material) -> list[str]:

@@ -8,13 +8,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from orchestrator.estimation import load_estimates
 from orchestrator.formatting.quantities import UNKNOWN, number
 from orchestrator.formatting.sentences import text_table
 from orchestrator.runs import RunDirectory
 from orchestrator.validation.plain_files import read_bytes
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole
-from protocols import Diagnosed, FluxbenchError, Message, PointDone, RunEnded
+from protocols import Diagnosed, EstimationReport, FluxbenchError, Message, PointDone, RunEnded
 
 DATASET = "runs"
 COLUMNS = ("run", "created", "motor", "drive", "points", "outcome", "r_s_ohm", "map_by", "usable", "verdict", "view")
@@ -41,11 +42,19 @@ def row(path: Path) -> dict[str, Any]:
     cells |= {"created": record.created, "motor": record.procedure.motor.name, "drive": record.procedure.drive.name}
     cells |= {"points": sum(isinstance(m, PointDone) for m in messages)}
     cells["outcome"] = "unfinished" if ended is None else ended.outcome
-    if ended is not None and ended.estimates is not None:
-        found = ended.estimates
+    found = _estimates(path) or (None if ended is None else ended.estimates)
+    if found is not None:
         value = None if found.resistance is None else found.resistance.value_ohm
         cells |= {"r_s_ohm": value, "map_by": found.method, "usable": found.usable}
     return cells | {"verdict": _verdict(path, messages)}
+
+
+def _estimates(path: Path) -> EstimationReport | None:
+    """Those of ``results/estimates.json``, which are the newest; None where it has none."""
+    try:
+        return load_estimates(path)
+    except FluxbenchError:
+        return None
 
 
 def _verdict(path: Path, messages: Sequence[Message]) -> Any:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.diagnosis import load_diagnosis
-from orchestrator.estimation import load_estimates, load_flux_map
+from orchestrator.estimation import estimate_of_map, load_estimates, load_flux_map
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, RunDirectory, is_run
@@ -19,19 +19,13 @@ from protocols import (
     Diagnosed,
     EstimationReport,
     FluxbenchError,
-    FluxMap,
-    FluxMapEstimate,
-    FluxPoints,
     Limits,
-    MapChecks,
     MapEstimated,
     Message,
     Note,
     PointDone,
     PointStarted,
-    RealArray,
     RecordingError,
-    Remark,
     ResistanceEstimated,
     RunEnded,
     RunStarted,
@@ -61,8 +55,9 @@ def _of_run(directory: Path) -> Iterator[Message]:
         message = record.message
         if isinstance(message, PointDone):
             yield from _samples(recording, message.segment)
-        if number == ended:
+        if number == ended and isinstance(message, RunEnded):
             yield from _results(directory)
+            message = message.model_copy(update={"estimates": _report(directory) or message.estimates})
         yield message
     if ended == len(journal):
         yield from _results(directory)
@@ -147,15 +142,7 @@ def _maps(directory: Path) -> Iterator[Message]:
         except FluxbenchError as error:
             yield Note(level="warning", text=str(error))
             continue
-        i_dq, psi_dq = _grid_points(grid)
-        points = FluxPoints(i_dq=i_dq, psi_dq=psi_dq, segment=("",) * len(i_dq))
-        checks = MapChecks()
-        remarks: tuple[Remark, ...] = ()
-        if report is not None and grid.method in report.maps:
-            checks = report.maps[grid.method].checks
-        if report is not None and report.method == grid.method:
-            remarks = report.remarks
-        yield MapEstimated(estimate=FluxMapEstimate(map=grid, points=points, checks=checks, remarks=remarks))
+        yield MapEstimated(estimate=estimate_of_map(grid, report))
 
 
 def _report(directory: Path) -> EstimationReport | None:
@@ -164,15 +151,6 @@ def _report(directory: Path) -> EstimationReport | None:
         return load_estimates(directory)
     except RecordingError:
         return None
-
-
-def _grid_points(grid: FluxMap) -> tuple[RealArray, RealArray]:
-    """Some points of a map's grid, where the points that were measured are not kept."""
-    rows, columns = (np.unique(np.linspace(0, len(axis) - 1, 9).astype(int)) for axis in (grid.i_d, grid.i_q))
-    d, q = np.meshgrid(grid.i_d[rows], grid.i_q[columns], indexing="ij")
-    psi = np.stack([getattr(grid, name)[np.ix_(rows, columns)] for name in ("psi_d", "psi_q")], axis=-1)
-    known = np.isfinite(psi).all(axis=-1)
-    return np.stack([d[known], q[known]], axis=1).astype(np.float64), psi[known].astype(np.float64)
 
 
 def _reached_limits(recording: Recording, segments: Sequence[Segment]) -> Limits:

@@ -10,14 +10,15 @@ from orchestrator.formatting.explaining import search_lines
 from orchestrator.formatting.names import PAPER_CROSSINGS, slots
 from orchestrator.formatting.quantities import UNKNOWN, percent
 from orchestrator.formatting.results import resistance, resistance_course
-from orchestrator.formatting.sentences import markdown_table, one_line, visible
+from orchestrator.formatting.sentences import markdown_table, one_line, typographic, visible
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate, SearchEvent
 
 
 def page(path: str, when: When, text: str) -> Entry:
-    """A page of Markdown."""
-    return entry(path, when, rr.TextDocument(visible(text), media_type=rr.MediaType.MARKDOWN), array_bytes=len(text))
+    """A page of Markdown, its sentences in printed characters."""
+    text = visible(typographic(text))
+    return entry(path, when, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), array_bytes=len(text))
 
 
 def resistance_page(estimate: ResistanceEstimate) -> str:
@@ -47,8 +48,7 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
     ]
     if lock is not None:
         parts.append(f"**Rotor:** {one_line(lock.summary)}")
-    for one in maps.values():
-        parts += [f"- {one_line(remark.text)}" for remark in one.remarks]
+    parts += dict.fromkeys(f"- {one_line(remark.text)}" for one in maps.values() for remark in one.remarks)
     return "\n\n".join(parts)
 
 
@@ -61,7 +61,7 @@ def words_page(words: DiagnosisWords, reasons: Sequence[str] = ()) -> str:
 
 def search_page(events: Sequence[SearchEvent]) -> str:
     """The moves of a search, a line each."""
-    return "\n\n".join(["## What the search tried", *(one_line(line) for line in search_lines(events))])
+    return "\n\n".join(["## Steps of the search", *(one_line(line) for line in search_lines(events))])
 
 
 def _axes(value: AxisPercent | None) -> tuple[str, str]:

@@ -23,7 +23,8 @@ from protocols import (
 from tests.orchestrator.analysis.test_checks import exact_map
 from tests.orchestrator.estimation.made_up import RECORDING, Resistance, Ripples, Sweeps
 
-R_S = ResistanceEstimate(value_ohm=4.1, low=4.09, high=4.11, first_ohm=4.1, last_ohm=4.3)
+REMARK = Remark(code="model.of_the_model", text="model: R_s is that of the whole model")
+R_S = ResistanceEstimate(value_ohm=4.1, low=4.09, high=4.11, first_ohm=4.1, last_ohm=4.3, remarks=(REMARK,))
 ALL: list[Estimator] = [Resistance(), Sweeps(), Ripples()]
 MOTOR = RECORDING.manifest.motor
 AGAINST = (Remark.of("unexplained", "the model leaves {left_percent:.2g} % unexplained", left_percent=3.0),)
@@ -79,6 +80,7 @@ def test_a_model_is_delivered_where_no_estimator_was_asked(tmp_path: Path) -> No
     report = deliver(tmp_path)
     assert (report.method, report.usable, report.estimators) == ("model", True, None)
     assert {path.name for path in (tmp_path / "results").iterdir()} == {"flux_map.nc", "estimates.json"}
+    assert deliver(tmp_path, scale=1.5).reasons == report.reasons
 
 
 def test_a_new_pass_of_the_estimators_leaves_the_model_in_its_place(tmp_path: Path) -> None:

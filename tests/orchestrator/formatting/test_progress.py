@@ -1,4 +1,4 @@
-"""A terminal shows the current step at most once a second; files and pipes get results alone."""
+"""A terminal shows the current step at most once a second; files and pipes every ten seconds."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ def test_an_added_effect_is_printed_at_once() -> None:
     ]
 
 
-def test_a_file_gets_nothing() -> None:
-    assert printed(StringIO(), [(0.0, "one"), (2.0, "+ dead time")]) == []
+def test_a_file_gets_a_step_every_ten_seconds_with_the_time_that_is_left() -> None:
+    steps = [(0.0, "one"), (2.0, "+ dead time"), (11.0, "search (some 30 s more)"), (12.0, "three"), (21.5, "four")]
+    assert printed(StringIO(), steps) == ["search (some 30 s more)", "four"]
 
 
 def test_a_result_is_printed_at_once_at_a_terminal() -> None:

@@ -6,8 +6,16 @@ from typing import Any
 
 import pytest
 
-from orchestrator.formatting.results import benefit_line, parameter_rows, share_notes
-from protocols import FoundEffect, Materiality, ParameterValue, Remark
+from orchestrator.formatting.results import benefit_line, ladder_rows, parameter_rows, resistance_course, share_notes
+from protocols import (
+    FoundEffect,
+    Materiality,
+    ParameterValue,
+    Remark,
+    ResistanceEstimate,
+    ResistanceReading,
+    Rung,
+)
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -32,6 +40,26 @@ def test_sizes_and_what_they_mean_for_the_drive_are_listed_and_the_rest_is_count
         ("dead time", "148 ns", "130 to 167"),
         ("its form", "2 more parameters in model.json", ""),
     ]
+
+
+def test_a_step_of_the_ladder_names_effects_that_have_no_step_of_their_own() -> None:
+    def step(added: str | None, *effects: str) -> Rung:
+        return Rung(added=added, chi2=1.0, rms_v=0.1, heldout_rms_v=None, current_rms_a=None, effects=effects)
+
+    offset, small = "current_offset", "eddy_currents"
+    ladder = [step(None), step(offset, offset), step("hysteresis", offset, small, "hysteresis")]
+    assert [row[0] for row in ladder_rows(ladder)] == [
+        "the model alone", "+ current offset", "+ hysteresis (with eddy currents)",
+    ]  # fmt: skip
+    assert ladder_rows([step(None), step(offset, offset, small)])[1][0] == "+ current offset (with eddy currents)"
+
+
+def test_the_course_of_the_resistance_says_when_it_was_read() -> None:
+    readings = tuple(ResistanceReading(start_s=t, value_ohm=4.3, std_ohm=0.01) for t in (7.5, 81.7))
+    course = ResistanceEstimate(value_ohm=4.31, low=4.30, high=4.32, first_ohm=4.30, last_ohm=4.32, readings=readings)
+    assert resistance_course(course) == "4.300 Ω at 7.5 s, 4.320 Ω at 82 s"
+    of_model = course.model_copy(update={"readings": ()})
+    assert resistance_course(of_model) == "4.300 Ω in the first segment, 4.320 Ω in the last"
 
 
 def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_explained() -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from orchestrator.testing import StageConformance
-from plugins.stages.diagnose import DiagnoseStage
-from protocols import PluginUse, ProcedureError, Stage
+from plugins.stages.diagnose import DiagnoseStage, publish_model
+from protocols import MapEstimated, Message, PluginUse, ProcedureError, ResistanceEstimated, Stage, StageRun
+from tests.orchestrator.estimation.test_delivery import AGAINST, deliver, model_map
 from tests.support.benches import Bench
 
 
@@ -47,3 +50,26 @@ def test_a_finished_run_is_gone_on_with_on_the_answer_that_its_procedure_gives(p
     for operator, answer in ([brake], "yes"), ([], None):
         question = DiagnoseStage().going_on(EXPERIMENT, pm400.procedure(*operator, {"kind": "estimate"}), 1)[0]
         assert (question.kind, question.settings["answer"]) == ("operator", answer)
+
+
+@pytest.mark.parametrize("objections", [(), AGAINST])
+def test_the_model_s_resistance_and_map_replace_the_estimators_where_nothing_speaks_against_them(
+    objections: tuple[Any, ...], tmp_path: Path
+) -> None:
+    published: list[Message] = []
+    concluded: list[Any] = []
+    run = SimpleNamespace(publish=published.append, conclude=concluded.append)
+    estimates = deliver(tmp_path, *objections)
+    diagnosis = SimpleNamespace(estimates=estimates, delivery=SimpleNamespace(map=model_map()))
+    publish_model(cast(StageRun, run), cast(Any, diagnosis))
+    assert concluded == [estimates]
+    if objections:
+        assert published == []
+        return
+    resistance, found = published
+    assert isinstance(resistance, ResistanceEstimated)
+    assert resistance.estimate == estimates.resistance
+    assert isinstance(found, MapEstimated)
+    assert found.estimate.map.method == "model"
+    assert len(found.estimate.points.i_dq) > 9
+    assert "the model explains the recording" in found.estimate.remarks[0].text

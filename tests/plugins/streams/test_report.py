@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,10 +13,11 @@ import numpy as np
 import pytest
 from markupsafe import Markup
 from matplotlib import pyplot
+from matplotlib.figure import Figure
 
 from plugins.streams.report import ReportStream, _figures, write_report
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, formulas, map_rows, remarks
+from plugins.streams.report._content import checks, events, formulas, map_rows, remarks
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -266,6 +268,13 @@ def test_a_run_that_was_killed_is_told_as_not_ended(tmp_path: Path) -> None:
     assert "not ended: interrupted from outside, or still under way" in page.text
 
 
+def test_an_event_that_the_journal_has_twice_on_end_is_one_row(finished: Path) -> None:
+    material = collect(finished, reads_paths=False)
+    ended = next(entry for entry in material.journal if isinstance(entry.message, RunEnded))
+    (event,) = events(replace(material, journal=(ended, ended)))
+    assert (event.kind, event.text) == ("finished", "every stage is done")
+
+
 def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
     file = run / "results" / "estimates.json"
     file.write_text(re.sub(r'"parity": \{[^}]*\}', '"parity": null', file.read_text()), encoding="utf-8")
@@ -313,7 +322,30 @@ def test_one_colour_means_one_held_current_in_both_pictures() -> None:
     maps = [a_map("injection")]
     assert held_currents(maps, "d") == held_currents(maps, "q") == (-3.0, -1.5, 0.0, 1.5, 3.0)
     assert _colours_of((-3.0, -1.5, 0.0, 1.5, 3.0)) == list(HELD_COLOURS)
+    reached = np.array([-2.9, -2.9, -1.45, 0.001, 1.45, 2.9])
+    assert held_currents(maps, "d", reached) == (-2.9, -1.45, 0.0, 1.45, 2.9)
+    assert held_currents(maps, "d", np.array([-0.01, 0.02])) == (-3.0, -1.5, 0.0, 1.5, 3.0)  # noise about zero
     assert _colours_of((-3.0, 0.0, 3.0)) == [HELD_COLOURS[0], HELD_COLOURS[2], HELD_COLOURS[4]]
+
+
+def test_the_legend_of_held_currents_has_the_line_of_the_first_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr(_figures, "uri", figures.append)
+    for basis, line in ((Basis.ENERGY, ":"), (Basis.INJECTION, "-")):
+        flux_figure({"map": a_map("map").model_copy(update={"basis": basis})}, "d", np.array([-2.9, -1.45, 1.45, 2.9]))
+        legend = figures[-1].axes[0].get_legend()
+        assert legend is not None
+        assert [handle.get_linestyle() for handle in legend.get_lines()] == [line] * 5
+        assert [text.get_text() for text in legend.get_texts()] == ["−2.9 A", "−1.45 A", "0 A", "+1.45 A", "+2.9 A"]
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_the_caption_says_how_far_the_ripple_reaches_beyond_the_currents_that_were_held(finished: Path) -> None:
+    material = collect(finished)
+    means = 0.8 * material.paths.injection
+    page = render(replace(material, paths=replace(material.paths, injection=means)))
+    assert re.search(r"i_d was held at up to 2\.\d A; with the ripple it reached 3 A\.", page)
+    assert "with the ripple" not in render(material)
 
 
 def test_pictures_are_svg_and_leave_no_figure_behind(finished: Path) -> None:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from orchestrator.diagnosis import Criteria, explanation_of
+from typing import Any
+
+import pytest
+
+from orchestrator.diagnosis import Criteria, explanation_of, model_changes
 from orchestrator.diagnosis.reporting.convention import convention_report
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from protocols import Convention, ManifestCorrection
+from protocols import Convention, ManifestCorrection, ModelEffect, MotorModel
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -36,3 +40,26 @@ def test_a_convention_is_explained_by_its_evidence() -> None:
     assert [reason.sentence for reason in explanation.reasons] == [convention.evidence]
     assert explanation.verdict_record is None
     assert explanation.search == ()
+
+
+def a_model(*effects: tuple[str, bool | None]) -> MotorModel:
+    """A model with these effects, each with whether it helped when it was added."""
+    plain: dict[str, Any] = {"parameters": {}, "relative_size": 1.0, "log_evidence": 1.0}
+    fields: dict[str, Any] = {"effects": tuple(ModelEffect(name=name, helps=helps, **plain) for name, helps in effects)}
+    return MotorModel.model_construct(**fields)
+
+
+@pytest.mark.parametrize(
+    ("model", "changes"),
+    [
+        (a_model(("dead_time", None)), ()),
+        (a_model(("dead_time", None), ("bus_sag", False)), ("+ bus sag (does not help)",)),
+        (a_model(("bus_sag", True)), ("+ bus sag", "− dead time")),
+        (a_model(), ("− dead time",)),
+    ],
+)
+def test_effects_that_were_added_and_removed_since_are_told(model: MotorModel, changes: tuple[str, ...]) -> None:
+    last = a_diagnosis().ladder[-1].model_copy(update={"effects": ("dead_time",)})
+    report = a_diagnosis(ladder=[*a_diagnosis().ladder[:-1], last])
+    assert explanation_of(report, model).model_changes == changes
+    assert model_changes(a_diagnosis(), model) == ()  # an older file, which does not have the effects of its model

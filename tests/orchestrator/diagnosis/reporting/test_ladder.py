@@ -32,6 +32,7 @@ def test_a_fit_to_the_noise_leaves_the_noise(fit: Fit) -> None:
 def test_a_rung_is_its_fit_in_numbers(fit: Fit) -> None:
     told = rung(AcceptedModel("voltage_bias", fit))
     assert told.added == "voltage_bias"
+    assert told.effects == ("voltage_bias",)
     assert told.chi2 == fit.chi2_per_dof
     assert told.rms_v == mean_rms_v(fit, lambda p: not p.held_out)
     assert told.heldout_rms_v == mean_rms_v(fit, lambda p: p.held_out)

@@ -50,6 +50,11 @@ def test_the_sentence_is_plain(
     assert InterimResult(effects, verdict, chi2, is_part).sentence == sentence
 
 
+def test_a_joint_fit_without_a_clear_effect_says_how_many_it_has() -> None:
+    result = InterimResult((), "unknown_remains", 10.84, True, fitted_together=22)
+    assert result.sentence == "so far: 22 effects fitted together, none named yet (chi2 10.84)"
+
+
 @pytest.fixture(scope="module")
 def fits() -> tuple[Fit, Fit]:
     """Of a biased voltage: without the effect, and with it."""
@@ -99,4 +104,4 @@ def test_of_effects_that_are_fitted_together_those_are_named_that_the_data_ask_f
     told: list[InterimResult] = []
     quick = SearchResult([AcceptedModel(None, bare)])
     InterimRecorder(told.append).record_joint(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
-    assert [one.effects for one in told] == [("voltage_bias",)]
+    assert [(one.effects, one.fitted_together) for one in told] == [(("voltage_bias",), 2)]

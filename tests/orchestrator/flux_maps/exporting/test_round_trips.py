@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -172,9 +173,17 @@ def test_a_map_without_motoring_half_is_exported_without_trajectories(tmp_path: 
     assert "mtpa" not in (tmp_path / "flux_map.h").read_text()
 
 
-def test_unknown_format_is_one_line_with_the_nearest(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"export: simulnk: no such format; did you mean simulink\?"):
-        export_map(linear_map(), MOTOR, tmp_path, ["simulnk"])
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("simulnk", "no such format; did you mean simulink? there are netcdf, csv, "),
+        ("matlb", "no such format; MATLAB reads syre and simulink; there are netcdf, csv, "),
+        ("xyz", "no such format; there are netcdf, csv, "),
+    ],
+)
+def test_unknown_format_is_one_line_with_the_nearest(name: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=re.escape(f"export: {name}: {message}")):
+        export_map(linear_map(), MOTOR, tmp_path, [name])
     assert not list(tmp_path.iterdir())
 
 

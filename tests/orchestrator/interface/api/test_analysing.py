@@ -55,7 +55,7 @@ def test_a_model_is_named_by_its_file_or_is_itself(out: Path) -> None:
     assert chosen_model(model) is model
     assert chosen_model("linear") == "linear"
     assert chosen_model(None) is None
-    with pytest.raises(InputError, match="expected a run, a recording"):
+    with pytest.raises(InputError, match="neither linear, saturated nor a file; did you mean 'saturated'"):
         chosen_model("staurated")
     with pytest.raises(RecordingError, match=r"none\.json: cannot be read"):
         chosen_model(out / "none.json")

@@ -72,7 +72,8 @@ def kept(tmp_path: Path) -> Path:
         (["compare", "/dev/null"], "is a file"),
         (["diagnose"], "RECORDING"),
         (["diagnose", DATA, "--out", Path(__file__)], "is not a directory"),
-        (["diagnose", DATA, "--model", "staurated"], "staurated"),
+        (["diagnose", DATA, "--model", "staurated"], "neither linear, saturated nor a file; did you mean 'saturated'?"),
+        (["compare", DATA, "--model", "free"], "nor a file; a file ends in .nc"),
         (["diagnose", DATA, "--effects", "nowhere.py"], "nowhere.py"),
     ],
 )
@@ -82,6 +83,9 @@ def test_wrong_words_are_one_line(words: list[str | Path], message: str, capsys:
 
 def test_an_empty_directory_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "recording.json" in refused(capsys, 2, "diagnose", tmp_path)
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / "run.json").write_text("{}")
+    assert "a folder of runs, not a run" in refused(capsys, 2, "diagnose", tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -204,6 +208,7 @@ def test_a_model_is_held_against_a_recording_and_exported(tmp_path: Path, capsys
     report = json.loads(capsys.readouterr().out)
     kept = json.loads((tmp_path / "model.json").read_text())
     assert report["model"] == "linear + voltage_bias"
+    assert [isinstance(effect["helps"], bool) for effect in kept["effects"]] == [True]
     assert report["chi2"] == pytest.approx(kept["ladder"][-1]["chi2"], rel=1e-9)
     assert run_app(["export", file, "--format", "csv", "--out", str(tmp_path / "export"), "--json"]) == 0
     assert 20.0 < json.loads(capsys.readouterr().out)["measured_percent"] < 100.0

@@ -13,7 +13,7 @@ from orchestrator.interface.cli import _diagnosis
 from orchestrator.interface.cli._running import run_app
 from protocols import DiagnosisReport
 from tests.orchestrator.diagnosis.judgement.test_judge import a_record
-from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
 
 
 def a_report() -> DiagnosisReport:
@@ -44,7 +44,18 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     rows = [" ".join(line.split()) for line in out.splitlines()]
     assert "step move effects gain threshold chi2 decision" in rows
     assert "2 add dead time 812 nat 16 nat – taken" in rows
+    assert "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it" in out
+    assert "above 100 %" not in out
     assert out.index("812 nat") < out.index("indistinguishable from") < out.rindex("device drop")
+
+
+def test_a_share_above_the_whole_error_is_explained_below_the_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    effect = a_report().effects[0].model_copy(update={"share": 2.29})
+    save_diagnosis(tmp_path, a_report().model_copy(update={"effects": (effect,)}), WORDS, ())
+    assert run_app(["explain", str(tmp_path)]) == 0
+    assert "note: above 100 % of the error: without this effect" in capsys.readouterr().out
 
 
 def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,13 +67,26 @@ def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys:
     assert result["effects"][0]["steps"] == [2]
 
 
-@pytest.mark.parametrize("place", [".", "nowhere"])
-def test_without_a_diagnosis_there_is_one_line(place: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("place", "problem"),
+    [
+        ("runs/first", "has no diagnosis yet; run `fluxbench diagnose"),
+        ("runs/first.sealed", "neither a run nor a recording, and has no diagnosis"),
+        ("runs", "a folder of runs, not a run; `fluxbench runs --folder"),
+        ("nowhere", "no such directory"),
+    ],
+)
+def test_without_a_diagnosis_there_is_one_line(
+    place: str, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("first", "first.sealed"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+    (tmp_path / "runs" / "first" / "run.json").write_text("{}")
     assert run_app(["explain", str(tmp_path / place)]) == 2
     out, err = capsys.readouterr()
     assert not out
     assert err.count("\n") == 1
-    assert ("run `fluxbench diagnose" in err) is (place == ".")
+    assert problem in err
 
 
 def test_a_diagnosis_of_an_older_version_says_that_it_has_no_reasons(
@@ -92,3 +116,17 @@ def test_diagnose_prints_the_reasons_below_the_verdict_and_how_well_the_model_do
     assert lines[1].startswith("  chi2 per degree of freedom fell from 900 to 1.01")
     assert any("0.4 % of its range" in line for line in lines)
     assert any("±0.12 % of the rated flux" in line for line in lines)
+
+
+def test_an_effect_that_is_no_cause_has_its_parameters_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    small = a_report().effects[0].model_copy(update={"name": "eddy_currents"})
+    _diagnosis._print_diagnosis(a_report().model_copy(update={"minor": (small,)}), WORDS)
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["eddy_currents", "voltage", "400.0", "mV", "399.0", "to", "401.0"] in rows
+
+
+def test_compare_says_what_chi2_is_and_that_its_currents_are_means(capsys: pytest.CaptureFixture[str]) -> None:
+    _diagnosis._print_comparison(a_comparison())
+    out = capsys.readouterr().out
+    assert "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most" in out
+    assert ["worst", "mean", "i_d", "mean", "i_q", "rms", "error"] in [line.split() for line in out.splitlines()]

@@ -57,6 +57,12 @@ def test_a_guess_is_judged_and_the_rest_not_given_away(run: Path, capsys: pytest
     assert not any(name in printed for name in others)
 
 
+def test_nothing_is_a_wrong_guess_where_something_is_hidden(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    hidden = len(draw(NUMBER).plant["effects"])
+    assert verdict_on(capsys, run, "--guess", "nothing") == f"nothing: wrong; {hidden} are hidden.\n"
+    assert verdict_on(capsys, run, "--guess", "bus_sag") == f"bus_sag: not in this motor\n{hidden} are hidden.\n"
+
+
 def test_the_whole_truth_is_all_there_is(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "all there is" in verdict_on(capsys, run, "--guess", ",".join(draw(NUMBER).plant["effects"]))
 

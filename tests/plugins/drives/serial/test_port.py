@@ -124,6 +124,9 @@ def test_a_port_that_is_not_there_is_one_clear_line(port: str) -> None:
         drive.connect()
     assert fault.value.cause is FaultCause.LINK_LOST
     assert "\n" not in str(fault.value)
+    assert "; `fluxbench probe` lists the drives on this machine's ports" in str(fault.value)
+    if port.startswith("/dev"):
+        assert f"the drive's link: could not open port {port}: No such file or directory;" in str(fault.value)
     drive.disarm()
     drive.close()
 

@@ -128,6 +128,9 @@ def test_tables_tell_values_with_their_intervals_and_twins() -> None:
         ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "device drop"),
         ("", "sharpness", "−15·10⁶", "", "", ""),
     ]
+    small = a_diagnosis().effects[0].model_copy(update={"name": "eddy_currents", "twins": ()})
+    rows = findings.effect_rows(saved(minor=[small]))
+    assert rows[2] == ("eddy currents (immaterial)", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "nothing")
     assert findings.ladder_rows(saved()) == [
         ("the model alone", "5489", "300 mV", "350 mV", "60 mA"),
         ("+ dead time", "1.02", "4.1 mV", "4.2 mV", "5 mA"),
@@ -227,7 +230,7 @@ def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: 
     assert "0.4 % of its range (rms)" in text
     (folded,) = re.findall(r"<details>.*?</details>", page, flags=re.S)
     assert words_of(folded).split("decision ")[1].startswith("1 screen dead time 60000 of χ² 32 of χ² – tried 2 add")
-    assert "in 2 moves" in folded
+    assert "Steps of the search (2)" in folded
 
 
 def test_a_diagnosis_without_reasons_has_no_empty_list(page: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,17 @@ def test_torque_is_the_map_s_at_the_best_angle_of_the_rated_current(material: Ma
     magnet = 1.5 * motor.pole_pairs * motor.pm_flux_wb * motor.rated_current_a
     assert 0.95 * magnet < found < 1.3 * magnet
     assert {"R_s", "L_d, L_q unsaturated", "Saliency", "ψ of the magnet"} <= set(lines(material))
+
+
+def test_the_model_s_resistance_says_when_it_holds(material: Material) -> None:
+    assert "by the model" not in lines(material)["R_s"]
+    estimates = material.estimates
+    assert estimates is not None
+    assert estimates.resistance is not None
+    remark = Remark(code="model.of_the_model", text="model: R_s is that of the whole model")
+    of_model = estimates.resistance.model_copy(update={"remarks": (remark,)})
+    changed = replace(material, estimates=estimates.model_copy(update={"resistance": of_model}))
+    assert lines(changed)["R_s"].endswith(" at 0 s, by the model")
 
 
 def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Material, run: Path) -> None:

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis import SavedDiagnosis
 from plugins.streams.report._collect import Material, Paths
 from plugins.streams.report._motor_content import torque_rows
 from plugins.streams.report._next_steps import next_steps
 from protocols import EstimationReport, FluxMap, Motor
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
 
 def an_estimate(**change: object) -> EstimationReport:
@@ -25,15 +27,47 @@ def an_estimate(**change: object) -> EstimationReport:
 @pytest.mark.parametrize(
     ("estimates", "text"),
     [
-        (None, "none yet: fluxbench estimate run"),
-        (an_estimate(), "use results/flux_map.nc; fluxbench export run"),
+        (None, "none yet: fluxbench estimate runs/first makes"),
+        (an_estimate(), "use results/flux_map.nc; fluxbench export runs/first writes"),
         (an_estimate(usable=False, reasons=["the rotor turned"]), "do not rely on it: the rotor turned."),
     ],
 )
 def test_the_first_line_is_about_the_map(estimates: EstimationReport | None, text: str) -> None:
-    about_map, about_model = next_steps(Material(Path("run"), None, None, (), estimates, {}, Paths(), None, ()))
+    about_map, about_model = next_steps(Material(Path("runs/first"), None, None, (), estimates, {}, Paths(), None, ()))
     assert about_map.text.startswith(text)
-    assert about_model.text.startswith("not diagnosed: fluxbench diagnose run")
+    assert about_model.text.startswith("not diagnosed: fluxbench diagnose runs/first names")
+
+
+def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
+    _, about_model = next_steps(Material(tmp_path / "a run", None, None, (), None, {}, Paths(), None, ()))
+    assert about_model.text.startswith("not diagnosed: fluxbench diagnose 'a run' names")
+
+
+@pytest.mark.parametrize(
+    ("causes", "advice"),
+    [
+        (["dead_time"], "compensate dead time in the drive, or use model.json, which includes that."),
+        (["hysteresis"], "use model.json for hysteresis, which no drive compensates."),
+        (
+            ["current_offset", "rotor_misalignment", "skin_effect"],
+            "compensate current offset and rotor misalignment in the drive, and use model.json for skin effect, which "
+            "no drive compensates.",
+        ),
+    ],
+)
+def test_only_what_a_drive_can_compensate_is_advised_to_be_compensated(causes: list[str], advice: str) -> None:
+    found = a_diagnosis().effects[0]
+    effects = [found.model_copy(update={"name": name, "twins": ()}) for name in causes]
+    saved = SavedDiagnosis(a_diagnosis(effects=effects, next_experiment=None), WORDS, ())
+    lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
+    assert lines[-1].text == f"nothing is left to measure; {advice}"
+
+
+def test_a_model_that_was_changed_since_the_diagnosis_is_told() -> None:
+    saved, changes = SavedDiagnosis(a_diagnosis(), WORDS, ()), ("+ dead time (does not help)",)
+    lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, (), changes))
+    assert [line.label for line in lines] == ["The map", "Changed", "The model"]
+    assert "since the diagnosis: + dead time (does not help). R_s and the map are of model.json" in lines[1].text
 
 
 def test_each_torque_has_its_shortest_current() -> None:

@@ -17,13 +17,14 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from orchestrator.estimation import load_estimates
 from plugins.streams.rerun._catalogue import row, served
 from plugins.streams.rerun._command import Later, command
 from plugins.streams.rerun._live import HOST, free_port, wait_for_viewer
 from plugins.streams.rerun._making import comparison_view, whole_view
 from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._tape import is_whole
-from protocols import PointDone, RecordingError, RunStarted, SamplesCaptured, StorageError
+from protocols import PointDone, RecordingError, RunEnded, RunStarted, SamplesCaptured, StorageError
 from tests.plugins.streams.example_run import a_run_directory
 from tests.plugins.streams.rerun.reading import entities, rows
 from tests.plugins.streams.rerun.test_live import listening
@@ -280,6 +281,24 @@ def test_the_table_has_the_verdict_of_a_later_diagnosis(tmp_path: Path, example:
     (run / "results").mkdir(exist_ok=True)
     (run / "results" / "diagnosis.json").write_text('{"verdict": "within_noise"}', encoding="utf-8")
     assert row(run)["verdict"] == "within_noise"
+
+
+def test_the_table_has_the_results_of_a_later_estimate(tmp_path: Path, example: Path) -> None:
+    run = copied(example, tmp_path / "run")
+    report = load_estimates(run).model_copy(update={"method": "model", "usable": True})
+    (run / "results" / "estimates.json").write_text(report.model_dump_json(), encoding="utf-8")
+    assert report.resistance is not None
+    assert [row(run)[name] for name in ("r_s_ohm", "map_by", "usable")] == [report.resistance.value_ohm, "model", True]
+
+
+def test_a_replay_ends_with_the_newest_estimates(tmp_path: Path, example: Path) -> None:
+    run = copied(example, tmp_path / "run")
+    report = load_estimates(run).model_copy(update={"method": "model"})
+    (run / "results" / "estimates.json").write_text(report.model_dump_json(), encoding="utf-8")
+    ended = list(replay(run))[-1]
+    assert isinstance(ended, RunEnded)
+    assert ended.estimates is not None
+    assert ended.estimates.method == "model"
 
 
 def test_several_runs_are_one_view_with_what_changed_in_it(example: Path, tmp_path: Path) -> None:

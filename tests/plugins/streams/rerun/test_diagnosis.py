@@ -6,7 +6,7 @@ import pytest
 import rerun as rr
 
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from plugins.streams.rerun import _diagnosis
+from plugins.streams.rerun import _diagnosis, _words
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import Diagnosed, DiagnosisReport, Reason
 from tests.plugins.streams.report.example_diagnosis import WORDS
@@ -46,3 +46,10 @@ def test_an_older_diagnosis_has_its_slots_alone(pages: list[str]) -> None:
     (page,) = pages
     assert page.startswith("# The diagnosis\n\n## Where it fails")
     assert "search" not in page
+
+
+def test_the_words_of_a_page_are_in_printed_characters(monkeypatch: pytest.MonkeyPatch) -> None:
+    texts: list[str] = []
+    monkeypatch.setattr(rr, "TextDocument", lambda text, **_: texts.append(text))
+    _words.page("trust", When(), "| --- |\n- branches differ by +-138 %, R_s 4.3 -> 4.2 ohm")
+    assert texts == ["| --- |\n- branches differ by ±138 %, R_s 4.3 → 4.2 Ω"]
