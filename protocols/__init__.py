@@ -151,6 +151,7 @@ from protocols._motor import (
 from protocols._procedure import (
     About,
     DriveChoice,
+    NoWatchdogSentence,
     Point,
     Procedure,
     StageEntry,
@@ -329,6 +330,7 @@ __all__ = [
     "Nameplate",
     "NextExperiment",
     "NoOptions",
+    "NoWatchdogSentence",
     "NoiseFloor",
     "NonNegative",
     "NotMeasuredError",

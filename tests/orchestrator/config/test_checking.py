@@ -69,7 +69,8 @@ def test_the_ripple_of_the_injection_counts(pm400: Bench) -> None:
     ids=lambda stage: str(stage["kind"]),
 )
 def test_what_has_no_square_is_refused_like_anything_too_large(pm400: Bench, stage: dict[str, Any]) -> None:
-    assert re.search(r"e\+(29\d|300) [AV]", refusal(pm400, stage))
+    drive = dict.fromkeys(("excitations", "watchdog_covers"), KINDS | {"steps"})
+    assert re.search(r"e\+(29\d|300) [AV]", refusal(pm400, stage, drive=drive))
 
 
 def test_the_peak_voltage_is_resistive_drop_and_injection(pm400: Bench) -> None:
@@ -155,7 +156,15 @@ LIMITS = {"current_a": 5.0, "voltage_v": 150.0}
             "stages.0.pwm_frequencies_hz",
             "(10000, 20000 Hz)",
         ),
+        (
+            [{"kind": "gates_off"}, HOLD, {"kind": "classical"}, INJECTION],
+            {},
+            {"excitations": frozenset({"hold"})},
+            "stages.0, stages.2, stages.3",
+            "has no gates_off, injection, trapezoid; it has hold",
+        ),
         ([HOLD], {}, {"watchdog_s": None}, "drive.name", "has no dead man"),
+        ([HOLD], {}, {"watchdog_s": None}, "drive.name", '"I stand beside the drive and can cut its power"'),
         ([HOLD], {}, {"watchdog_covers": KINDS - {"hold"}}, "drive.name", "does not work during hold"),
         ([HOLD], {}, {"motor_name": "another"}, "motor.name", "set up for 'another'"),
         ([{**INJECTION, "frequency_hz": 470.0}], {}, {}, "stages.0.frequency_hz", "the nearest is 454.5454545 Hz"),
