@@ -45,6 +45,7 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
+from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
@@ -368,6 +369,7 @@ def _report(
             *_remarks(setup, search, verdict, left, doubtful),
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
+            *bound_remarks(last),
             *other_opinion(joint, active),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,

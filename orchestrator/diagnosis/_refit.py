@@ -28,6 +28,7 @@ from orchestrator.diagnosis.reporting.findings import found_effects, map_effects
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
+from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.formatting.names import plain
@@ -120,7 +121,9 @@ def _added(
         for before, after in pairwise(steps)
         if after.added is not None
     ]
-    return report.model_copy(update={"remarks": (*benefits, *report.remarks)})
+    stated = {str(remark.values["effect"]) for remark in benefits if remark.code == "helps_at_bound"}
+    remaining = bound_remarks(steps[-1].fit, stated)
+    return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining)})
 
 
 def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
@@ -207,7 +210,7 @@ def _removed(
         else:
             steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
     ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
-    remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks)
+    remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks, *bound_remarks(steps[-1].fit))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
 

@@ -33,7 +33,7 @@ from protocols import (
     UsabilityCheck,
 )
 
-UNDONE_BY = {"helps": None, "does_not_help": "remove", "needed": "add", "not_needed": None}
+UNDONE_BY = {"helps": None, "helps_at_bound": None, "does_not_help": "remove", "needed": "add", "not_needed": None}
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
 BENEFITS = frozenset(UNDONE_BY)
 
