@@ -15,7 +15,7 @@ from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks, bou
 from orchestrator.formatting.quantities import number
 from plugins.effects.inverter import DeadTime
 from plugins.effects.iron import Hysteresis
-from protocols import Correction, Effect, EffectLayer, EffectParameters, Signals, amplitude, shape
+from protocols import Contrast, Correction, Effect, EffectLayer, EffectParameters, Signals, amplitude, shape
 from tests.orchestrator.diagnosis.fitting.test_fit import ERROR_V, with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
 
@@ -29,7 +29,7 @@ class Narrow:
     summary: ClassVar[str] = "A constant voltage along alpha."
     signature: ClassVar[str] = "A constant residual."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
-    needs: ClassVar[tuple[()]] = ()
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
 
     class Parameters(EffectParameters):
