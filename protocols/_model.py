@@ -101,6 +101,8 @@ class ModelEffect(Strict):
     twins: tuple[str, ...] = ()
     relative_size: Number
     log_evidence: Number
+    file: str | None = None
+    """The Python file that the effect is from, as it was given; None where it is installed."""
 
 
 class ModelNoise(Strict):

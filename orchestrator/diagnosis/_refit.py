@@ -27,7 +27,7 @@ from orchestrator.diagnosis.reporting.delivery import delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
-from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
+from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, require_effects_of, restored
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
@@ -71,8 +71,10 @@ def add_effects(
     PluginError
         Where a name is not in the library.
     """
-    require_known([n for n in names if n not in MAP_RUNGS], effects)
     kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
+    if kept is not None:
+        require_effects_of(kept, {effect.name for effect in effects})
+    require_known([n for n in names if n not in MAP_RUNGS], effects)
     return _added(recording, names, effects, kept, model or "saturated", out, tell)
 
 

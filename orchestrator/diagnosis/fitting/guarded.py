@@ -6,6 +6,7 @@ views that cannot be written to.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
@@ -126,6 +127,13 @@ def method_source(effect: object, *names: str) -> str:
     methods = (getattr(type(own), name, None) for name in names)
     codes = (getattr(method, "__code__", None) for method in methods)
     return next((f" ({code.co_filename}, line {code.co_firstlineno})" for code in codes if code is not None), "")
+
+
+def source_file(effect: object) -> str | None:
+    """The Python file that an effect is from, as it was given; None where it is installed, or has no file."""
+    if not isinstance(effect, _Guarded):
+        return None
+    return getattr(sys.modules.get(type(effect._effect).__module__), "__file__", None)
 
 
 def require_effect(effect: Effect) -> None:
