@@ -45,6 +45,7 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
+from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.forward_search import Search
@@ -275,12 +276,12 @@ def _diagnose(
         found = _SearchResult(interim.checkpoint.setup, search, doubtful, is_early=True)
     found.setup.fitter.begin("how sure is what was found?", EVALUATIONS_LEFT_FROM_REPORT)
     try:
-        return _report(recording, request, on_step, found, model, library, began)
+        return _report(recording, request, on_step, found, model, every, library, began)
     except KeyboardInterrupt:
         if not request.report_early or found.is_early:
             raise
         # The search is over: whoever stops it now gets its report.
-        return _report(recording, request, on_step, found, model, library, began)
+        return _report(recording, request, on_step, found, model, every, library, began)
 
 
 def _search(
@@ -312,6 +313,7 @@ def _report(
     on_step: Callable[[DiagnosisStep], None] | None,
     result: _SearchResult,
     model: ModelChoice,
+    every: Sequence[CandidateEffect],
     library: Sequence[CandidateEffect],
     began: float,
 ) -> Diagnosis:
@@ -370,6 +372,7 @@ def _report(
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
             *bound_remarks(last),
+            *own_effect_remarks(every, library, last, setup.fitter.trace.events),
             *other_opinion(joint, active),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,

@@ -121,6 +121,11 @@ def _own(array: Any) -> Any:
     return np.require(array, np.float64, ("C", "W"))
 
 
+def is_own(effect: object) -> bool:
+    """Whether an effect was given beside the installed ones."""
+    return isinstance(effect, _Guarded)
+
+
 def method_source(effect: object, *names: str) -> str:
     """Where the first of these methods that an effect has begins: `` (mine.py, line 12)``; empty without a source."""
     own = effect._effect if isinstance(effect, _Guarded) else effect

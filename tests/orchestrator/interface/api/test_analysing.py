@@ -34,7 +34,9 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_an_effect_of_one_s_own_is_a_candidate(out: Path) -> None:
-    assert compare(DATA, effects=[Bias()], out=out).model == "saturated + my_bias"
+    report = compare(DATA, effects=[Bias()], out=out)
+    assert report.model == "saturated + my_bias"
+    assert report.notes[-1] == "my_bias: in the model already"
     with pytest.raises(PluginError, match="my_bias: in the model, but not installed"):
         compare(DATA, out=out)
 
