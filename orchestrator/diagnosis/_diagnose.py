@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from orchestrator.config.time_constants import recording_notes
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
@@ -440,6 +441,9 @@ def _remarks(
         )
         sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * quantiser_step_s(scatter, setup)}
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
+    if verdict in ("unknown_remains", "cannot_tell"):
+        notes = recording_notes(setup.prepared.manifest)
+        remarks += [Remark.of("time_constant", "{note}", note=note) for note in notes]
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
     if verdict in ("explained", "mostly_explained") and chi2 - 1.0 > limits.noise_accuracy_excess_chi2 and left.shape:

@@ -15,6 +15,7 @@ from protocols import (
     Estimate,
     EstimationContext,
     EstimationReport,
+    Estimator,
     FluxMapEstimate,
     Motor,
     RecordingReader,
@@ -113,7 +114,7 @@ def test_a_nameplate_is_compared_with_the_corrected_map_where_injection_s_is_not
     plate = {"d_inductance_h": float(EXACT.l_dd[AT_REST]), "q_inductance_h": float(EXACT.l_qq[AT_REST])}
     motor = Motor.model_validate({**RECORDING.manifest.motor.model_dump(), **plate})
     recording = MemoryRecording(RECORDING.manifest.model_copy(update={"motor": motor}), {})
-    estimators = [Resistance(), Sweeps(), WrongRipples(checks=checks), LesserEnergy()]
+    estimators: list[Estimator] = [Resistance(), Sweeps(), WrongRipples(checks=checks), LesserEnergy()]
     found = estimate_recording(recording, estimators, tmp_path)
     assert (found.method, found.usable) == ("ripples", reliable)
     assert far(found) == pytest.approx(ratios)
