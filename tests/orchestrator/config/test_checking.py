@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from orchestrator.config import PlanSummary, check_plan, load_procedure, make_plan
-from protocols import CapabilityError
+from orchestrator.engine import connected_drive
+from protocols import CapabilityError, shipped_procedure
 from tests.support.benches import KINDS, Bench
 
 HOLD = {"kind": "resistance", "points_a": [[3.0, 4.0]], "settle_s": 1.0, "duration_s": 3.0}
@@ -106,6 +108,15 @@ def test_the_paper_takes_its_300_s_of_sweeps_and_4575_s_of_injection(pm400: Benc
 def test_the_demo_takes_about_a_minute(pm400: Bench) -> None:
     drive = pm400.capabilities()
     assert check_plan(make_plan(load_procedure("demo"), drive), drive).duration_s == pytest.approx(60.0, abs=15.0)
+
+
+def test_the_readme_and_the_demo_itself_state_the_duration_that_is_planned(pm400: Bench) -> None:
+    readme = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
+    demo = load_procedure("demo")
+    with connected_drive(demo, private=None) as (_, drive):
+        planned = f"{check_plan(make_plan(demo, drive), drive).duration_s:.0f} s of the drive's time"
+    for text in (readme, demo.summary, shipped_procedure("demo")):
+        assert planned in text
 
 
 def test_without_a_drive_the_procedures_own_limits_are_checked(pm400: Bench) -> None:
