@@ -139,6 +139,7 @@ from protocols._motor import Motor, Positive, ProcedureMotor
 from protocols._procedure import (
     About,
     DriveChoice,
+    NoWatchdogSentence,
     Point,
     Procedure,
     StageEntry,
@@ -296,6 +297,7 @@ __all__ = [
     "Nameplate",
     "NextExperiment",
     "NoOptions",
+    "NoWatchdogSentence",
     "NoiseFloor",
     "NonNegative",
     "NotMeasuredError",

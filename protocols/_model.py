@@ -103,6 +103,8 @@ class ModelEffect(Strict):
     log_evidence: Number
     helps: bool | None = None
     """Whether it helped when `add` put it in, on stages that were not fitted; null for an effect of the diagnosis."""
+    file: str | None = None
+    """The Python file that the effect is from, as it was given; None where it is installed."""
 
 
 class ModelNoise(Strict):

@@ -21,6 +21,10 @@ Point = tuple[float, float]
 """(i_d, i_q) in amperes, peak."""
 
 
+NoWatchdogSentence = Literal["I stand beside the drive and can cut its power"]
+"""What a procedure says to use a drive without a dead man."""
+
+
 class StageEntry(Strict):
     """Which stage plugin, and the settings that it defines itself."""
 
@@ -106,7 +110,7 @@ class Procedure(Strict):
     thermometer: ThermometerChoice | None = None
     interlocks: tuple[str, ...] = ()
     """Interlock inputs that the drive must have; the engine reads all inputs before arming and between points."""
-    accept_no_watchdog: Literal["I stand beside the drive and can cut its power"] | None = None
+    accept_no_watchdog: NoWatchdogSentence | None = None
     """A drive without a dead man is refused unless this sentence is written out."""
     stages: Annotated[tuple[StageEntry, ...], Field(min_length=1)]
 

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from orchestrator.config._fitting import longest_capture_s, on_grid
 from orchestrator.config._loads import Load
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.stages import parse_stages
-from protocols import Capabilities, CapabilityError, GatesOff, Injection, Spin, Stage, Trapezoid, VoltageSteps
+from protocols import (
+    Capabilities,
+    CapabilityError,
+    GatesOff,
+    Injection,
+    NoWatchdogSentence,
+    Spin,
+    Stage,
+    Trapezoid,
+    VoltageSteps,
+)
 
 
 @dataclass(frozen=True)
@@ -59,10 +70,11 @@ class Requirements:
         self._engaged = _stages_with_brake(plan, "engage")
 
     def check_drive(self) -> None:
-        """Motor, interlocks, limits and dead man; raises `CapabilityError`."""
+        """Kinds of excitation, motor, interlocks, limits and dead man; raises `CapabilityError`."""
         if self._drive is None:
             return
         drive, limits = self._drive, self._limits
+        self._check_excitations(self._plan.points, drive)
         self._check_motor(drive)
         missing = [name for name in self._procedure.interlocks if name not in drive.interlocks]
         if missing:
@@ -92,6 +104,14 @@ class Requirements:
         self._check_offered(point, self._drive)
         self._check_sampling(point, self._drive.sampling_frequency_hz)
 
+    def _check_excitations(self, points: Iterable[PlannedPoint], drive: Capabilities) -> None:
+        """All stages that the drive cannot do, in one error."""
+        unfit = {p.stage_index: p.excitation.kind for p in points if p.excitation.kind not in drive.excitations}
+        if unfit:
+            stages = ", ".join(f"stages.{index}" for index in sorted(unfit))
+            missing, offered = (", ".join(sorted(kinds)) for kinds in (set(unfit.values()), drive.excitations))
+            raise self._error(stages, f"the drive {drive.name!r} has no {missing}; it has {offered}")
+
     def _check_motor(self, drive: Capabilities) -> None:
         motor = self._procedure.motor
         if drive.motor_name is not None and drive.motor_name != motor.name:
@@ -109,7 +129,7 @@ class Requirements:
             raise self._at(point, self._written(point).current_field, "torque current while the brake is released")
 
     def _check_watchdog(self, drive: Capabilities) -> None:
-        advice = "write accept_no_watchdog with its sentence to do without"
+        advice = f'to do without, write accept_no_watchdog: "{get_args(NoWatchdogSentence)[0]}"'
         if drive.watchdog_s is None:
             raise self._error("drive.name", f"{drive.name!r} has no dead man: its power would stay on; {advice}")
         energised = {p.excitation.kind for p in self._plan.points if not isinstance(p.excitation, GatesOff)}
@@ -152,10 +172,8 @@ class Requirements:
                 raise self._at(point, field, f"{problem} {_RULES.over_ohmic * resistance * turn_a:.3g} V")
 
     def _check_offered(self, point: PlannedPoint, drive: Capabilities) -> None:
+        self._check_excitations([point], drive)
         e = point.excitation
-        if e.kind not in drive.excitations:
-            kinds = ", ".join(sorted(drive.excitations))
-            raise self._at(point, "", f"the drive {drive.name!r} has no {e.kind}; it has {kinds}")
         if e.pwm_frequency_hz is not None and e.pwm_frequency_hz not in drive.pwm_frequencies_hz:
             offered = ", ".join(f"{f:g}" for f in drive.pwm_frequencies_hz)
             problem = f"{e.pwm_frequency_hz:g} Hz is not offered by the drive ({offered} Hz)"

@@ -12,10 +12,13 @@ import math
 from collections.abc import Iterable
 
 from orchestrator.config import Plan
-from protocols import Capabilities, Injection, Manifest, Motor
+from orchestrator.registry.plugins import PluginKind, load_plugin
+from protocols import Capabilities, Injection, Manifest, Motor, NoOptions
 
 LINE_ERROR = 0.01
 """Of a straight line between two rows, from which on it is spoken of."""
+ROWS_PER_TIME_CONSTANT = 3.0
+"""Rows in L / R with which that error is below 1 %."""
 RESISTANCE_OVER_REACTANCE = 1.0
 """Of a ripple, from which on the voltage's error is larger in the inductance than in the voltage."""
 
@@ -42,7 +45,7 @@ def time_constant_notes(
     notes = []
     if (0.5 / rows) ** 2 / 3.0 > LINE_ERROR:
         tau_s, kept = inductance / ohm, math.exp(-1.0 / rows)
-        enough_hz = float(f"{3.0 * sampling_frequency_hz / rows:.3g}")
+        enough_hz = float(f"{ROWS_PER_TIME_CONSTANT * sampling_frequency_hz / rows:.3g}")
         notes.append(
             f"L / R is {rows:.2g} of a sample ({tau_s:.2g} s at {sampling_frequency_hz:g} Hz): between rows a current "
             f"decays to {kept:.0%}, so slopes and flux loops tell little of L; sample at {enough_hz:.0f} Hz or more, "
@@ -60,9 +63,31 @@ def time_constant_notes(
 
 
 def plan_notes(plan: Plan, capabilities: Capabilities) -> tuple[str, ...]:
-    """The same of a plan, by its nameplate."""
-    injected = {p.excitation.frequency_hz for p in plan.points if isinstance(p.excitation, Injection)}
-    return time_constant_notes(plan.procedure.motor, capabilities.sampling_frequency_hz, injected)
+    """The same of a plan, by its nameplate, each with the setting that ends it where the procedure has one."""
+    motor, sampling_hz = plan.procedure.motor, capabilities.sampling_frequency_hz
+    injected = {p.excitation.frequency_hz: p.stage_index for p in plan.points if isinstance(p.excitation, Injection)}
+    by_sampling = time_constant_notes(motor, sampling_hz)
+    by_injection = time_constant_notes(motor, sampling_hz, injected)[len(by_sampling) :]
+    notes = [note + _setting("drive.sampling_frequency_hz", _faster_hz(motor, sampling_hz)) for note in by_sampling]
+    drive = load_plugin(PluginKind.DRIVES, plan.procedure.drive.name)
+    if "sampling_frequency_hz" not in getattr(drive, "Options", NoOptions).model_fields:
+        notes = list(by_sampling)
+    for note in by_injection:
+        index = injected[min(injected)]
+        has_setting = "frequency_hz" in type(plan.stages[index]).model_fields
+        notes.append(note + (_setting(f"stages.{index}.frequency_hz", 0.25 * sampling_hz) if has_setting else ""))
+    return tuple(notes)
+
+
+def _setting(field: str, value: float) -> str:
+    return f" (`--set {field}={value:g}`)"
+
+
+def _faster_hz(motor: Motor, sampling_hz: float) -> float:
+    """The least multiple of the sampling frequency that is fast enough: what is injected still fits its rows."""
+    inductance = min(h for h in (motor.d_inductance_h, motor.q_inductance_h) if h)
+    rows = inductance / (motor.stator_resistance_ohm or 1.0) * sampling_hz
+    return sampling_hz * math.ceil(ROWS_PER_TIME_CONSTANT / rows)
 
 
 def recording_notes(manifest: Manifest) -> tuple[str, ...]:

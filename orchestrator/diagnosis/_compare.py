@@ -86,7 +86,12 @@ def compare_recording(
     else:
         title = baseline_of(model or "saturated").title
         fit = first_steps(setup, model or "saturated", library)[-1].fit
-    remarks += [_benefit(setup, fit, library[name]) for name in candidates if name not in fit.model.names]
+    remarks += [
+        Remark.of("in_model", "{effect}: in the model already", effect=name)
+        if name in fit.model.names
+        else _benefit(setup, fit, library[name])
+        for name in candidates
+    ]
     pieces = [p for p in setup.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
     rated = _rated_flux(setup, fit)
     parity, reciprocity = map_asymmetry(setup.fitter, fit, setup.current_a)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from orchestrator.config.time_constants import recording_notes
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
@@ -45,6 +46,8 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
+from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
+from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.forward_search import SearchResult
 from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
@@ -273,12 +276,12 @@ def _diagnose(
         found = _FinishedSearch(interim.checkpoint.setup, search, doubtful, is_early=True)
     found.setup.fitter.begin("how sure is what was found?", EVALUATIONS_LEFT_FROM_REPORT)
     try:
-        return _report(recording, request, on_step, found, model, library, began)
+        return _report(recording, request, on_step, found, model, every, library, began)
     except KeyboardInterrupt:
         if not request.report_early or found.is_early:
             raise
         # The search is over: an interrupt from here on still yields its report.
-        return _report(recording, request, on_step, found, model, library, began)
+        return _report(recording, request, on_step, found, model, every, library, began)
 
 
 def _search(
@@ -310,6 +313,7 @@ def _report(
     on_step: Callable[[DiagnosisStep], None] | None,
     result: _FinishedSearch,
     model: ModelChoice,
+    every: Library,
     library: Library,
     began: float,
 ) -> Diagnosis:
@@ -367,6 +371,8 @@ def _report(
             *_remarks(setup, search, verdict, residual, doubtful),
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
+            *bound_remarks(last),
+            *own_effect_remarks(every, library, last, setup.fitter.trace.events),
             *other_opinion(joint, active),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
@@ -434,6 +440,9 @@ def _remarks(
         )
         sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * quantiser_step_s(scatter, setup)}
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
+    if verdict in ("unknown_remains", "cannot_tell"):
+        notes = recording_notes(setup.prepared.manifest)
+        remarks += [Remark.of("time_constant", "{note}", note=note) for note in notes]
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
     is_beyond_noise = chi2 - 1.0 > limits.noise_accuracy_excess_chi2

@@ -28,7 +28,8 @@ from orchestrator.diagnosis.reporting.delivery import delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
-from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
+from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, require_effects_of, restored
+from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.formatting.names import plain
@@ -71,8 +72,10 @@ def add_effects(
     PluginError
         If a name is not in the library.
     """
-    require_known([n for n in names if n not in MAP_RUNGS], effects)
     saved = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
+    if saved is not None:
+        require_effects_of(saved, {effect.name for effect in effects})
+    require_known([n for n in names if n not in MAP_RUNGS], effects)
     return _added(recording, names, effects, saved, model or "saturated", out, tell)
 
 
@@ -119,7 +122,9 @@ def _added(
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
     benefits = [added_remark(name, before, after, found.get(name)) for name, before, after in added]
-    return report.model_copy(update={"remarks": (*benefits, *report.remarks)})
+    stated = {str(remark.values["effect"]) for remark in benefits if remark.code == "helps_at_bound"}
+    remaining = bound_remarks(steps[-1].fit, stated)
+    return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining)})
 
 
 def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
@@ -206,7 +211,7 @@ def _removed(
         else:
             steps.append(AcceptedModel(causes[count - 1] if count else None, setup.fitter.fit(model)))
     ladder = (*saved.ladder[: at - 1], *kept_rungs(setup, steps))
-    remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks)
+    remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks, *bound_remarks(steps[-1].fit))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from protocols import CheckOutcome, EstimationReport, FluxMap, MapCriteria, Motor, Remark, UsabilityCheck
+from protocols import Basis, CheckOutcome, EstimationReport, FluxMap, MapCriteria, Motor, Remark, UsabilityCheck
 
 
 def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor) -> EstimationReport:
@@ -67,9 +67,15 @@ def _pairs(
     if report.resistance is not None:
         pairs.append(("R_s", report.resistance.value_ohm, motor.stator_resistance_ohm))
     if report.method is not None:
-        l_d, l_q = _unsaturated(maps[report.method])
+        l_d, l_q = _unsaturated(_compared_map(report, maps))
         pairs += [("L_d", l_d, motor.d_inductance_h), ("L_q", l_q, motor.q_inductance_h)]
     return pairs
+
+
+def _compared_map(report: EstimationReport, maps: Mapping[str, FluxMap]) -> FluxMap:
+    """The recommended map; where that is not reliable, one of an energy, from which dead time has been taken out."""
+    energies = [] if report.usable else [one for one in maps.values() if one.basis is Basis.ENERGY]
+    return energies[0] if energies else maps[str(report.method)]
 
 
 def _unsaturated(found: FluxMap) -> tuple[float, float]:

@@ -50,6 +50,10 @@ _CONTRACTS: Mapping[PluginKind, type] = {
 }
 
 
+UNKNOWN = "?"
+"""Distribution and version of what no installed distribution provides."""
+
+
 class PluginInfo(Strict):
     """What is known of a plugin without importing it."""
 
@@ -58,10 +62,11 @@ class PluginInfo(Strict):
     distribution: str
     version: str
     module: str
-    """``module.path:Class``."""
+    """``module.path:Class``; of a file its path and the class's line."""
 
     def __str__(self) -> str:
-        return f"plugin {self.name!r} ({self.module}, from {self.distribution} {self.version})"
+        source = "" if self.distribution == UNKNOWN else f", from {self.distribution} {self.version}"
+        return f"plugin {self.name!r} ({self.module}{source})"
 
 
 class Installed:
@@ -152,10 +157,18 @@ def load_effects_file(path: Path) -> list[type[Any]]:
         raise PluginError(str(path), "", _NO_EFFECT)
     for plugin in effects:
         name = str(getattr(plugin, "name", plugin.__name__))
-        _check_contract(
-            PluginInfo(kind=PluginKind.EFFECTS, name=name, distribution="?", version="?", module=str(path)), plugin
-        )
+        place = _place(path, plugin)
+        info = PluginInfo(kind=PluginKind.EFFECTS, name=name, distribution=UNKNOWN, version=UNKNOWN, module=place)
+        _check_contract(info, plugin)
     return effects
+
+
+def _place(path: Path, plugin: type[Any]) -> str:
+    """File and line of a class; the file alone where the class is not written out in it."""
+    try:
+        return f"{path}, line {inspect.getsourcelines(plugin)[1]}"
+    except OSError:
+        return str(path)
 
 
 def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseModel:
@@ -187,7 +200,7 @@ def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseM
 def _named(distribution: Distribution | None) -> tuple[str, str]:
     """Its name and version."""
     if distribution is None:
-        return "?", "?"
+        return UNKNOWN, UNKNOWN
     metadata = distribution.metadata
     return metadata["Name"], metadata["Version"]
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
+from orchestrator.diagnosis.fitting.guarded import method_source
 from protocols import (
     Correction,
     EffectHook,
@@ -124,7 +125,7 @@ _RANDOM_DIRECTIONS: tuple[EffectHook, EffectHook] = ("random_directions_batch", 
 
 def _sequence(item: EffectTerm, found: object) -> Sequence[object]:
     if not isinstance(found, Sequence):
-        raise PluginError("effects", item.name, f"random_directions: returned {type(found).__name__}, no sequence")
+        raise _error(item, "random_directions", f"returned {type(found).__name__}, no sequence")
     return found
 
 
@@ -138,7 +139,7 @@ def _end_to_end(item: EffectTerm, method: str, signals: SignalBatch, parts: Sequ
 
     for k, one in enumerate(corrections):
         for name, array in one.arrays.items():
-            _require_array(item.name, f"{method}: {name}", part_of(k, name), array)
+            _require_array(item, method, name, part_of(k, name), array)
     arrays: dict[str, RealArray] = {}
     for name in dict.fromkeys(name for one in corrections for name in one.arrays):
         pieces = []
@@ -162,8 +163,7 @@ def _call(item: EffectTerm, method: str, function: Callable[..., object], signal
 
 def _require_correction(item: EffectTerm, method: str, correction: object) -> Correction:
     if not isinstance(correction, Correction):
-        returned = type(correction).__name__
-        raise PluginError("effects", item.name, f"{method}: returned {returned} instead of a Correction")
+        raise _error(item, method, f"returned {type(correction).__name__} instead of a Correction")
     return correction
 
 
@@ -172,16 +172,22 @@ def _checked(item: EffectTerm, method: str, signals: SignalBatch, correction: ob
     arrays = _require_correction(item, method, correction).arrays
     for name, array in arrays.items():
         before = getattr(signals, name)
-        _require_array(item.name, f"{method}: {name}", signals.v_ab if before is None else before, array)
+        _require_array(item, method, name, signals.v_ab if before is None else before, array)
     return arrays
 
 
-def _require_array(effect: str, name: str, before: RealArray, now: object) -> None:
+def _require_array(item: EffectTerm, method: str, name: str, before: RealArray, now: object) -> None:
     shape = getattr(now, "shape", None)
     if not isinstance(now, np.ndarray) or shape != before.shape:
-        raise PluginError("effects", effect, f"{name} has shape {shape}, not {before.shape}")
+        raise _error(item, method, f"{name} has shape {shape}, not {before.shape}")
     if now.dtype.kind != "f":
-        raise PluginError("effects", effect, f"{name} is of type {now.dtype}, not float64")
+        raise _error(item, method, f"{name} is of type {now.dtype}, not float64")
     # A finite array has a finite sum of squares, unless that overflows: then each number is checked.
     if not math.isfinite(np.vdot(now, now)) and not np.isfinite(now).all():
-        raise PluginError("effects", effect, f"{name} is not finite")
+        raise _error(item, method, f"{name} is not finite")
+
+
+def _error(item: EffectTerm, method: str, problem: str) -> PluginError:
+    """Of what a method returned, with the place of the method."""
+    source = method_source(item.candidate.effect, f"{method}_batch", method)
+    return PluginError("effects", item.name, f"{method}: {problem}{source}")

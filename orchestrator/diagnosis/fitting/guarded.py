@@ -5,6 +5,7 @@ Installed effects have passed the conformance kit; one from a user's file gets r
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from functools import partial
@@ -70,14 +71,15 @@ class _Guarded:
             return self._owned(name, found)
         if name in _RETURNS_CORRECTIONS:
             if not isinstance(found, Sequence):
-                returned = type(found).__name__
-                raise PluginError("effects", self._effect.name, f"{name}: returned {returned} instead of a sequence")
+                problem = f"{name}: returned {type(found).__name__} instead of a sequence"
+                raise PluginError("effects", self._effect.name, problem + method_source(self._effect, name))
             return [self._owned(name, one) for one in found]
         return found
 
     def _owned(self, name: str, found: object) -> Correction:
         if not isinstance(found, Correction):
-            raise PluginError("effects", self._effect.name, f"{name}: returned {type(found).__name__}, no Correction")
+            problem = f"{name}: returned {type(found).__name__}, no Correction"
+            raise PluginError("effects", self._effect.name, problem + method_source(self._effect, name))
         return Correction(**{of: _kernel_array(array) for of, array in found.arrays.items()})
 
 
@@ -116,6 +118,26 @@ def _kernel_array(array: Any) -> Any:
     if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiu":
         return array
     return np.require(array, np.float64, ("C", "W"))
+
+
+def is_own(effect: object) -> bool:
+    """Whether an effect was given beside the installed ones."""
+    return isinstance(effect, _Guarded)
+
+
+def method_source(effect: object, *names: str) -> str:
+    """Where the first of these methods that an effect has begins: `` (mine.py, line 12)``; empty without a source."""
+    own = effect._effect if isinstance(effect, _Guarded) else effect
+    methods = (getattr(type(own), name, None) for name in names)
+    codes = (getattr(method, "__code__", None) for method in methods)
+    return next((f" ({code.co_filename}, line {code.co_firstlineno})" for code in codes if code is not None), "")
+
+
+def source_file(effect: object) -> str | None:
+    """The Python file that an effect is from, as it was given; None where it is installed, or has no file."""
+    if not isinstance(effect, _Guarded):
+        return None
+    return getattr(sys.modules.get(type(effect._effect).__module__), "__file__", None)
 
 
 def require_effect(effect: Effect) -> None:

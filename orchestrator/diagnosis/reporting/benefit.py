@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v, training
+from orchestrator.diagnosis.reporting.parameter_bounds import bounds_reached
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import quantity
@@ -14,7 +15,9 @@ from protocols import FoundEffect, Remark
 
 
 def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) -> Remark:
-    """Whether an added effect helps: code ``helps`` or ``does_not_help``.
+    """Whether an added effect helps: code ``helps``, ``helps_at_bound`` or ``does_not_help``.
+
+    One with a parameter at its bound may help more within wider ones, or imitate something else.
 
     Parameters
     ----------
@@ -25,8 +28,12 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
     """
     errors = _errors(before, after)
     if helps(before, after):
-        text = "{effect} helps: {of} {course}; noise alone leaves {noise}"
-        return _remark("helps", text, name, errors)
+        course = "{of} {course}; noise alone leaves {noise}"
+        bounds = [bound for term in after.model.active if term.name == name for bound in bounds_reached(term).items()]
+        if bounds:
+            at = listed([f"its {parameter_words(parameter)} is at its bound {words}" for parameter, words in bounds])
+            return _remark("helps_at_bound", "{effect} may help: " + f"{course}; but {at}", name, errors)
+        return _remark("helps", "{effect} helps: " + course, name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
     why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""
     return _remark("does_not_help", "{effect} does not help: {of} {only}{course}" + why, name, errors)

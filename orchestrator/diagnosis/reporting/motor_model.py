@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 
 import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, map_space
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
+from orchestrator.diagnosis.fitting.guarded import source_file
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import SegmentData
@@ -73,6 +74,7 @@ def _kept_effect(active: EffectTerm, found: FoundEffect) -> ModelEffect:
         twins=found.twins,
         relative_size=found.relative_size,
         log_evidence=found.log_evidence,
+        file=source_file(active.candidate.effect),
     )
 
 
@@ -119,13 +121,27 @@ def restored(
 def _active(effect: ModelEffect, library: Mapping[str, CandidateEffect]) -> EffectTerm:
     candidate = library.get(effect.name)
     if candidate is None:
-        raise PluginError("effects", effect.name, "in the model, but not installed; `--effects` names a file with it")
+        raise _not_installed(effect)
     names = [p.name for p in candidate.parameters]
     if sorted(names) != sorted(effect.parameters):
         problem = f"has {', '.join(names)}, but the model gives {', '.join(effect.parameters) or 'none'}"
         raise PluginError("effects", effect.name, f"parameters: the installed effect {problem}")
     values = {name: effect.parameters[name].value for name in names}
     return EffectTerm(candidate, values, tuple(n for n in names if effect.parameters[n].fitted))
+
+
+def require_effects_of(kept: MotorModel, names: Container[str]) -> None:
+    """Raise `PluginError` where an effect of the model is none of these."""
+    for effect in kept.effects:
+        if effect.name not in names:
+            raise _not_installed(effect)
+
+
+def _not_installed(effect: ModelEffect) -> PluginError:
+    advice = "`--effects` names a file with it"
+    if effect.file is not None:
+        advice = f"pass `--effects {effect.file}`, the file that it is from"
+    return PluginError("effects", effect.name, f"in the model, but not installed; {advice}")
 
 
 def magnetics_of(spline: CoEnergySpline) -> Magnetics:

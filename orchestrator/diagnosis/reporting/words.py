@@ -16,7 +16,7 @@ from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
-from protocols import DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
+from protocols import DiagnosisReport, DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
 
 _LOOKS = {
     "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
@@ -107,6 +107,8 @@ def _cause(diagnosis: Diagnosis) -> str:
     named = [_named(e, amplitudes.get(e.name, ())) for e in report.effects]
     if report.verdict == "unknown_remains":
         start = f"{listed(named)}, and " if named else ""
+        if _time_constant_notes(report):
+            return f"{start}not known: the readings are too slow for this winding to tell"
         return f"{start}something that no effect of the library explains"
     fraction = report.unexplained.fraction or 0.0
     rest = f"; {percent(100.0 * fraction)} of the error remains" if report.verdict == "mostly_explained" else ""
@@ -154,6 +156,9 @@ def _gain(diagnosis: Diagnosis) -> str:
 
 
 def _next(diagnosis: Diagnosis) -> str:
+    slow = _time_constant_notes(diagnosis.report)
+    if diagnosis.report.verdict == "unknown_remains" and slow:
+        return f"the same once more with faster readings: {'; '.join(slow)}"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
         sizes = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
@@ -164,9 +169,15 @@ def _next(diagnosis: Diagnosis) -> str:
     if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):
         return "the same once more, the rotor locked at a second angle"
     if diagnosis.report.verdict == "cannot_tell":
-        return "another recording: the reasons of the verdict say what this one lacks"
+        doubts = [reason for reason in diagnosis.report.reasons if reason.quantity != "ended_early"]
+        return f"another recording: {' '.join([*slow, *(doubt.sentence for doubt in doubts[:1])])}"
     if diagnosis.report.verdict == "unknown_remains":
         return "no experiment of the catalogue; look at the leftover's shape"
     if diagnosis.report.verdict == "mostly_explained":
         return "a part of the error remains that nothing in the library fits better; look at its shape"
     return "nothing left to decide"
+
+
+def _time_constant_notes(report: DiagnosisReport) -> list[str]:
+    """That the winding is too fast for its samples or its injection, as `check` said of the plan."""
+    return [remark.text for remark in report.remarks if remark.code == "time_constant"]

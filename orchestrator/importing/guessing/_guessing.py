@@ -101,6 +101,7 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
     raw = _read(path, columns, roles, current, voltage)
     _say_time(path, lines, columns, roles, raw)
     _say_bus(path, lines, columns, roles, raw, voltage)
+    lines.doubts.append("drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too")
     _say_signals(path, lines, columns, raw, current, voltage)
     _say_angle(path, lines, columns, roles, raw, current, voltage)
     _say_segments(path, lines, roles)
@@ -182,7 +183,7 @@ def _say_bus(
         unit = columns.units.get(name, "V")
         unit = unit if unit in ("V", "mV", "uV", "kV") else "V"
         nominal = float(f"{float(np.nanmedian(raw[name])) * FACTORS[unit]:.3g}")
-        lines.say("drive", {"name": "unknown", "dc_bus_voltage_v": nominal}, f"the median of {name}")
+        lines.say("drive", _drive(nominal), f"the median of {name}")
         lines.say("bus", {"column": name, "unit": unit}, f"the name{' and unit' if name in columns.units else ''}")
         return
     if voltage.is_duty:
@@ -192,7 +193,11 @@ def _say_bus(
     is_vector = voltage.frame in ("alpha_beta", "dq")
     largest = float(np.nanmax(np.hypot(*values) if is_vector else np.abs(values))) * unit_v
     why = "not in the file: twice the largest voltage stands here; give the true one"
-    lines.say("drive", {"name": "unknown", "dc_bus_voltage_v": float(f"{2.0 * largest:.2g}") or 1.0}, why, doubt=True)
+    lines.say("drive", _drive(float(f"{2.0 * largest:.2g}") or 1.0), why, doubt=True)
+
+
+def _drive(dc_bus_voltage_v: float) -> dict[str, Any]:
+    return {"name": "unknown", "dc_bus_voltage_v": dc_bus_voltage_v, "pwm_frequency_hz": None}
 
 
 def _say_signals(

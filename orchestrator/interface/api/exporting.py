@@ -58,13 +58,12 @@ def _motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) 
 
     measured: float | None = None
     chosen: Motor | None = None
-    name = path.name
+    name = _folder_of(path)
     if path.suffix == ".json":
         model = read_model(path)
-        name, chosen, measured = model.recording, model.motor, model.r_s_ohm
+        chosen, measured = model.motor, model.r_s_ohm
     elif path.is_dir():
-        manifest = open_any(path).manifest
-        name, chosen = manifest.name, manifest.motor
+        chosen = open_any(path).manifest.motor
         resistance = load_estimates(path).resistance
         measured = None if resistance is None else resistance.value_ohm
     elif path.suffix in (".yaml", ".yml") and "motor:" in read_text(path):
@@ -74,3 +73,15 @@ def _motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) 
     if chosen is None:
         raise InputError(str(path), "motor", "a map file has no motor: give it or its YAML file (--motor)")
     return chosen if measured is None else chosen.model_copy(update={"stator_resistance_ohm": measured}), name
+
+
+def _folder_of(path: Path) -> str:
+    """Name of the run or recording that a path is, or is a file of; else the file's own.
+
+    A manifest's name is the procedure's, and the same in all runs of it.
+    """
+    from orchestrator.recording import MANIFEST_NAME
+    from orchestrator.runs import is_run
+
+    folders = (path.resolve(), *path.resolve().parents[:2])
+    return next((folder.name for folder in folders if is_run(folder) or (folder / MANIFEST_NAME).is_file()), path.name)

@@ -39,7 +39,7 @@ def compare(path: Path, model: str | None, effects: Path | None, out: Path | Non
     if as_json:
         say_document(report.model_dump_json(indent=2))
     else:
-        _print_comparison(report)
+        _print_comparison(path, report)
     return 0
 
 
@@ -82,7 +82,7 @@ def diagnose(
     if as_json:
         say_document(kept.report.model_dump_json(indent=2))
     else:
-        _print_diagnosis(kept.report, kept.words)
+        _print_diagnosis(path, kept.report, kept.words)
         if kept.estimates is not None:
             _print_map(kept.estimates, (out or path) / "results")
     return 130 if interruption.requested else 0
@@ -114,8 +114,8 @@ def _progress(as_json: bool) -> Progress:
     return Progress(results=sys.stderr if as_json else sys.stdout)
 
 
-def _print_comparison(report: CompareReport) -> None:
-    say(f"{report.recording}: the model {report.model}")
+def _print_comparison(path: Path, report: CompareReport) -> None:
+    say(f"{path}: the model {report.model}")
     rows = [
         (stage.stage, quantity(stage.rms_v, "V"), number(stage.chi2), quantity(stage.current_rms_a, "A"))
         for stage in report.stages
@@ -128,8 +128,8 @@ def _print_comparison(report: CompareReport) -> None:
     say_notes(report.notes)
 
 
-def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
-    say(f"{report.recording}: {plain(report.verdict)}", *(f"  {reason.sentence}" for reason in report.reasons), "")
+def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords) -> None:
+    say(f"{path}: {plain(report.verdict)}", *(f"  {reason.sentence}" for reason in report.reasons), "")
     say(*columns(list(slots(words))), "")
     if report.convention is None:
         _print_ladder(report)

@@ -18,12 +18,12 @@ def explain(path: Path, as_json: bool) -> int:
     if as_json:
         say_document(explanation.model_dump_json(indent=2))
     else:
-        _print(explanation)
+        _print(path, explanation)
     return 0
 
 
-def _print(explanation: Explanation) -> None:
-    say(f"{explanation.recording}: {plain(explanation.verdict)}, {VERDICTS[explanation.verdict].meaning}")
+def _print(path: Path, explanation: Explanation) -> None:
+    say(f"{path}: {plain(explanation.verdict)}, {VERDICTS[explanation.verdict].meaning}")
     say(*(f"  {reason.sentence}" for reason in explanation.reasons))
     if not explanation.reasons:
         say("  An older version made this diagnosis and kept no reasons; `fluxbench diagnose` makes it again.")

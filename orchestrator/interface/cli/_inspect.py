@@ -93,7 +93,9 @@ def runs(folder: Path, words: Sequence[str], as_json: bool) -> int:
         columns = ("run", "created", "motor", "serial", "operator", "outcome", "tags", "notes")
         say(text_table(columns, [tuple(row[name] for name in columns) for row in rows], numbers=False))
     else:
-        say(f"no run below {folder}" + (f" has the words {' '.join(words)}" if words else ""))
+        place = next((word for word in words if Path(word).is_dir()), None)
+        hint = "" if place is None else f"; `fluxbench runs --folder {place}` lists those below {place}"
+        say(f"no run below {folder}" + (f" has the words {' '.join(words)}" if words else "") + hint)
     return 0
 
 

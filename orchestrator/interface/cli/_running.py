@@ -79,16 +79,16 @@ def _place_of(error: Exception) -> str:
     cause = error.__cause__
     if not isinstance(error, PluginError) or cause is None:
         return ""
-    own = _package_of(extract_tb(error.__traceback__)[-1].filename)
-    frames = [frame for frame in extract_tb(cause.__traceback__) if _package_of(frame.filename) != own]
-    foreign = [frame for frame in frames if "site-packages" not in frame.filename and "<" not in frame.filename]
-    return f" ({foreign[-1].filename}, line {foreign[-1].lineno})" if foreign else ""
+    files = [(frame.filename, frame.lineno) for frame in extract_tb(cause.__traceback__)]
+    foreign = [(file, line) for file, line in files if "site-packages" not in file and "<" not in file]
+    foreign = [(file, line) for file, line in foreign if not _is_own(file)]
+    return f" ({foreign[-1][0]}, line {foreign[-1][1]})" if foreign else ""
 
 
-def _package_of(file: str) -> str:
-    """The folder of this package for a file in it, else the file itself."""
-    here = Path(__file__).resolve().parents[1]
-    return str(here) if Path(file).resolve().is_relative_to(here) else file
+def _is_own(file: str) -> bool:
+    """Whether a file is of a package that runs plugins; built-in plugins are in none."""
+    root = Path(__file__).resolve().parents[3]
+    return any(Path(file).resolve().is_relative_to(root / package) for package in ("orchestrator", "protocols"))
 
 
 def _fail(line: str, code: int, choices: Sequence[str] = ()) -> int:

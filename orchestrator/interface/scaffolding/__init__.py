@@ -96,6 +96,7 @@ def _texts(kind: str, name: str) -> dict[str, str]:
         return Template(source).substitute(words)
 
     package = words["package"]
+    procedure = {"procedure.yaml": text("procedure-drive.yaml.txt")} if kind == "drive" else {}
     return {
         f"{package}/{name}.py": text(f"{kind}.py.txt"),
         f"tests/test_{name}.py": text(f"test_{kind}.py.txt"),
@@ -103,4 +104,5 @@ def _texts(kind: str, name: str) -> dict[str, str]:
         "README.md": text(f"README-{kind}.md.txt"),
         f"{package}/__init__.py": text("init.py.txt"),
         f"{package}/py.typed": "",
+        **procedure,
     }

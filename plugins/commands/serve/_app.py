@@ -78,12 +78,13 @@ class _Page:
         return Response(out, media_type="application/json")
 
     async def start(self, request: Request) -> Response:
-        await self._run.start((await _body(request, Wanted)).running(self._folder))
+        wanted = await _body(request, Wanted)
+        await self._run.start(wanted.running(self._folder), wanted.subject)
         return JSONResponse({})
 
     async def resume(self, request: Request) -> Response:
         named = await _body(request, RunNamed)
-        await self._run.start(["resume", str(run_folder(self._folder, named.run))])
+        await self._run.start(["resume", str(run_folder(self._folder, named.run))], named.run)
         return JSONResponse({})
 
     async def answer(self, request: Request) -> Response:

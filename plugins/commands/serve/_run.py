@@ -56,7 +56,9 @@ class RunOfThePage:
         self._answered = 0
         self._changed = asyncio.Condition()
         self._is_closing = self._is_closed = False
-        self._view: dict[str, Any] = {"going": False, "stopping": False, "problem": "", "picture": None}
+        self._view: dict[str, Any] = {
+            "going": False, "stopping": False, "problem": "", "subject": "", "picture": None,
+        }  # fmt: skip
 
     @property
     def is_going(self) -> bool:
@@ -73,8 +75,11 @@ class RunOfThePage:
             last = self._view
             yield last
 
-    async def start(self, words: Sequence[str]) -> None:
-        """Start `fluxbench` with these words; raises `NotNowError` while another run is going."""
+    async def start(self, words: Sequence[str], subject: str) -> None:
+        """Start `fluxbench` with these words; raises `NotNowError` while another run is going.
+
+        `subject` says what is started, for the page to show until the run itself does.
+        """
         if self.is_going or self._is_closing:
             raise NotNowError("a run is going already, and there is one at a time")
         self._answered = 0
@@ -87,8 +92,9 @@ class RunOfThePage:
             bufsize=0,
             start_new_session=True,  # a terminal's Ctrl-C and Ctrl-Z are for the server
         )
-        self._view = self._view | {"going": True}  # before anything is waited for
-        await self._show(stopping=False, problem="", picture=None)
+        begun = {"going": True, "stopping": False, "problem": "", "subject": subject, "picture": None}
+        self._view = self._view | begun  # before anything is waited for
+        await self._show()
         self._keep(self._follow(self._process))
 
     async def answer(self, number: int, answer: str) -> None:

@@ -26,6 +26,12 @@ class Wanted(Strict):
     tags: tuple[Line, ...] = Field((), max_length=100)
     note: Line = ""
 
+    @property
+    def subject(self) -> str:
+        """Procedure, motor and drive."""
+        drive = f"drive {self.drive}" if self.drive else ""
+        return " · ".join(part for part in (self.procedure, self.motor or "the procedure's motor", drive) if part)
+
     def checking(self, folder: Path) -> list[str]:
         """The words of `fluxbench check`."""
         words = ["check", procedure_word(folder, self.procedure), "--json"]

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from orchestrator.config import PlanSummary, check_plan, load_procedure, make_plan
-from protocols import CapabilityError
+from orchestrator.engine import connected_drive
+from protocols import CapabilityError, shipped_procedure
 from tests.support.benches import KINDS, Bench
 
 HOLD = {"kind": "resistance", "points_a": [[3.0, 4.0]], "settle_s": 1.0, "duration_s": 3.0}
@@ -69,7 +71,8 @@ def test_the_ripple_of_the_injection_counts(pm400: Bench) -> None:
     ids=lambda stage: str(stage["kind"]),
 )
 def test_what_has_no_square_is_refused_like_anything_too_large(pm400: Bench, stage: dict[str, Any]) -> None:
-    assert re.search(r"e\+(29\d|300) [AV]", refusal(pm400, stage))
+    drive = dict.fromkeys(("excitations", "watchdog_covers"), KINDS | {"steps"})
+    assert re.search(r"e\+(29\d|300) [AV]", refusal(pm400, stage, drive=drive))
 
 
 def test_the_peak_voltage_is_resistive_drop_and_injection(pm400: Bench) -> None:
@@ -105,6 +108,15 @@ def test_the_paper_takes_its_300_s_of_sweeps_and_4575_s_of_injection(pm400: Benc
 def test_the_demo_takes_about_a_minute(pm400: Bench) -> None:
     drive = pm400.capabilities()
     assert check_plan(make_plan(load_procedure("demo"), drive), drive).duration_s == pytest.approx(60.0, abs=15.0)
+
+
+def test_the_readme_and_the_demo_itself_state_the_duration_that_is_planned(pm400: Bench) -> None:
+    readme = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
+    demo = load_procedure("demo")
+    with connected_drive(demo, private=None) as (_, drive):
+        planned = f"{check_plan(make_plan(demo, drive), drive).duration_s:.0f} s of the drive's time"
+    for text in (readme, demo.summary, shipped_procedure("demo")):
+        assert planned in text
 
 
 def test_without_a_drive_the_procedures_own_limits_are_checked(pm400: Bench) -> None:
@@ -155,7 +167,15 @@ LIMITS = {"current_a": 5.0, "voltage_v": 150.0}
             "stages.0.pwm_frequencies_hz",
             "(10000, 20000 Hz)",
         ),
+        (
+            [{"kind": "gates_off"}, HOLD, {"kind": "classical"}, INJECTION],
+            {},
+            {"excitations": frozenset({"hold"})},
+            "stages.0, stages.2, stages.3",
+            "has no gates_off, injection, trapezoid; it has hold",
+        ),
         ([HOLD], {}, {"watchdog_s": None}, "drive.name", "has no dead man"),
+        ([HOLD], {}, {"watchdog_s": None}, "drive.name", '"I stand beside the drive and can cut its power"'),
         ([HOLD], {}, {"watchdog_covers": KINDS - {"hold"}}, "drive.name", "does not work during hold"),
         ([HOLD], {}, {"motor_name": "another"}, "motor.name", "set up for 'another'"),
         ([{**INJECTION, "frequency_hz": 470.0}], {}, {}, "stages.0.frequency_hz", "the nearest is 454.5454545 Hz"),

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
-from orchestrator.config.time_constants import time_constant_notes
-from protocols import Motor
+from orchestrator.config import load_procedure, make_plan
+from orchestrator.config.time_constants import plan_notes, time_constant_notes
+from protocols import DriveChoice, Motor
+from tests.support.benches import Bench
 
 
 def motor(ohm: float, henry: float) -> Motor:
@@ -39,3 +43,18 @@ def test_the_line_begins_where_a_straight_line_between_rows_is_off_by_a_percent(
     # (h R / 2 L)^2 / 3 = 0.01: L / R is 2.89 samples
     assert time_constant_notes(motor(1.0, 2.8e-3), 1000.0)
     assert not time_constant_notes(motor(1.0, 3.0e-3), 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("drive", "faster"), [("simulated", " (`--set drive.sampling_frequency_hz=20000`)"), ("vesc", "")]
+)
+def test_a_plan_s_notes_state_the_settings_that_end_them(drive: str, faster: str, pm400: Bench) -> None:
+    demo = load_procedure("demo")
+    fast = demo.motor.model_copy(update={"d_inductance_h": 1.2e-3, "q_inductance_h": 1.3e-3})
+    plan = make_plan(demo.model_copy(update={"motor": fast}), pm400.capabilities())
+    at = next(k for k, stage in enumerate(demo.stages) if stage.kind == "injection")
+    named = plan.procedure.model_copy(update={"drive": DriveChoice(name=drive)})
+    samples, reactance = plan_notes(replace(plan, procedure=named), pm400.capabilities())
+    assert "L / R is 2.8 of a sample" in samples
+    assert samples.endswith(f"or log the control's own rows{faster}")
+    assert reactance.endswith(f"inject at up to 2500 Hz (`--set stages.{at}.frequency_hz=2500`)")

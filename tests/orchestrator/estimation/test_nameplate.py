@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
 from orchestrator.estimation import estimate_recording
-from protocols import CheckOutcome, EstimationReport, Motor
+from protocols import (
+    AxisPercent,
+    CheckOutcome,
+    Estimate,
+    EstimationContext,
+    EstimationReport,
+    Estimator,
+    FluxMapEstimate,
+    Motor,
+    RecordingReader,
+    ResistanceEstimate,
+)
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.test_checks import exact_map
-from tests.orchestrator.estimation.made_up import R_S, RECORDING, Resistance, Ripples, Sweeps
+from tests.orchestrator.estimation.made_up import R_S, RECORDING, SOUND, OneEnergy, Resistance, Ripples, Sweeps
 
 EXACT = exact_map("ripples")
 AT_REST = np.unravel_index(np.argmin(np.add.outer(EXACT.i_d**2, EXACT.i_q**2)), EXACT.l_dd.shape)
@@ -77,3 +89,32 @@ def test_no_nameplate_is_no_remark(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("ratio", "usable"), [(0.3, True), (0.2, False), (30.0, False)])
 def test_a_resistance_that_no_convention_makes_leaves_no_map_usable(ratio: float, usable: bool, tmp_path: Path) -> None:
     assert report(tmp_path, stator_resistance_ohm=ratio).usable is usable
+
+
+class WrongRipples(Ripples):
+    """Injection's map whose inductances dead time has made twice too large, and which is not reliable."""
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
+        made = super().estimate(recording, context)
+        assert isinstance(made, FluxMapEstimate)
+        wrong = {"l_dd": 2.0 * made.map.l_dd, "l_qq": 2.0 * made.map.l_qq}
+        return made.model_copy(update={"map": made.map.model_copy(update=wrong)})
+
+
+class LesserEnergy(OneEnergy):
+    rank: ClassVar[int] = 5
+    requires: ClassVar[tuple[type[Estimate], ...]] = (ResistanceEstimate,)
+
+
+@pytest.mark.parametrize(("reliable", "ratios"), [(True, {"L_d": 2.0, "L_q": 2.0}), (False, {})])
+def test_a_nameplate_is_compared_with_the_corrected_map_where_injection_s_is_not_reliable(
+    reliable: bool, ratios: dict[str, float], tmp_path: Path
+) -> None:
+    checks = SOUND if reliable else SOUND.model_copy(update={"parity": AxisPercent(d_percent=9.0, q_percent=9.0)})
+    plate = {"d_inductance_h": float(EXACT.l_dd[AT_REST]), "q_inductance_h": float(EXACT.l_qq[AT_REST])}
+    motor = Motor.model_validate({**RECORDING.manifest.motor.model_dump(), **plate})
+    recording = MemoryRecording(RECORDING.manifest.model_copy(update={"motor": motor}), {})
+    estimators: list[Estimator] = [Resistance(), Sweeps(), WrongRipples(checks=checks), LesserEnergy()]
+    found = estimate_recording(recording, estimators, tmp_path)
+    assert (found.method, found.usable) == ("ripples", reliable)
+    assert far(found) == pytest.approx(ratios)

@@ -130,6 +130,13 @@ def test_each_line_says_why_and_what_to_look_at(tmp_path: Path) -> None:
     assert any(doubt.startswith("motor: not in the file") for doubt in guessed.doubts)
 
 
+def test_the_pwm_frequency_is_asked_for_with_what_it_is_good_for(tmp_path: Path) -> None:
+    guessed = guess_mapping(german(tmp_path / "log.csv"))
+    asked = "drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too"
+    assert asked in guessed.doubts
+    assert "pwm_frequency_hz: null}" in guessed.text
+
+
 def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
     return text(tmp_path / "log.csv", names + "\n", rows)
 

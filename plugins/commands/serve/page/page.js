@@ -48,7 +48,8 @@ function show(now) {
 }
 
 function chip(now, p) {
-  const words = !now.going && !p ? "nothing is going" : !p ? "starting" : p.armed ? `${p.state_words}, energised` : p.state_words;
+  const idle = known === null ? "loading procedures" : "nothing is going";
+  const words = !now.going && !p ? idle : !p ? "starting" : p.armed ? `${p.state_words}, energised` : p.state_words;
   set("state", words);
   const mood = p && p.outcome && !now.going ? p.outcome.mood : p && p.armed ? "armed" : "";
   $("state").className = `chip ${mood}`;
@@ -67,9 +68,12 @@ function drawRun(now, p) {
   $("again").hidden = now.going;
   $("problem").hidden = now.problem === "";
   set("problem", now.problem);
-  for (const id of ["bar", "progress"]) $(id).hidden = p === null;
+  $("bar").hidden = p === null;
+  $("progress").hidden = p === null && !now.going;
   if (p === null) {
-    for (const id of ["title", "subject"]) set(id, id === "title" ? (now.going ? "Starting" : "It did not start") : "");
+    set("title", now.going ? "Starting" : "It did not start");
+    set("subject", now.subject);
+    set("progress", now.going ? "importing, planning" : "");
     for (const id of ["facts", "outcome", "plane", "wave", "flux", "log"]) $(id).replaceChildren();
     $("verdict").hidden = $("report").hidden = true;
     document.querySelector(".plots").hidden = $("details").hidden = true;

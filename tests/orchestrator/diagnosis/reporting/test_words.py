@@ -111,6 +111,25 @@ def test_what_is_left_unexplained_is_said(search: SearchResult, verdict: str, ca
     assert words.to_decide.startswith(next_step)
 
 
+def test_what_a_recording_lacks_stands_in_the_words(search: SearchResult) -> None:
+    reasons = [
+        {"quantity": "map_error_percent", "value": 0.5, "limit": 0.2, "sentence": "The map is uncertain by 0.5 %."},
+        {"quantity": "chi2_per_dof", "value": 1.0, "limit": 1.1, "sentence": "chi2 is 1.0."},
+    ]
+    words = said(search, verdict="cannot_tell", effects=[], reasons=reasons)
+    assert words.to_decide == "another recording: The map is uncertain by 0.5 %."
+
+
+def test_an_unknown_of_a_winding_too_fast_for_its_samples_asks_for_faster_ones_first(
+    search: SearchResult,
+) -> None:
+    note = "L / R is 2.8 of a sample; sample at 10800 Hz or more"
+    remarks = [{"code": "time_constant", "values": {}, "text": note}]
+    words = said(search, verdict="unknown_remains", effects=[], remarks=remarks)
+    assert words.likely_cause == "not known: the readings are too slow for this winding to tell"
+    assert words.to_decide == f"the same once more with faster readings: {note}"
+
+
 def test_an_unknown_is_described_by_its_shape(search: SearchResult) -> None:
     shape = [{"group": "periodic", "share": 0.8}, {"group": "constant", "share": 0.2}]
     words = said(search, verdict="unknown_remains", effects=[], unexplained={"fraction": 0.9, "shape": shape})

@@ -11,6 +11,7 @@ import pytest
 import fluxbench
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.interface.api import add, chosen_effects, chosen_model, compare, diagnose, estimate, map_of, remove
+from orchestrator.recording import read_model
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import (
     Estimate,
@@ -44,9 +45,19 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_an_effect_of_one_s_own_is_a_candidate(out: Path) -> None:
-    assert compare(DATA, effects=[Bias()], out=out).model == "saturated + my_bias"
+    report = compare(DATA, effects=[Bias()], out=out)
+    assert report.model == "saturated + my_bias"
+    assert report.notes[-1] == "my_bias: in the model already"
     with pytest.raises(PluginError, match="my_bias: in the model, but not installed"):
         compare(DATA, out=out)
+
+
+def test_an_own_effect_of_the_model_is_missed_with_the_file_that_it_is_from(out: Path) -> None:
+    (effect,) = read_model(out).effects
+    assert effect.file == __file__
+    with pytest.raises(PluginError, match=rf"my_bias: in the model, but not installed; pass `--effects {__file__}`"):
+        add(DATA, "my_bias", out=out)
+    assert [kept.file for kept in read_model(out).effects] == [__file__]
 
 
 def test_a_model_is_named_by_its_file_or_is_itself(out: Path) -> None:

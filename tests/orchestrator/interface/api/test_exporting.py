@@ -28,3 +28,15 @@ def test_a_map_file_takes_the_motor_that_is_named(tmp_path: Path) -> None:
         api.export(map_file, "csv", out=tmp_path / "none")
     motor = Motor(name="mine", pole_pairs=2)
     assert api.export(map_file, "csv", motor=motor, out=tmp_path / "out").files
+
+
+def test_exported_files_name_the_folder_of_the_run_that_they_are_of(tmp_path: Path) -> None:
+    run_tiny(tmp_path)
+    run = (tmp_path / "run").rename(tmp_path / "second motor")
+    api.estimate(run)
+    motor = Motor(name="mine", pole_pairs=2)
+    for place in (run, run / "results" / "flux_map.nc"):
+        out = tmp_path / place.name / "export"
+        (file,) = (file.path for file in api.export(place, "csv", motor=motor, out=out).files)
+        rows = Path(file).read_text(encoding="utf-8").splitlines()
+        assert {row.rpartition(",")[2] for row in rows[1:]} == {"second motor"}

@@ -223,6 +223,28 @@ def test_an_effect_s_error_names_file_and_line(tmp_path: Path, capsys: pytest.Ca
     assert f"ZeroDivisionError: division by zero ({mine}, line {line})" in message
 
 
+@pytest.mark.parametrize(
+    ("change", "at", "message"),
+    [
+        (('"V"', '"Vs^x"'), "    class Parameters", "unit 'Vs^x' cannot be scaled"),
+        (("BODY", "return Correction(v_ab=signals.v_ab[:, :1])"), "    def correct", "v_ab has shape"),
+        (("BODY", "return signals"), "    def correct", "returned Signals, no Correction"),
+        (('    gauge = ""', ""), "class Mine", "attribute 'gauge' is missing"),
+    ],
+)
+def test_an_effect_s_fault_names_its_line_in_the_file(
+    change: tuple[str, str], at: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT.format(body="BODY").replace(*change))
+    line = 1 + next(k for k, text in enumerate(mine.read_text().splitlines()) if text.startswith(at))
+    problem = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
+    assert message in problem
+    assert f"({mine}, line {line})" in problem
+    assert "?" not in problem
+    assert "protocols" not in problem
+
+
 @pytest.mark.slow
 def test_a_comparison_says_whether_a_candidate_helps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mine = tmp_path / "mine.py"

@@ -39,7 +39,7 @@ def test_the_reasons_come_first_then_the_search_then_each_effect(
     assert run_app(["explain", str(diagnosed)]) == 0
     out = capsys.readouterr().out
     first, second, *_ = out.splitlines()
-    assert first.startswith("example: explained")
+    assert first.startswith(f"{diagnosed}: explained")
     assert second == "  chi2 per degree of freedom fell from 900 to 1.01; noise alone makes up to 1.08."
     rows = [" ".join(line.split()) for line in out.splitlines()]
     assert "step move effects gain threshold chi2 decision" in rows
@@ -110,9 +110,9 @@ def test_an_output_without_unicode_gets_a_table_all_the_same(
 def test_diagnose_prints_the_reasons_below_the_verdict_and_how_well_the_model_does(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    _diagnosis._print_diagnosis(a_report(), WORDS)
+    _diagnosis._print_diagnosis(Path("runs/mine"), a_report(), WORDS)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "example: explained"
+    assert lines[0] == "runs/mine: explained"
     assert lines[1].startswith("  chi2 per degree of freedom fell from 900 to 1.01")
     assert any("0.4 % of its range" in line for line in lines)
     assert any("±0.12 % of the rated flux" in line for line in lines)
@@ -120,13 +120,13 @@ def test_diagnose_prints_the_reasons_below_the_verdict_and_how_well_the_model_do
 
 def test_an_effect_that_is_no_cause_has_its_parameters_in_the_table(capsys: pytest.CaptureFixture[str]) -> None:
     small = a_report().effects[0].model_copy(update={"name": "eddy_currents"})
-    _diagnosis._print_diagnosis(a_report().model_copy(update={"minor": (small,)}), WORDS)
+    _diagnosis._print_diagnosis(Path("runs/mine"), a_report().model_copy(update={"minor": (small,)}), WORDS)
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["eddy_currents", "voltage", "400.0", "mV", "399.0", "to", "401.0"] in rows
 
 
 def test_compare_says_what_chi2_is_and_that_its_currents_are_means(capsys: pytest.CaptureFixture[str]) -> None:
-    _diagnosis._print_comparison(a_comparison())
+    _diagnosis._print_comparison(Path("runs/mine"), a_comparison())
     out = capsys.readouterr().out
     assert "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most" in out
     assert ["worst", "mean", "i_d", "mean", "i_q", "rms", "error"] in [line.split() for line in out.splitlines()]

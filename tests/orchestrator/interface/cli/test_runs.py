@@ -54,6 +54,9 @@ def test_runs_are_listed_and_searched_by_words(folder: Path) -> None:
     found = json.loads(called("runs", "pm-0042", "COLD", "--json", cwd=folder).stdout)
     assert [row["run"] for row in found] == ["runs/one"]
     assert "no run below runs has the words warm" in called("runs", "warm", cwd=folder).stdout
+    (folder / "elsewhere").mkdir()
+    message = called("runs", "elsewhere", cwd=folder).stdout
+    assert message.endswith("; `fluxbench runs --folder elsewhere` lists those below elsewhere\n")
 
 
 def test_a_folder_that_is_not_there_and_a_damaged_run_are_said(folder: Path, tmp_path: Path) -> None:

@@ -12,12 +12,14 @@ import sysconfig
 import tomllib
 import venv
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+import protocols
 from orchestrator.interface.cli._new import new
 from orchestrator.interface.scaffolding import KINDS, write_package
-from protocols import InputError, PluginError
+from protocols import Capabilities, ExcitationKind, InputError, PluginError, Procedure, Stage
 from tests.support.cases import few
 
 ROOT = Path(__file__).parents[4]
@@ -60,6 +62,28 @@ def test_a_new_package_passes_its_kit(kinds: tuple[str, ...], tmp_path: Path) ->
     assert done.returncode == 0, done.stdout + done.stderr
     for kind in kinds:
         assert len(re.findall(rf"test_my_{kind}\.py::.* PASSED", done.stdout)) >= 6, done.stdout
+
+
+def test_a_new_drive_has_a_procedure_that_runs_and_learns_all_stages_that_it_cannot_do(tmp_path: Path) -> None:
+    write_package("drive", "fresh", tmp_path / "drive")
+    installed_as(tmp_path / "drive")
+    done = in_package(tmp_path / "drive", "-m", "fluxbench", "run", "procedure.yaml", "--out", "run")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "every stage is done" in done.stdout
+    done = in_package(tmp_path / "drive", "-m", "fluxbench", "check", "demo", "--drive", "fresh")
+    unfit = "stages.0, stages.4, stages.7, stages.8: the drive 'fresh' has no gates_off, injection, trapezoid; it has"
+    assert f"{unfit} hold" in done.stderr
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_readme_speaks_of_names_that_there_are(kind: str, tmp_path: Path) -> None:
+    plugin = write_package(kind, "fresh", tmp_path / kind)[0]
+    readme = (tmp_path / kind / "README.md").read_text()
+    known = {*re.findall(r"\w+", plugin.read_text()), *dir(protocols), *get_args(ExcitationKind), *dir(Stage)}
+    known |= {*Capabilities.model_fields, *Procedure.model_fields, "demo", "protocols"}
+    assert [name for name in re.findall(r"`(\w+)`", readme) if name not in known] == []
+    values = re.findall(r"`\w+ = ([^`]+)`", readme)
+    assert [value for value in values if value not in known] == []
 
 
 def test_a_new_package_is_tidy(tmp_path: Path) -> None:

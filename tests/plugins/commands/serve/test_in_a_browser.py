@@ -63,6 +63,12 @@ def test_a_person_starts_answers_on_the_phone_watches_and_stops(tmp_path: Path, 
         press(desk, "check")
         desk.until("document.querySelector('#plan table') !== null")
         press(desk, "start")
+        desk.until("document.getElementById('title').textContent === 'Starting'")
+        subject, progress = (
+            desk.value(f"document.getElementById('{name}').textContent") for name in ("subject", "progress")
+        )
+        assert (subject, progress) == ("asking.yaml · the procedure's motor", "importing, planning")
+        assert desk.value(is_seen("progress"))
         phone.until(is_seen("question"))
         assert phone.value("document.getElementById('prompt').textContent") == "Is the brake engaged?"
         assert fits_its_width(phone)
@@ -104,7 +110,7 @@ def test_a_page_of_another_origin_can_neither_read_nor_start(tmp_path: Path, chr
 def test_the_page_says_when_its_server_is_gone(tmp_path: Path, chromium: Chromium) -> None:
     with serving(tmp_path) as served:
         tab = chromium.open(served.address)
-        tab.until("document.getElementById('state').textContent === 'nothing is going'")
+        tab.until("document.getElementById('state')?.textContent === 'nothing is going'")
         served.process.kill()
         tab.until(is_seen("gone"))
         assert "disarmed" in tab.value("document.getElementById('gone').textContent")

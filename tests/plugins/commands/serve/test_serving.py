@@ -83,6 +83,8 @@ def test_a_run_is_started_asked_about_answered_and_stopped_by_two_browsers(serve
         "note": "-x",
     }
     assert served.post("/start", wanted).status == 200
+    starting = next(served.views())
+    assert (starting["going"], starting["subject"]) == (True, "asking.yaml · motors/servo.yaml")
     again = served.post("/start", wanted)
     assert again.status == 409
     assert "one at a time" in again.content["problem"]

@@ -1,0 +1,112 @@
+"""What became of the effects that were given beside the installed ones: each that is not in the model has a remark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.guarded import is_own
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.contrasts import separable
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import number
+from orchestrator.formatting.sentences import listed
+from protocols import Remark, SearchEvent
+
+
+def own_effect_remarks(
+    candidates: Sequence[CandidateEffect],
+    observable: Sequence[CandidateEffect],
+    fit: Fit,
+    events: Sequence[SearchEvent],
+) -> list[Remark]:
+    """A remark for each own effect that the model has not: code ``own_effect_tried`` or ``own_effect_not_tried``.
+
+    Parameters
+    ----------
+    candidates, observable : sequence of CandidateEffect
+        All candidates, and those that some segment can show.
+    fit : Fit
+        The search's last.
+    events : sequence of SearchEvent
+        The moves of the search.
+    """
+    can_show = {candidate.name for candidate in observable}
+    remarks = []
+    for candidate in candidates:
+        name = candidate.name
+        if not is_own(candidate.effect) or name in fit.model.names:
+            continue
+        trials = _trials(name, events)
+        if trials:
+            text = "{effect}: tried, and not in the model: {trials}; `explain` lists all moves"
+            remarks.append(Remark.of("own_effect_tried", text, effect=plain(name), trials="; ".join(trials)))
+        else:
+            text = "{effect}: not fitted: {why}"
+            why = "no segment can show it" if name not in can_show else _why_not_fitted(candidate, fit, events)
+            remarks.append(Remark.of("own_effect_not_tried", text, effect=plain(name), why=why))
+    return remarks
+
+
+def _trials(name: str, events: Sequence[SearchEvent]) -> list[str]:
+    """The first refit with an effect, and the last decision on it, in words."""
+    own = [event for event in events if name in event.effects]
+    refit = next((event for event in own if event.move == "refit"), None)
+    decided = [event for event in own if event.move in ("full_model", "add", "remove", "swap", "merge")]
+    trials = []
+    if refit is not None:
+        winner = next((e for e in events if e.move == "add" and e.step > refit.step and name not in e.effects), None)
+        better = "" if winner is None else f" ({listed([plain(n) for n in winner.effects])}: {_score(winner)})"
+        trials.append(f"added alone, {_chi2(refit)}, {_score(refit)}{better}")
+    if decided:
+        last = decided[-1]
+        others = [plain(other) for other in last.effects if other != name]
+        words = (_decision(last, others), _chi2(last), _score(last) + _needed(last))
+        trials.append(", ".join(part for part in words if part))
+    return trials
+
+
+def _decision(event: SearchEvent, others: Sequence[str]) -> str:
+    """What a move did with an effect."""
+    if event.move == "full_model":
+        return "fitted together with all others"
+    if event.move in ("swap", "merge"):
+        return f"compared with {listed(list(others))}, {event.decision}"
+    done = {"add": "added", "remove": "taken out"}[event.move]
+    together = f" together with {len(others)} others" if others else ""
+    return f"{done}{together}" if event.decision == "taken" else f"not {done}{together}"
+
+
+def _chi2(event: SearchEvent) -> str:
+    ends = [number(chi2) for chi2 in (event.chi2_before, event.chi2_after) if chi2 is not None]
+    return f"chi2 {' → '.join(ends)}" if ends else ""
+
+
+def _score(event: SearchEvent) -> str:
+    """The move's score."""
+    if event.score is None:
+        return ""
+    score = number(event.score, 6 if abs(event.score) >= 1000.0 else 3)
+    return f"log evidence {score} nat" if event.measure == "log_evidence" else f"chi2 falls by {score} in all"
+
+
+def _needed(event: SearchEvent) -> str:
+    """The number that a move's score was compared with."""
+    if event.score is None or event.threshold is None or event.measure != "log_evidence":
+        return ""
+    return f" (at least {number(event.threshold, 3)} nat for this)"
+
+
+def _why_not_fitted(candidate: CandidateEffect, fit: Fit, events: Sequence[SearchEvent]) -> str:
+    tied = [
+        plain(term.name)
+        for term in fit.model.active
+        if not separable(fit.prepared, candidate.effect, term.candidate.effect)
+    ]
+    if tied:
+        return f"this recording cannot separate it from {listed(tied)}"
+    screen = next((event for event in reversed(events) if event.move == "screen" and event.effects), None)
+    if screen is None:
+        return "the search ended before it"
+    largest = f"the largest, of {plain(screen.effects[0])}, is {number(screen.score, 3)}"
+    return f"its predicted fall of chi2 is too small; {largest} ({number(screen.threshold, 3)} needed)"
