@@ -148,7 +148,7 @@ class Device:
 
     def _news(self) -> Iterator[Message]:
         now_s, power, period_s = self._clock(), self.power, self._file["telemetry_period_s"]
-        shown = self.rig.simulator.shown
+        shown = self.rig.simulator.filtered
         warmth = self._tell_temperature()
         yield from self._telemetry.status(
             now_s, power.state, power.cause, power.faults, power.last_beat, shown[2], warmth
@@ -282,7 +282,7 @@ class Device:
         def register(name: str, value: float) -> float:
             return value if file[name] in (0.0, single(value)) else file[name]
 
-        self.rig.believe(
+        self.rig.retune(
             replace(
                 own,
                 pole_pairs=int(register("motor_pole_pairs", own.pole_pairs)),
