@@ -148,9 +148,7 @@ class SpinEstimator:
     def _remarks(self, fit: SpinFit, stated: float | None) -> list[Remark]:
         remarks = [_magnet_remark(fit.magnet_wb, stated)]
         ohm, std = fit.resistance_ohm
-        text = (
-            "R_s = {value_ohm:.4g} ohm (+-{std_ohm:.1g}) by the back-EMF's symmetry in i_q and its dependence on speed"
-        )
+        text = "R_s = {value_ohm:.4g} ohm (+-{std_ohm:.1g}) by the back-EMF's symmetry in i_q and its speeds"
         remarks.append(Remark.of("resistance_by_emf", text, value_ohm=ohm, std_ohm=std))
         angle, std = fit.angle_rad
         if abs(angle) > max(self.min_remark_rad, self.significance_sigmas * std):

@@ -139,10 +139,8 @@ def _print_verdict(verdict: Verdict) -> None:
     sizes = {size.name: size for size in verdict.sizes}
     for name in verdict.right:
         size = sizes.get(name)
-        size_text = (
-            f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_error(size.ratio)}" if size else ""
-        )
-        _print_line(f"{name}: right{size_text}")
+        suffix = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_error(size.ratio)}" if size else ""
+        _print_line(f"{name}: right{suffix}")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
     if verdict.complete:

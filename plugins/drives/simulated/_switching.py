@@ -177,10 +177,7 @@ def _advance_interval(
         carry_branches(x, CORE_Q, fade * x[CORE_Q] + p.core_q_per_h * q)
     if sw.bridge.damper_rate > 0.0:
         fade = math.exp(-h * sw.bridge.damper_rate)
-        d, q = (
-            c * total.damper_alpha + s * total.damper_beta,
-            c * total.damper_beta - s * total.damper_alpha,
-        )
+        d, q = c * total.damper_alpha + s * total.damper_beta, c * total.damper_beta - s * total.damper_alpha
         carry_branches(x, DAMPER_D, fade * x[DAMPER_D] + p.damper_d_per_h * d)
         carry_branches(x, DAMPER_Q, fade * x[DAMPER_Q] + p.damper_q_per_h * q)
     x[SUM_A] += 0.5 * h * (from_alpha + x[I_ALPHA]) + ripple_alpha

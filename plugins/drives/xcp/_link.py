@@ -123,9 +123,7 @@ class Link:
         except Exception as error:  # pyxcp raises the errors of its parts, without a common base
             raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {_first_line(error)}") from error
         self._master.transport.get = self._answer
-        self._master.transport._record_pdu = lambda *pdu: (
-            None
-        )  # pyxcp's diagnostics would take most of a row's CPU time
+        self._master.transport._record_pdu = lambda *pdu: None  # diagnostics take most of a row's CPU time
         self.layout = Layout("<")
         self._head, self._quiet = 0, ProcessClock()
 

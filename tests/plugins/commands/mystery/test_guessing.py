@@ -28,7 +28,7 @@ def test_names_and_sizes_are_read() -> None:
     ("words", "message"),
     [
         ("dead_tim", "did you mean dead_time"),
-        ("dead_time=much", "no number"),
+        ("dead_time=much", "not a number"),
         ("dead_time,dead_time", "twice"),
         (",", "nothing"),
     ],
