@@ -237,31 +237,31 @@ def fit_voltage(
     loss_start = len(columns)
     if is_biased:
         columns += [np.tile(e, len(i_ab)) for e in np.eye(2)]
-    held = _HoldRegression(
+    model = _HoldRegression(
         i_ab=i_ab,
         target=v_ab.ravel(),
         columns=columns,
         pwm_rows=[np.repeat(pwm_hz == f, 2).astype(np.float64) for f in frequencies],
         walk=no_walk(v_ab.size),
     )
-    shape = held.best_shape(largest, abruptness)
-    residual_v = held.residual_beside_step_v(shape) if frequencies else 0.0
-    with_step_ohm = float(held.walk.solve(held.design(shape), held.target)[1][0])
+    shape = model.best_shape(largest, abruptness)
+    residual_v = model.residual_beside_step_v(shape) if frequencies else 0.0
+    with_step_ohm = float(model.walk.solve(model.design(shape), model.target)[1][0])
     unlike = residual_v > max(unlike_share * largest * abs(with_step_ohm), unlike_stds * own_std_v)
     if unlike:
         # A random walk of R_s would absorb the residual and give a narrow interval about a wrong R_s.
-        frequencies, held, shape = [], replace(held, pwm_rows=[]), (1.0, 0.0)
+        frequencies, model, shape = [], replace(model, pwm_rows=[]), (1.0, 0.0)
     elif drifts:
-        held = replace(held, walk=random_walk(offset_s, i_ab, strong).likeliest(held.design(shape), held.target))
-        shape = held.best_shape(largest, abruptness)
-        held = replace(held, walk=held.walk.likeliest(held.design(shape), held.target))
-    squares, solution = held.walk.solve(held.design(shape), held.target)
+        model = replace(model, walk=random_walk(offset_s, i_ab, strong).likeliest(model.design(shape), model.target))
+        shape = model.best_shape(largest, abruptness)
+        model = replace(model, walk=model.walk.likeliest(model.design(shape), model.target))
+    squares, solution = model.walk.solve(model.design(shape), model.target)
     # The step's shape was fitted as well: two more columns account for its error.
-    errors_v = zip(solution[len(columns) :], held.pwm_rows, strict=True)
+    errors_v = zip(solution[len(columns) :], model.pwm_rows, strict=True)
     volts = sum((v * rows for v, rows in errors_v), np.zeros(v_ab.size))
     gradients = [volts * gradient.ravel() for gradient in _shape_gradients(i_ab, *shape)] if frequencies else []
-    design = np.column_stack([held.design(shape), *gradients])
-    freedom = max(round(design.shape[0] - design.shape[1] - held.walk.freedom), 1)
+    design = np.column_stack([model.design(shape), *gradients])
+    freedom = max(round(design.shape[0] - design.shape[1] - model.walk.freedom), 1)
     variance = squares / max(design.shape[0] - design.shape[1], 1)
     # With hardly any inverter loss the readings do not determine its shape: a prior does.
     known = np.zeros(design.shape[1])
@@ -269,7 +269,7 @@ def fit_voltage(
         known[-2:] = (
             variance / np.array([THRESHOLD_STD_STEPS, np.ptp(abruptness) / (ABRUPTNESS_STEP * math.sqrt(12.0))]) ** 2
         )
-    covariance = variance * held.walk.covariance(design, known)
+    covariance = variance * model.walk.covariance(design, known)
     losses = slice(loss_start, None)
     return VoltageFit(
         resistance_ohm=float(solution[0]),

@@ -138,9 +138,9 @@ class ClassicalEstimator:
                 where, "segments", "zero current lies outside the swept currents: no flux to start from"
             )
         surface = SmoothSurface(current, values, self.smoothing)
-        held = nodes[inside[:-1]]
+        inner_nodes = nodes[inside[:-1]]
         level = surface(np.zeros((1, 2)))
-        psi, slopes = surface(held) - level, surface.gradient(held)
+        psi, slopes = surface(inner_nodes) - level, surface.gradient(inner_nodes)
         columns = np.full((len(nodes), 5), np.nan)
         spreads = np.full((len(nodes), 5), np.nan)
         columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
@@ -212,8 +212,8 @@ def _nearest_ohm(resistance: ResistanceEstimate | None, start_s: float) -> float
     """Median of the four R_s readings nearest in time, since R_s drifts with temperature."""
     if resistance is None:
         return None
-    near = sorted(resistance.readings, key=lambda reading: abs(reading.start_s - start_s))[:4]
-    return float(np.median([reading.value_ohm for reading in near])) if near else resistance.value_ohm
+    nearest = sorted(resistance.readings, key=lambda reading: abs(reading.start_s - start_s))[:4]
+    return float(np.median([reading.value_ohm for reading in nearest])) if nearest else resistance.value_ohm
 
 
 def _quantities(psi: Array, slope: Array) -> Array:

@@ -118,7 +118,7 @@ class ResistanceEstimator:
             lost_v = self.max_loss_ratio * recording.manifest.drive.dc_bus_voltage_v + self.max_loss_v
             # A loss of one volt in each phase is a vector of at most 4/3 V along the current.
             unknown_loss_ohm = 4.0 / 3.0 * lost_v / largest
-        value, low, high, beside = _with_known(known, fit, unknown_loss_ohm)
+        value, low, high, nameplate_remarks = _with_known(known, fit, unknown_loss_ohm)
         if fit.unlike_step_v:
             margin_ohm = 2.0 * fit.unlike_step_v / largest
             low, high = min(low, fit.with_step_ohm - margin_ohm), max(high, fit.with_step_ohm + margin_ohm)
@@ -131,7 +131,7 @@ class ResistanceEstimator:
             readings=readings,
             temperature_rise_k=temperature_rise(readings),
             inverter=tuple(fit.losses()),
-            remarks=(*beside, *_remarks(fit, [d for _, d in used], bool(holds), readings, low)),
+            remarks=(*nameplate_remarks, *_remarks(fit, [d for _, d in used], bool(holds), readings, low)),
         )
 
     def constant_currents(self, recording: RecordingReader) -> list[Dwell]:
@@ -183,8 +183,8 @@ class ResistanceEstimator:
             for s in recording.segments(SegmentStage.INJECTION)
             if any(abs(_pwm_hz(recording, s) - f) <= self.pwm_tolerance_ratio * f for f in fit.error_v)
         ]
-        some = known[:: max(1, -(-len(known) // self.max_injection_readings))]
-        means = each_capture(recording, some, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), min_a))
+        selected = known[:: max(1, -(-len(known) // self.max_injection_readings))]
+        means = each_capture(recording, selected, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), min_a))
         return [reading for reading in means if reading is not None]
 
     def _mean_reading(self, fit: VoltageFit, capture: Capture, pwm_hz: float, min_a: float) -> ResistanceReading | None:
@@ -280,13 +280,13 @@ def _pwm_hz(recording: RecordingReader, segment: Segment) -> float:
     return float(explicit if explicit is not None else recording.manifest.drive.pwm_frequency_hz or 0.0)
 
 
-def _reading(fit: VoltageFit, rest: Dwell, pwm_hz: float) -> ResistanceReading:
-    length = float(np.linalg.norm(rest.i_ab))
-    along = rest.i_ab / length
-    voltage = fit.resistive(rest.i_ab[None], rest.v_ab[None], pwm_hz)[0]
-    explicit = max(float(np.sqrt(along @ rest.v_covariance @ along)), fit.noise_v)
-    std = np.hypot(explicit, fit.lost_std(rest.i_ab[None], pwm_hz, along)) / length
-    return ResistanceReading(start_s=rest.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
+def _reading(fit: VoltageFit, hold: Dwell, pwm_hz: float) -> ResistanceReading:
+    length = float(np.linalg.norm(hold.i_ab))
+    along = hold.i_ab / length
+    voltage = fit.resistive(hold.i_ab[None], hold.v_ab[None], pwm_hz)[0]
+    noise_v = max(float(np.sqrt(along @ hold.v_covariance @ along)), fit.noise_v)
+    std = np.hypot(noise_v, fit.lost_std(hold.i_ab[None], pwm_hz, along)) / length
+    return ResistanceReading(start_s=hold.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
 
 
 def _remarks(

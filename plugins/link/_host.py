@@ -55,7 +55,7 @@ class Host:
         """Whether the latched fault has been raised, or is older than this connection."""
         self.interlocks: tuple[str, ...] = ()
         """Names of the drive's interlock inputs, once read."""
-        self._held: dict[str, float] = {}
+        self._written: dict[str, float] = {}
 
     # Requests
 
@@ -109,10 +109,10 @@ class Host:
         Raises `DriveRefused` with the drive's reason, `DriveFault` (wrong_data) where another value is read back.
         """
         for name, value in values.items():
-            if anew or self._held.get(name) != value:
-                self._held.pop(name, None)
+            if anew or self._written.get(name) != value:
+                self._written.pop(name, None)
                 self._write(name, value)
-                self._held[name] = value
+                self._written[name] = value
 
     def _write(self, name: str, value: float) -> None:
         try:
@@ -185,10 +185,10 @@ def refused(ack: Ack) -> DriveRefused:
     return DriveRefused(f"the drive refuses to {words(ack.op)}: {words(ack.status)}")
 
 
-def require_readback(name: str, wanted: float, held: float) -> None:
+def require_readback(name: str, expected: float, actual: float) -> None:
     """Raise `DriveFault` (wrong_data) where a register read back differs from what was written."""
-    if held != single(wanted):
-        raise DriveFault(FaultCause.WRONG_DATA, f"the drive holds {held:g} as {name} instead of {wanted:g}")
+    if actual != single(expected):
+        raise DriveFault(FaultCause.WRONG_DATA, f"the drive holds {actual:g} as {name} instead of {expected:g}")
 
 
 def known_fault(number: float) -> Fault:

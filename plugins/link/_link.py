@@ -108,10 +108,10 @@ class Link:
         self.check()
         try:
             with link_errors(self.port.where), self._sending:
-                taken = self.port.send([encode(message) for message in messages], TIMEOUTS.send_s)
+                accepted = self.port.send([encode(message) for message in messages], TIMEOUTS.send_s)
         except DriveFault as fault:
             raise self.lose(fault) from fault.__cause__
-        if not taken:
+        if not accepted:
             raise self.lose(
                 DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: accepts no data for {TIMEOUTS.send_s:g} s")
             )
@@ -146,24 +146,24 @@ class Link:
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Wait for a condition, checked on each reception; raises `DriveFault` where the link is lost."""
-        clock, held = ProcessClock(), False
+        clock, is_fulfilled = ProcessClock(), False
         with self._changed:
-            while not held and (left_s := timeout_s - clock()) > 0.0:
-                held = self._changed.wait_for(
-                    lambda: self._lost is not None or condition(), min(left_s, TIMEOUTS.receive_s)
+            while not is_fulfilled and (remaining_s := timeout_s - clock()) > 0.0:
+                is_fulfilled = self._changed.wait_for(
+                    lambda: self._lost is not None or condition(), min(remaining_s, TIMEOUTS.receive_s)
                 )
-            held = held or condition()
+            is_fulfilled = is_fulfilled or condition()
         self.check()
-        return held
+        return is_fulfilled
 
     def bulk(self, timeout_s: float) -> Sequence[Frame]:
         """Upload frames since the last call, waiting for a batch of blocks or the end of an answer."""
         self.wait(lambda: self._has_ended or len(self._bulk) >= TIMEOUTS.wake_bulk_frames, timeout_s)
         with self._changed:
-            taken = list(self._bulk)
+            frames = list(self._bulk)
             self._bulk.clear()
             self._has_ended = False
-        return taken
+        return frames
 
     # The thread
 

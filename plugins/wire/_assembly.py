@@ -64,7 +64,7 @@ class CaptureAssembly:
             raise InputError("wire", "length", f"a capture of {length} bytes cannot be addressed")
         self.capture, self.length, self.layout = capture, length, layout
         self.next_window = first_window % WINDOW_COUNT
-        self._blocks_each = min(blocks_each, layout.most)
+        self._blocks_each = min(blocks_each, layout.max_blocks)
         self._requests_each = min(requests_each, _TRUSTED_WINDOWS)
         self._passes_left = passes
         blocks = -(-length // layout.block)

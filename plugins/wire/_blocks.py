@@ -46,7 +46,7 @@ class BlockLayout:
     header: int
     relative: bool
     """Whether blocks are counted from the request's offset instead of the capture's start."""
-    most: int
+    max_blocks: int
     """Largest number of blocks in a request."""
 
     @property
@@ -79,9 +79,9 @@ class BlockLayout:
         return [head + data[k * self.block : (k + 1) * self.block] for k, head in enumerate(heads)]
 
 
-CLASSIC_LAYOUT = BlockLayout("Bulk", block=6, header=2, relative=True, most=1024)
+CLASSIC_LAYOUT = BlockLayout("Bulk", block=6, header=2, relative=True, max_blocks=1024)
 """Layout on classic CAN."""
-CAN_FD_LAYOUT = BlockLayout("BulkFD", block=60, header=4, relative=False, most=65535)
+CAN_FD_LAYOUT = BlockLayout("BulkFD", block=60, header=4, relative=False, max_blocks=65535)
 """Layout on CAN FD."""
 
 
@@ -92,4 +92,4 @@ def serial_blocks(block_bytes: int) -> BlockLayout:
     """
     if not 60 <= block_bytes <= 4080:
         raise InputError("wire", "bulk_block_bytes", f"expected 60 to 4080, got {block_bytes}")
-    return BlockLayout("BulkFD", block=block_bytes, header=4, relative=False, most=65535)
+    return BlockLayout("BulkFD", block=block_bytes, header=4, relative=False, max_blocks=65535)

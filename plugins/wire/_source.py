@@ -64,7 +64,7 @@ class CaptureSource:
         """
         if request.capture != self.number:
             return AckStatus.NOT_CAPTURED
-        if request.offset % layout.block or request.blocks > layout.most:
+        if request.offset % layout.block or request.blocks > layout.max_blocks:
             return AckStatus.OUT_OF_RANGE
         if request.blocks and self._memory_bytes is not None and request.offset < self.captured - self._memory_bytes:
             return AckStatus.OVERWRITTEN

@@ -95,8 +95,8 @@ class CsvScopeDrive(DriveShell):
         if not o.folder.is_dir():
             raise InputError("drive", "folder", f"{o.folder} is no directory")
         self._columns = read_columns(o.mapping)
-        taken = [int(path.name[:4]) for path in o.folder.glob("[0-9][0-9][0-9][0-9].*")]
-        self._number = max(taken, default=0)
+        numbers = [int(path.name[:4]) for path in o.folder.glob("[0-9][0-9][0-9][0-9].*")]
+        self._number = max(numbers, default=0)
         pwm = o.pwm_frequency_hz or o.sampling_frequency_hz
         return Capabilities(
             name="csv_scope",

@@ -150,7 +150,7 @@ class Planner:
             discarded,
             amplitude_v=excitation.amplitude_v,
             cycles=excitation.frequency_hz / fs,
-            turns=excitation.rotation_hz / fs,
+            revolutions=excitation.rotation_hz / fs,
             square=excitation.waveform == "square",
         )
         yield Stretch(wave, on_base=True)

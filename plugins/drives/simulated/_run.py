@@ -92,7 +92,7 @@ class Piece(NamedTuple):
     amplitude_v: float = 0.0
     cycles: float = 0.0
     """Periods of the injected wave per sample."""
-    turns: float = 0.0
+    revolutions: float = 0.0
     """Revolutions of the injection's direction per sample."""
     square: bool = True
     first: int = 0
@@ -185,10 +185,10 @@ def run(
     """
     off, driven = w.mode == OFF, x[MOVING] == MOVING_DRIVEN
     own_cos, own_sin, ahead_cos, ahead_sin, turned = c.cos, c.sin, c.cos, c.sin, 0.0
-    turn = (w.first + done) * w.turns
+    turn = (w.first + done) * w.revolutions
     turn = 2 * math.pi * (turn - math.floor(turn))
     cos, sin = math.cos(turn), math.sin(turn)
-    cos_step, sin_step = math.cos(2 * math.pi * w.turns), math.sin(2 * math.pi * w.turns)
+    cos_step, sin_step = math.cos(2 * math.pi * w.revolutions), math.sin(2 * math.pi * w.revolutions)
     for k in range(count):
         if driven:
             x[OMEGA] += w.speed_step

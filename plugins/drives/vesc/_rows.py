@@ -40,14 +40,14 @@ def control(i: Vectors, target_a: float, gains: tuple[float, float], row_s: floa
 
 def tone(count: int, frequency_hz: float, amplitude_v: float, row_s: float) -> tuple[NDArray[np.float64], Vectors]:
     """Phase of the wave (0 to 1) and voltage of the tone in each row, in single precision as on the board."""
-    step, place = np.float32(np.float32(32.0) * np.float32(frequency_hz)) * np.float32(row_s), np.float32(0.0)
-    places = np.empty(count)
+    step, position = np.float32(np.float32(32.0) * np.float32(frequency_hz)) * np.float32(row_s), np.float32(0.0)
+    phases = np.empty(count)
     for k in range(count):
-        place = np.float32(place + step)
-        if place >= 32.0:
-            place = np.float32(place - np.float32(32.0))
-        places[k] = place
-    return places / 32.0, 1j * amplitude_v * TONE_TABLE[places.astype(int)]
+        position = np.float32(position + step)
+        if position >= 32.0:
+            position = np.float32(position - np.float32(32.0))
+        phases[k] = position
+    return phases / 32.0, 1j * amplitude_v * TONE_TABLE[phases.astype(int)]
 
 
 def turning_frame(rows: np.ndarray, turns_hz: float, row_s: float) -> tuple[NDArray[np.float64], int]:
@@ -57,9 +57,9 @@ def turning_frame(rows: np.ndarray, turns_hz: float, row_s: float) -> tuple[NDAr
     Raises `DriveFault` where the last half of the rows does not rotate at this rate.
     """
     steady = 2.0 * np.pi * turns_hz * row_s * np.arange(len(rows), dtype=np.float64)
-    off = np.exp(1j * ((rows["phase"] + 0.5) * ANGLE_STEP_RAD - steady))
-    first = float(np.angle(off[len(rows) // 2 :].mean()))
-    deviation = np.abs(np.angle(off * np.exp(-1j * first)))
+    rotation = np.exp(1j * ((rows["phase"] + 0.5) * ANGLE_STEP_RAD - steady))
+    first = float(np.angle(rotation[len(rows) // 2 :].mean()))
+    deviation = np.abs(np.angle(rotation * np.exp(-1j * first)))
     outliers = np.flatnonzero(deviation > 1.5 * ANGLE_STEP_RAD)
     begin = int(outliers[-1]) + 1 if len(outliers) else 0
     if begin > len(rows) // 2:
@@ -69,7 +69,7 @@ def turning_frame(rows: np.ndarray, turns_hz: float, row_s: float) -> tuple[NDAr
 
 def window(
     angle: NDArray[np.float64],
-    place: NDArray[np.float64],
+    wave_phase: NDArray[np.float64],
     direction_rad: float,
     phase: float,
     first: int,
@@ -82,7 +82,7 @@ def window(
 
     Parameters
     ----------
-    angle, place : array, shape (n,)
+    angle, wave_phase : array, shape (n,)
         Direction of the injection [rad], and phase of its wave, 0 to 1.
     direction_rad, phase : float
         Requested direction and phase.
@@ -90,11 +90,11 @@ def window(
         Increment of the phase per row.
     """
     k = np.arange(first, last + 1)
-    off, late = angle[k] - direction_rad, place[k] - phase
+    angle_error, phase_shift = angle[k] - direction_rad, wave_phase[k] - phase
     best, smallest = first, np.inf
     for half in (0.0, 0.5):
-        deviation = np.abs(np.angle(np.exp(1j * (off + 2.0 * np.pi * half))))
-        phase_error = np.abs((late + half + 0.5) % 1.0 - 0.5)
+        deviation = np.abs(np.angle(np.exp(1j * (angle_error + 2.0 * np.pi * half))))
+        phase_error = np.abs((phase_shift + half + 0.5) % 1.0 - 0.5)
         deviation = np.where(phase_error <= 0.51 * step, deviation, np.inf)
         if deviation.min() < smallest:
             best, smallest = int(k[np.argmin(deviation)]), float(deviation.min())

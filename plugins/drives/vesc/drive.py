@@ -269,13 +269,13 @@ class VescDrive(PolledDrive[Board]):
         board.tone(frequency, e.amplitude_v, e.rotation_hz, MEMORY_ROWS / fs + 0.05)
         rows, start_s, now = yield from self._receive_rows(MEMORY_ROWS)
         frame, begin = _rows.turning_frame(rows, e.rotation_hz, 1.0 / fs)
-        place, voltage = _rows.tone(MEMORY_ROWS, frequency, e.amplitude_v, 1.0 / fs)
+        wave_phase, voltage = _rows.tone(MEMORY_ROWS, frequency, e.amplitude_v, 1.0 / fs)
         i, turn = _rows.currents(rows), np.exp(1j * frame)
         moved = _rows.control(i / turn, 0.0, (own.proportional, own.integral), 1.0 / fs)
         late_s = e.discard_s
         at = _rows.window(
             frame + 0.5 * math.pi,
-            place,
+            wave_phase,
             e.rotor_angle_rad + 2.0 * math.pi * e.rotation_hz * late_s,
             e.frequency_hz * late_s,
             max(begin, round(late_s * fs)),

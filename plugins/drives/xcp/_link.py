@@ -86,11 +86,11 @@ class Arrivals:
 
     def take(self) -> bytes:
         """Remove all queued frames and return them, concatenated."""
-        taken = []
+        frames = []
         with suppress(IndexError):
             while True:
-                taken.append(self._frames.popleft())
-        return b"".join(taken)
+                frames.append(self._frames.popleft())
+        return b"".join(frames)
 
 
 class Link:
@@ -212,8 +212,8 @@ class Link:
             self._quiet = ProcessClock()
         elif self._quiet() > self._timeout_s:
             raise self._lose(f"no row for {self._timeout_s:g} s")
-        taken: Rows = np.frombuffer(octets, framed)["row"]
-        return taken
+        rows: Rows = np.frombuffer(octets, framed)["row"]
+        return rows
 
     def newest(self) -> np.void:
         """The next row from now on; raises `DriveFault` after `timeout_s` without one."""

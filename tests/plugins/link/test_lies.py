@@ -86,7 +86,7 @@ def clock_that_goes_back() -> Lie:
     ("lie", "excitation", "cause", "message"),
     [
         (too_much_current, HOLD, FaultCause.OVERCURRENT, r"measures 11 A, the limit is 4\.5 A, and it did not trip"),
-        (faults_beside_power, HOLD, FaultCause.WRONG_DATA, "is (running|holding) despite faults: overtemperature"),
+        (faults_beside_power, HOLD, FaultCause.WRONG_DATA, "(running|holding) despite faults: overtemperature"),
         (progress_that_goes_back(), LONG, FaultCause.WRONG_DATA, "goes back from capturing at row"),
         (more_rows_than_there_are, HOLD, FaultCause.WRONG_DATA, "1048576 rows of 2000"),
         (clock_that_stands_still(), HOLD, FaultCause.WRONG_DATA, "before the end of its capture"),

@@ -23,12 +23,12 @@ def fitted_to_second_derivatives(current: Array, hessian: Array) -> PolynomialFi
     """Energy fitted to measured Hessians, shape (n, 2, 2) [A/Wb], at currents, shape (n, 2)."""
     measured = _entries(hessian)
 
-    def left(energy: PolynomialFit) -> Array:
+    def residual_of(energy: PolynomialFit) -> Array:
         dd, dq, qq = energy.inductance(current)[0].T
         matrix = np.stack([np.stack([dd, dq], axis=1), np.stack([dq, qq], axis=1)], axis=1)
         return _entries(np.linalg.inv(matrix)) - measured
 
-    return _least_squares(left, current, _first_guess(current, hessian))
+    return _least_squares(residual_of, current, _first_guess(current, hessian))
 
 
 def fitted_to_flux(current: Array, psi: Array, start: PolynomialFit) -> PolynomialFit:
@@ -51,18 +51,18 @@ def _first_guess(current: Array, hessian: Array) -> Array:
 
 def _sizes(current: Array, coefficients: Array) -> Array:
     """Scale of each coefficient: its term equals the quadratic ones at the largest current."""
-    stiff, most = float(coefficients[:2].sum()), float(np.abs(current).max())
-    return np.array([stiff * (stiff / most) ** (m + n - 2) for m, n in TERMS])
+    stiffness, largest_a = float(coefficients[:2].sum()), float(np.abs(current).max())
+    return np.array([stiffness * (stiffness / largest_a) ** (m + n - 2) for m, n in TERMS])
 
 
-def _least_squares(left: Callable[[PolynomialFit], Array], current: Array, start: Array) -> PolynomialFit:
+def _least_squares(residual_of: Callable[[PolynomialFit], Array], current: Array, start: Array) -> PolynomialFit:
     from scipy.optimize import least_squares
 
     scale = _sizes(current, start)
 
     def residual(x: Array) -> Array:
         # Where the energy cannot be inverted the flux is NaN, which counts as a large residual.
-        return np.nan_to_num(left(_energy(scale * x)), nan=1e6).ravel()
+        return np.nan_to_num(residual_of(_energy(scale * x)), nan=1e6).ravel()
 
     return _energy(scale * least_squares(residual, start / scale, x_scale="jac").x)
 

@@ -140,8 +140,8 @@ def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
         hessians.append(hessian(measurements))
         if regress:
             ripples.append(demodulate(capture, angle, where=segment.id))
-        if (left := _max_residual(measurements[0], hessians[-1])) > worst:
-            signal, worst = (measurements[0], hessians[-1]), left
+        if (residual := _max_residual(measurements[0], hessians[-1])) > worst:
+            signal, worst = (measurements[0], hessians[-1]), residual
     lines = lines_of(np.array(targets)) if len(targets) > 2 else []
     if signal is None or not lines or not sweeps:
         raise NotMeasuredError(
@@ -185,16 +185,16 @@ def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *
         Share of the rated flux below which crossings do not enter `relative`.
     """
     crossings = crossings_of(paths)
-    apart, size = np.abs(crossings.apart), np.abs(crossings.psi)
-    relative = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
+    difference, size = np.abs(crossings.apart), np.abs(crossings.psi)
+    relative = np.where(size > small * rated_wb, difference / np.maximum(size, small * rated_wb), 0.0)
     current, psi = (np.concatenate([getattr(path, name) for path in paths]) for name in ("current", "psi"))
-    off = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
+    error_wb = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
     share = 100.0 / rated_wb
     return Errors(
-        crossings=share * _largest(apart),
+        crossings=share * _largest(difference),
         relative=100.0 * _largest(relative),
-        rms=share * float(np.sqrt(np.mean(off**2))),
-        worst=share * float(off.max()),
+        rms=share * float(np.sqrt(np.mean(error_wb**2))),
+        worst=share * float(error_wb.max()),
     )
 
 

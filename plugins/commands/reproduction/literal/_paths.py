@@ -136,7 +136,7 @@ def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Arr
     """
     columns = np.stack([entries[:, 0, 0], entries[:, 1, 1], entries[:, 0, 1]], axis=1)
     sign = np.array([1.0, 1.0, -1.0])
-    apart = []
+    departures = []
     for line in lines:
         held_a = -line.held_a if line.axis == "d" else line.held_a  # of the line with i_q reversed
         mirror = [one for one in lines if one.axis == line.axis and abs(one.held_a - held_a) < 1e-9]
@@ -147,6 +147,6 @@ def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Arr
         at = along if line.axis == "d" else -along
         inside = (at >= other.min()) & (at <= other.max())
         image = np.stack([np.interp(at, other[order], c[order]) for c in columns[mirror[0].points].T], axis=1)
-        apart.append(0.5 * (columns[line.points] - sign * image)[inside])
-    every = np.abs(np.concatenate(apart)).max(axis=0)
+        departures.append(0.5 * (columns[line.points] - sign * image)[inside])
+    every = np.abs(np.concatenate(departures)).max(axis=0)
     return np.asarray(100.0 * every / np.abs(columns[:, :2]).mean())
