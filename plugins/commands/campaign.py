@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from orchestrator.fleet.campaign import PowerReport
 
 RECORDINGS, REPORT = ".recordings", "_campaign.json"
-"""In the table's folder, where readers of Parquet pass over both."""
+"""Names in the table's folder that readers of Parquet skip."""
 
 
 def campaign(
@@ -28,7 +28,7 @@ def campaign(
     retry_failed: RetryFailed = False,
     as_json: AsJson = False,
 ) -> int:
-    """Simulate motors with hidden effects, diagnose them, and say which sizes are found with what probability.
+    """Simulate motors with hidden effects, diagnose them, and print which sizes are found with what probability.
 
     A second start continues the campaign.
     """
@@ -46,7 +46,7 @@ def campaign(
         folder.mkdir(parents=True, exist_ok=True)
         job = CampaignJob(runs, table, plan.analysis(), folder, keep=keep is not None, tell=Progress())
         complete(job, f"{len(job.runs)} virtual commissionings", scheduler, jobs, quiet=as_json)
-    rows = [row for row in read_table(out) if row.key in job.runs]  # another campaign may be in the same table
+    rows = [row for row in read_table(out) if row.key in job.runs]  # the table may hold another campaign
     report = power_of(rows, name=plan.name, table=str(out), found_with=plan.found_with)
     replace_file(out / REPORT, visible(report.model_dump_json(indent=1)).encode())
     if as_json:

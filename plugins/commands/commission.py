@@ -1,4 +1,4 @@
-"""`fluxbench commission --until 0.2%`: a flux map as well as it is wanted, in as little motor time as it takes."""
+"""`fluxbench commission --until 0.2%`: a flux map of a given accuracy in as little motor time as possible."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def commission(
     kinds = re.findall(r"^  - kind: (\w+)", shipped_procedure(AdaptiveStage.name), re.MULTILINE)
     target = f"stages.{kinds.index(AdaptiveStage.name)}.until_percent={percent(until)}"
     procedure = load_procedure(AdaptiveStage.name, overrides=[target, *(settings or [])], drive=drive, motor=motor)
-    somebody = TerminalOperator() if unattended is None and sys.stdin.isatty() else None
-    run(procedure, out=out, operator=somebody, unattended=unattended, streams=("console", "report", "rerun"))
+    operator = TerminalOperator() if unattended is None and sys.stdin.isatty() else None
+    run(procedure, out=out, operator=operator, unattended=unattended, streams=("console", "report", "rerun"))
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What the estimators of an energy share: the measurements that it is fitted to, and the map that it makes."""
+"""Shared by the energy estimators: the measurements that an energy is fitted to, and its flux map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from protocols import Basis, EstimationContext, FluxMap, FluxMapEstimate, FluxPo
 
 
 class Energy(Protocol):
-    """An energy that was fitted, whatever its form."""
+    """A fitted co-energy: flux and inductance with standard deviations at currents, shape (n, 2)."""
 
     def flux(self, at: Array) -> tuple[Array, Array]: ...
 
@@ -25,25 +25,25 @@ class Energy(Protocol):
 
 
 class EnergyFlux(FluxMapEstimate):
-    """A map of an energy, with the energy."""
+    """A flux map with the energy fit that it comes from."""
 
     fit: EnergyFit
 
 
 @dataclass(frozen=True)
 class Measurements:
-    """Inductances by injection, flux by integration and by voltage steps; what was not measured is None.
+    """Inductances by injection, flux by integration and by voltage steps; None for each that was not measured.
 
     Attributes
     ----------
     current : array, shape (n, 2)
-        All currents that were reached [A].
+        All measured currents [A].
     segments : tuple of str
-        The segment of each.
+        The segment of each current.
     angles : array, shape (p,)
         Rotor angle of each inductance's segment.
     energy : EnergyFit or None
-        Where another estimator fitted one already.
+        The fit of an earlier estimator, if there is one.
     """
 
     injected: InjectedFlux | None
@@ -64,31 +64,31 @@ class Measurements:
         return swept + self.stepped.fit.paths if self.stepped else swept
 
     def fit(self) -> EnergyFit:
-        """The flexible energy of these, made here where it was not made yet."""
+        """The flexible energy: that of an earlier estimator, else fitted here."""
         if self.energy is not None:
             return self.energy
         return fit_energy(self.inductances, self.paths, rotor_angle_rad=self.angles)
 
     def points(self, energy: Energy, recording: RecordingReader) -> FluxPoints:
-        """Flux of an energy at all currents that were reached."""
+        """Flux of an energy at all measured currents."""
         psi = energy.flux(self.current)[0] + pm_flux(recording)
         return FluxPoints(i_dq=self.current, psi_dq=psi, segment=self.segments)
 
     def misfit(self, energy: Energy) -> Array | None:
-        """By how much an energy is off the sweeps' flux, each less its mean, shape (m, 2) [Wb]."""
+        """Residual flux of the sweeps against an energy, each path's mean removed, shape (m, 2) [Wb]."""
         if not self.paths:
             return None
-        apart = [path.psi - energy.flux(path.current)[0] for path in self.paths]
-        return np.concatenate([one - one.mean(axis=0) for one in apart])
+        residuals = [path.psi - energy.flux(path.current)[0] for path in self.paths]
+        return np.concatenate([one - one.mean(axis=0) for one in residuals])
 
 
 def energy_measurements(recording: RecordingReader, context: EstimationContext) -> Measurements:
-    """What the other estimators found, made here where it was not made yet.
+    """Results of the other estimators, computed here where the context lacks them.
 
     Raises
     ------
     NotMeasuredError
-        Where neither injection nor sweeps span an area of currents with zero in it.
+        Where neither injection nor sweeps span an area of currents that contains zero.
     """
     injected, swept = context.latest(InjectedFlux), context.latest(SweptFlux)
     problems = []
@@ -126,7 +126,7 @@ def energy_measurements(recording: RecordingReader, context: EstimationContext) 
 
 
 def gridded(method: str, recording: RecordingReader, energy: Energy, current: Array) -> FluxMap:
-    """The map of an energy over the hull of the currents that were reached."""
+    """The map of an energy over the convex hull of the measured currents."""
     axes, nodes = grid_of(current)
     inside = inside_hull(current, nodes, recording.manifest.name)
     values, stds = np.full((len(nodes), 5), np.nan), np.full((len(nodes), 5), np.nan)

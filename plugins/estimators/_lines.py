@@ -11,9 +11,9 @@ from orchestrator.numerics.types import Array
 def straight_lines(
     current: Array, *, longest: float = 3.0, diagonal: float = 1.2, cone: float = 0.45
 ) -> list[NDArray[np.intp]]:
-    """Indices of the points of each line of three or more along d, along q or along the diagonal, in order.
+    """Ordered indices of the points on each line of three or more along d, along q or along the diagonal.
 
-    Two points follow each other on a line where each is the other's nearest in that direction.
+    Two points are neighbours on a line where each is the other's nearest in that direction.
 
     Parameters
     ----------
@@ -22,13 +22,13 @@ def straight_lines(
         Longest step along an axis and along the diagonal, in units of the usual distance between neighbours: the
         diagonals of a square grid are not lines of it.
     cone : float
-        How far a next point may lie off the line, relative to the step.
+        Largest offset of the next point across the line, relative to the step.
     """
     from scipy.spatial import cKDTree
 
     itself_and_next = np.asarray(cKDTree(current).query(current, k=2)[0])
     usual = float(np.median(itself_and_next[:, 1]))
-    # Where paths cross, or a point was repeated, points all but coincide: one of them serves all lines.
+    # Points nearly coincide where paths cross or one was repeated: one of them serves all lines.
     doubles = cKDTree(current).query_pairs(0.3 * usual, output_type="ndarray")
     single = np.setdiff1d(np.arange(len(current)), doubles.max(axis=1, initial=-1))
     kept = current[single]

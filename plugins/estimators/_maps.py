@@ -1,4 +1,4 @@
-"""What the map-making estimators share: flux convention and grid of a map, and the measurements behind it."""
+"""Shared by the map estimators: flux convention and grid of a map, and the measurements behind it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ QUANTITIES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 
 
 class SweptFlux(FluxMapEstimate):
-    """A map by integration, with the paths that it was made of, and what the inverter kept where that is clear."""
+    """A map by integration, with its paths and the inverter's loss where that is identified."""
 
     paths: tuple[FluxPath, ...]
     loss: PhaseLoss = NO_LOSS
 
 
 class SteppedFlux(FluxMapEstimate):
-    """A map by voltage steps, with their other estimates, and when they began."""
+    """A map by voltage steps, with their joint fit and the start of the first step."""
 
     fit: StepsFit
     start_s: float
 
 
 class InjectedFlux(FluxMapEstimate):
-    """A map by injection, with the inductances that it was made of."""
+    """A map by injection, with its inductances."""
 
     inductances: Inductances
 
@@ -48,17 +48,17 @@ def as_map(method: str, basis: Basis, motor: Motor, axes: tuple[Array, Array], v
 
 
 def voltage_delay(recording: RecordingReader) -> float:
-    """n, where v[k] acts from t_k + n Ts."""
+    """Declared delay n in samples: v[k] acts from t_k + n Ts."""
     return recording.manifest.drive.voltage_delay_samples or 0.0
 
 
 def pm_flux(recording: RecordingReader) -> Array:
-    """Flux of the magnets in the dq frame, as far as the nameplate states it, shape (2,)."""
+    """Magnet flux (psi_M, 0) by the nameplate, zero where that lacks it, shape (2,) [Wb]."""
     return np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
 
 
 def axis_turned(angle_rad: float) -> Remark:
-    """The remark on a map whose axis of symmetry is not the believed d axis."""
+    """Remark on a map whose axis of symmetry is not the believed d axis."""
     text = (
         "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
         "believed d axis: is the rotor angle right? The map stays in the believed frame"

@@ -1,4 +1,4 @@
-"""Segments that inject along one axis only, brought together by the point that they share: first d, then q."""
+"""Segments that inject along one axis only, grouped by operating point: first d, then q."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from orchestrator.numerics.types import Array
 from protocols import Segment
 
 CURRENT_TOLERANCE_RATIO = 0.03
-"""Difference of two points over the largest current, within which they count as one."""
+"""Distance of two points over the largest current, within which they count as one."""
 
 
 @dataclass(frozen=True)
 class OneWay:
-    """A segment whose voltage ripples along one axis.
+    """A segment with an injection along one axis.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class OneWay:
     current : array, shape (2,)
         Mean current in the stator's frame [A].
     axis_rad : float
-        Along which it ripples there.
+        Direction of the injection in the stator frame.
     """
 
     segment: Segment
@@ -34,32 +34,32 @@ class OneWay:
     axis_rad: float
 
 
-def by_point(some: Sequence[OneWay], same_frequency: float) -> list[list[OneWay]]:
-    """Those of one point, frequency and rotor angle together, in order of time; alone where there is no other.
+def group_by_point(segments: Sequence[OneWay], frequency_tolerance: float) -> list[list[OneWay]]:
+    """Segments grouped by operating point, frequency and rotor angle, in order of time.
 
     Parameters
     ----------
-    same_frequency : float
+    frequency_tolerance : float
         Relative difference within which two injected frequencies are one.
     """
-    reach = max((math.hypot(*one.current) for one in some), default=0.0)
+    reach = max((math.hypot(*segment.current) for segment in segments), default=0.0)
     points: list[list[OneWay]] = []
 
-    def are_one(first: OneWay, other: OneWay) -> bool:
+    def same_point(first: OneWay, other: OneWay) -> bool:
         return (
-            math.isclose(first.frequency_hz, other.frequency_hz, rel_tol=same_frequency)
+            math.isclose(first.frequency_hz, other.frequency_hz, rel_tol=frequency_tolerance)
             and math.hypot(*(first.current - other.current)) <= CURRENT_TOLERANCE_RATIO * reach
             and math.isclose(first.segment.rotor_angle_rad, other.segment.rotor_angle_rad, abs_tol=1e-6)
         )
 
-    for one in some:
-        point = next((p for p in points if are_one(p[0], one)), None)
+    for segment in segments:
+        point = next((p for p in points if same_point(p[0], segment)), None)
         if point is None:
             points.append(point := [])
-        point.append(one)
+        point.append(segment)
     return points
 
 
-def shows_both_axes(point: Sequence[OneWay], apart_rad: float = 0.3) -> bool:
-    """Whether the waves at a point go along axes that are apart."""
-    return max(axes_apart_rad(one.axis_rad, point[0].axis_rad) for one in point) > apart_rad
+def shows_both_axes(point: Sequence[OneWay], min_angle_rad: float = 0.3) -> bool:
+    """Whether the injections at a point have directions that differ by more than `min_angle_rad`."""
+    return max(axes_apart_rad(segment.axis_rad, point[0].axis_rad) for segment in point) > min_angle_rad

@@ -1,7 +1,7 @@
 """Flux map by the classical method: the voltage of swept currents integrated over time.
 
-The sweeps themselves give the voltage losses of inverter and copper, rising and falling branches are
-averaged, paths are tied together where they cross, and zero current has zero flux (Combes, Malrait, Martin, Rouchon,
+The sweeps also determine the voltage losses of inverter and copper. Rising and falling branches are
+averaged, paths are aligned where they cross, and zero current has zero flux (Combes, Malrait, Martin, Rouchon,
 "Obtaining the current-flux relations of the saturated PMSM by signal injection", section "Classical method").
 """
 
@@ -53,11 +53,11 @@ class ClassicalEstimator:
     Attributes
     ----------
     smoothing : float
-        Smoothing of the surface through the paths, which disagree a little where they cross.
+        Smoothing of the surface through the paths, whose flux differs slightly where they cross.
     thinning : int
-        Every such point of a path makes the surface: its neighbours add nothing.
+        The surface is fitted to every n-th point of a path; neighbours are redundant.
     unseen_loss_ratio : float
-        Invisible part of an inverter's loss: its share in the mean opens no loop.
+        Share of an inverter's loss that opens no loop and is therefore unobservable.
     min_loss_ratio : float
         Inverter loss over R_s times the largest current, below which no remark reports it.
     draws : int
@@ -66,7 +66,7 @@ class ClassicalEstimator:
 
     smoothing: float = 1e-4
     thinning: int = 3
-    unseen_loss_ratio: float = 0.003
+    hidden_loss_ratio: float = 0.003
     min_loss_ratio: float = 0.005
     draws: int = 24
 
@@ -103,7 +103,7 @@ class ClassicalEstimator:
             checks=check_map(flux_map, rated, network.misfit),
             remarks=_remarks(swept, network, rated),
             paths=network.paths,
-            loss=swept.losses.phase if swept.clear else NO_LOSS,
+            loss=swept.losses.phase if swept.has_loss else NO_LOSS,
         )
 
     def _sweep(
@@ -120,13 +120,13 @@ class ClassicalEstimator:
         return _Swept(
             losses=losses,
             with_model=[sweep_of(trace, losses.flux(trace)) for trace in traces],
-            bare=[sweep_of(t, flux_by_rests(t, _nearest_ohm(resistance, t.start_s))) for t in traces],
-            unseen_loss_ratio=self.unseen_loss_ratio,
+            resistive=[sweep_of(t, flux_by_rests(t, _nearest_ohm(resistance, t.start_s))) for t in traces],
+            hidden_loss_ratio=self.hidden_loss_ratio,
             min_loss_ratio=self.min_loss_ratio,
         )
 
     def _gridded(self, recording: RecordingReader, network: Network) -> tuple[FluxMap, Array]:
-        """The map, and what has to be taken from the paths' flux so that zero current has none."""
+        """The map, and the flux of the paths at zero current, which is subtracted [Wb]."""
         where = recording.manifest.name
         current = np.concatenate([path.current[:: self.thinning] for path in network.paths])
         draws = self._error_draws(network)
@@ -138,9 +138,9 @@ class ClassicalEstimator:
                 where, "segments", "zero current lies outside the swept currents: no flux to start from"
             )
         surface = SmoothSurface(current, values, self.smoothing)
-        held = nodes[inside[:-1]]
+        inner_nodes = nodes[inside[:-1]]
         level = surface(np.zeros((1, 2)))
-        psi, slopes = surface(held) - level, surface.gradient(held)
+        psi, slopes = surface(inner_nodes) - level, surface.gradient(inner_nodes)
         columns = np.full((len(nodes), 5), np.nan)
         spreads = np.full((len(nodes), 5), np.nan)
         columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
@@ -149,59 +149,59 @@ class ClassicalEstimator:
         return as_map("classical", Basis.INTEGRATION, recording.manifest.motor, axes, columns, spreads), level[0, :2]
 
     def _error_draws(self, network: Network) -> Array:
-        """Random errors of the paths' flux as large as their scatter and their disagreement, columns (d, q) a draw."""
+        """Random errors of the paths' flux by their scatter and their misfit at crossings, columns (d, q) per draw."""
         random = np.random.default_rng(1)
-        apart = np.sqrt(0.5 * (network.misfit**2).mean(axis=0)) if network.misfit is not None else np.zeros(2)
+        flux_changes = np.sqrt(0.5 * (network.misfit**2).mean(axis=0)) if network.misfit is not None else np.zeros(2)
         columns = []
         for path in network.paths:
-            place = np.linspace(0.0, np.pi, len(path.current))[:: self.thinning]
-            # Scatter between branches is drift and noise integrated: smooth along the path.
-            shapes = np.stack([np.cos(k * place) for k in range(1, 5)], axis=1) / np.sqrt(2.0)
+            phase = np.linspace(0.0, np.pi, len(path.current))[:: self.thinning]
+            # Scatter between branches is integrated drift and noise, hence smooth along the path.
+            shapes = np.stack([np.cos(k * phase) for k in range(1, 5)], axis=1) / np.sqrt(2.0)
             smooth = np.einsum("mk,bkx->mbx", shapes, random.normal(size=(self.draws, 4, 2))) * path.std
-            offset = random.normal(size=(1, self.draws, 2)) * apart
-            columns.append((smooth + offset).reshape(len(place), 2 * self.draws))
+            offset = random.normal(size=(1, self.draws, 2)) * flux_changes
+            columns.append((smooth + offset).reshape(len(phase), 2 * self.draws))
         return np.concatenate(columns)
 
 
 @dataclass(frozen=True)
 class _Swept:
-    """All sweeps, by the better of two ways to take out what does not reach the windings.
+    """All sweeps, with the better of two corrections of the voltage losses.
 
-    `bare` are those of the voltage less R_s i alone, whatever else the rests show taken out.
+    `with_model` subtracts the fitted inverter model, `resistive` only the R_s i of the dwells.
     """
 
     losses: VoltageLosses
     with_model: list[Sweep]
-    bare: list[Sweep]
-    unseen_loss_ratio: float
+    resistive: list[Sweep]
+    hidden_loss_ratio: float
     min_loss_ratio: float
 
     @property
-    def modelled(self) -> bool:
-        return _widest(self.with_model) <= _widest(self.bare)
+    def uses_model(self) -> bool:
+        return _widest(self.with_model) <= _widest(self.resistive)
 
     @property
-    def clear(self) -> bool:
-        """Whether the loops leave no doubt about an inverter."""
+    def has_loss(self) -> bool:
+        """Whether the inverter model reduces the loops significantly."""
         drop_v = self.losses.node_ohm.max() * self.losses.knots_a[-1] / KNOTS[-1]
         significant = float(np.abs(self.losses.error_v).max()) > self.min_loss_ratio * drop_v
-        return significant and self.modelled and _widest(self.with_model) < 0.5 * _widest(self.bare)
+        return significant and self.uses_model and _widest(self.with_model) < 0.5 * _widest(self.resistive)
 
     @property
     def sweeps(self) -> list[Sweep]:
-        if not self.modelled:
-            return self.bare
-        return [_widened(*both, self.unseen_loss_ratio) for both in zip(self.with_model, self.bare, strict=True)]
+        if not self.uses_model:
+            return self.resistive
+        return [_widened(*both, self.hidden_loss_ratio) for both in zip(self.with_model, self.resistive, strict=True)]
 
 
-def _widened(sweep: Sweep, bare: Sweep, unseen_loss_ratio: float) -> Sweep:
-    """A sweep not known better than a share of what was taken out of it.
+def _widened(sweep: Sweep, resistive: Sweep, hidden_loss_ratio: float) -> Sweep:
+    """A sweep whose standard deviation includes a share of the inverter model's correction.
 
-    Where a phase current stalls on its way through zero, it does so beyond zero in both directions: an error of the
-    inverter's shape there opens no loop, and stays in the mean.
+    A phase current that stalls near zero does so in both directions: an error of the inverter's shape there opens no
+    loop and remains in the mean.
     """
-    path = replace(sweep.path, std=np.hypot(sweep.path.std, unseen_loss_ratio * np.abs(bare.loop_wb - sweep.loop_wb)))
-    return replace(sweep, path=path)
+    hidden_wb = hidden_loss_ratio * np.abs(resistive.loop_wb - sweep.loop_wb)
+    return replace(sweep, path=replace(sweep.path, std=np.hypot(sweep.path.std, hidden_wb)))
 
 
 def _widest(sweeps: list[Sweep]) -> float:
@@ -209,11 +209,11 @@ def _widest(sweeps: list[Sweep]) -> float:
 
 
 def _nearest_ohm(resistance: ResistanceEstimate | None, start_s: float) -> float | None:
-    """R_s as it was read about then: it drifts with the winding's temperature."""
+    """Median of the four R_s readings nearest in time, since R_s drifts with temperature."""
     if resistance is None:
         return None
-    near = sorted(resistance.readings, key=lambda reading: abs(reading.start_s - start_s))[:4]
-    return float(np.median([reading.value_ohm for reading in near])) if near else resistance.value_ohm
+    nearest = sorted(resistance.readings, key=lambda reading: abs(reading.start_s - start_s))[:4]
+    return float(np.median([reading.value_ohm for reading in nearest])) if nearest else resistance.value_ohm
 
 
 def _quantities(psi: Array, slope: Array) -> Array:
@@ -226,27 +226,27 @@ def _remarks(swept: _Swept, network: Network, rated: float | None) -> tuple[Rema
     remarks = []
     left_out = len(swept.sweeps) - len(network.paths)
     if left_out:
-        text = "{left_out} of {sweeps} sweeps cross none of the others and are left out"
+        text = "{left_out} of {sweeps} sweeps cross no other sweep and are left out"
         remarks.append(Remark.of("sweeps_left_out", text, left_out=left_out, sweeps=len(swept.sweeps)))
     if not rated:
         return tuple(remarks)
-    left, bare = (100 * _widest(sweeps) / rated for sweeps in (swept.with_model, swept.bare))
+    modelled_percent, resistive = (100 * _widest(sweeps) / rated for sweeps in (swept.with_model, swept.resistive))
     error_v = float(np.abs(swept.losses.error_v).max())
-    if swept.clear:
-        apart = [a.path.psi - b.path.psi for a, b in zip(swept.with_model, swept.bare, strict=True)]
-        moved = np.concatenate([one - one.mean(axis=0) for one in apart])
-        off = 100 / rated * float(np.sqrt((moved**2).sum(axis=1).mean()))
+    if swept.has_loss:
+        flux_changes = [a.path.psi - b.path.psi for a, b in zip(swept.with_model, swept.resistive, strict=True)]
+        moved = np.concatenate([one - one.mean(axis=0) for one in flux_changes])
+        mean = 100 / rated * float(np.sqrt((moved**2).sum(axis=1).mean()))
         text = (
-            "each phase loses up to {lost_v:.2f} V, estimated from the loops; not corrected, "
-            "rising and falling branches would differ by up to +-{apart_percent:.0f} % of the rated flux, and their "
-            "mean by {mean_percent:.1f} % (rms)"
+            "each phase loses up to {lost_v:.2f} V, estimated from the loops and corrected; without the correction "
+            "rising and falling branches would differ by up to +-{apart_percent:.0f} % of the rated flux and their "
+            "mean would change by {mean_percent:.1f} % (rms)"
         )
-        remarks.append(Remark.of("inverter_loss", text, lost_v=error_v, apart_percent=bare, mean_percent=off))
-    widest = left if swept.modelled else bare
+        remarks.append(Remark.of("inverter_loss", text, lost_v=error_v, apart_percent=resistive, mean_percent=mean))
+    widest = modelled_percent if swept.uses_model else resistive
     if widest > 2.0:
         text = (
             "rising and falling branches still differ by up to +-{apart_percent:.1f} % of the rated flux: "
-            "a voltage error of another kind, or hysteresis; their mean is used"
+            "another voltage error, or hysteresis; their mean is used"
         )
         remarks.append(Remark.of("branches_differ", text, apart_percent=widest))
     return tuple(remarks)

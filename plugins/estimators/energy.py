@@ -1,7 +1,7 @@
 """Flux map of one energy, fitted to inductances by injection and to flux by integration together.
 
 psi = grad W(i) and L = Hess W(i) of one co-energy W that is even in i_q: reciprocal, and the same along every path.
-What the measurements disagree with it is the check (Jebai, Combes, Malrait, Martin, Rouchon, "Energy-based modeling
+The residual of the measurements is the check (Jebai, Combes, Malrait, Martin, Rouchon, "Energy-based modeling
 of electric motors", CDC 2014, doi:10.1109/CDC.2014.7040330, for the energy and its symmetry).
 """
 
@@ -21,15 +21,15 @@ from protocols import Estimate, EstimationContext, FluxMap, MapChecks, Recording
 
 @dataclass(frozen=True)
 class EnergyEstimator:
-    """One co-energy for all derivatives and fluxes that were measured, its smoothness chosen by the data.
+    """One co-energy for all measured derivatives and fluxes; the data determine its smoothness.
 
     Attributes
     ----------
     misfit_sigmas, misfit_correlation : float
-        A remark reports the residual inductances where they exceed the noise by this factor, and correlate by this
-        much at neighbouring points: noise does neither.
+        A remark reports residual inductances that exceed the noise by this factor and correlate by this
+        much at neighbouring points, as noise does not.
     significance_sigmas : float
-        Standard deviations beyond which a share of dead time counts; there are some hundred points.
+        Significance of a dead-time share; the threshold allows for some hundred points.
     """
 
     misfit_sigmas: float = 3.0
@@ -70,35 +70,35 @@ class EnergyEstimator:
             remarks.append(axis_turned(fit.angle_rad))
         inductance = fit.inductance(current)[0]
         if fit.stiffening_per_h:
-            less = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())
+            loss_percent = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())
             text = (
-                "injection gives {less_percent:.1f} % less flux than the sweeps: hysteresis, whose loops a small "
-                "ripple does not pass; the map has the sweeps' flux, its inductances are those along the map"
+                "injection gives {less_percent:.1f} % less flux than the sweeps: hysteresis, whose major loop a small "
+                "ripple does not traverse; the map has the sweeps' flux and its slopes as inductances"
             )
-            add("hysteresis", text, less_percent=less)
+            add("hysteresis", text, less_percent=loss_percent)
         if fit.scales[0] > self.misfit_sigmas and fit.correlation > self.misfit_correlation:
             text = (
-                "what the energy leaves of the inductances is {noises:.0f} times their noise and alike at "
-                "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
+                "the inductances' residual is {noises:.0f} times their noise and similar at "
+                "neighbouring points (correlation {correlation:.2f}): an effect that is not magnetic"
             )
             add("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
-        most = 100.0 * self._dead_time_share(fit, inductance)
-        if most > 0.0:
+        max_share_percent = 100.0 * self._dead_time_share(fit, inductance)
+        if max_share_percent > 0.0:
             text = (
-                "where a phase current passes zero, dead time makes injection's inductances look up to "
-                "{most_percent:.1f} % wrong; taken out"
+                "where a phase current crosses zero, dead time changes injection's inductances by up to "
+                "{most_percent:.1f} %; corrected"
             )
-            add("inverter_step", text, most_percent=most)
-        doubted = float(np.mean(fit.trust < 0.5)) if len(fit.trust) else 0.0
-        if doubted > 0.0:
-            text = "{points_percent:.0f} % of the injection's points are confirmed by no others and count for less"
-            add("doubted_points", text, points_percent=100.0 * doubted)
+            add("inverter_step", text, most_percent=max_share_percent)
+        outlier_share = float(np.mean(fit.trust < 0.5)) if len(fit.trust) else 0.0
+        if outlier_share > 0.0:
+            text = "{points_percent:.0f} % of the injection's points agree with no others and get less weight"
+            add("doubted_points", text, points_percent=100.0 * outlier_share)
         if (inductance[:, 0] * inductance[:, 2] <= inductance[:, 1] ** 2).any():
-            add("not_convex", "the energy is not convex everywhere: there the map cannot be inverted")
+            add("not_convex", "the energy is not convex everywhere; where it is not, the map cannot be inverted")
         return remarks
 
     def _dead_time_share(self, fit: EnergyFit, inductance: Array) -> float:
-        """The most that dead time is of L_dd or L_qq, where what was taken out is beyond its own error; else zero."""
+        """Largest relative dead-time correction of L_dd or L_qq that is significant; zero where none is."""
         if not fit.inverter_step:
             return 0.0
         axes = [0, 2]
@@ -108,9 +108,9 @@ class EnergyEstimator:
 
 
 def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: Measurements) -> MapChecks:
-    """Parity and reciprocity, which the energy's form grants, and the crossings of what it was fitted to.
+    """Parity and reciprocity, which the energy ensures, and the flux misfit at crossings of injection's lines.
 
-    Where injection's points are on no lines that cross, by how much the energy is off the sweeps' flux stands for it.
+    Where injection has no crossing lines, the residual of the sweeps' flux against the energy replaces the misfit.
     """
     checks = check_map(flux_map, rated, measured.misfit(fit))
     injected = measured.injected

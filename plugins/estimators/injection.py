@@ -39,7 +39,7 @@ from orchestrator.numerics.surface import TaylorSurface
 from orchestrator.numerics.types import Array
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, pm_flux, voltage_delay
-from plugins.estimators._one_way import OneWay, by_point, shows_both_axes
+from plugins.estimators._one_way import OneWay, group_by_point, shows_both_axes
 from protocols import (
     Basis,
     Capture,
@@ -58,7 +58,7 @@ from protocols import (
 
 @dataclass(frozen=True)
 class _Group:
-    """Points injected with one frequency and one size of flux ripple."""
+    """Points injected with one frequency and one amplitude of flux ripple."""
 
     segments: list[str]
     ripples: list[Ripple]
@@ -80,17 +80,17 @@ class _Group:
 class InjectionEstimator:
     """H at each point reached, L = H^-1, psi by least squares over the graph of neighbouring points.
 
-    Amplitudes and frequencies are kept apart: the map is of the smallest ripple among those that cover nearly
-    the most points, the others are compared with it.
+    Amplitudes and frequencies are evaluated separately: the map uses the smallest ripple among those that cover
+    nearly all points; the others are compared with it.
 
     Attributes
     ----------
     frequency_tolerance, ripple_tolerance : float
-        Relative differences within which injections count as one: a drive's clock and a point's inductance change.
+        Relative differences within which injections count as equal, for clock error and changing inductance.
     min_coverage : float
-        Points over the most points, below which an injection makes no map, however small its ripple.
+        Points over those of the largest group, below which a group makes no map.
     transient_points : int
-        Points whose transients are measured; the slowest counts.
+        Points whose transients are measured; the slowest is used.
     max_inductance_ratio : float
         Ratio of an inductance at two successive points beyond which a remark calls them too far apart:
         with up to 1.6 maps came out within 0.2 % of the rated flux, rms, with 2.6 1.8 % off.
@@ -116,8 +116,8 @@ class InjectionEstimator:
         if not groups:
             problem = skipped[0] if skipped else "no segment of stage injection"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
-        most = max(len(group.ripples) for group in groups)
-        chosen = min((g for g in groups if len(g.ripples) >= self.min_coverage * most), key=lambda g: g.size)
+        max_points = max(len(group.ripples) for group in groups)
+        chosen = min((g for g in groups if len(g.ripples) >= self.min_coverage * max_points), key=lambda g: g.size)
         points = invert(chosen.ripples)
         flux = integrate(points, recording.manifest.name)
         flux_map = _gridded(recording, points, flux)
@@ -147,12 +147,12 @@ class InjectionEstimator:
         groups: list[_Group] = []
         skipped = []
 
-        def ripple_of(segment: Segment, capture: Capture, *beside: Capture) -> Ripple | str:
-            return _ripple(recording, segment, capture, *beside, **known, loss=loss)
+        def ripple_of(segment: Segment, capture: Capture, *other_captures: Capture) -> Ripple | str:
+            return _ripple(recording, segment, capture, *other_captures, **known, loss=loss)
 
         results = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
         ripples: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, results, strict=True))
-        for point in by_point([one for _, one in ripples if isinstance(one, OneWay)], self.frequency_tolerance):
+        for point in group_by_point([one for _, one in ripples if isinstance(one, OneWay)], self.frequency_tolerance):
             first = point[0].segment
             if shows_both_axes(point):
                 ripples.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
@@ -164,7 +164,7 @@ class InjectionEstimator:
             if isinstance(ripple, str):
                 skipped.append(ripple)
                 continue
-            group = next((g for g in groups if self._alike(g.ripples[0], ripple)), None)
+            group = next((g for g in groups if self._same_injection(g.ripples[0], ripple)), None)
             if group is None:
                 groups.append(group := _Group([], []))
             group.segments.append(segment.id)
@@ -174,15 +174,15 @@ class InjectionEstimator:
     def _time_constant(
         self, recording: RecordingReader, segments: Sequence[Segment], resistance_ohm: float | None
     ) -> float | None:
-        """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
+        """Slowest decay of a transient at a few points [s]; None where it cannot be measured."""
         probes = segments[:: max(1, math.ceil(len(segments) / self.transient_points))]
         ripples = each_capture(
             recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0, resistance_ohm=resistance_ohm)
         )
         return max((1.0 / one.decay_per_s for one in ripples if not isinstance(one, str)), default=None)
 
-    def _alike(self, one: Ripple, other: Ripple) -> bool:
-        """Whether two ripples are of one frequency and size."""
+    def _same_injection(self, one: Ripple, other: Ripple) -> bool:
+        """Whether two ripples have equal frequency and amplitude, within the tolerances."""
         same_frequency = math.isclose(other.frequency_hz, one.frequency_hz, rel_tol=self.frequency_tolerance)
         return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.ripple_tolerance)
 
@@ -198,7 +198,7 @@ def _incremental(group: _Group) -> IncrementalInductances:
 
 
 def _resistance_ohm(recording: RecordingReader, context: EstimationContext) -> float | None:
-    """R_s as measured before, where that says more than a nameplate, or else as that has it."""
+    """R_s as measured before, if that is more precise than an uncertain nameplate, else the nameplate's."""
     measured = context.resistance
     if measured is not None and measured.high - measured.low < 4.0 * UNSTATED * measured.value_ohm:
         return measured.value_ohm
@@ -207,7 +207,7 @@ def _resistance_ohm(recording: RecordingReader, context: EstimationContext) -> f
 
 
 def _one_way(segment: Segment, capture: Capture) -> OneWay | None:
-    """The segment where its voltage ripples along one axis only; None where it turns, or where nothing is injected."""
+    """The segment if its injection keeps to one axis; None where it rotates or is absent."""
     axis_rad = one_way_rad(capture.v_ab)
     if axis_rad is None:
         return None
@@ -223,13 +223,13 @@ def _ripple(
     recording: RecordingReader,
     segment: Segment,
     capture: Capture,
-    *beside: Capture,
+    *other_captures: Capture,
     discard_s: float | None = None,
     time_constant_s: float | None = None,
     resistance_ohm: float | None = None,
     loss: PhaseLoss = NO_LOSS,
 ) -> Ripple | str:
-    """The ripple of one point, or why it has none."""
+    """The ripple of one point, or the reason why it cannot be demodulated."""
     try:
         return demodulate(
             capture,
@@ -238,7 +238,7 @@ def _ripple(
             discard_s=discard_s,
             time_constant_s=time_constant_s,
             loss=loss if _same_pwm(recording, segment) else NO_LOSS,
-            beside=beside,
+            beside=other_captures,
             resistance_ohm=resistance_ohm,
             where=segment.id,
         )
@@ -247,10 +247,10 @@ def _ripple(
 
 
 def _same_pwm(recording: RecordingReader, segment: Segment) -> bool:
-    """Whether the inverter is switched as in the sweeps: dead time takes in proportion to the frequency."""
-    usual = recording.manifest.drive.pwm_frequency_hz
-    own = [s.settings.get("pwm_frequency_hz") or usual for s in (segment, *recording.segments(SegmentStage.CLASSICAL))]
-    return all(one == own[0] for one in own)
+    """Whether the PWM frequency equals that of the sweeps, since dead-time voltage is proportional to it."""
+    default_hz = recording.manifest.drive.pwm_frequency_hz
+    compared = (segment, *recording.segments(SegmentStage.CLASSICAL))
+    return len({s.settings.get("pwm_frequency_hz") or default_hz for s in compared}) == 1
 
 
 def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFlux) -> FluxMap:
@@ -258,20 +258,20 @@ def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFl
     surface = TaylorSurface(points.current, nodes, recording.manifest.name)
     psi = [surface(flux.psi[:, k], points.matrix[:, k], points.slope[:, k]) for k in range(2)]
     psi_std = [surface(flux.std[:, k]) for k in range(2)]
-    inductance, between = _inductance(points, flux, nodes, surface)
+    inductance, interpolation_error = _inductance(points, flux, nodes, surface)
     spread = np.sqrt(np.einsum("nii->ni", points.covariance))
     if points.misfit is not None:
         spread = np.hypot(spread, points.misfit)
-    l_std = [np.hypot(surface(spread[:, k]), between[:, k]) for k in range(3)]
+    l_std = [np.hypot(surface(spread[:, k]), interpolation_error[:, k]) for k in range(3)]
     values, stds = np.column_stack([*psi, inductance]), np.stack([*psi_std, *l_std], axis=1)
     return as_map("injection", Basis.INJECTION, recording.manifest.motor, axes, values, stds)
 
 
 def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface: TaylorSurface) -> tuple[Array, Array]:
-    """L_dd, L_dq, L_qq at the nodes, and how far the two ways to get there are apart.
+    """L_dd, L_dq, L_qq at the nodes, and their interpolation error.
 
-    Interpolated inductances and the slopes of the interpolated flux err by about as much in different ways
-    between points that are far apart: their mean is better than both, their distance says how good.
+    Between distant points, interpolated inductances and slopes of the interpolated flux have errors of similar size
+    and different origin. The result is their mean, and half their difference estimates its error.
     """
     step = 1e-3 * float(np.ptp(points.current, axis=0).max())
     slopes = np.empty((len(nodes), 2, 2))
@@ -286,13 +286,13 @@ def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface
     direct = np.stack([surface(points.matrix[:, i, j], points.slope[:, i, j]) for i, j in pairs], axis=1)
     by_flux = np.stack([0.5 * (slopes[:, i, j] + slopes[:, j, i]) for i, j in pairs], axis=1)
     by_flux = np.where(np.isnan(by_flux) | slender[:, None], direct, by_flux)
-    apart = direct - by_flux
-    # At some nodes they agree by chance: how far they are apart elsewhere counts as well.
-    return 0.5 * (direct + by_flux), 0.5 * np.sqrt(apart**2 + np.nanmean(apart**2, axis=0))
+    difference = direct - by_flux
+    # They agree by chance at some nodes, so the rms difference over all nodes is added.
+    return 0.5 * (direct + by_flux), 0.5 * np.sqrt(difference**2 + np.nanmean(difference**2, axis=0))
 
 
 def _misfit(points: Inductances) -> Array | None:
-    """Flux differences where the lines of measured points cross, each line integrated by itself."""
+    """Flux differences at crossings of lines of measured points, each line integrated separately."""
     paths = []
     for line in straight_lines(points.current):
         start, end = line[:-1], line[1:]
@@ -303,24 +303,24 @@ def _misfit(points: Inductances) -> Array | None:
     return join_paths(paths).misfit if len(paths) > 1 else None
 
 
-def _too_far_apart(points: Inductances, steepest: float) -> list[Remark]:
-    """Where an inductance changes so much between two points of a line that no rule of integration knows the flux."""
+def _too_far_apart(points: Inductances, max_ratio: float) -> list[Remark]:
+    """Remark on an inductance that changes too much between two points of a line for integration to be accurate."""
     steps = []
     for line in straight_lines(points.current):
         diagonal = np.einsum("nii->ni", points.matrix[line])
         ratio = np.maximum(diagonal[1:] / diagonal[:-1], diagonal[:-1] / diagonal[1:])
         step, axis = divmod(int(np.argmax(ratio)), 2)
         steps.append((float(ratio[step, axis]), axis, points.current[line[step]], points.current[line[step + 1]]))
-    if not steps or (worst := max(steps, key=lambda one: one[0]))[0] <= steepest:
+    if not steps or (worst := max(steps, key=lambda one: one[0]))[0] <= max_ratio:
         return []
-    ratio_there, axis, start, end = worst
+    largest_ratio, axis, start, end = worst
     text = (
         "{inductance} at ({from_d_a:+.3g}, {from_q_a:+.3g}) A and at the next point, ({to_d_a:+.3g}, {to_q_a:+.3g}) A, "
-        "differ {ratio:.2g} times: the flux between them is not known; points closer together are wanted there"
+        "differ {ratio:.2g} times: the flux between them is uncertain; measure points closer together there"
     )
     places = {"from_d_a": start[0], "from_q_a": start[1], "to_d_a": end[0], "to_q_a": end[1]}
     figures = {name: float(value) for name, value in places.items()}
-    return [Remark.of("too_far_apart", text, inductance=("L_dd", "L_qq")[axis], ratio=ratio_there, **figures)]
+    return [Remark.of("too_far_apart", text, inductance=("L_dd", "L_qq")[axis], ratio=largest_ratio, **figures)]
 
 
 def _remarks(groups: list[_Group], chosen: _Group, points: Inductances, flux: IntegratedFlux) -> list[Remark]:
@@ -329,14 +329,14 @@ def _remarks(groups: list[_Group], chosen: _Group, points: Inductances, flux: In
         text = "zero current lies outside the measured points: the flux there was extrapolated"
         remarks.append(Remark.of("zero_outside", text))
     if len(groups) > 1:
-        text = "several injections: the map is of {injection} ({points} points)"
+        text = "several injections: the map uses {injection} ({points} points)"
         remarks.append(Remark.of("several_injections", text, injection=str(chosen), points=len(chosen.ripples)))
     for group in groups:
         if group is chosen:
             continue
         other = invert(group.ripples)
-        here = TaylorSurface(points.current, other.current, "injection")
-        ratios = [other.matrix[:, k, k] / here(points.matrix[:, k, k], points.slope[:, k, k]) for k in range(2)]
+        surface = TaylorSurface(points.current, other.current, "injection")
+        ratios = [other.matrix[:, k, k] / surface(points.matrix[:, k, k], points.slope[:, k, k]) for k in range(2)]
         if np.isfinite(ratios).any():
             d, q = (100.0 * (float(np.nanmean(ratio)) - 1.0) for ratio in ratios)
             text = "with {by} L_dd is {d_percent:+.1f} % and L_qq {q_percent:+.1f} % of the map's ({points} points)"

@@ -1,6 +1,6 @@
 """Flux map of the paper's polynomial energy H(psi), with its coefficients, fitted to injection and integration.
 
-A handful of numbers instead of a table; a remark says whether they are good enough (A. K. Jebai, P. Combes,
+A few coefficients instead of a table; a remark states whether they suffice (A. K. Jebai, P. Combes,
 F. Malrait, P. Martin, P. Rouchon, "Energy-based modeling of electric motors", CDC 2014,
 doi:10.1109/CDC.2014.7040330).
 """
@@ -34,8 +34,8 @@ class PolynomialEstimator:
     Attributes
     ----------
     max_error_percent : float
-        Of the rated flux, rms: a polynomial that is nearer to the flexible energy can stand for it; that is what maps
-        by different methods differ by on a sound bench.
+        Rms deviation from the flexible energy over the rated flux, up to which the polynomial can replace it: maps
+        by different methods differ by as much on a good bench.
     """
 
     max_error_percent: float = 0.5
@@ -83,21 +83,21 @@ def _form(fit: PolynomialFit) -> ClosedForm:
 
 
 def _remarks(
-    fit: PolynomialFit, energy: EnergyFit, current: Array, rated: float | None, enough_percent: float
+    fit: PolynomialFit, energy: EnergyFit, current: Array, rated: float | None, max_error_percent: float
 ) -> tuple[Remark, ...]:
-    """Which degree was chosen, and whether the polynomial can stand for the flexible energy."""
+    """Remark on the chosen degree, and on whether the polynomial can replace the flexible energy."""
     best = min(fit.criteria.values())
     tried = ", ".join(f"{degree}: {value - best:.0f}" for degree, value in fit.criteria.items())
-    text = "degree {degree} of the tried ones (criterion above the best: {tried})"
+    text = "degree {degree} was chosen (criterion minus its minimum, by degree: {tried})"
     values: dict[str, float | str | None] = {"degree": fit.degree, "tried": tried}
     if np.isfinite(fit.misfit_percent):
-        text += "; it leaves {left_percent:.2f} % of the inductances (rms)"
+        text += "; residual {left_percent:.2f} % of the inductances (rms)"
         values["left_percent"] = fit.misfit_percent
     if rated:
-        apart = fit.flux(current)[0] - energy.flux(current)[0]
-        off = 100.0 / rated * float(np.sqrt((apart**2).sum(axis=1).mean()))
-        good = off < enough_percent
-        text += " and is {off_percent:.2f} % of the rated flux off the flexible energy (rms): "
-        text += "good enough to stand for it" if good else "this motor saturates in another way: use the map"
-        values["off_percent"] = off
+        flux_difference = fit.flux(current)[0] - energy.flux(current)[0]
+        deviation_percent = 100.0 / rated * float(np.sqrt((flux_difference**2).sum(axis=1).mean()))
+        good = deviation_percent < max_error_percent
+        text += " and deviates from the flexible energy by {off_percent:.2f} % of the rated flux (rms): "
+        text += "accurate enough to replace it" if good else "this motor saturates differently: use the map"
+        values["off_percent"] = deviation_percent
     return (Remark.of("degree", text, **values),)

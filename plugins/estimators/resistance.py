@@ -1,6 +1,6 @@
-"""Stator resistance from constant currents: DC holds, the rests of the classical sweeps, and the means of injection.
+"""Stator resistance from constant currents: DC holds, dwells of the classical sweeps, and means of injection.
 
-Heating shows as a drift of readings and is not modelled; a common gain of both kinds of sensor is invisible.
+Heating appears as a drift of the readings and is not modelled. A common gain of both kinds of sensor is unobservable.
 """
 
 from __future__ import annotations
@@ -35,42 +35,42 @@ from protocols import (
     SegmentStage,
 )
 
-_NEEDING = (SegmentStage.CLASSICAL, SegmentStage.STEPS, SegmentStage.SPIN)
-"""Stages whose flux takes an R_s: where nothing rests in them, the nameplate's has to do."""
+_STAGES_WITH_R_S = (SegmentStage.CLASSICAL, SegmentStage.STEPS, SegmentStage.SPIN)
+"""Stages whose flux depends on R_s: without a dwell the nameplate's value is used."""
 
 
 @dataclass(frozen=True)
 class ResistanceEstimator:
-    """R_s as the slope of mean voltage over mean current, the inverter's step taken out.
+    """R_s as the slope of mean voltage over mean current, corrected for the inverter's voltage step.
 
-    R_s drifts as the winding heats up. `value_ohm` is its mean over the instants of the DC holds, or of the sweeps'
-    rests where nothing was held, and the 95 % interval is that of this mean; where R_s was at other times the readings
-    say, of which `first_ohm` and `last_ohm` are the first and the last. Currents of less than a fifth of the largest
-    show the inverter, and are neither readings nor in the mean.
+    R_s drifts as the winding heats up. `value_ohm` is its mean over the instants of the DC holds (without holds: of the
+    sweeps' dwells), with the 95 % interval of this mean. The readings give R_s over time; `first_ohm` and `last_ohm`
+    are the first and the last of them. Currents below a fifth of the largest are dominated by the inverter's loss and
+    enter neither the readings nor the mean.
 
     Attributes
     ----------
     settling_ratio : float
-        Part of a hold that is left out: foreign loggers begin before the current has settled.
+        Initial share of a hold that is discarded, since external loggers may start before the current has settled.
     strong_current_ratio : float
-        Current over the largest one, below which a hold shows the inverter instead of R_s.
+        Current over the largest one, below which the inverter's loss dominates a hold.
     preheat_holds : float
-        Longest time that a current flowed before its hold, in holds.
+        Longest time for which a current flowed before its hold, over the hold's duration.
     max_injection_readings : int
-        Most points of the injection that make readings: more add nothing about a drift.
+        Largest number of injection points that give readings; more do not improve the drift.
     max_injection_s : float
-        Longest part of each that is used [s].
+        Longest part of an injection point that is used [s].
     min_samples : int
-        Fewest samples of a reading.
+        Smallest number of samples of a reading.
     shape_error_ratio : float
-        Error of the inverter's shape in a ripple, over the noise of the holds.
+        Error of the inverter's step shape under ripple, over the noise of the holds.
     max_std_ratio : float
         Standard deviation of a reading over R_s, above which it is left out.
     pwm_tolerance_ratio : float
         Relative difference within which PWM frequencies count as one.
     max_loss_ratio, max_loss_v : float
-        Of the bus, and beside it [V]: what each phase may lose where nothing here tells (two microseconds of dead time
-        at 10 kHz, and a device's drop).
+        Assumed largest loss per phase where it cannot be identified: this share of the bus voltage (2 us of dead time
+        at 10 kHz) plus this device drop [V].
     """
 
     settling_ratio: float = 1.0 / 3.0
@@ -92,35 +92,36 @@ class ResistanceEstimator:
     rank: ClassVar[int] = 0
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> ResistanceEstimate:
-        """Estimate R_s; raises `NotMeasuredError` without a segment that rests at a current."""
-        holds, rests = self._holds(recording), _rests(recording)
-        used = holds or rests
+        """Estimate R_s; raises `NotMeasuredError` without a segment that dwells at a constant current."""
+        holds, sweep_dwells = self._holds(recording), _sweep_dwells(recording)
+        used = holds or sweep_dwells
         largest = max((float(np.linalg.norm(d.i_ab)) for _, d in used), default=0.0)
         known = known_resistance(recording.manifest.motor)
         if largest <= 0.0:
-            if known is not None and recording.segments(*_NEEDING):
-                return _as_known(known)
-            problem = "no segment of stage resistance or classical in which a current rests"
+            if known is not None and recording.segments(*_STAGES_WITH_R_S):
+                return _nameplate_estimate(known)
+            problem = "no segment of stage resistance or classical with a constant current"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
         fit = self._fit(recording, used)
         if not fit.error_v and not fit.unlike_step_v:
             used = sorted([*used, *self._means(recording)], key=lambda one: one[1].start_s)
             fit = self._fit(recording, used)
-        strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > self.strong_current_ratio * largest]
-        every = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
-        every += self._injected(recording, fit, self.strong_current_ratio * largest)
-        readings = tuple(sorted(every, key=lambda reading: reading.start_s))
+        strong_a = self.strong_current_ratio * largest
+        strong = [(s, d) for s, d in (*holds, *sweep_dwells) if np.linalg.norm(d.i_ab) > strong_a]
+        unsorted = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
+        unsorted += self._injected(recording, fit, strong_a)
+        readings = tuple(sorted(unsorted, key=lambda reading: reading.start_s))
         if not readings or not np.isfinite(fit.resistance_ohm):
-            raise NotMeasuredError(recording.manifest.name, "segments", "what was held determines no resistance")
-        doubt_ohm = 0.0
+            raise NotMeasuredError(recording.manifest.name, "segments", "the constant currents do not determine R_s")
+        unknown_loss_ohm = 0.0
         if not fit.error_v and not fit.unlike_step_v:
             lost_v = self.max_loss_ratio * recording.manifest.drive.dc_bus_voltage_v + self.max_loss_v
             # A loss of one volt in each phase is a vector of at most 4/3 V along the current.
-            doubt_ohm = 4.0 / 3.0 * lost_v / largest
-        value, low, high, beside = _with_known(known, fit, doubt_ohm)
+            unknown_loss_ohm = 4.0 / 3.0 * lost_v / largest
+        value, low, high, nameplate_remarks = _with_known(known, fit, unknown_loss_ohm)
         if fit.unlike_step_v:
-            aside = 2.0 * fit.unlike_step_v / largest
-            low, high = min(low, fit.with_step_ohm - aside), max(high, fit.with_step_ohm + aside)
+            margin_ohm = 2.0 * fit.unlike_step_v / largest
+            low, high = min(low, fit.with_step_ohm - margin_ohm), max(high, fit.with_step_ohm + margin_ohm)
         return ResistanceEstimate(
             value_ohm=value,
             low=low,
@@ -130,12 +131,12 @@ class ResistanceEstimator:
             readings=readings,
             temperature_rise_k=temperature_rise(readings),
             inverter=tuple(fit.losses()),
-            remarks=(*beside, *_remarks(fit, [d for _, d in used], bool(holds), readings, low)),
+            remarks=(*nameplate_remarks, *_remarks(fit, [d for _, d in used], bool(holds), readings, low)),
         )
 
     def constant_currents(self, recording: RecordingReader) -> list[Dwell]:
-        """The stretches over whose instants `value_ohm` is the mean."""
-        used = [d for _, d in self._holds(recording) or _rests(recording)]
+        """The dwells over whose instants `value_ohm` is the mean."""
+        used = [d for _, d in self._holds(recording) or _sweep_dwells(recording)]
         largest = max((float(np.linalg.norm(d.i_ab)) for d in used), default=0.0)
         return [d for d in used if np.linalg.norm(d.i_ab) > self.strong_current_ratio * largest]
 
@@ -151,7 +152,7 @@ class ResistanceEstimator:
         )
 
     def _means(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
-        """The means under injection, as if they had been held: where a current stands, the inverter keeps as much."""
+        """Means under injection, treated as holds: at a constant mean current the inverter's loss is the same."""
         injected = recording.segments(SegmentStage.INJECTION)
         means = each_capture(recording, injected, lambda s, c: (s, self._mean(c)))
         return [(s, mean) for s, mean in means if mean is not None]
@@ -165,9 +166,9 @@ class ResistanceEstimator:
         )
 
     def _heat(self, dwells: list[Dwell]) -> Array:
-        """Integral of the squared current up to the middle of each dwell, as far as it was seen.
+        """Integral of the squared current up to the middle of each dwell, in any unit, as far as recorded.
 
-        What flowed before a dwell, since the one before it, was its own current settling.
+        Between dwells, the current of the next dwell is assumed, since it settles there.
         """
         start, seconds = np.array([d.start_s for d in dwells]), np.array([d.seconds for d in dwells])
         squares = np.array([d.i_ab @ d.i_ab for d in dwells])
@@ -175,30 +176,28 @@ class ResistanceEstimator:
         gained = squares * (np.clip(before, 0.0, self.preheat_holds * seconds) + seconds)
         return np.asarray(np.cumsum(gained) - 0.5 * squares * seconds)
 
-    def _injected(self, recording: RecordingReader, fit: VoltageFit, least_a: float) -> list[ResistanceReading]:
-        """Readings at some of the injection's points, as far as the inverter is known at their PWM frequency."""
+    def _injected(self, recording: RecordingReader, fit: VoltageFit, min_a: float) -> list[ResistanceReading]:
+        """Readings at some injection points whose PWM frequency has an identified inverter loss."""
         known = [
             s
             for s in recording.segments(SegmentStage.INJECTION)
             if any(abs(_pwm_hz(recording, s) - f) <= self.pwm_tolerance_ratio * f for f in fit.error_v)
         ]
-        some = known[:: max(1, -(-len(known) // self.max_injection_readings))]
-        means = each_capture(recording, some, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), least_a))
+        selected = known[:: max(1, -(-len(known) // self.max_injection_readings))]
+        means = each_capture(recording, selected, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), min_a))
         return [reading for reading in means if reading is not None]
 
-    def _mean_reading(
-        self, fit: VoltageFit, capture: Capture, pwm_hz: float, least_a: float
-    ) -> ResistanceReading | None:
-        """R_s of the means, in which the ripple cancels; what the inverter keeps follows it and is averaged too."""
+    def _mean_reading(self, fit: VoltageFit, capture: Capture, pwm_hz: float, min_a: float) -> ResistanceReading | None:
+        """R_s of a point's mean voltage and current, corrected for the inverter's mean loss under the ripple."""
         mean = self._mean(capture)
         if mean is None:
             return None
         i = capture.i_ab[len(capture) - round(mean.seconds * capture.sampling_frequency_hz) :].astype(np.float64)
-        weight, mean_i = _fading(len(i)), mean.i_ab
+        weight, mean_i = _hann_weights(len(i)), mean.i_ab
         length = float(np.linalg.norm(mean_i))
-        if length <= least_a:
+        if length <= min_a:
             return None
-        # Between two samples the current runs straight: Simpson's rule.
+        # The current is linear between two samples: Simpson's rule.
         middle = 0.5 * (i + np.concatenate([i[1:], i[-1:]]))
         lost = weight @ (fit.lost(i, pwm_hz) + 2.0 * fit.lost(middle, pwm_hz)) / 3.0
         along = mean_i / length
@@ -209,31 +208,31 @@ class ResistanceEstimator:
         return ResistanceReading(start_s=mean.start_s, value_ohm=value, std_ohm=std)
 
     def _mean(self, capture: Capture) -> Dwell | None:
-        """Means of an injection's last part, in which the ripple cancels; None where it is too short.
+        """Means over an injection's last part, without the ripple; None where it is too short.
 
-        They are taken behind a window that begins and ends at zero, so that whole periods are not needed.
+        They are weighted by a window that begins and ends at zero, so that whole periods are not needed.
         """
         rate = capture.sampling_frequency_hz
         first = max(round(self.settling_ratio * len(capture)), len(capture) - round(self.max_injection_s * rate))
         if len(capture) - first < self.min_samples:
             return None
-        weight = _fading(len(capture) - first)
+        weight = _hann_weights(len(capture) - first)
         i, v = (weight @ x[first:].astype(np.float64) for x in (capture.i_ab, capture.v_ab))
         return Dwell(capture.start_s + first / rate, len(weight) / rate, i, v, np.zeros((2, 2)))
 
 
-def _fading(count: int) -> Array:
-    """Weights of a mean that begin and end at nothing."""
+def _hann_weights(count: int) -> Array:
+    """Weights of a mean by a Hann window, shape (count,)."""
     window = np.hanning(count + 2)[1:-1]
     return np.asarray(window / window.sum())
 
 
-def _as_known(known: KnownResistance) -> ResistanceEstimate:
-    """What was known beforehand, where nothing rests."""
+def _nameplate_estimate(known: KnownResistance) -> ResistanceEstimate:
+    """The nameplate's R_s as an estimate, for recordings without a constant current."""
     half = 1.96 * known.std_ohm
-    text = "no current rests: R_s = {value_ohm:.4g} ohm is the nameplate's, believed to +-{half_percent:.2g} % (95 %)"
+    text = "no constant current: R_s = {value_ohm:.4g} ohm is the nameplate's, with +-{half_percent:.2g} % (95 %)"
     if not known.is_measured:
-        text += ", for it has no stator_resistance_std_ohm"
+        text += " assumed, since it states no stator_resistance_std_ohm"
     values = {"value_ohm": known.value_ohm, "half_percent": 100.0 * half / known.value_ohm}
     return ResistanceEstimate(
         value_ohm=known.value_ohm,
@@ -246,32 +245,30 @@ def _as_known(known: KnownResistance) -> ResistanceEstimate:
 
 
 def _with_known(
-    known: KnownResistance | None, fit: VoltageFit, doubt_ohm: float, doubtful: float = 3.0
+    known: KnownResistance | None, fit: VoltageFit, unknown_loss_ohm: float, max_sigmas: float = 3.0
 ) -> tuple[float, float, float, list[Remark]]:
-    """R_s of the holds, its 95 % interval, and remarks; what was measured before counts where both agree.
+    """R_s of the holds, combined with a measured nameplate value that agrees; 95 % interval and remarks.
 
-    `doubt_ohm` is what the inverter may have in it: R_s is then not less than a nameplate lets it be.
+    `unknown_loss_ohm` is the largest share of an unidentified inverter loss; the nameplate bounds R_s from below.
     """
     from scipy.special import stdtrit
 
     half = float(stdtrit(fit.freedom, 0.975)) * fit.std_ohm
     if known is None or not known.is_measured:
-        least = 0.0 if known is None else min(fit.resistance_ohm, known.value_ohm - 1.96 * known.std_ohm)
-        low = max(fit.resistance_ohm - doubt_ohm, least)
+        min_loss_v = 0.0 if known is None else min(fit.resistance_ohm, known.value_ohm - 1.96 * known.std_ohm)
+        low = max(fit.resistance_ohm - unknown_loss_ohm, min_loss_v)
         return fit.resistance_ohm, min(low, fit.resistance_ohm) - half, fit.resistance_ohm + half, []
-    std = float(np.hypot(half / 1.96, 0.5 * doubt_ohm))
-    apart = known.apart(fit.resistance_ohm, std)
-    if apart > doubtful:
-        text = (
-            "R_s is {apart:.0f} standard deviations off the {known_ohm:.4g} ohm that were known: is the winding warm?"
-        )
-        remark = Remark.of("off_the_known", text, apart=apart, known_ohm=known.value_ohm)
+    std = float(np.hypot(half / 1.96, 0.5 * unknown_loss_ohm))
+    sigmas = known.apart(fit.resistance_ohm, std)
+    if sigmas > max_sigmas:
+        text = "R_s is {apart:.0f} standard deviations off the nameplate's {known_ohm:.4g} ohm: is the winding warm?"
+        remark = Remark.of("off_the_known", text, apart=sigmas, known_ohm=known.value_ohm)
         return fit.resistance_ohm, fit.resistance_ohm - half, fit.resistance_ohm + half, [remark]
     value, std = known.with_measured(fit.resistance_ohm, std)
     return value, value - 1.96 * std, value + 1.96 * std, []
 
 
-def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
+def _sweep_dwells(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
     delay = recording.manifest.drive.voltage_delay_samples or 0.0
     sweeps = recording.segments(SegmentStage.CLASSICAL)
     dwells_of = each_capture(recording, sweeps, lambda s, c: find_dwells(c, s.rotor_angle_rad, delay))
@@ -279,17 +276,17 @@ def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
 
 
 def _pwm_hz(recording: RecordingReader, segment: Segment) -> float:
-    own = segment.settings.get("pwm_frequency_hz")
-    return float(own if own is not None else recording.manifest.drive.pwm_frequency_hz or 0.0)
+    explicit = segment.settings.get("pwm_frequency_hz")
+    return float(explicit if explicit is not None else recording.manifest.drive.pwm_frequency_hz or 0.0)
 
 
-def _reading(fit: VoltageFit, rest: Dwell, pwm_hz: float) -> ResistanceReading:
-    length = float(np.linalg.norm(rest.i_ab))
-    along = rest.i_ab / length
-    voltage = fit.resistive(rest.i_ab[None], rest.v_ab[None], pwm_hz)[0]
-    own = max(float(np.sqrt(along @ rest.v_covariance @ along)), fit.noise_v)
-    std = np.hypot(own, fit.lost_std(rest.i_ab[None], pwm_hz, along)) / length
-    return ResistanceReading(start_s=rest.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
+def _reading(fit: VoltageFit, hold: Dwell, pwm_hz: float) -> ResistanceReading:
+    length = float(np.linalg.norm(hold.i_ab))
+    along = hold.i_ab / length
+    voltage = fit.resistive(hold.i_ab[None], hold.v_ab[None], pwm_hz)[0]
+    noise_v = max(float(np.sqrt(along @ hold.v_covariance @ along)), fit.noise_v)
+    std = np.hypot(noise_v, fit.lost_std(hold.i_ab[None], pwm_hz, along)) / length
+    return ResistanceReading(start_s=hold.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
 
 
 def _remarks(
@@ -297,36 +294,36 @@ def _remarks(
 ) -> tuple[Remark, ...]:
     remarks = []
     if not held:
-        remarks.append(Remark.of("no_holds", "no DC holds: R_s is from the rests of the classical sweeps"))
+        remarks.append(Remark.of("no_holds", "no DC holds: R_s is from the constant currents of the classical sweeps"))
     if fit.unlike_step_v:
         text = (
-            "no dead time and no device drop explains the held voltages: {beside_v:.2g} V (rms) remain beside the best "
-            "step, as of a bridge that leaves out short pulses; nothing is taken off, and R_s may be as little as "
+            "neither dead time nor device drops explain the held voltages: {beside_v:.2g} V (rms) remain with the best "
+            "step, as with a bridge that drops short pulses; no loss is subtracted, and R_s may be as low as "
             "{low_ohm:.3g} ohm; hold larger currents, or set a shorter minimum pulse"
         )
         remarks.append(Remark.of("unlike_inverter", text, beside_v=fit.unlike_step_v, low_ohm=low))
     elif not fit.error_v:
         text = (
-            "too few different currents to tell R_s from what the inverter keeps: without that it may be as little as "
+            "too few different currents to separate R_s from the inverter's loss: R_s may be as low as "
             "{low_ohm:.3g} ohm; hold three currents of different size, or inject"
         )
         remarks.append(Remark.of("few_currents", text, low_ohm=low))
     largest = max(float(np.linalg.norm(d.i_ab)) for d in used)
-    # Of a loss that is not there something is left as well: within its own error it is not spoken of.
-    least = 0.01 * fit.resistance_ohm * largest
-    kept = [loss for loss in fit.losses() if loss.phase_v > max(least, 3.0 * loss.std_v)]
-    for loss in kept:
+    # The estimate of a zero loss is not exactly zero: a loss within its error gets no remark.
+    min_loss_v = 0.01 * fit.resistance_ohm * largest
+    significant = [loss for loss in fit.losses() if loss.phase_v > max(min_loss_v, 3.0 * loss.std_v)]
+    for loss in significant:
         at = " at {pwm_khz:.3g} kHz" if loss.pwm_frequency_hz else ""
-        text = f"the inverter keeps {{kept_v:.2f}} V from each phase{at} (dead time or device drops); taken out"
+        text = f"each phase loses {{kept_v:.2f}} V in the inverter{at} (dead time or device drops); corrected"
         remarks.append(Remark.of("inverter_loss", text, kept_v=loss.phase_v, pwm_khz=loss.pwm_frequency_hz / 1e3))
-    if kept:
-        text = "what the inverter's devices lose in proportion to the current counts as R_s: nothing here tells them"
+    if significant:
+        text = "R_s includes the on-state resistance of the inverter's devices, which cannot be separated here"
         remarks.append(Remark.of("device_resistance", text))
     rise = temperature_rise(readings)
     change = 0.0 if rise is None else readings[-1].value_ohm / readings[0].value_ohm - 1.0
     if rise is not None and abs(change) > max(0.02, 1.5 * (rise.high - rise.value) * COPPER_PER_K):
         text = (
-            "R_s changes by {change_percent:+.1f} % over the recording: the winding's temperature by {rise_k:+.0f} "
+            "R_s changes by {change_percent:+.1f} % over the recording, hence the winding temperature by {rise_k:+.0f} "
             "(+-{half_k:.0f}) K, if it is copper and started at 20 C"
         )
         figures = {"change_percent": 100 * change, "rise_k": rise.value, "half_k": max(rise.high - rise.value, 1.0)}

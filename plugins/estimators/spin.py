@@ -1,7 +1,7 @@
-"""Magnet flux and map of a rotor that turns, by its back-EMF, held against the map at standstill.
+"""Magnet flux and flux map of a turning rotor by its back-EMF, compared with the map at standstill.
 
-Without current (the bridge off, the terminals' voltage measured) the EMF says the magnet's flux, where the d axis
-truly is, and whether phase order and pole pairs are those that are believed (`orchestrator.analysis.fit_spin`).
+Without current (bridge off, terminal voltage measured) the back-EMF gives the magnet flux, the true direction of the
+d axis, and a check of phase order and pole pairs (`orchestrator.analysis.fit_spin`).
 """
 
 from __future__ import annotations
@@ -47,18 +47,18 @@ from protocols import (
 
 @dataclass(frozen=True)
 class SpinEstimator:
-    """psi_d = (v_q - R i_q) / w, psi_q = -(v_d - R i_d) / w, in means over whole turns, held against one energy.
+    """psi_d = (v_q - R i_q) / w, psi_q = -(v_d - R i_d) / w, in means over whole turns, fitted by one energy.
 
     Attributes
     ----------
     zero_current_ratio : float
-        Current over the rated one, below which the EMF is the magnet's alone.
+        Current over the rated one, below which the EMF is attributed to the magnet alone.
     resistance_std_ratio : float
         Relative standard deviation of R_s about the value measured or stated before: 2.5 K of copper.
     significance_sigmas : float
         Standard deviations from which on a remark reports a value.
     min_remark_rad : float
-        Offset of the angle from which on a remark reports it.
+        Angle offset from which on a remark reports it.
     """
 
     zero_current_ratio: float = 0.02
@@ -79,28 +79,28 @@ class SpinEstimator:
         Raises
         ------
         NotMeasuredError
-            Where nothing turns, its angle is not known, the phases are in another order or the pole pairs are others.
+            Where nothing turns, the angle is not known, or phase order or pole pairs are wrong.
         """
         where, segments = recording.manifest.name, recording.segments(SegmentStage.SPIN)
         if not segments:
             raise NotMeasuredError(where, "segments", "no segment of stage spin")
         rated_a, delay = recording.manifest.motor.rated_current_a, voltage_delay(recording)
-        nothing_a = self.zero_current_ratio * (rated_a or 0.0)
+        zero_current_a = self.zero_current_ratio * (rated_a or 0.0)
         largest_a = max(each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max())))
-        scale_a = max(largest_a, nothing_a)
+        scale_a = max(largest_a, zero_current_a)
 
-        def turned(segment: Segment, capture: Capture) -> SpunPoints:
+        def points_of(segment: Segment, capture: Capture) -> SpunPoints:
             theta = theta_of(segment, capture)
             require_emf_turns_with(segment, capture)
             bridge = segment.settings.get("bridge")
-            held = bridge == "on" if bridge else float(np.abs(capture.i_ab).max()) > nothing_a
+            held = bridge == "on" if bridge else float(np.abs(capture.i_ab).max()) > zero_current_a
             return spun_points(capture, theta, delay=delay if held else None, scale_a=scale_a or 1.0, where=segment.id)
 
-        each = each_capture(recording, segments, turned)
+        points_by_segment = each_capture(recording, segments, points_of)
         columns = ("i", "v", "speed", "lost", "time_s")
-        points = SpunPoints(*(np.concatenate([getattr(p, name) for p in each]) for name in columns))
-        names = [s.id for s, p in zip(segments, each, strict=True) for _ in range(len(p.i))]
-        if float(np.linalg.norm(points.i, axis=1).max()) <= nothing_a:
+        points = SpunPoints(*(np.concatenate([getattr(p, name) for p in points_by_segment]) for name in columns))
+        names = [s.id for s, p in zip(segments, points_by_segment, strict=True) for _ in range(len(p.i))]
+        if float(np.linalg.norm(points.i, axis=1).max()) <= zero_current_a:
             return self._magnet(recording, points, names)
         require_area(points.i, where)
         known = ResistanceEstimator().estimate(recording, EstimationContext())
@@ -121,12 +121,12 @@ class SpinEstimator:
         )
 
     def _magnet(self, recording: RecordingReader, points: SpunPoints, names: Sequence[str]) -> FluxMapEstimate:
-        """The one point of the map that there is without current."""
+        """A map with one point, the magnet flux, where no current was measured."""
         psi = flux_by_emf(points, 0.0)
         angle = magnet_axis(points, 0.0)
         along = np.linalg.norm(psi, axis=1)
         flux, std = float(along.mean()), float(along.std() / max(len(along) - 1, 1) ** 0.5)
-        nothing = np.full((1, 1), np.nan)
+        nan = np.full((1, 1), np.nan)
         zero = np.zeros(1)
         flux_map = FluxMap(
             method="spin",
@@ -136,7 +136,7 @@ class SpinEstimator:
             psi_q=np.zeros((1, 1)),
             psi_d_std=np.full((1, 1), std),
             psi_q_std=np.full((1, 1), std),
-            **dict.fromkeys(("l_dd", "l_dq", "l_qq", "l_dd_std", "l_dq_std", "l_qq_std"), nothing),
+            **dict.fromkeys(("l_dd", "l_dq", "l_qq", "l_dd_std", "l_dq_std", "l_qq_std"), nan),
         )
         remarks = [_magnet_remark((flux, std), recording.manifest.motor.pm_flux_wb)]
         if abs(angle) > self.min_remark_rad:
@@ -148,18 +148,18 @@ class SpinEstimator:
     def _remarks(self, fit: SpinFit, stated: float | None) -> list[Remark]:
         remarks = [_magnet_remark(fit.magnet_wb, stated)]
         ohm, std = fit.resistance_ohm
-        text = "R_s = {value_ohm:.4g} ohm (+-{std_ohm:.1g}) by the EMF's evenness and its speeds"
+        text = "R_s = {value_ohm:.4g} ohm (+-{std_ohm:.1g}) by the back-EMF's symmetry in i_q and its speeds"
         remarks.append(Remark.of("resistance_by_emf", text, value_ohm=ohm, std_ohm=std))
         angle, std = fit.angle_rad
         if abs(angle) > max(self.min_remark_rad, self.significance_sigmas * std):
             remarks.append(_offset_remark(angle))
         conductance, std = fit.conductance_s
         if conductance > self.significance_sigmas * std:
-            text = "iron loss as of {loss_ohm:.0f} ohm beside the magnetising current; taken out"
+            text = "iron loss of {loss_ohm:.0f} ohm parallel to the magnetising inductance; corrected"
             remarks.append(Remark.of("iron_loss", text, loss_ohm=1.0 / conductance))
         volts, std = fit.loss_v
         if abs(volts) > self.significance_sigmas * std:
-            text = "the inverter keeps {kept_v:.2f} V (+-{std_v:.1g}) from each phase; taken out"
+            text = "each phase loses {kept_v:.2f} V (+-{std_v:.1g}) in the inverter; corrected"
             remarks.append(Remark.of("inverter_loss", text, kept_v=volts, std_v=std))
         return remarks
 
@@ -176,20 +176,21 @@ def _magnet_remark(magnet: tuple[float, float], stated: float | None) -> Remark:
 def _offset_remark(angle_rad: float) -> Remark:
     text = "the magnet lies {angle_deg:+.2f} degrees (electrical) from the believed d axis"
     if abs(angle_rad) > 0.5 * np.pi:
-        text += ": the angle's zero, or the polarity, is another one"
+        text += ": the angle's zero or the polarity is wrong"
     return Remark.of("angle_offset", text, angle_deg=float(np.degrees(angle_rad)))
 
 
 def _beside_standstill(spun: FluxMap, context: EstimationContext, rated: float | None) -> list[Remark]:
-    """By how much the flux differs from that of the map at standstill, where both are known."""
-    still = next((one.map for kind in (EnergyFlux, SteppedFlux, SweptFlux) for one in context.of(kind)), None)
-    if still is None or not rated:
+    """Remark on the difference from the map at standstill, where both are known."""
+    standstill = next((one.map for kind in (EnergyFlux, SteppedFlux, SweptFlux) for one in context.of(kind)), None)
+    if standstill is None or not rated:
         return []
     grid = np.stack(np.meshgrid(spun.i_d, spun.i_q, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
     zero = np.zeros((1, 2))
-    apart = [flux_at(one)(grid) - flux_at(one)(zero) for one in (spun, still)]
-    off = np.linalg.norm(apart[0] - apart[1], axis=1)
-    if not np.isfinite(off).any():
+    changes = [flux_at(one)(grid) - flux_at(one)(zero) for one in (spun, standstill)]
+    distance_wb = np.linalg.norm(changes[0] - changes[1], axis=1)
+    if not np.isfinite(distance_wb).any():
         return []
-    text = "spun and at standstill the flux differs by {apart_percent:.2f} % of the rated flux (rms)"
-    return [Remark.of("beside_standstill", text, apart_percent=100.0 * float(np.sqrt(np.nanmean(off**2))) / rated)]
+    text = "the flux differs from that at standstill by {apart_percent:.2f} % of the rated flux (rms)"
+    rms_wb = float(np.sqrt(np.nanmean(distance_wb**2)))
+    return [Remark.of("beside_standstill", text, apart_percent=100.0 * rms_wb / rated)]

@@ -1,8 +1,7 @@
-"""Flux map and R_s by voltage steps: +-U on one axis or both, turned round at current limits, nothing resting.
+"""Flux map and R_s by voltage steps: +-U on one axis or both, reversed at current limits, without a dwell.
 
-One energy, R_s, the inverter and the voltage's lag are fitted jointly to loops that have to close
-(`orchestrator.analysis.fit_steps`). What is known of R_s beforehand, from holds or the nameplate, counts as far as it
-is sure.
+One energy, R_s, the inverter's loss and the voltage's lag are fitted jointly to loops that have to close
+(`orchestrator.analysis.fit_steps`). A prior on R_s, from holds or the nameplate, is weighted by its variance.
 """
 
 from __future__ import annotations
@@ -48,10 +47,13 @@ from protocols import (
     SegmentStage,
 )
 
+MAX_FIT_ROWS, MAX_POINTS = 9000, 4000
+"""Rows of all segments that enter the fit, and points that the result lists; both bound time and memory."""
+
 
 @dataclass(frozen=True)
 class StepsEstimator:
-    """psi = integral of (v - R_s i - e), held against one energy along every loop.
+    """psi = integral of (v - R_s i - e), fitted by one energy along every loop.
 
     Attributes
     ----------
@@ -60,21 +62,21 @@ class StepsEstimator:
     max_passes : int
         Passes over the captures until the fitted lag agrees with the assumed one.
     lag_tolerance_samples : float
-        Difference of these lags that needs no further pass.
+        Difference of these lags below which no further pass is needed.
     inductance_tolerance : float
-        Relative change of an inductance, by how the current decays between rows, that needs no further pass.
+        Relative change of an inductance by the decay between rows, below which no further pass is needed.
     control_rows : float
-        Rows for each period of the carrier, from which on they are the control's own: the voltage is constant between
-        them. Slower rows are means, or leave out what was commanded in between.
+        Rows per carrier period from which on rows count as control samples, between which the voltage is constant.
+        Slower rows are means, or lack commands in between.
     decay_std_ratio : float
-        Of what the decay between the control's own rows changes in an inductance: iron saturates meanwhile.
+        Relative model error of the decay correction for control samples, since the iron saturates during the decay.
     mean_std_ratio : float
-        Of the same, where rows are slower than the control: means err in the other direction than instants, and what
-        was commanded within a row is not known (simulated: up to twice of it).
+        As `decay_std_ratio`, for slower rows: means have the opposite error of instants, and commands
+        within a row are unknown (simulated: up to twice the correction).
     min_remark_samples : float
         Lag from which on a remark reports it: iron's hysteresis opens a loop by less.
     min_interval_ratio : float
-        Smallest relative standard deviation of R_s (simulated: 20 samples a swing, on blind plants).
+        Smallest relative standard deviation of R_s (from simulated plants, 20 samples per swing).
     """
 
     resistance_std_ratio: float = 0.01
@@ -95,25 +97,25 @@ class StepsEstimator:
     rank: ClassVar[int] = 25
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> SteppedFlux:
-        """Make the map; raises `NotMeasuredError` without steps that span an area of currents, or any idea of R_s."""
+        """Make the map; raises `NotMeasuredError` where the steps span no area of currents, or R_s has no prior."""
         where, segments = recording.manifest.name, recording.segments(SegmentStage.STEPS)
         if not segments:
             raise NotMeasuredError(where, "segments", "no segment of stage steps")
         known = ResistanceEstimator().estimate(recording, context)
         std_ohm = float(np.hypot((known.high - known.low) / 3.92, self.resistance_std_ratio * known.value_ohm))
-        beliefs = Beliefs(known.value_ohm, std_ohm)
+        prior = Beliefs(known.value_ohm, std_ohm)
         drive = recording.manifest.drive
         fs, carrier_hz = drive.sampling_frequency_hz, drive.pwm_frequency_hz or 0.0
         rows = _Rows(1.0 / fs, exact=fs >= self.control_rows * carrier_hz)
-        traces, fit, late = self._fitted(recording, segments, beliefs, rows)
+        traces, fit, lag_samples = self._fit(recording, segments, prior, rows)
         current = np.concatenate([trace.i for trace in traces])
         if not inside_hull(current, np.zeros((1, 2)), where)[0]:
-            raise NotMeasuredError(where, "segments", "zero current lies outside what the steps pass")
-        doubt_h = self._decay_doubt_h(fit, rows)
-        flux_map = _doubted(gridded("steps", recording, fit.energy, current), doubt_h)
-        fit = replace(fit, paths=tuple(_doubted_path(path, doubt_h) for path in fit.paths))
+            raise NotMeasuredError(where, "segments", "zero current lies outside the currents of the steps")
+        error_h = self._decay_error_h(fit, rows)
+        flux_map = _with_error(gridded("steps", recording, fit.energy, current), error_h)
+        fit = replace(fit, paths=tuple(_path_with_error(path, error_h) for path in fit.paths))
         rated = reference_flux_wb(flux_map, recording.manifest.motor)
-        thin = slice(None, None, max(1, len(current) // 4000))
+        thin = slice(None, None, max(1, len(current) // MAX_POINTS))
         names = [trace.where for trace in traces for _ in range(len(trace.i))]
         points = FluxPoints(
             i_dq=current[thin],
@@ -125,70 +127,70 @@ class StepsEstimator:
             points=points,
             checks=check_map(flux_map, rated, fit.misfit),
             remarks=(
-                *_off_the_known(fit, beliefs),
-                *self._remarks(fit, late, rated, max(t.volts for t in traces)),
+                *_prior_conflict(fit, prior),
+                *self._remarks(fit, lag_samples, rated, max(t.volts for t in traces)),
                 *(Remark(code="time_constant", text=one) for one in recording_notes(recording.manifest)),
             ),
             fit=fit,
             start_s=segments[0].start_s,
         )
 
-    def _fitted(
-        self, recording: RecordingReader, segments: Sequence[Segment], beliefs: Beliefs, rows: _Rows
+    def _fit(
+        self, recording: RecordingReader, segments: Sequence[Segment], prior: Beliefs, rows: _Rows
     ) -> tuple[list[StepTrace], StepsFit, float]:
-        """Traces, what they say, and by how many samples the voltage acts later than the manifest says."""
-        declared, late, later_s = voltage_delay(recording), 0.0, np.zeros(2)
+        """Traces, their fit, and the voltage's lag after the delay that the manifest declares, in samples."""
+        declared, lag_samples, later_s = voltage_delay(recording), 0.0, np.zeros(2)
         reach = each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max()))
         knots_a = STEP_KNOTS * max(reach)
-        most = max(1, 9000 // len(segments))
+        rows_per_segment = max(1, MAX_FIT_ROWS // len(segments))
 
         def traced(segment: Segment, capture: Capture) -> StepTrace:
-            delay = declared + late
+            delay = declared + lag_samples
             angle = segment.rotor_angle_rad
-            trace = trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=most)
+            trace = trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=rows_per_segment)
             return replace(trace, charge=trace.charge + later_s * trace.i)
 
-        for left in reversed(range(self.max_passes)):
+        for passes_left in reversed(range(self.max_passes)):
             traces = each_capture(recording, segments, traced)
             require_area(np.concatenate([trace.i for trace in traces]), recording.manifest.name)
-            fit = fit_steps(traces, beliefs)
+            fit = fit_steps(traces, prior)
             before, later_s = later_s, rows.decay_s(fit, later_s)
             moved_h = fit.resistance_ohm * np.abs(later_s - before)
-            is_same_map = bool((moved_h < self.inductance_tolerance * _at_rest(fit)).all())
+            is_same_map = bool((moved_h < self.inductance_tolerance * _unsaturated(fit)).all())
             settled = is_same_map and abs(fit.lag_samples) < self.lag_tolerance_samples
-            if not left or settled:
+            if not passes_left or settled:
                 break
-            late = max(late + fit.lag_samples, -declared)
-        return traces, fit, late + fit.lag_samples
+            lag_samples = max(lag_samples + fit.lag_samples, -declared)
+        return traces, fit, lag_samples + fit.lag_samples
 
-    def _decay_doubt_h(self, fit: StepsFit, rows: _Rows) -> Array:
-        """Standard deviation of the inductances by what the current does between rows, shape (2,) [H]."""
+    def _decay_error_h(self, fit: StepsFit, rows: _Rows) -> Array:
+        """Standard deviation of the inductances by the current's decay between rows, shape (2,) [H]."""
         drop_h = fit.resistance_ohm * rows.step_s
-        size = np.maximum(_at_rest(fit), 1e-9 * drop_h)
+        size = np.maximum(_unsaturated(fit), 1e-9 * drop_h)
         share = self.decay_std_ratio if rows.exact else self.mean_std_ratio
         return share * np.array([drop_h * decay_weight(drop_h / h) for h in size])
 
-    def _remarks(self, fit: StepsFit, late: float, rated: float | None, volts: float) -> list[Remark]:
+    def _remarks(self, fit: StepsFit, lag_samples: float, rated: float | None, volts: float) -> list[Remark]:
         remarks = []
         spread = None if not rated else 100.0 * fit.misfit.std(axis=0).max() / rated
-        if abs(late) > max(self.min_remark_samples, 3.0 * fit.lag_std_samples):
+        if abs(lag_samples) > max(self.min_remark_samples, 3.0 * fit.lag_std_samples):
             text = (
-                "the loops open as if the voltage acted {late:+.2f} samples later than the manifest says: taken out; "
+                "the voltage acts {late:+.2f} samples later than the manifest declares, as the loops show; corrected; "
                 "is voltage_delay_samples right?"
             )
-            remarks.append(Remark.of("steps_lag", text, late=late))
+            remarks.append(Remark.of("steps_lag", text, late=lag_samples))
         if not fit.determines_resistance:
             text = (
-                "the steps do not tell R_s from what the inverter keeps: both are near what was believed before, R_s "
-                "+-{std_ohm:.2g} ohm and {std_v:.2g} V a phase (one standard deviation); step to two sizes of current "
-                "with both signs, or hold direct currents"
+                "the steps cannot separate R_s from the inverter's voltage loss: both stay near their priors, R_s "
+                "+-{std_ohm:.2g} ohm and {std_v:.2g} V per phase (one standard deviation); step to two currents "
+                "of both signs, or hold direct currents"
             )
             figures = {"std_ohm": fit.resistance_std_ohm, "std_v": float(fit.loss_std_v[-1])}
             remarks.append(Remark.of("resistance_undetermined", text, **figures))
-        kept = float(fit.loss_v[-1])
-        if abs(kept) > max(4.0 * float(fit.loss_std_v[-1]), 0.002 * volts):
+        loss_v = float(fit.loss_v[-1])
+        if abs(loss_v) > max(4.0 * float(fit.loss_std_v[-1]), 0.002 * volts):
             text = "each phase loses {lost_v:.2f} V, estimated from the loops; corrected"
-            remarks.append(Remark.of("inverter_loss", text, lost_v=kept))
+            remarks.append(Remark.of("inverter_loss", text, lost_v=loss_v))
         if fit.energy.angle_rad:
             remarks.append(axis_turned(fit.energy.angle_rad))
         if spread is not None and spread > 1.0:
@@ -207,23 +209,23 @@ class _Rows:
     exact: bool
 
     def decay_s(self, fit: StepsFit, taken_s: Array) -> Array:
-        """By how much later than a straight line's the current between rows counts, shape (2,), `taken_s` being in."""
+        """Delay of the current's mean against a straight line between rows, shape (2,); `taken_s` is included."""
         if not self.exact or fit.resistance_ohm <= 0.0:
             return np.zeros(2)
-        straight = _at_rest(fit) + fit.resistance_ohm * taken_s
+        straight = _unsaturated(fit) + fit.resistance_ohm * taken_s
         exact = [exact_inductance(float(h), fit.resistance_ohm, self.step_s) for h in straight]
         drop_h = fit.resistance_ohm * self.step_s
         return np.array([self.step_s * decay_weight(drop_h / max(h, 1e-9 * drop_h)) for h in exact])
 
 
-def _at_rest(fit: StepsFit) -> Array:
-    """L_dd and L_qq without current, shape (2,) [H]."""
+def _unsaturated(fit: StepsFit) -> Array:
+    """L_dd and L_qq at zero current, shape (2,) [H]."""
     return np.asarray(fit.energy.inductance(np.zeros((1, 2)))[0][0, [0, 2]])
 
 
-def _doubted(flux_map: FluxMap, doubt_h: Array) -> FluxMap:
-    """The same with inductances that may all be off by so much along each axis."""
-    d_h, q_h = doubt_h
+def _with_error(flux_map: FluxMap, error_h: Array) -> FluxMap:
+    """The map with a common inductance error along each axis added to its standard deviations."""
+    d_h, q_h = error_h
     stds = {
         "psi_d_std": np.hypot(flux_map.psi_d_std, d_h * np.abs(flux_map.i_d[:, None])),
         "psi_q_std": np.hypot(flux_map.psi_q_std, q_h * np.abs(flux_map.i_q[None, :])),
@@ -233,30 +235,30 @@ def _doubted(flux_map: FluxMap, doubt_h: Array) -> FluxMap:
     return flux_map.model_copy(update=stds)
 
 
-def _doubted_path(path: FluxPath, doubt_h: Array) -> FluxPath:
-    apart = path.current - path.current.mean(axis=0)
-    return replace(path, std=np.hypot(path.std, doubt_h * np.sqrt((apart**2).mean(axis=0))))
+def _path_with_error(path: FluxPath, error_h: Array) -> FluxPath:
+    deviation = path.current - path.current.mean(axis=0)
+    return replace(path, std=np.hypot(path.std, error_h * np.sqrt((deviation**2).mean(axis=0))))
 
 
-def _off_the_known(fit: StepsFit, beliefs: Beliefs, doubtful: float = 3.0) -> list[Remark]:
-    """By how much the loops alone are off what was believed: they and it make the estimate together."""
-    alone = fit.resistance_std_ohm**-2 - beliefs.resistance_std_ohm**-2
-    moved = fit.resistance_ohm - beliefs.resistance_ohm
+def _prior_conflict(fit: StepsFit, prior: Beliefs, max_sigmas: float = 3.0) -> list[Remark]:
+    """Remark where R_s by the loops alone contradicts its prior, although the estimate combines both."""
+    alone = fit.resistance_std_ohm**-2 - prior.resistance_std_ohm**-2
+    moved = fit.resistance_ohm - prior.resistance_ohm
     if alone <= 0.0:
         return []
-    apart = abs(moved) / (beliefs.resistance_std_ohm**2 - fit.resistance_std_ohm**2) ** 0.5
-    if apart < doubtful:
+    deviation = abs(moved) / (prior.resistance_std_ohm**2 - fit.resistance_std_ohm**2) ** 0.5
+    if deviation < max_sigmas:
         return []
     text = (
-        "R_s by the loops is {apart:.0f} standard deviations off the {known_ohm:.4g} ohm that were known: a sensor's "
+        "R_s by the loops differs by {apart:.0f} standard deviations from the prior {known_ohm:.4g} ohm: a sensor's "
         "or the voltage's gain, or a warm winding?"
     )
-    return [Remark.of("off_the_known", text, apart=apart, known_ohm=beliefs.resistance_ohm)]
+    return [Remark.of("off_the_known", text, apart=deviation, known_ohm=prior.resistance_ohm)]
 
 
 @dataclass(frozen=True)
 class StepResistanceEstimator:
-    """R_s by which the loops of voltage steps close best, what was known before it counted in."""
+    """R_s with which the loops of voltage steps close best, including its prior."""
 
     name: ClassVar[str] = "step_resistance"
     summary: ClassVar[str] = "R_s by which the loops of voltage steps close"
@@ -278,5 +280,5 @@ class StepResistanceEstimator:
             first_ohm=value,
             last_ohm=value,
             readings=(reading,),
-            remarks=(Remark.of("by_loops", "no current rests: R_s is the one by which the loops of steps close"),),
+            remarks=(Remark.of("by_loops", "no constant current: R_s is that with which the loops close"),),
         )

@@ -1,4 +1,4 @@
-"""What drives behind every link share: the host's conversation, the receive loop, uploads, faults, ways out."""
+"""Shared by the drives on every link: requests of the host, receive loop, uploads, faults, shutdown."""
 
 from plugins.link._drive import LinkDrive, LinkOptions
 from plugins.link._drive_line import DriveLine

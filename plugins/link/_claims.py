@@ -1,4 +1,4 @@
-"""What a drive says of itself that cannot be, each with its name. Knows messages; sends nothing."""
+"""Checks of a drive's statements for contradictions."""
 
 from __future__ import annotations
 
@@ -10,51 +10,51 @@ from protocols import DriveFault, FaultCause
 
 ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
 MAX_CURRENT_RATIO = 1.5
-"""Current of a reading over the limit, at which the drive should have tripped long before."""
+"""Measured current over the limit, at which the drive must have tripped."""
 
 
-def require_sound(
+def require_consistent_telemetry(
     status: Status | None, measurement: Measurement | None, scale_a: float, limit_a: float | None
 ) -> None:
-    """Hold the latest telemetry against itself and the limit that the drive was armed with.
+    """Check the latest telemetry for consistency and against the current limit of the run.
 
-    Raises `DriveFault`: wrong_data for a power stage that is on beside latched faults, overcurrent for a current with
-    which the drive goes on.
+    Raises `DriveFault`: wrong_data for a power stage that is on despite latched faults, overcurrent where the drive
+    continues above the limit.
     """
     if status is not None and status.state in ENERGISED and status.faults:
-        detail = f"the drive says that it is {status.state.name.lower()}, with faults: {', '.join(fault_names(status))}"
+        detail = f"the drive reports {status.state.name.lower()} despite faults: {', '.join(fault_names(status))}"
         raise DriveFault(FaultCause.WRONG_DATA, detail)
     if measurement is None or limit_a is None:
         return
     current_a = scale_a * math.hypot(measurement.i_d, measurement.i_q)
     if current_a > MAX_CURRENT_RATIO * limit_a:
-        detail = f"the drive reads {current_a:.3g} A, the limit is {limit_a:.3g} A, and it went on"
+        detail = f"the drive measures {current_a:.3g} A, the limit is {limit_a:.3g} A, and it did not trip"
         raise DriveFault(FaultCause.OVERCURRENT, detail)
 
 
 def require_memory(facts: DriveFacts, layout: BlockLayout, row_bytes: int) -> None:
-    """Raise `DriveFault` (wrong_data) where the memory for captures does not hold a row and a block."""
-    least = max(row_bytes, layout.block)
-    if facts.memory_bytes < least:
-        detail = f"register capture_memory_bytes: {facts.memory_bytes} bytes hold no row of a capture, nor a block"
+    """Raise `DriveFault` (wrong_data) where the capture memory is smaller than a row or a block."""
+    min_bytes = max(row_bytes, layout.block)
+    if facts.memory_bytes < min_bytes:
+        detail = f"register capture_memory_bytes: {facts.memory_bytes} bytes are less than a row or a block"
         raise DriveFault(FaultCause.WRONG_DATA, detail)
 
 
 class ProgramProgress:
-    """How far one program says that it is: it goes on, never back, and not beyond its rows.
+    """Checks that a program's reported progress only increases and ends at its rows.
 
     Parameters
     ----------
     rows : int
-        Of its capture.
+        Rows of its capture.
     """
 
     def __init__(self, rows: int) -> None:
         self._rows = rows
         self.phase, self.done = Phase.IDLE, 0
 
-    def takes(self, progress: Progress) -> bool:
-        """Whether it got on; raises `DriveFault` (wrong_data) where it cannot have."""
+    def update(self, progress: Progress) -> bool:
+        """Whether there is progress; raises `DriveFault` (wrong_data) where it is impossible."""
         before = (self.phase, self.done)
         if progress.rows > self._rows:
             detail = f"the drive has captured {progress.rows} rows of {self._rows}"

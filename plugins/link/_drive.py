@@ -1,6 +1,6 @@
-"""A drive at the other end of a link: the contract of `protocols.Drive`, whatever the link.
+"""A drive on any link: implements `protocols.Drive` by the drive protocol.
 
-The drive runs programs, protects itself, and has a watchdog; here is what a host does with it.
+The drive runs programs and has its own protection and watchdog; this is the host's side.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from orchestrator.driving import DriveShell
-from plugins.link._claims import ENERGISED, require_memory, require_sound
+from plugins.link._claims import ENERGISED, require_consistent_telemetry, require_memory
 from plugins.link._errors import PROBE_HINT, link_errors
-from plugins.link._host import Host, fault_names, known_fault, refused, require_held, words
+from plugins.link._host import Host, fault_names, known_fault, refused, require_readback, words
 from plugins.link._link import Link
 from plugins.link._machine import Machine, longest_capture, row_format
 from plugins.link._port import Port, SharedPort
@@ -61,22 +61,22 @@ DEMODULATED = "injections as ripple demodulated on the drive"
 
 
 class LinkOptions(Strict):
-    """Options of every drive behind a link."""
+    """Options of every drive on a link."""
 
     capture: Literal["raw", "demodulated"] = "raw"
-    """Injections sample by sample, or as ripple demodulated on the drive: a hundredth of the data."""
+    """Injections as raw samples, or as ripple demodulated on the drive, with 1 % of the data."""
     connect_timeout_s: Positive = 2.0
-    """Time to be taken up by a drive that is starting, that another host seems to have armed, or that ramps down."""
+    """Longest wait for a drive that is starting, ramping down, or reported as armed by another host."""
     answer_timeout_s: Positive = 0.8
-    """A request that is not answered within this time is given up."""
+    """Time after which an unanswered request fails."""
     telemetry_period_s: Annotated[float, Field(ge=0.001, le=10.0)] = TELEMETRY_PERIOD_S
     """Period of the drive's status; silence for three of them is a lost link."""
     clear_fault: bool = False
-    """Forget the fault that the drive has latched, on connecting: after somebody has seen to its cause."""
+    """Clear the drive's latched fault on connecting; remove its cause first."""
 
 
 class LinkDrive(DriveShell):
-    """Everything but the port itself, which `open_port` makes."""
+    """Base class of a drive on a link; a subclass opens the port."""
 
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
@@ -90,30 +90,30 @@ class LinkDrive(DriveShell):
 
     @abstractmethod
     def open_port(self) -> Port:
-        """Open the link; errors of its library may pass."""
+        """Open the link; raises its library's errors."""
 
     # Link
 
     def open(self) -> Capabilities:
-        """Open the link, identify the drive, and read what it can do. Nothing is energised.
+        """Open the link, identify the drive, and read its capabilities. Nothing is energised.
 
-        A watchdog's fault is cleared: its host is gone, and somebody has started this one. So is an
-        interlock's, which forbids arming for as long as it is open. Other faults stay, unless the
-        option `clear_fault` says that they have been seen to.
+        A watchdog's fault is cleared, since its host is gone and this one was started on purpose. So
+        is an interlock's fault, since an open interlock forbids arming anyway. Other faults are
+        cleared only with the option `clear_fault`.
 
         Raises
         ------
         DriveFault
-            Nobody answers, the link cannot be opened, or what is read describes no drive.
+            No answer, a link that cannot be opened, or inconsistent registers.
         DriveRefused
-            Another host has the drive armed, it speaks another version, or lacks an option.
+            Armed by another host, another version, or a missing option.
         """
         with link_errors("the drive's link", PROBE_HINT):
             port = self.open_port()
         self._link = Link(port, self._options.telemetry_period_s)
         self._host = host = Host(self._link, self._options.answer_timeout_s)
         host.identify(self._options.connect_timeout_s)
-        self._machine = self._learned(host)
+        self._machine = self._read_machine(host)
         host.interlocks = self._machine.capabilities.interlocks
         cause = known_fault(host.read("fault_cause"))
         if cause in (Fault.WATCHDOG, Fault.INTERLOCK) or (cause is not Fault.NONE and self._options.clear_fault):
@@ -125,7 +125,7 @@ class LinkDrive(DriveShell):
         self._origin_s = self._seconds(self._clock().now())
         return self._machine.capabilities
 
-    def _learned(self, host: Host) -> Machine:
+    def _read_machine(self, host: Host) -> Machine:
         own = host.own_registers()
         facts, layout = facts_of(own), host.link.port.layout(int(own["bulk_block_bytes"]))
         description = host.description(own, layout)
@@ -140,29 +140,29 @@ class LinkDrive(DriveShell):
         is_simulated = description.get(CLOCK_KEY) == SIMULATED_CLOCK
         self._timeline = Timeline(host, fs, is_simulated)
         longest_s = longest_capture(machine, host.link.port.bulk_rate(layout))
-        learned = {"longest_capture_s": longest_s, "clock_is_simulated": is_simulated}
-        capabilities = machine.capabilities.model_copy(update=learned)
+        link_facts = {"longest_capture_s": longest_s, "clock_is_simulated": is_simulated}
+        capabilities = machine.capabilities.model_copy(update=link_facts)
         return replace(machine, capabilities=capabilities)
 
     def release(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
         link, self._link, self._host, self._machine, self._timeline = self._link, None, None, None, None
         if link is not None:
             link.close()
 
     def heartbeat(self) -> None:
-        """Send that the host is alive; nothing once the link is lost."""
+        """Send a heartbeat, unless the link is lost."""
         host = self._host
         if host is not None and host.link.lost is None:
             host.link.try_to_send(host.conversation.heartbeat(time.monotonic()))
 
     def heartbeat_outlet(self) -> int | None:
-        """The port's descriptor, where another process may write to it."""
+        """Descriptor of the port, if another process may write to it."""
         port = None if self._link is None else self._link.port
         return port.fileno() if isinstance(port, SharedPort) else None
 
     def heartbeat_at(self, time_s: float) -> bytes:
-        """The heartbeat of that instant; nothing once the link is lost."""
+        """Bytes of the heartbeat at an instant; empty once the link is lost."""
         host = self._host
         if host is None or host.link.lost is not None or not isinstance(host.link.port, SharedPort):
             return b""
@@ -172,24 +172,24 @@ class LinkDrive(DriveShell):
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What the drive has latched, by its last status."""
+        """The drive's latched faults by its last status."""
         status = None if self._host is None else self._host.link.news.status
         return fault_names(status) if status is not None and status.state is PowerState.FAULTED else ()
 
     def check_link(self) -> None:
-        """Raise the link's loss, or a fault that was not reported yet."""
+        """Raise `DriveFault` for a lost link, or for a fault that was not reported yet."""
         host, _ = self._connected()
         if self.faults and not host.fault_reported:
             raise host.fault()
-        self._require_sound()
+        self._check_telemetry()
 
     def energise(self, limits: Limits) -> None:
-        """Hand over nameplate and limits, read the limits back, and enable the power stage."""
+        """Write nameplate and limits, read the limits back, and enable the power stage."""
         host, _ = self._connected()
         values = limit_registers(limits)
         host.write(motor_registers(self.setup.motor) | values, anew=True)
         for name, value in values.items():
-            require_held(name, value, host.read(name))
+            require_readback(name, value, host.read(name))
         ack = host.command(Op.ARM)
         if ack.status is AckStatus.INTERLOCK_OPEN:
             raise DriveRefused(interlock_text(ack.value, host.interlocks))
@@ -200,21 +200,21 @@ class LinkDrive(DriveShell):
         self._await(host, (*ENERGISED, PowerState.FAULTED), TIMEOUTS.settle_s)
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
-        """Write the program and start it; its rows come as the iterator is drawn from."""
+        """Write and start the program; the iterator yields its rows."""
         host, machine = self._connected()
         try:
-            program = Program(host, machine, excitation, self._clock(), self._require_sound)
+            program = Program(host, machine, excitation, self._clock(), self._check_telemetry)
         except DriveRefused as refusal:
-            if host.command(Op.TIME_SYNC).state is PowerState.FAULTED:  # it came in that moment
+            if host.command(Op.TIME_SYNC).state is PowerState.FAULTED:  # the fault occurred just now
                 raise host.fault() from refusal
             raise
         if program.number == self._number:
-            raise DriveFault(FaultCause.WRONG_DATA, f"the drive gives two captures in a row the number {self._number}")
+            raise DriveFault(FaultCause.WRONG_DATA, f"two successive captures of the drive have number {self._number}")
         self._number = program.number
         return program.captures(self._seconds)
 
     def telemetry(self) -> Telemetry:
-        """State by an acknowledgement of now, current by the first reading after it."""
+        """Present state by an acknowledgement, and the first measurement after it."""
         host, machine = self._connected()
         news, link = host.link.news, host.link
         readings = news.measurements
@@ -238,29 +238,29 @@ class LinkDrive(DriveShell):
         )
 
     def ramp(self) -> None:
-        """Stop what runs, and wait until the current is zero."""
+        """Stop the program and wait for zero current."""
         host = self._reachable(Op.STOP)
         ack = host.command(Op.STOP)
         if ack.status is AckStatus.OK and ack.state in ENERGISED:
             self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), TIMEOUTS.ramp_s)
 
     def switch_off(self) -> None:
-        """PWM off; a drive that ignores it gets an emergency stop, and the error says so.
+        """Switch PWM off; sends an emergency stop to a drive that ignores it.
 
-        Raises `DriveFault`: still_armed.
+        Raises `DriveFault` (still_armed) in that case.
         """
         host = self._reachable(Op.STOP, Op.DISARM)
         ack = host.command(Op.DISARM)
         off = (PowerState.DISARMED, PowerState.FAULTED)
-        if ack.state in off and self._gets_to(host, off):
+        if ack.state in off and self._reaches(host, off):
             return
         host.link.try_to_send(EStop(StopReason.HOST_ERROR))
-        what_then = "only an emergency stop switched it off" if self._gets_to(host, off) else "nor by an emergency stop"
-        message = f"the drive does not disarm on command ({words(ack.status)}), {what_then}"
+        outcome = "only an emergency stop switched it off" if self._reaches(host, off) else "nor by an emergency stop"
+        message = f"the drive does not disarm on command ({words(ack.status)}), {outcome}"
         raise DriveFault(FaultCause.STILL_ARMED, message)
 
     def forget_fault(self) -> None:
-        """Clear the drive's latched faults; repeated while it is still ramping down."""
+        """Clear the drive's latched faults; retried while it is ramping down."""
         host, _ = self._connected()
         deadline = time.monotonic() + self._options.connect_timeout_s
         while (ack := host.command(Op.CLEAR_FAULT)).status is not AckStatus.OK:
@@ -271,7 +271,7 @@ class LinkDrive(DriveShell):
         host.fault_reported = False
 
     def set_brake(self, engaged: bool) -> None:
-        """Move the brake, where there is one."""
+        """Engage or release the brake; raises `DriveRefused` without one."""
         host, machine = self._connected()
         if not machine.capabilities.has_brake:
             super().set_brake(engaged)
@@ -280,10 +280,10 @@ class LinkDrive(DriveShell):
     # Clock
 
     def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the machine remembers by itself."""
+        """Nothing to save: a real motor keeps its state."""
 
     def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
+        """Continue the experiment's clock from `start_s`."""
         self._connected()
         self._origin_s += self._seconds(self._clock().now()) - start_s
 
@@ -296,34 +296,34 @@ class LinkDrive(DriveShell):
         assert self._machine is not None
         return tick / self._machine.capabilities.sampling_frequency_hz - self._origin_s
 
-    # What the methods share
+    # Helpers
 
-    def _require_sound(self) -> None:
+    def _check_telemetry(self) -> None:
         host, machine = self._connected()
         news, limit_a = host.link.news, None if self.limits is None else self.limits.current_a
-        require_sound(news.status, news.measurement, machine.facts.scales.current_a, limit_a)
+        require_consistent_telemetry(news.status, news.measurement, machine.facts.scales.current_a, limit_a)
 
     def _connected(self) -> tuple[Host, Machine]:
-        """Raises `DriveFault` where the link is lost; once lost, nothing is armed again."""
+        """Host and drive; raises `DriveFault` where the link is lost, for good."""
         if self._host is None or self._machine is None:
             raise DriveRefused("not connected")
         self._host.link.check()
         return self._host, self._machine
 
-    def _reachable(self, *last_words: Op) -> Host:
-        """The host for shutting down. A lost drive gets the commands all the same, and the reason is raised."""
+    def _reachable(self, *orders: Op) -> Host:
+        """The host for shutting down. A lost drive is sent the orders blindly, and the loss is raised."""
         if self._host is not None and self._host.link.lost is not None:
-            for op in last_words:
+            for op in orders:
                 self._host.link.try_to_send(self._host.conversation.command(op))
         return self._connected()[0]
 
-    def _gets_to(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = TIMEOUTS.settle_s) -> bool:
-        """Whether the drive's status says so in time."""
+    def _reaches(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = TIMEOUTS.settle_s) -> bool:
+        """Whether the drive reports one of the states in time."""
         news = host.link.news
         return host.link.wait(lambda: news.status is not None and news.status.state in states, timeout_s)
 
     def _await(self, host: Host, states: tuple[PowerState, ...], timeout_s: float) -> None:
-        if not self._gets_to(host, states, timeout_s):
+        if not self._reaches(host, states, timeout_s):
             status = host.link.news.status
             now = "unknown" if status is None else status.state.name.lower()
             wanted = " or ".join(state.name.lower() for state in states)

@@ -1,4 +1,4 @@
-"""A line to one drive whose errors become `DriveFault`. No frames."""
+"""A byte line to a drive whose errors become `DriveFault`."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from protocols import DriveFault, FaultCause
 
 
 class DriveLine:
-    """An open line; its errors become `DriveFault` (link_lost), and the first one stays.
+    """An open line; its errors become `DriveFault` (link_lost), and the first one is kept.
 
     One thread reads; any may write.
 
     Parameters
     ----------
     name : str
-        Of the drive, for messages.
+        Name of the drive, for messages.
     port : str
         A serial device or ``socket://host:port``.
     baud_rate : int
-        Of a UART.
+        Baud rate of a UART.
     write_timeout_s : float
-        A line that takes nothing for so long is lost.
+        Time without a successful write after which the line is lost.
     """
 
     def __init__(self, name: str, port: str, baud_rate: int, write_timeout_s: float) -> None:
@@ -36,7 +36,7 @@ class DriveLine:
             raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {error.strerror or error}{PROBE_HINT}") from None
 
     def write_bytes(self, data: bytes) -> None:
-        """Write; raises `DriveFault` where it does not go out."""
+        """Write; raises `DriveFault` where the line does not accept the data."""
         self.check()
         try:
             with self._writing:
@@ -44,10 +44,10 @@ class DriveLine:
         except OSError as error:
             raise self.lose(error.strerror or str(error)) from None
         if not taken:
-            raise self.lose(f"takes nothing for {self._write_timeout_s:g} s")
+            raise self.lose(f"accepts no data for {self._write_timeout_s:g} s")
 
     def read_bytes(self, wait_s: float) -> bytes:
-        """What is there, waiting for the first byte only; raises `DriveFault` where the line is lost."""
+        """Received bytes, waiting for the first one only; raises `DriveFault` where the line is lost."""
         try:
             return self._line.read(wait_s)
         except OSError as error:
@@ -59,10 +59,10 @@ class DriveLine:
             raise self.lost
 
     def lose(self, why: str) -> DriveFault:
-        """Give the line up; returns the first reason, to be raised."""
+        """Mark the line as lost; returns the first reason, to be raised."""
         self.lost = self.lost or DriveFault(FaultCause.LINK_LOST, f"{self.where}: {why}")
         return self.lost
 
     def close(self) -> None:
-        """Let go of it."""
+        """Close the line."""
         self._line.close()

@@ -1,4 +1,4 @@
-"""The one place where errors of links (python-can, pyserial, the operating system) become the project's own."""
+"""Converts errors of links (python-can, pyserial, the operating system) to `DriveFault`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ PROBE_HINT = "; `fluxbench probe` lists the drives on this machine's ports"
 
 @contextmanager
 def link_errors(where: str, hint: str = "") -> Iterator[None]:
-    """Turn whatever a link's library raises into `DriveFault` (link_lost) that names the link, with a hint behind it.
+    """Convert errors of a link's library to `DriveFault` (link_lost) with the link's name, and a hint.
 
-    pyserial's errors are `OSError`, except for those that `termios` lets through; python-can has a
-    base of its own, which is known only once it was imported.
+    pyserial's errors are `OSError`, except for those of `termios`; python-can has a
+    base class of its own, which is known only after its import.
     """
     try:
         yield

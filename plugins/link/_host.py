@@ -1,4 +1,4 @@
-"""The host's requests: stop-and-wait commands, registers by name, and what a drive says of itself. Runs no programs."""
+"""The host's requests: stop-and-wait commands, registers by name, description and faults of the drive."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ _FAULT_REGISTERS = ("fault_cause", "fault_value", "fault_limit", "fault_bits")
 
 
 class Host:
-    """One host's conversation with one drive, over a link. For one thread.
+    """Requests of one host to one drive, by a link; for one thread.
 
     Parameters
     ----------
     link : Link
     answer_s : float
-        A request that is not answered within this time is given up.
+        Time after which an unanswered request fails.
     """
 
     def __init__(self, link: Link, answer_s: float) -> None:
@@ -52,43 +52,43 @@ class Host:
         self.next_window = 0
         self._answer_s = answer_s
         self.fault_reported = False
-        """Whether the latched fault has been raised, or was there before this host."""
+        """Whether the latched fault has been raised, or is older than this connection."""
         self.interlocks: tuple[str, ...] = ()
-        """Names of the drive's interlock inputs, once they are known."""
-        self._held: dict[str, float] = {}
+        """Names of the drive's interlock inputs, once read."""
+        self._written: dict[str, float] = {}
 
     # Requests
 
     def request(
         self, request: Command | ParameterRead | ParameterWrite, timeout_s: float | None = None
     ) -> Ack | ParameterValue:
-        """Ask until the answer comes, refusals included.
+        """Repeat a request until its answer, which may be a refusal.
 
-        Raises `DriveFault`: no_answer, or link_lost where the drive does not know this session any more.
+        Raises `DriveFault`: no_answer, or link_lost where the drive no longer knows this session.
         """
-        reply = self._ask(request, timeout_s or self._answer_s)
+        reply = self._exchange(request, timeout_s or self._answer_s)
         if isinstance(reply, Ack) and reply.status is AckStatus.STALE_SESSION:
-            message = "the drive does not know this session any more: it has restarted, or has another host"
+            message = "the drive no longer knows this session: it has restarted, or has another host"
             raise self.link.lose(DriveFault(FaultCause.LINK_LOST, message))
         return reply
 
-    def _ask(self, request: Command | ParameterRead | ParameterWrite, timeout_s: float) -> Ack | ParameterValue:
+    def _exchange(self, request: Command | ParameterRead | ParameterWrite, timeout_s: float) -> Ack | ParameterValue:
         for _ in range(math.ceil(timeout_s / TIMEOUTS.repeat_s)):
             self.link.send(request)
             reply = self.link.reply(lambda message: answers(message, request), TIMEOUTS.repeat_s)
             if reply is not None:
                 return reply
         where = self.link.port.where
-        raise DriveFault(FaultCause.NO_ANSWER, f"{where}: no answer to {_in_words(request)} for {timeout_s:g} s")
+        raise DriveFault(FaultCause.NO_ANSWER, f"{where}: no answer to {_describe(request)} for {timeout_s:g} s")
 
     def command(self, op: Op, arg: int = 0, timeout_s: float | None = None) -> Ack:
-        """A command's acknowledgement, whatever its status."""
+        """A command's acknowledgement, of any status."""
         reply = self.request(self.conversation.command(op, arg), timeout_s)
         assert isinstance(reply, Ack)
         return reply
 
     def do(self, op: Op, arg: int = 0) -> Ack:
-        """A command that must be done; raises `DriveRefused` with the drive's reason."""
+        """Send a command; raises `DriveRefused` with the drive's reason where it is refused."""
         ack = self.command(op, arg)
         if ack.status is not AckStatus.OK:
             raise refused(ack)
@@ -97,22 +97,22 @@ class Host:
     # Registers
 
     def read(self, name: str) -> float:
-        """A register's value; raises `DriveFault` (wrong_data) where the drive has none of that name."""
+        """A register's value; raises `DriveFault` (wrong_data) where the drive lacks it."""
         reply = self.request(self.conversation.read(register_index(name)))
         if isinstance(reply, Ack):
             raise DriveFault(FaultCause.WRONG_DATA, f"register {name} cannot be read: {words(reply.status)}")
         return reply.value
 
     def write(self, values: Mapping[str, float], *, anew: bool = False) -> None:
-        """Write what the drive does not hold yet, or everything `anew`.
+        """Write values that differ from those written before, or all with `anew`.
 
-        Raises `DriveRefused` with the drive's reason, `DriveFault` (wrong_data) where it holds something else.
+        Raises `DriveRefused` with the drive's reason, `DriveFault` (wrong_data) where another value is read back.
         """
         for name, value in values.items():
-            if anew or self._held.get(name) != value:
-                self._held.pop(name, None)
+            if anew or self._written.get(name) != value:
+                self._written.pop(name, None)
                 self._write(name, value)
-                self._held[name] = value
+                self._written[name] = value
 
     def _write(self, name: str, value: float) -> None:
         try:
@@ -122,18 +122,18 @@ class Host:
         reply = self.request(request)
         if isinstance(reply, Ack):
             raise DriveRefused(f"the drive refuses {name} = {value:g}: {words(reply.status)}")
-        require_held(name, value, reply.value)
+        require_readback(name, value, reply.value)
 
-    # Who is there
+    # Identification
 
     def identify(self, timeout_s: float) -> None:
-        """Open a session; repeats this long for a drive that is silent, or that another host has armed.
+        """Open a session; retries up to `timeout_s` for a drive that is silent, or armed by another host.
 
-        A number that chance gave to an earlier session is closed to this one: another is drawn.
-        Raises `DriveRefused` where it stays busy, or speaks another version.
+        A session number that the drive has closed before is replaced by another random one.
+        Raises `DriveRefused` where it stays busy, or has another version.
         """
         deadline = time.monotonic() + timeout_s
-        while (ack := self._introduce(timeout_s)).status in (AckStatus.BUSY, AckStatus.STALE_SESSION):
+        while (ack := self._identify_once(timeout_s)).status in (AckStatus.BUSY, AckStatus.STALE_SESSION):
             if time.monotonic() > deadline:
                 raise DriveRefused("another host has the drive armed")
             if ack.status is AckStatus.STALE_SESSION:
@@ -144,70 +144,70 @@ class Host:
             major = ack.value >> 8
             raise DriveRefused(f"the drive speaks version {major} of the protocol, this host version {PROTOCOL_MAJOR}")
         if ack.status is not AckStatus.OK:
-            raise DriveRefused(f"the drive refuses to talk: {words(ack.status)}")
+            raise DriveRefused(f"the drive refuses a session: {words(ack.status)}")
 
-    def _introduce(self, timeout_s: float) -> Ack:
-        ack = self._ask(self.conversation.command(Op.IDENTIFY, PROTOCOL_MAJOR), timeout_s)
+    def _identify_once(self, timeout_s: float) -> Ack:
+        ack = self._exchange(self.conversation.command(Op.IDENTIFY, PROTOCOL_MAJOR), timeout_s)
         assert isinstance(ack, Ack)
         return ack
 
     def own_registers(self) -> dict[str, float]:
-        """All that the drive says of itself."""
+        """The drive's read-only registers."""
         return {r.name: self.read(r.name) for r in registers().values() if r.access == "read"}
 
     def description(self, own: Mapping[str, float], layout: BlockLayout) -> dict[str, str]:
-        """The drive's names for itself."""
+        """The drive's description."""
         length = int(own["description_bytes"])
         data = read_whole(self, DESCRIPTION_CAPTURE, length, layout) if length else b""
         return parse_description(bytes(data))
 
-    # What there is to know now
+    # State
 
     def tick(self) -> Tick:
-        """The drive's clock, now; requested again where the answer came but the tick was lost."""
+        """The drive's clock, now; requested again where only the acknowledgement arrives."""
         news = self.link.news
         ticks = news.ticks
         for _ in range(math.ceil(self._answer_s / TIMEOUTS.tick_s)):
             self.do(Op.TIME_SYNC)
             if self.link.wait(lambda: news.ticks > ticks, TIMEOUTS.tick_s) and news.tick is not None:
                 return news.tick
-        raise DriveFault(FaultCause.NO_ANSWER, "the drive does not tell its time")
+        raise DriveFault(FaultCause.NO_ANSWER, "the drive does not report its clock")
 
     def fault(self) -> DriveFault:
-        """The drive's latched fault as the project's error."""
+        """The drive's latched fault as a `DriveFault`."""
         self.fault_reported = True
         cause, value, limit, bits = (self.read(name) for name in _FAULT_REGISTERS)
         return drive_fault(known_fault(cause), value, limit, int(bits), self.interlocks)
 
 
 def refused(ack: Ack) -> DriveRefused:
-    """What an acknowledgement other than ok says of its command."""
+    """Error of an acknowledgement that refuses its command."""
     return DriveRefused(f"the drive refuses to {words(ack.op)}: {words(ack.status)}")
 
 
-def require_held(name: str, wanted: float, held: float) -> None:
-    """Raise `DriveFault` (wrong_data) unless the drive holds what was written."""
-    if held != single(wanted):
-        raise DriveFault(FaultCause.WRONG_DATA, f"the drive holds {held:g} as {name} instead of {wanted:g}")
+def require_readback(name: str, expected: float, actual: float) -> None:
+    """Raise `DriveFault` (wrong_data) where a register read back differs from what was written."""
+    if actual != single(expected):
+        raise DriveFault(FaultCause.WRONG_DATA, f"the drive holds {actual:g} as {name} instead of {expected:g}")
 
 
 def known_fault(number: float) -> Fault:
-    """The fault of a register's number; `internal` where this host does not know it."""
+    """The fault with a register's number; `internal` for an unknown one."""
     return Fault(int(number)) if number in set(Fault) else Fault.INTERNAL
 
 
 def fault_names(status: Status) -> tuple[str, ...]:
-    """All latched faults in words, the cause first."""
+    """Names of all latched faults, the cause first."""
     latched = [fault for fault in Fault if fault is not Fault.NONE and status.faults >> fault & 1]
     return tuple(fault.name.lower() for fault in sorted(latched, key=lambda fault: fault is not status.cause))
 
 
 def words(member: Op | AckStatus) -> str:
-    """An enumeration's member as a person reads it."""
+    """Readable name of an enumeration's member."""
     return member.name.lower().replace("_", " ")
 
 
-def _in_words(request: Command | ParameterRead | ParameterWrite) -> str:
+def _describe(request: Command | ParameterRead | ParameterWrite) -> str:
     if isinstance(request, Command):
         return words(request.op)
     verb = "reading" if isinstance(request, ParameterRead) else "writing"

@@ -1,4 +1,4 @@
-"""A line of bytes: a device, a pseudo-terminal, or a TCP socket, read and written by its descriptor. No frames."""
+"""A byte line: a device, a pseudo-terminal or a TCP socket, read and written by its descriptor."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ class _Handle(Protocol):
 class Line:
     """An open line.
 
-    Reading and writing go past pyserial: its `in_waiting` is a bare OSError on a dead line and no
-    more than 1 on a socket, and its write blocks for good where nobody reads.
+    Reading and writing bypass pyserial: its `in_waiting` raises a plain OSError on a dead line and is at most
+    1 on a socket, and its write blocks forever where nobody reads.
 
     Parameters
     ----------
     port : str
         A device, a pseudo-terminal's path, or ``socket://host:port``.
     baud_rate : int
-        For devices; pseudo-terminals and sockets do not care.
+        Baud rate of a device; ignored by pseudo-terminals and sockets.
     dtr : bool
-        Level of the DTR line, set before opening: some boards are reset by a change.
+        Level of the DTR line, set before opening, since a change resets some boards.
 
-    Raises pyserial's and the system's own errors, and `InputError` for what no port could be.
+    Raises pyserial's and the system's own errors, and `InputError` for an invalid port.
     """
 
     read_bytes: ClassVar[int] = 65536
-    """Bytes read at once."""
+    """Largest number of bytes in a read."""
     connect_s: ClassVar[float] = 2.0
-    """A socket that has not opened after so long does not."""
+    """Timeout for opening a socket."""
 
     def __init__(self, port: str, baud_rate: int, *, dtr: bool = True) -> None:
         is_line = not port.startswith("socket://")
         self._handle: _Handle = _open_line(port, baud_rate, dtr) if is_line else _open_socket(port)
         self.is_device = is_line and not _is_pseudo_terminal(port)
-        """Whether it has a baud rate."""
+        """Whether the line has a baud rate."""
         self._fd = self._handle.fileno()
         os.set_blocking(self._fd, False)
         self._readable, self._writable = select.poll(), select.poll()
@@ -55,19 +55,19 @@ class Line:
         return self._fd
 
     def write(self, data: bytes, timeout_s: float) -> bool:
-        """Whether the line took all of it in time."""
+        """Whether the line accepted all data in time."""
         deadline = time.monotonic() + timeout_s
         while data:
             try:
                 data = data[os.write(self._fd, data) :]
             except BlockingIOError:
-                left = deadline - time.monotonic()
-                if left <= 0.0 or not self._writable.poll(1e3 * left):
+                remaining_s = deadline - time.monotonic()
+                if remaining_s <= 0.0 or not self._writable.poll(1e3 * remaining_s):
                     break
         return not data
 
     def read(self, timeout_s: float) -> bytes:
-        """What is there, waiting for the first byte only; nothing when the time is over.
+        """Received bytes, waiting for the first one only; empty after `timeout_s`.
 
         Raises `ConnectionResetError` where the other end has closed it.
         """
@@ -103,9 +103,9 @@ def _open_socket(url: str) -> _Handle:
     host, _, port = url.removeprefix("socket://").rpartition(":")
     if not port.isdecimal():
         raise InputError("the drive's line", url, "expected socket://host:port")
-    opened = socket.create_connection((host, int(port)), timeout=Line.connect_s)
-    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return opened
+    connection = socket.create_connection((host, int(port)), timeout=Line.connect_s)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
 
 
 def _is_pseudo_terminal(port: str) -> bool:

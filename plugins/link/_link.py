@@ -1,6 +1,6 @@
-"""The receive loop of a link: one thread that reads, sorts what comes, and knows when the drive has gone silent.
+"""The receive loop of a link: one thread that reads and sorts messages and detects a silent drive.
 
-It asks for nothing and decides nothing. Once lost, a link stays lost.
+A lost link stays lost.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from plugins.wire import (
 from protocols import DriveFault, FaultCause
 
 _FROM_DRIVE = frame_id("Status")
-"""Lower identifiers are the host's own, which some buses hand back."""
+"""Lowest identifier of a drive; lower ones are the host's, which some buses echo."""
 
 
 PROGRESS_PERIOD_S = 0.1
-"""Period of a program's progress."""
+"""Period of a program's progress messages."""
 
 
-class News:
-    """The latest of each message that the drive sends by itself, and how many there were of it."""
+class LatestMessages:
+    """The latest of each unsolicited message of the drive, and their counts."""
 
     def __init__(self) -> None:
         self.status: Status | None = None
@@ -58,11 +58,11 @@ class Link:
     port : Port
         Open; the link closes it.
     telemetry_s : float
-        Period of the drive's Status: silence for three of them means that the drive is lost.
+        Period of the drive's Status; after three of them without one the drive is lost.
     """
 
     def __init__(self, port: Port, telemetry_s: float) -> None:
-        self.port, self.news = port, News()
+        self.port, self.news = port, LatestMessages()
         self._period_s = telemetry_s
         self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
         self._progress_gate = TelemetryGate(PROGRESS_PERIOD_S)
@@ -79,45 +79,45 @@ class Link:
 
     @property
     def lost(self) -> DriveFault | None:
-        """Why nothing can be sent to the drive any more."""
+        """The fault by which the link was lost, or None."""
         return self._lost
 
     def lose(self, fault: DriveFault) -> DriveFault:
-        """Give the link up; the first reason stays."""
+        """Mark the link as lost; returns the first reason."""
         with self._changed:
             self._lost = self._lost or fault
             self._changed.notify_all()
             return self._lost
 
     def check(self) -> None:
-        """Raise the reason where the link is lost."""
+        """Raise the fault by which the link was lost, if any."""
         if self._lost is not None:
             raise DriveFault(self._lost.cause, self._lost.detail)
 
     def close(self) -> None:
-        """End the thread and let go of the link."""
+        """End the thread and close the port."""
         self._over.set()
         self._thread.join(timeout=2.0)
         with link_errors(self.port.where):
             self.port.close()
 
-    # Out
+    # Sending
 
     def send(self, *messages: Message) -> None:
-        """Send; raises `DriveFault` (link_lost) where the link is lost, or takes nothing any more."""
+        """Send; raises `DriveFault` (link_lost) where the link is lost or accepts no data."""
         self.check()
         try:
             with link_errors(self.port.where), self._sending:
-                taken = self.port.send([encode(message) for message in messages], TIMEOUTS.send_s)
+                accepted = self.port.send([encode(message) for message in messages], TIMEOUTS.send_s)
         except DriveFault as fault:
             raise self.lose(fault) from fault.__cause__
-        if not taken:
+        if not accepted:
             raise self.lose(
-                DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: takes nothing for {TIMEOUTS.send_s:g} s")
+                DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: accepts no data for {TIMEOUTS.send_s:g} s")
             )
 
     def try_to_send(self, *messages: Message) -> None:
-        """Send what the link takes at once, lost or not; returns at once and never raises."""
+        """Send as far as possible without waiting, even if the link is lost; never raises."""
         if not self._sending.acquire(timeout=TIMEOUTS.heartbeat_s):
             return
         try:
@@ -128,42 +128,42 @@ class Link:
         finally:
             self._sending.release()
 
-    # In
+    # Receiving
 
     def reply(self, wanted: Callable[[Message], bool], timeout_s: float) -> Ack | ParameterValue | None:
-        """The reply that is wanted; others are late copies, and dropped."""
+        """The reply that fulfils `wanted`; others are late copies and dropped."""
         matching: list[Ack | ParameterValue] = []
 
-        def look() -> bool:
+        def find_reply() -> bool:
             while self._replies and not matching:
                 reply = self._replies.popleft()
                 if wanted(reply):
                     matching.append(reply)
             return bool(matching)
 
-        self.wait(look, timeout_s)
+        self.wait(find_reply, timeout_s)
         return matching[0] if matching else None
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until it is so, which is looked at whenever something came; raises where the link is lost."""
-        clock, held = ProcessClock(), False
+        """Wait for a condition, checked on each reception; raises `DriveFault` where the link is lost."""
+        clock, is_fulfilled = ProcessClock(), False
         with self._changed:
-            while not held and (left_s := timeout_s - clock()) > 0.0:
-                held = self._changed.wait_for(
-                    lambda: self._lost is not None or condition(), min(left_s, TIMEOUTS.receive_s)
+            while not is_fulfilled and (remaining_s := timeout_s - clock()) > 0.0:
+                is_fulfilled = self._changed.wait_for(
+                    lambda: self._lost is not None or condition(), min(remaining_s, TIMEOUTS.receive_s)
                 )
-            held = held or condition()
+            is_fulfilled = is_fulfilled or condition()
         self.check()
-        return held
+        return is_fulfilled
 
     def bulk(self, timeout_s: float) -> Sequence[Frame]:
-        """What came of uploads since the last call, waiting for many blocks or the end of an answer."""
+        """Upload frames since the last call, waiting for a batch of blocks or the end of an answer."""
         self.wait(lambda: self._has_ended or len(self._bulk) >= TIMEOUTS.wake_bulk_frames, timeout_s)
         with self._changed:
-            taken = list(self._bulk)
+            frames = list(self._bulk)
             self._bulk.clear()
             self._has_ended = False
-        return taken
+        return frames
 
     # The thread
 
@@ -177,12 +177,12 @@ class Link:
                 self._count_silence(time.monotonic() - begun_s)
         except DriveFault as fault:
             self.lose(fault)
-        except Exception as error:  # whatever it is, the run must hear of it
+        except Exception as error:  # any error of the thread has to reach the run
             self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {type(error).__name__}: {error}"))
 
-    def _count_silence(self, turn_s: float) -> None:
-        """Only time in which somebody listened counts: this process may have been stopped, or kept waiting."""
-        self._silent_s += min(turn_s, 2.0 * TIMEOUTS.receive_s)
+    def _count_silence(self, listened_s: float) -> None:
+        """Add listening time to the drive's silence, without time in which this process was suspended."""
+        self._silent_s += min(listened_s, 2.0 * TIMEOUTS.receive_s)
         if self._silent_s > STALE_PERIODS * self._period_s and self.news.statuses and self._lost is None:
             message = f"the drive is silent: no status for {STALE_PERIODS} periods of {self._period_s:g} s"
             self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {message}"))

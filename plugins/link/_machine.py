@@ -1,4 +1,4 @@
-"""What a program's run needs to know of the drive, and what it asks of the rows on their way here."""
+"""Data of the connected drive, and the interface of a program's row reader."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from protocols import Capabilities, Capture
 
 @dataclass(frozen=True)
 class Machine:
-    """What is known of the drive since it was connected."""
+    """Data of the drive, read on connecting."""
 
     capabilities: Capabilities
     facts: DriveFacts
@@ -26,37 +26,37 @@ class Machine:
 
 
 class Rows(Protocol):
-    """A program's rows on their way here."""
+    """Reader of a program's rows."""
 
     def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
-        """Get on with it; True when all rows are here and verified."""
+        """Continue reading; returns True when all rows are received and verified."""
         ...
 
     @property
     def ready(self) -> int:
-        """Rows from the start without a gap, which nothing that is to come changes."""
+        """Number of rows from the start without a gap that no later data change."""
         ...
 
     def block(self, first: int, stop: int, start_s: float) -> Capture:
-        """The next of the rows that are ready; `start_s` is the time of the first one."""
+        """Rows `first` to `stop` of those that are ready; `start_s` is the time of the first one."""
         ...
 
 
 class SecondsOfTick(Protocol):
-    """Turns a tick of the drive into seconds since the start of the experiment."""
+    """Converts a tick of the drive to seconds since the start of the experiment."""
 
     def __call__(self, tick: int, /) -> float: ...
 
 
 def row_format(machine: Machine) -> RowFormat:
-    """How a raw row of this drive is laid out."""
+    """Layout of a raw row of this drive."""
     return RowFormat(machine.channels, CaptureFormat.INT16, machine.facts.scales)
 
 
 def longest_capture(machine: Machine, bulk_rate: float | None) -> float | None:
-    """Longest raw capture that memory and line allow together [s]; None where nothing limits it.
+    """Longest raw capture within memory and line rate [s]; None where nothing limits it.
 
-    A ring is read while it fills, so that only what the line is behind has to fit.
+    A ring buffer is read while it fills, so that it only needs to hold the backlog of the line.
     """
     row_rate = machine.capabilities.sampling_frequency_hz * row_format(machine).row_bytes
     if machine.facts.bits & Capability.CAPTURE_RING:

@@ -1,4 +1,4 @@
-"""What a link is to the rest: frames out, frames in. The links themselves are in `can` and `serial`."""
+"""Interface of a link that sends and receives frames; implemented by the drives `can` and `serial`."""
 
 from __future__ import annotations
 
@@ -9,47 +9,47 @@ from plugins.wire import BlockLayout, Frame
 
 
 class Port(Protocol):
-    """An open link. `send` and `receive` may be called at once from two threads, each from one at a time.
+    """An open link. One thread may call `send` while another one calls `receive`.
 
-    Both raise their library's own errors; `link_errors` is put around every call.
+    Both raise their library's errors; every call is wrapped in `link_errors`.
     """
 
     where: str
-    """The link as a person names it."""
+    """Name of the link, for messages."""
     requests_each: int
-    """Requests for blocks that may be under way at once."""
+    """Largest number of pending requests for blocks."""
     blocks_each: int
-    """Blocks that one request may ask for, so that its answer does not flood the link."""
+    """Largest number of blocks in a request, so that its answer does not flood the link."""
 
     def layout(self, block_bytes: int) -> BlockLayout:
-        """How blocks are cut here; `block_bytes` is what the drive says for serial lines."""
+        """Layout of blocks on this link; `block_bytes` is the drive's block length on serial lines."""
         ...
 
     def bulk_rate(self, layout: BlockLayout) -> float | None:
-        """Bytes of captures a second that the line carries; None where nothing is known to limit it."""
+        """Bytes of capture per second on the line; None without a known limit."""
         ...
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
-        """Send frames; False where the link took not all of them in time."""
+        """Send frames; False where the link did not accept all of them in time."""
         ...
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        """All frames that are there, waiting for the first one only; nothing when the time is over."""
+        """Received frames, waiting for the first one only; empty after `timeout_s`."""
         ...
 
     def close(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
         ...
 
 
 @runtime_checkable
 class SharedPort(Protocol):
-    """A link that another process may write to as well; a frame that the other one has cut in two is dropped."""
+    """A link that another process may write to as well; a frame that this splits is dropped."""
 
     def fileno(self) -> int:
-        """Its descriptor."""
+        """Descriptor of the link."""
         ...
 
     def as_written(self, frames: Sequence[Frame]) -> bytes:
-        """Frames as they are written to it."""
+        """Frames as bytes to be written to the descriptor."""
         ...

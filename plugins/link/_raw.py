@@ -1,4 +1,4 @@
-"""Raw rows of a capture, read while they are taken. Yielded on trust, vouched for by the CRC over all of them."""
+"""Raw rows of a capture, read during the capture and yielded before their verification by the CRC."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from plugins.wire import NO_TEMPERATURE_C, Channel
 from protocols import Capture, DriveFault, FaultCause
 
 _MAX_INT16 = 32767
-"""Largest count of int16."""
+"""Largest int16 count."""
 
 
 class RawRead:
@@ -24,9 +24,9 @@ class RawRead:
     host : Host
     machine : Machine
     number, rows : int
-        Capture number, and rows when it is complete.
+        Capture number, and rows of the complete capture.
 
-    Raises `DriveFault` (wrong_data) where the drive is about to capture something else.
+    Raises `DriveFault` (wrong_data) where the drive announces another capture.
     """
 
     def __init__(self, host: Host, machine: Machine, number: int, rows: int) -> None:
@@ -40,28 +40,28 @@ class RawRead:
                 f"{rows} of {self._format.row_bytes} were requested",
             )
         self._reader = Reader(host, number, rows * self._format.row_bytes, machine.layout)
-        self._crc, self._given = 0, 0
+        self._crc, self._yielded_rows = 0, 0
 
     def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
-        """Read on; raises `DriveFault` (wrong_data) where the CRC does not vouch for what was yielded."""
+        """Continue reading; raises `DriveFault` (wrong_data) where the CRC contradicts yielded rows."""
         assembly = self._reader.assembly
         data = self._reader.turn(assembly.length if complete else done_rows * self._format.row_bytes, wait_s)
         if data is None:
             return False
-        if crc32(data[: self._given]) != self._crc:
+        if crc32(data[: self._yielded_rows]) != self._crc:
             raise DriveFault(FaultCause.WRONG_DATA, f"rows of capture {assembly.capture} were damaged on the way")
         return True
 
     @property
     def ready(self) -> int:
-        """Rows from the start without a gap."""
-        return max(self._reader.assembly.prefix, self._given) // self._format.row_bytes
+        """Number of rows from the start without a gap."""
+        return max(self._reader.assembly.prefix, self._yielded_rows) // self._format.row_bytes
 
     def block(self, first: int, stop: int, start_s: float) -> Capture:
-        """Consecutive rows, each once."""
+        """Rows `first` to `stop` as a capture."""
         size = self._format.row_bytes
         data = self._reader.assembly.peek(first * size, stop * size)
-        self._crc, self._given = crc32(data, self._crc), stop * size
+        self._crc, self._yielded_rows = crc32(data, self._crc), stop * size
         columns = self._format.unpack(data)
 
         def vectors(alpha: Channel, beta: Channel) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
@@ -80,20 +80,20 @@ class RawRead:
 
 
 def clipped_rows(data: bytes | memoryview, channels: int) -> int:
-    """Rows of int16 counts that have one at the end of its scale, where converters and scales saturate."""
+    """Number of rows with a saturated int16 count, of a converter or a scale."""
     counts = np.frombuffer(data, dtype="<i2").reshape(-1, channels)
-    at_the_end = (counts >= _MAX_INT16) | (counts <= -_MAX_INT16)
-    return int(np.count_nonzero(at_the_end.any(axis=1)))
+    is_saturated = (counts >= _MAX_INT16) | (counts <= -_MAX_INT16)
+    return int(np.count_nonzero(is_saturated.any(axis=1)))
 
 
 def bus_voltage(host: Host, rows: int) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
-    """The bus voltage by telemetry, for drives that do not capture it."""
+    """The bus voltage by telemetry, for drives that do not capture it, shape (rows,)."""
     status = host.link.news.status
     return np.full(rows, status.v_dc if status else 0.0, dtype=np.float32)
 
 
 def temperature(host: Host, rows: int) -> np.ndarray[tuple[int], np.dtype[np.float32]] | None:
-    """What the drive's thermometer reads now, for a block of rows; None where its telemetry says that it has none."""
+    """Present temperature by telemetry for a block of rows, shape (rows,); None without a thermometer."""
     status = host.link.news.status
     if status is None or status.temperature == NO_TEMPERATURE_C:
         return None

@@ -1,4 +1,4 @@
-"""Reads one capture from the drive, also while it grows: asks, takes, asks again for what is missing."""
+"""Reads a capture from the drive, also while it grows, with repeated requests for missing blocks."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
 
 class Reader:
-    """One capture on its way from the drive.
+    """Reader of one capture.
 
     Parameters
     ----------
     host : Host
-        Keeps the tags of requests apart from those of the capture before.
+        Keeps the next request tag, so that tags differ from those of the previous capture.
     capture, length : int
-        Number, and bytes when it is complete.
+        Number and bytes of the complete capture.
     layout : BlockLayout
     """
 
@@ -41,30 +41,30 @@ class Reader:
         self._timeout_s = TIMEOUTS.upload_s
 
     def turn(self, available: int, wait_s: float) -> memoryview | None:
-        """Ask for what is missing of the `available` bytes, take what came; the capture, once it is verified.
+        """Process received frames and request missing blocks of the `available` bytes; returns the verified capture.
 
-        Raises `DriveFault`: no_answer where nothing comes, wrong_data where it does not fit its CRC.
+        Raises `DriveFault`: no_answer without any data, wrong_data where the CRC does not match.
         """
         assembly = self.assembly
         available = max(available, assembly.captured)
-        self._ask(available)
-        wanted = assembly.waiting or assembly.exhausted
-        mine = assembly.take(self._link.bulk(wait_s))
+        self._send_requests(available)
+        expects_data = assembly.waiting or assembly.exhausted
+        has_frames = assembly.take(self._link.bulk(wait_s))
         now_s = self._clock()
-        if mine or not wanted:
+        if has_frames or not expects_data:
             self._received_s = now_s
         if now_s - self._received_s > TIMEOUTS.upload_lost_s:
             raise DriveFault(
                 FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {TIMEOUTS.upload_lost_s:g} s"
             )
-        if wanted and not assembly.waiting and not assembly.exhausted:
+        if expects_data and not assembly.waiting and not assembly.exhausted:
             self._timeout_s = TIMEOUTS.upload_s
         elif now_s - max(self._received_s, self._requested_s) > self._timeout_s:
             assembly.give_up()
             self._timeout_s = min(2.0 * self._timeout_s, TIMEOUTS.max_upload_s)
         return assembly.result()
 
-    def _ask(self, available: int) -> None:
+    def _send_requests(self, available: int) -> None:
         assembly = self.assembly
         complete = available >= assembly.length
         is_round = not assembly.waiting
@@ -86,11 +86,11 @@ class Reader:
         self._rounds = 0 if assembly.received != self._before else self._rounds + 1
         self._before = assembly.received
         if self._rounds > TIMEOUTS.max_upload_rounds:
-            raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
+            raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} makes no progress")
 
 
 def read_whole(host: Host, capture: int, length: int, layout: BlockLayout) -> memoryview:
-    """A capture that is complete on the drive."""
+    """Read a capture that is complete on the drive."""
     reader = Reader(host, capture, length, layout)
     while (data := reader.turn(length, TIMEOUTS.receive_s)) is None:
         pass

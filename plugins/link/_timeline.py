@@ -1,8 +1,7 @@
-"""The drive's clock, held against this machine's and against what the drive captures: it neither stops nor jumps.
+"""The drive's clock, checked against the host's clock and against captures for stops and jumps.
 
-A reply's reading was taken between request and reply, so that no busy machine is mistaken for a
-lying drive. An emulated drive, which says ``clock: simulated`` in its description, keeps its own time: of its clock
-only the order counts.
+A reading was taken between request and reply, so that delays of a busy host are no errors of the
+drive. Of an emulated drive, with ``clock: simulated`` in its description, only the order of readings is checked.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ SIMULATED_CLOCK = "simulated"
 TICK_ROUNDING_SAMPLES = 2
 """Largest rounding of a tick."""
 _HOST_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
-"""Goes on while the machine sleeps, as the drive's does."""
+"""Host clock that continues during suspend, as the drive's does."""
 
 
 class Reading(NamedTuple):
-    """A tick, counted without wraps, and the times on the host's clock between which it was taken [s]."""
+    """An unwrapped tick, and the host times between which it was taken [s]."""
 
     tick: int
     sent_s: float
@@ -39,9 +38,9 @@ class Timeline:
     ----------
     host : Host
     sampling_frequency_hz : float
-        Ticks a second.
+        Tick rate.
     is_simulated : bool
-        Whether the drive's time is its own.
+        Whether the drive's clock is simulated.
     """
 
     def __init__(self, host: Host, sampling_frequency_hz: float, is_simulated: bool) -> None:
@@ -52,9 +51,9 @@ class Timeline:
         self._has_captured = False
 
     def now(self) -> int:
-        """The drive's clock, read now; a tick that was long under way is read again.
+        """The drive's clock, read now; read again after a long delay.
 
-        Raises `DriveFault` (wrong_data) where it went back, stands still, or is not where so much time takes it.
+        Raises `DriveFault` (wrong_data) where it went back, stopped or jumped.
         """
         reading = self._read()
         if self._problem(reading):
@@ -66,11 +65,11 @@ class Timeline:
         return reading.tick
 
     def count(self, tick: int) -> int:
-        """A received tick, without wraps."""
+        """A received tick, unwrapped."""
         return self._unwrapped(tick)
 
-    def begins(self, tick: int) -> int:
-        """Row 0 of a capture, without wraps; raises `DriveFault` (wrong_data) where the one before had not ended."""
+    def begin_capture(self, tick: int) -> int:
+        """Unwrapped tick of a capture's row 0; raises `DriveFault` (wrong_data) before the previous end."""
         start = self._unwrapped(tick)
         if self._has_captured and start < self._captured - TICK_ROUNDING_SAMPLES:
             early_s = (self._captured - start) / self._fs
@@ -78,11 +77,11 @@ class Timeline:
         self._captured, self._has_captured = start, True
         return start
 
-    def ends(self, start: int, rows: int) -> None:
-        """All rows are captured; raises `DriveFault` (wrong_data) where the drive's clock is not there yet."""
+    def end_capture(self, start: int, rows: int) -> None:
+        """Note a capture's end; raises `DriveFault` (wrong_data) where the drive's clock has not reached it."""
         end, now = start + rows, self.now()
         if now < end - TICK_ROUNDING_SAMPLES:
-            message = f"the drive's clock stands {(end - now) / self._fs:.3g} s before the end of what it has captured"
+            message = f"the drive's clock is {(end - now) / self._fs:.3g} s before the end of its capture"
             raise DriveFault(FaultCause.WRONG_DATA, message)
         self._captured = end
 
@@ -99,9 +98,9 @@ class Timeline:
             return f"went back by {-passed_s:.3g} s"
         if self._is_simulated:
             return ""
-        least_s, most_s = reading.sent_s - self._last.received_s, reading.received_s - self._last.sent_s
-        if passed_s > (1.0 + TIMEOUTS.clock_error_ratio) * most_s + TIMEOUTS.clock_error_s:
-            return f"jumped by {passed_s:.3g} s in {most_s:.3g} s"
-        if passed_s < (1.0 - TIMEOUTS.clock_error_ratio) * least_s - TIMEOUTS.clock_error_s:
-            return f"went on by {passed_s:.3g} s in {least_s:.3g} s"
+        min_s, max_s = reading.sent_s - self._last.received_s, reading.received_s - self._last.sent_s
+        if passed_s > (1.0 + TIMEOUTS.clock_error_ratio) * max_s + TIMEOUTS.clock_error_s:
+            return f"jumped by {passed_s:.3g} s in {max_s:.3g} s"
+        if passed_s < (1.0 - TIMEOUTS.clock_error_ratio) * min_s - TIMEOUTS.clock_error_s:
+            return f"advanced by only {passed_s:.3g} s in {min_s:.3g} s"
         return ""

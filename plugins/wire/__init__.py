@@ -1,4 +1,4 @@
-"""The drive protocol: messages, framing, registers, captures. Shared by both ends; opens no link itself."""
+"""The drive protocol for host and device: messages, framing, registers, captures."""
 
 from plugins.wire._assembly import CaptureAssembly
 from plugins.wire._blocks import (

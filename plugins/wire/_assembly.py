@@ -1,7 +1,7 @@
-"""The host's end of an upload: blocks in any order become a capture that is byte-exact, or refused.
+"""The host's end of an upload: assembles blocks in any order to a byte-exact capture, or refuses it.
 
-Pure logic, without I/O and threads. Missing blocks are requested again, one by one; at the
-end the CRC-32 over the whole capture decides.
+Pure logic, without I/O and threads. Missing blocks are requested again individually; a CRC-32
+over the whole capture verifies the result.
 """
 
 from __future__ import annotations
@@ -20,34 +20,34 @@ from plugins.wire._messages import Ack, AckStatus, BulkEnd, Op, ReadBlock
 from protocols import DriveFault, FaultCause, InputError
 
 _TRUSTED_WINDOWS = WINDOW_COUNT // 2
-"""Answers to older requests are no longer taken, and no more requests are sent without an end of any: tags come round
-again, and this capture and the one before it must not mean different blocks by one."""
+"""Number of requests whose answers are accepted, and of unanswered requests. Tags wrap, so that with more of them a
+tag could denote different blocks of this capture and the previous one."""
 
 
 class CaptureAssembly:
-    """A capture of known length, put together from blocks.
+    """A capture of known length, assembled from blocks.
 
     Parameters
     ----------
     capture : int
-        Capture number, as the drive acknowledged it.
+        Capture number of the drive's acknowledgement.
     length : int
         Bytes of the complete capture.
     layout : BlockLayout
-        How this link carries blocks.
+        Layout of blocks on this link.
     first_window : int
-        Tag of the first request. Go on with `next_window` of the assembly before, so that its late
-        answers are not taken for this one's.
+        Tag of the first request: `next_window` of the previous assembly, so that its late answers
+        are not accepted here.
     blocks_each, requests_each : int
-        Most blocks in one request, and most requests under way at a time.
+        Largest number of blocks in a request, and of pending requests.
     passes : int
-        How often the whole capture is read where its CRC does not fit, before it is refused.
+        Number of times that the whole capture is read until its CRC matches, before it is refused.
     """
 
-    slips: ClassVar[int] = 2
-    """Ends with an impossible length that are put down to damage on the way."""
-    bridge: ClassVar[int] = 2
-    """Missing blocks with at most this many present ones between them share a request."""
+    max_bad_ends: ClassVar[int] = 2
+    """Number of ends with an impossible length that count as transmission errors."""
+    max_merged_gap: ClassVar[int] = 2
+    """Largest gap of present blocks between missing ones that share a request."""
 
     def __init__(
         self,
@@ -64,37 +64,37 @@ class CaptureAssembly:
             raise InputError("wire", "length", f"a capture of {length} bytes cannot be addressed")
         self.capture, self.length, self.layout = capture, length, layout
         self.next_window = first_window % WINDOW_COUNT
-        self._blocks_each = min(blocks_each, layout.most)
+        self._blocks_each = min(blocks_each, layout.max_blocks)
         self._requests_each = min(requests_each, _TRUSTED_WINDOWS)
         self._passes_left = passes
         blocks = -(-length // layout.block)
         self._data = np.zeros((blocks, layout.block), dtype=np.uint8)
         self._have = np.zeros(blocks, dtype=np.bool_)
         self._base = np.zeros(WINDOW_COUNT, dtype=np.int64)
-        self._count = np.full(WINDOW_COUNT, -1, dtype=np.int64)  # -1: answers with this tag are not taken
+        self._count = np.full(WINDOW_COUNT, -1, dtype=np.int64)  # -1: answers with this tag are dropped
         self._trusted: deque[int] = deque()
-        self._waiting_for: list[int] = []  # in the order of asking
-        self._unended: list[int] = []  # the same, with those that were given up and may come all the same
+        self._pending: list[int] = []  # in the order of requests
+        self._open_windows: list[int] = []  # also those given up, whose answers may still arrive
         self._crcs: list[int] = []
         self._announced = 0
         self._too_long = 0
-        self._doubted = False  # whether the CRC, rather than the data, was requested again
+        self._crc_requested = False  # whether the CRC alone was requested again
 
-    # What is known
+    # State
 
     @property
     def waiting(self) -> bool:
-        """Whether an answer is still under way, as far as is known."""
-        return bool(self._waiting_for)
+        """Whether an answer is pending."""
+        return bool(self._pending)
 
     @property
     def exhausted(self) -> bool:
-        """Whether too many answers are missing to send more requests."""
-        return len(self._unended) >= _TRUSTED_WINDOWS
+        """Whether too many answers are missing to send further requests."""
+        return len(self._open_windows) >= _TRUSTED_WINDOWS
 
     @property
     def received(self) -> int:
-        """Blocks that are there; grows as long as the upload gets on."""
+        """Number of received blocks."""
         return int(np.count_nonzero(self._have))
 
     @property
@@ -103,32 +103,32 @@ class CaptureAssembly:
 
     @property
     def captured(self) -> int:
-        """Bytes that the drive had captured when it last ended an answer."""
+        """Bytes that the drive had captured at the end of its last answer."""
         return self._announced
 
     @property
     def prefix(self) -> int:
-        """Bytes from the start without a gap; not verified before `result` is there."""
+        """Bytes from the start without a gap, unverified until `result` returns the capture."""
         gap = np.flatnonzero(~self._have)[:1]
         return min(self.length, int(gap[0]) * self.layout.block) if len(gap) else self.length
 
     def peek(self, start: int, stop: int) -> bytes:
-        """Bytes of the prefix, on trust: the CRC is yet to come.
+        """Bytes of the prefix, before their verification by the CRC.
 
-        Raises `InputError` where not all of them are there.
+        Raises `InputError` where some are missing.
         """
         if not 0 <= start <= stop <= self.prefix:
             raise InputError("wire", "capture", f"bytes {start} to {stop} are not there yet")
         return self._data.reshape(-1)[start:stop].tobytes()
 
     def missing(self, available: int | None = None) -> list[tuple[int, int]]:
-        """Runs (first block, count) that are missing below `available` bytes (default: all), near ones merged."""
+        """Missing runs (first block, count) below `available` bytes (default: all), merged across small gaps."""
         return _runs(~self._have[: self._blocks_within(available)])
 
     def _not_requested(self, available: int | None) -> list[tuple[int, int]]:
-        """The same without what is under way."""
+        """As `missing`, without pending requests."""
         absent = ~self._have[: self._blocks_within(available)]
-        for window in self._waiting_for:
+        for window in self._pending:
             absent[self._base[window] : self._base[window] + self._count[window]] = False
         return _runs(absent)
 
@@ -136,23 +136,23 @@ class CaptureAssembly:
         reach = self.length if available is None else min(available, self.length)
         return self.blocks if reach == self.length else reach // self.layout.block
 
-    # Asking
+    # Requests
 
     def requests(self, available: int | None = None) -> list[ReadBlock]:
-        """What to send next; nothing while more than half of what may be under way is (see `give_up`).
+        """The next requests; none while more than half of the permitted ones are pending (see `give_up`).
 
-        Where no block is missing but the CRC is, a request for no blocks brings it. While the drive
-        still captures, `available` is how many bytes it has (rows in `Progress` times bytes a row).
+        A request for zero blocks fetches a missing CRC. During the capture, `available` is the number
+        of captured bytes (rows in `Progress` times bytes a row).
         """
-        room = self._requests_each - len(self._waiting_for)
+        room = self._requests_each - len(self._pending)
         if 2 * room < self._requests_each or self.exhausted:
             return []
-        room = min(room, _TRUSTED_WINDOWS - len(self._unended))
+        room = min(room, _TRUSTED_WINDOWS - len(self._open_windows))
         runs = self._not_requested(available)
         if not runs:
             return [] if self.waiting else [self._request(0, 0)]
         if self.waiting and sum(count for _, count in runs) < self._blocks_each:
-            return []  # a few blocks wait for more
+            return []  # wait for a larger batch
         requests: list[ReadBlock] = []
         for first, count in runs:
             for start in range(first, first + count, self._blocks_each):
@@ -162,8 +162,8 @@ class CaptureAssembly:
         return requests
 
     def give_up(self) -> None:
-        """Wait no longer for what is under way; late answers are taken all the same."""
-        self._waiting_for.clear()
+        """Stop waiting for pending requests; late answers are still accepted."""
+        self._pending.clear()
 
     def _request(self, first: int, count: int) -> ReadBlock:
         window = self.next_window
@@ -172,14 +172,14 @@ class CaptureAssembly:
             self._count[self._trusted.popleft()] = -1
         self._trusted.append(window)
         self._base[window], self._count[window] = first, count
-        self._waiting_for.append(window)
-        self._unended.append(window)
+        self._pending.append(window)
+        self._open_windows.append(window)
         return ReadBlock(first * self.layout.block, window, count, self.capture)
 
-    # Taking
+    # Answers
 
     def take(self, frames: Iterable[Frame]) -> bool:
-        """Take the frames that belong to an upload and pass over all others; whether there were any.
+        """Process the frames of an upload and skip others; returns whether there were any.
 
         Raises `DriveFault` where the drive refuses a request.
         """
@@ -194,63 +194,63 @@ class CaptureAssembly:
                     self.end(message)
                     others = True
                 elif isinstance(message, Ack) and message.op is Op.READ_BLOCK:
-                    self._refused(message)
+                    self._raise_refusal(message)
         if payloads:
             self.add(payloads)
         return bool(payloads) or others
 
     def add(self, payloads: Sequence[bytes]) -> None:
-        """Payloads of bulk frames, in any order, repeated or not."""
+        """Add payloads of bulk frames, in any order, with or without repetitions."""
         window, position, data = self.layout.parse(payloads)
         base, count = self._base[window], self._count[window]
         block = position + base if self.layout.relative else position
         fits = (block >= base) & (block < base + count)
         if not fits.all():
             block, data = block[fits], data[fits]
-        fresh = ~self._have[block]
-        if not fresh.all():
-            block, data = block[fresh], data[fresh]
+        is_new = ~self._have[block]
+        if not is_new.all():
+            block, data = block[is_new], data[is_new]
         self._data[block] = data
         self._have[block] = True
-        if self._crcs:  # the length is known: an answer whose blocks are all there needs no end
-            self._waiting_for = [window for window in self._waiting_for if not self._answered(window)]
+        if self._crcs:  # the length is verified: a complete answer needs no end
+            self._pending = [window for window in self._pending if not self._answered(window)]
 
     def _answered(self, window: int) -> bool:
         base, count = int(self._base[window]), int(self._count[window])
         return count > 0 and bool(self._have[base : base + count].all())
 
     def end(self, end: BulkEnd) -> None:
-        """The end of one answer; raises `DriveFault` where the capture proves longer than announced."""
-        if end.window in self._unended:
-            del self._unended[: self._unended.index(end.window) + 1]
+        """Process the end of an answer; raises `DriveFault` where the capture is longer than announced."""
+        if end.window in self._open_windows:
+            del self._open_windows[: self._open_windows.index(end.window) + 1]
         if self._count[end.window] < 0:
             return
         if end.length > self.length:
             self._too_long += 1
-            if self._too_long > CaptureAssembly.slips:
-                what = f"capture {self.capture} has {end.length} bytes instead of {self.length}"
-                raise DriveFault(FaultCause.WRONG_DATA, what)
+            if self._too_long > CaptureAssembly.max_bad_ends:
+                problem = f"capture {self.capture} has {end.length} bytes instead of {self.length}"
+                raise DriveFault(FaultCause.WRONG_DATA, problem)
             return
-        if end.window in self._waiting_for:  # earlier requests were answered before, or lost
-            del self._waiting_for[: self._waiting_for.index(end.window) + 1]
+        if end.window in self._pending:  # earlier requests were answered or lost
+            del self._pending[: self._pending.index(end.window) + 1]
         self._announced = max(self._announced, end.length)
         if end.length == self.length and end.crc not in self._crcs:
             self._crcs.append(end.crc)
 
-    def _refused(self, ack: Ack) -> None:
-        if ack.status is AckStatus.OK or ack.seq not in self._waiting_for:
+    def _raise_refusal(self, ack: Ack) -> None:
+        if ack.status is AckStatus.OK or ack.seq not in self._pending:
             return
         why = ack.status.name.lower().replace("_", " ")
-        raise DriveFault(FaultCause.WRONG_DATA, f"the drive does not hand out capture {self.capture}: {why}")
+        raise DriveFault(FaultCause.WRONG_DATA, f"the drive refuses to send capture {self.capture}: {why}")
 
-    # The end
+    # Result
 
     def result(self) -> memoryview | None:
-        """The capture, verified; None where there is more to ask for.
+        """The verified capture; None while further requests are needed.
 
-        Where the CRC does not fit, it is requested once more, and then the whole capture.
+        After a CRC mismatch the CRC is requested again, and then the whole capture.
 
-        Raises `DriveFault` (wrong_data) where the CRC does not fit after the last pass.
+        Raises `DriveFault` (wrong_data) where the CRC does not match after the last pass.
         """
         if not self._crcs or not self._have.all():
             return None
@@ -258,25 +258,25 @@ class CaptureAssembly:
         if crc32(data) in self._crcs:
             return data.toreadonly()
         self._crcs.clear()
-        if self._doubted:
-            self._start_again()
-        self._doubted = not self._doubted
+        if self._crc_requested:
+            self._restart()
+        self._crc_requested = not self._crc_requested
         return None
 
-    def _start_again(self) -> None:
+    def _restart(self) -> None:
         self._passes_left -= 1
         if self._passes_left <= 0:
-            raise DriveFault(FaultCause.WRONG_DATA, f"capture {self.capture} does not fit its CRC-32 and is refused")
+            raise DriveFault(FaultCause.WRONG_DATA, f"capture {self.capture} does not match its CRC-32 and is refused")
         self._have[:] = False
         self._count[:] = -1
         self._trusted.clear()
-        self._waiting_for.clear()
+        self._pending.clear()
 
 
 def _runs(absent: NDArray[np.bool_]) -> list[tuple[int, int]]:
     gaps = np.flatnonzero(absent)
     if not len(gaps):
         return []
-    cuts = np.flatnonzero(np.diff(gaps) > CaptureAssembly.bridge + 1)
+    cuts = np.flatnonzero(np.diff(gaps) > CaptureAssembly.max_merged_gap + 1)
     first, last = gaps[np.r_[0, cuts + 1]], gaps[np.r_[cuts, len(gaps) - 1]]
     return [(int(a), int(b - a + 1)) for a, b in zip(first, last, strict=True)]

@@ -1,4 +1,4 @@
-"""Bulk data as blocks: how a capture is cut on each link. The fast path, a whole batch of frames at a time."""
+"""Bulk data as blocks: layout of a capture on each link, processed in batches of frames."""
 
 from __future__ import annotations
 
@@ -17,45 +17,45 @@ Bytes = NDArray[np.uint8]
 Numbers = NDArray[np.int64]
 
 DESCRIPTION_CAPTURE = 0xFFFF
-"""The capture number under which the drive's description is read."""
+"""Capture number of the drive's description."""
 RIPPLE_FLAG = 0x8000
-"""Added to a capture's number: its ripple rows."""
+"""Flag in a capture number that selects its ripple rows."""
 LAST_CAPTURE = DESCRIPTION_CAPTURE - RIPPLE_FLAG - 1
 """The highest capture number; 1 follows it."""
 WINDOW_COUNT = 64
 MAX_CAPTURE_BYTES = (1 << 26) - 1
-"""Bytes of the longest capture that can be addressed."""
+"""Largest number of addressable bytes of a capture."""
 
 
 class Blocks(NamedTuple):
-    """A batch of received blocks: the request's tag, the position, and the data, a row each."""
+    """A batch of received blocks: tag of the request, position and data of each."""
 
     window: Numbers
     position: Numbers
-    """Number of the block: in the request's answer (classic CAN), else in the capture."""
+    """Block number, counted within the answer (classic CAN) or within the capture."""
     data: Bytes
 
 
 @dataclass(frozen=True)
 class BlockLayout:
-    """How one link carries a block."""
+    """Layout of a block on a link."""
 
     name: str
     block: int
     """Data bytes of a block."""
     header: int
     relative: bool
-    """Whether a frame counts blocks from the request's offset, not from the start of the capture."""
-    most: int
-    """Blocks that one request may ask for."""
+    """Whether blocks are counted from the request's offset instead of the capture's start."""
+    max_blocks: int
+    """Largest number of blocks in a request."""
 
     @property
     def frame_id(self) -> int:
-        """Identifier of the frames."""
+        """Identifier of the bulk frames."""
         return frame_id(self.name)
 
     def parse(self, payloads: Sequence[bytes]) -> Blocks:
-        """Take payloads apart, all at once; those of another length are left out."""
+        """Parse payloads in one batch; those of a wrong length are dropped."""
         size = self.header + self.block
         joined = b"".join(payloads)
         if len(joined) != size * len(payloads) or any(len(payload) != size for payload in payloads):
@@ -79,17 +79,17 @@ class BlockLayout:
         return [head + data[k * self.block : (k + 1) * self.block] for k, head in enumerate(heads)]
 
 
-CLASSIC_LAYOUT = BlockLayout("Bulk", block=6, header=2, relative=True, most=1024)
-"""Classic CAN."""
-CAN_FD_LAYOUT = BlockLayout("BulkFD", block=60, header=4, relative=False, most=65535)
-"""CAN FD."""
+CLASSIC_LAYOUT = BlockLayout("Bulk", block=6, header=2, relative=True, max_blocks=1024)
+"""Layout on classic CAN."""
+CAN_FD_LAYOUT = BlockLayout("BulkFD", block=60, header=4, relative=False, max_blocks=65535)
+"""Layout on CAN FD."""
 
 
 def serial_blocks(block_bytes: int) -> BlockLayout:
-    """A serial line, with blocks as long as the drive's register bulk_block_bytes says.
+    """Layout on a serial line, with the block length of the drive's register bulk_block_bytes.
 
     Raises `InputError` where the length is not between 60 and 4080.
     """
     if not 60 <= block_bytes <= 4080:
         raise InputError("wire", "bulk_block_bytes", f"expected 60 to 4080, got {block_bytes}")
-    return BlockLayout("BulkFD", block=block_bytes, header=4, relative=False, most=65535)
+    return BlockLayout("BulkFD", block=block_bytes, header=4, relative=False, max_blocks=65535)

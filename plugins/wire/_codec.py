@@ -1,4 +1,4 @@
-"""Messages to `(identifier, payload)` and back, by the DBC's layout; bulk data has its own way (`_blocks`)."""
+"""Encodes and decodes messages by the DBC's layout; `_blocks` does so for bulk data."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from protocols import InputError
 
 
 class Frame(NamedTuple):
-    """What a link carries: an 11-bit identifier and a payload."""
+    """A frame on a link: an 11-bit identifier and a payload."""
 
     frame_id: int
     payload: bytes
 
 
 class _Codec(NamedTuple):
-    make: Callable[..., Message]
+    message_type: Callable[..., Message]
     layout: MessageLayout
     kinds: tuple[type, ...]
     """Type of each field, in the order of the layout's signals."""
@@ -45,15 +45,15 @@ def encode(message: Message) -> Frame:
 
 
 def decode(frame_id: int, payload: bytes) -> Message | None:
-    """The message of a frame; None where the identifier, the length or an enumeration's value is not known.
+    """The message of a frame; None for an unknown identifier, length or enumeration value.
 
-    An emergency stop is one whatever its payload. Bytes after a message's own are passed over: a
-    later minor version may have added some. Those that it added and an earlier one lacks are zero.
+    An emergency stop is accepted with any payload. Extra bytes of a later minor version are
+    ignored; bytes that an earlier minor version lacks are zero.
     """
     codec = _by_id().get(frame_id)
     if codec is None:
         return None
-    unknown = EStop() if codec.make is EStop else None
+    unknown = EStop() if codec.message_type is EStop else None
     if len(payload) < MIN_BYTES.get(codec.layout.name, codec.layout.length):
         return unknown
     bits = int.from_bytes(payload[: codec.layout.length], "little")
@@ -61,11 +61,11 @@ def decode(frame_id: int, payload: bytes) -> Message | None:
         values = [_value(signal, kind, bits) for signal, kind in zip(codec.layout.signals, codec.kinds, strict=True)]
     except ValueError:  # not a member of the enumeration
         return unknown
-    return codec.make(*values)
+    return codec.message_type(*values)
 
 
 def single(value: float) -> float:
-    """The value as it is after a trip through an IEEE 754 single; raises `OverflowError` past its range."""
+    """The value rounded to an IEEE 754 single; raises `OverflowError` beyond its range."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
@@ -96,9 +96,9 @@ def _value(signal: SignalLayout, kind: type, bits: int) -> float:
 @cache
 def _by_name() -> dict[str, _Codec]:
     table = {}
-    for make in MESSAGES:
-        layout, hints = layouts()[make.__name__], get_type_hints(make)
-        table[make.__name__] = _Codec(make, layout, tuple(hints[signal.name] for signal in layout.signals))
+    for message_type in MESSAGES:
+        layout, hints = layouts()[message_type.__name__], get_type_hints(message_type)
+        table[layout.name] = _Codec(message_type, layout, tuple(hints[signal.name] for signal in layout.signals))
     return table
 
 

@@ -1,7 +1,7 @@
-"""Reads the layout of messages out of the protocol's own DBC.
+"""Reads the layout of messages from the protocol's DBC.
 
-Not a DBC parser for the world: it knows the little-endian, unmultiplexed subset that
-`protocols/wire/fluxbench.dbc` keeps to. Documents and C code are made from the same file with cantools.
+Not a general DBC parser: it supports the little-endian, unmultiplexed subset of
+`protocols/wire/fluxbench.dbc`. Documents and C code are generated from the same file with cantools.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FLOAT = re.compile(r"^SIG_VALTYPE_ (\d+) (\w+) : 1;")
 
 @dataclass(frozen=True)
 class SignalLayout:
-    """Where a signal's bits are and what a count of it is worth."""
+    """Position of a signal's bits, and its scale."""
 
     name: str
     start: int
@@ -35,7 +35,7 @@ class SignalLayout:
 
 @dataclass(frozen=True)
 class MessageLayout:
-    """Identifier, length in bytes, and signals in order."""
+    """Identifier, length in bytes, sender and signals of a message."""
 
     frame_id: int
     name: str
@@ -51,7 +51,7 @@ def dbc_text(node: int = 0) -> str:
 
 
 def message_database() -> Database:
-    """The same with cantools: comments and value tables too. Slow to import; for documents and C code."""
+    """The message set as a cantools database, with comments and value tables, for documents and C code."""
     import cantools
 
     database = cantools.database.load_string(dbc_text(), "dbc", strict=True)

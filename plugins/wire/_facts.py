@@ -1,4 +1,4 @@
-"""What a drive says of itself: capabilities and facts as registers, both ways, and its description."""
+"""A drive's capabilities, facts and description: conversion to and from registers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_PWM_FREQUENCIES = 8
 
 @dataclass(frozen=True)
 class DriveFacts:
-    """What a drive says of itself beyond `Capabilities`: its memory, scales and modes."""
+    """Properties of a drive beside `Capabilities`: memory, scales and modes."""
 
     bits: Capability
     channels: Channel
@@ -33,7 +33,7 @@ class DriveFacts:
     ripple_memory_rows: int = 0
     longest_program_s: float = 3600.0
     description: str = ""
-    """UTF-8 lines ``key: value``."""
+    """Lines ``key: value`` in UTF-8."""
 
 
 def capability_registers(capabilities: Capabilities, facts: DriveFacts) -> Registers:
@@ -67,24 +67,24 @@ def capability_registers(capabilities: Capabilities, facts: DriveFacts) -> Regis
 def capabilities_of(
     values: Mapping[str, float], description: Mapping[str, str], longest_capture_s: float | None
 ) -> Capabilities:
-    """What the host tells the engine about a drive, from its registers and description.
+    """A drive's capabilities from its registers and description (host side).
 
-    `longest_capture_s` follows from memory, channels and the link, which only the host knows.
-    Raises `DriveRefused` for another major version, `DriveFault` (wrong_data) for numbers that make no drive.
+    `longest_capture_s` depends on memory, channels and the link, and is derived by the host.
+    Raises `DriveRefused` for another major version, `DriveFault` (wrong_data) for inconsistent values.
     """
     if values["protocol_major"] != PROTOCOL_MAJOR:
         major = values["protocol_major"]
         raise DriveRefused(f"the drive speaks version {major:g} of the protocol, this host version {PROTOCOL_MAJOR}")
-    _require_sound(values)
+    _require_valid(values)
     values = {name: shortest_decimal(value) for name, value in values.items()}
-    own = values["pwm_frequency_hz"]
+    default_hz = values["pwm_frequency_hz"]
     bits = Capability(int(values["capability_bits"]))
-    choices = {values[f"pwm_choice_{k}"] for k in range(MAX_PWM_FREQUENCIES)} - {0.0} | {own}
+    choices = {values[f"pwm_choice_{k}"] for k in range(MAX_PWM_FREQUENCIES)} - {0.0} | {default_hz}
     try:
         return Capabilities(
             name=description.get("name", "drive"),
             sampling_frequency_hz=values["sampling_frequency_hz"],
-            pwm_frequency_hz=own,
+            pwm_frequency_hz=default_hz,
             pwm_frequencies_hz=tuple(sorted(choices)),
             dc_bus_voltage_v=values["dc_bus_voltage_v"],
             voltage_delay_samples=values["voltage_delay_samples"],
@@ -100,16 +100,16 @@ def capabilities_of(
         )
     except ValidationError as error:
         first = error.errors()[0]
-        what = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
-        raise DriveFault(FaultCause.WRONG_DATA, f"the drive's registers describe no drive: {what}") from None
+        problem = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        raise DriveFault(FaultCause.WRONG_DATA, f"the drive's registers are inconsistent: {problem}") from None
 
 
 def facts_of(values: Mapping[str, float]) -> DriveFacts:
-    """The rest of what a drive says of itself (host side); the description is read apart.
+    """The drive's facts from its registers, without the description (host side).
 
-    Raises `DriveFault` (wrong_data) for a number that the table does not allow.
+    Raises `DriveFault` (wrong_data) for a value outside the table's range.
     """
-    _require_sound(values)
+    _require_valid(values)
     return DriveFacts(
         bits=Capability(int(values["capability_bits"])),
         channels=Channel(int(values["capture_channels"])),
@@ -122,37 +122,37 @@ def facts_of(values: Mapping[str, float]) -> DriveFacts:
     )
 
 
-def _require_sound(values: Mapping[str, float]) -> None:
+def _require_valid(values: Mapping[str, float]) -> None:
     for register in registers().values():
         if register.access == "read" and register.name not in values:
             raise DriveFault(FaultCause.WRONG_DATA, f"register {register.name} was not read")
         status = register.refuses(values[register.name]) if register.name in values else None
         if status is not None:
-            why = status.name.lower().replace("_", " ")
-            raise DriveFault(FaultCause.WRONG_DATA, f"register {register.name}: {values[register.name]:g} is {why}")
+            reason = status.name.lower().replace("_", " ")
+            raise DriveFault(FaultCause.WRONG_DATA, f"register {register.name}: {values[register.name]:g} is {reason}")
 
 
 def parse_description(data: bytes) -> dict[str, str]:
-    """The description's lines; what is no ``key: value`` in UTF-8 is passed over."""
+    """The description as a mapping; lines that are not ``key: value`` are skipped."""
     pairs = (line.partition(":") for line in data.decode("utf-8", "replace").splitlines())
     return {key.strip(): value.strip() for key, colon, value in pairs if colon}
 
 
 def shortest_decimal(value: float) -> float:
-    """The number with fewest digits that has this single: 0.2 for 0.20000000298.
+    """The shortest decimal that rounds to this single: 0.2 for 0.20000000298.
 
-    So that a limit of 5.6 A is not above the 5.6 A that a drive sent.
+    A limit of 5.6 A then does not exceed the 5.6 A that a drive sent.
     """
     if not math.isfinite(value):
         return value
-    held = single(value)
-    return next(short for digits in range(1, 10) if _is_held_as(short := float(f"{held:.{digits}g}"), held))
+    rounded = single(value)
+    return next(short for digits in range(1, 10) if _rounds_to(short := float(f"{rounded:.{digits}g}"), rounded))
 
 
-def _is_held_as(value: float, held: float) -> bool:
+def _rounds_to(value: float, rounded: float) -> bool:
     try:
-        return single(value) == held
-    except OverflowError:  # rounded up past the largest single
+        return single(value) == rounded
+    except OverflowError:  # rounded up beyond the largest single
         return False
 
 

@@ -1,4 +1,4 @@
-"""C for firmware: the codec by cantools and the register table as a header, and a whole firmware that uses them."""
+"""C code for firmware: the codec (by cantools), the register table as a header, and a reference firmware."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ _ENUMERATIONS: Mapping[str, type[IntEnum] | type[IntFlag]] = {
 
 
 def write_codec(directory: Path) -> tuple[Path, ...]:
-    """Write the codec and the register table, each file whole or not at all, and return their paths.
+    """Write the codec and the register table atomically and return the paths.
 
     Raises
     ------
     InputError
-        The directory cannot be made, or nothing can be written to it.
+        The directory cannot be created or written to.
     StorageError
         The disk is full.
     """
@@ -102,7 +102,7 @@ def _write(option: str, directory: Path, texts: Mapping[str, str]) -> tuple[Path
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(option, str(folder), f"cannot be made: {error.strerror or error}") from None
+            raise InputError(option, str(folder), f"cannot be created: {error.strerror or error}") from None
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(option, str(folder), "cannot be written to")
     occupied = next((path for path in paths if path.is_dir()), None)
@@ -114,7 +114,7 @@ def _write(option: str, directory: Path, texts: Mapping[str, str]) -> tuple[Path
 
 
 def codec_source() -> tuple[str, str]:
-    """Header and source of the codec, as ``cantools generate_c_source --database-name fluxbench`` makes them."""
+    """Header and source of the codec, as by ``cantools generate_c_source --database-name fluxbench``."""
     from cantools.database.can.c_source import generate
 
     header, source, *_ = generate(message_database(), "fluxbench", FILES[0], FILES[1], "fluxbench_fuzz.c")
@@ -122,7 +122,7 @@ def codec_source() -> tuple[str, str]:
 
 
 def registers_header() -> str:
-    """Register numbers, enumerations, and the table as an X macro's rows."""
+    """Register numbers, enumerations, and the register table as rows of an X macro."""
     names = [(f"FLUXBENCH_REG_{register.name.upper()}", register) for register in registers().values()]
     indices = "\n".join(f"#define {name} {register.index} /* {register.text} */" for name, register in names)
     rows = ", \\\n".join(

@@ -21,21 +21,21 @@ _IDENTIFIER, _CRC = struct.Struct("<H"), struct.Struct("<I")
 
 
 def to_serial(frame: Frame) -> bytes:
-    """The bytes of one frame, its closing zero included."""
+    """The bytes of one frame, with its closing zero."""
     body = _IDENTIFIER.pack(frame.frame_id) + frame.payload
     coded: bytes = cobs.encode(body + _CRC.pack(crc32(body)))
     return coded + b"\0"
 
 
 def all_to_serial(frames: Iterable[Frame]) -> bytes:
-    """The bytes of several frames, one after the other."""
+    """The bytes of several frames, concatenated."""
     return b"".join(map(to_serial, frames))
 
 
 class SerialDecoder:
-    """Bytes in, frames out, in pieces of any size; damaged frames are dropped and counted.
+    """Decodes frames from chunks of bytes; damaged frames are dropped and counted.
 
-    Memory is bounded: what grows past the longest frame without a zero is thrown away.
+    Memory is bounded: data longer than the longest frame without a zero are discarded.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""The messages of the drive protocol as Python types; the layout of their bits is the DBC's alone.
+"""The messages of the drive protocol as Python types; the DBC defines the layout of their bits.
 
 Field names are the DBC's signal names. A field that is an enumeration here is a value table there.
 """
@@ -16,15 +16,15 @@ HEARTBEAT_PERIOD_S = 0.05
 TELEMETRY_PERIOD_S = 0.05
 """Period of Status and Measurement unless the register telemetry_period_s says otherwise [s]."""
 NO_TEMPERATURE_C = -128
-"""Of a Status whose temperature is not measured."""
+"""Temperature in a Status of a drive that does not measure it."""
 MIN_BYTES = {"Measurement": 7}
-"""Length of a message in version 1.0, where a later one added bytes: those that are missing are zero."""
+"""Length of a message in version 1.0, where a later version added bytes; missing ones are zero."""
 STALE_PERIODS = 3
-"""Telemetry that is older than this many periods is stale, and means stop."""
+"""Age in periods from which on telemetry is stale, which stops the run."""
 
 
 class Op(IntEnum):
-    """What a `Command` asks for; from 16 on, what else an `Ack` may answer."""
+    """Operation of a `Command`; from 16 on, other requests that an `Ack` answers."""
 
     IDENTIFY = 1
     ARM = 2
@@ -42,7 +42,7 @@ class Op(IntEnum):
 
 
 class AckStatus(IntEnum):
-    """Done, or why not."""
+    """Result of a request: done, or the reason of its refusal."""
 
     OK = 0
     WRONG_STATE = 1
@@ -93,7 +93,7 @@ class Fault(IntEnum):
 
 
 class Phase(IntEnum):
-    """Where a program is."""
+    """Phase of a program."""
 
     IDLE = 0
     RAMPING = 1
@@ -104,14 +104,14 @@ class Phase(IntEnum):
 
 
 class SetpointKind(IntEnum):
-    """What `x` and `y` of a set-point are."""
+    """Quantity of `x` and `y` of a set-point."""
 
     CURRENT = 0
     VOLTAGE = 1
 
 
 class StopReason(IntEnum):
-    """Why an emergency stop was sent; the drive does not look at it."""
+    """Reason of an emergency stop, for logs; the drive ignores it."""
 
     UNSPECIFIED = 0
     OPERATOR = 1
@@ -119,7 +119,7 @@ class StopReason(IntEnum):
 
 
 class Capability(IntFlag):
-    """What a drive can do beyond the least (register capability_bits)."""
+    """Optional capabilities of a drive (register capability_bits)."""
 
     RIPPLE_ON_DRIVE = 1
     RAW_CAPTURE = 2
@@ -184,7 +184,7 @@ class Setpoint(NamedTuple):
 
 
 class ReadBlock(NamedTuple):
-    """Ask for blocks of a capture."""
+    """Request blocks of a capture."""
 
     offset: int
     window: int
@@ -216,7 +216,7 @@ class Ack(NamedTuple):
 
 
 class ParameterValue(NamedTuple):
-    """What a register holds."""
+    """Value of a register."""
 
     session: int
     seq: int
@@ -232,7 +232,7 @@ class Tick(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """Low-passed readings: currents in counts, `v_dc` in V; `open_interlocks` has a bit for each input."""
+    """Low-pass filtered readings: currents in counts, `v_dc` in V; `open_interlocks` has a bit for each input."""
 
     seq: int
     i_d: int
@@ -242,7 +242,7 @@ class Measurement(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """How far the program is."""
+    """Progress of the program."""
 
     seq: int
     phase: Phase
@@ -294,6 +294,6 @@ Message = (
     | RippleQ
     | BulkEnd
 )
-"""All messages but the two that carry bulk data, which never become objects one by one."""
+"""All messages except the two with bulk data, which are processed in batches."""
 
 MESSAGES: tuple[type[Message], ...] = get_args(Message)

@@ -1,4 +1,4 @@
-"""The page that documents the drive protocol: words from its template, tables from the DBC and the register table."""
+"""The page that documents the drive protocol: a template with tables from the DBC and the register table."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal
 
 _OWN_TABLES = {"op", "status", "state", "cause", "phase", "parameter"}
-"""Signals whose values have a table of their own on the page."""
+"""Signals whose values have a separate table on the page."""
 _RIPPLE_ROW_BYTES = 16
 _EXAMPLE_ROWS = 50_000
-"""The paper's point: 5 s at 10 kS/s."""
+"""Rows of a point in the paper: 5 s at 10 kS/s."""
 
 
 def page() -> str:
-    """The page, as docs/wire.md holds it: the words of protocols/wire/page.md with the tables put in."""
+    """The text of docs/wire.md: protocols/wire/page.md with the tables inserted."""
     database = message_database()
     inserts: dict[str, Callable[[], str]] = {
         "states": lambda: _meanings("state", PowerState, words.STATES),

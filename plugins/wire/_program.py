@@ -1,4 +1,4 @@
-"""Excitations, limits and nameplates as registers, both ways, and faults as errors. Nothing is sent here."""
+"""Converts excitations, limits and nameplates to registers and back, and faults to errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from protocols import (
 )
 
 KINDS: tuple[ExcitationKind, ...] = ("gates_off", "hold", "trapezoid", "injection")
-"""What there are programs for, in the order of their numbers (program_kind) and bits (excitations, watchdog_covers)."""
+"""Supported excitations in the order of their numbers (program_kind) and bits (excitations, watchdog_covers)."""
 AXES = ("d", "q", "dq")
 WAVEFORMS = ("square", "sine")
 
@@ -44,9 +44,9 @@ _FIELDS: Mapping[ExcitationKind, tuple[str, ...]] = {
         *("amplitude_v", "frequency_hz", "rotation_hz", "waveform"),
     ),
 }
-"""Fields of an excitation that have registers, in the order of writing."""
+"""Fields of an excitation with a register, in the order of writing."""
 _REGISTER_OF = {"target_d_a": "current_d_a", "target_q_a": "current_q_a"}
-"""Registers whose name is not the field's."""
+"""Field by register, where the names differ."""
 _CHOICES: Mapping[str, tuple[str, ...]] = {"swept_axis": AXES, "waveform": WAVEFORMS}
 _ON_GRID = ("settle_s", "discard_s", "duration_s")
 
@@ -78,9 +78,9 @@ _WORDS = {
 
 
 def program_registers(excitation: Excitation, sampling_frequency_hz: float) -> Registers:
-    """What to write before run_program, capture and ripple settings apart.
+    """Registers to write before run_program, without capture and ripple settings.
 
-    Times are put on the sampling grid first, so that rounding to singles cannot change a number of rows.
+    Times are rounded to the sampling grid first, so that rounding to singles cannot change the number of rows.
     """
     if excitation.kind not in _FIELDS:
         raise DriveRefused(f"the protocol has no program for {excitation.kind}")
@@ -102,9 +102,9 @@ def program_registers(excitation: Excitation, sampling_frequency_hz: float) -> R
 
 
 def program_of(values: Mapping[str, float]) -> Excitation:
-    """The excitation that a drive's registers describe.
+    """The excitation in a drive's registers.
 
-    Raises pydantic's `ValidationError` (a `ValueError`) where they describe none: a drive then
+    Raises pydantic's `ValidationError` (a `ValueError`) for an invalid excitation; a drive then
     refuses run_program with out_of_range.
     """
     kind = KINDS[int(values["program_kind"])]
@@ -123,7 +123,7 @@ def program_of(values: Mapping[str, float]) -> Excitation:
 
 
 def limit_registers(limits: Limits) -> Registers:
-    """What to write, and to read back, before arming."""
+    """Registers of limits, to be written and read back before arming."""
     return {
         "limit_current_a": limits.current_a,
         "limit_voltage_v": limits.voltage_v,
@@ -133,7 +133,7 @@ def limit_registers(limits: Limits) -> Registers:
 
 
 def limits_of(values: Mapping[str, float]) -> Limits:
-    """The limits that a drive's registers hold; raises `ValidationError` where current or voltage is 0."""
+    """The limits in a drive's registers; raises `ValidationError` where current or voltage is 0."""
     return Limits(
         current_a=values["limit_current_a"],
         voltage_v=values["limit_voltage_v"],
@@ -143,7 +143,7 @@ def limits_of(values: Mapping[str, float]) -> Limits:
 
 
 def motor_registers(motor: Motor) -> Registers:
-    """The nameplate for the drive's current control and i²t; 0 for what is not known."""
+    """Registers of the nameplate, for current control and i²t; 0 for unknown values."""
     return {
         "motor_pole_pairs": float(motor.pole_pairs),
         "motor_resistance_ohm": motor.stator_resistance_ohm or 0.0,
@@ -160,7 +160,7 @@ def motor_registers(motor: Motor) -> Registers:
 def capture_registers(
     channels: Channel, form: CaptureFormat = CaptureFormat.INT16, *, ripple_periods: int = 0
 ) -> Registers:
-    """What a program shall capture and demodulate."""
+    """Registers that select what a program captures and demodulates."""
     return {
         "capture_mask": float(channels),
         "capture_format": float(form),
@@ -172,12 +172,12 @@ def capture_registers(
 def drive_fault(
     cause: Fault, value: float = 0.0, limit: float = 0.0, faults: int = 0, interlocks: Sequence[str] = ()
 ) -> DriveFault:
-    """The project's error for a drive's fault: the first cause in words, then what followed from it.
+    """`DriveFault` of a drive's fault: the first cause in words, then the later ones.
 
     `interlocks` are the names of the drive's inputs.
     """
-    words, unit = _WORDS.get(cause, (cause.name.lower().replace("_", " "), ""))
-    detail = f"{words}: {value:.4g} {unit} against {limit:.4g} {unit}".replace("  ", " ").rstrip() if unit else words
+    text, unit = _WORDS.get(cause, (cause.name.lower().replace("_", " "), ""))
+    detail = f"{text}: {value:.4g} {unit} against {limit:.4g} {unit}".replace("  ", " ").rstrip() if unit else text
     if cause is Fault.INTERLOCK:
         detail = interlock_text(int(value), interlocks)
     others = [fault.name.lower() for fault in Fault if fault not in (Fault.NONE, cause) and faults >> fault & 1]

@@ -1,4 +1,4 @@
-"""The register table, and the drive's register file; the table itself is `protocols/wire/registers.yaml`."""
+"""The register table of `protocols/wire/registers.yaml`, and the drive's register file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from plugins.wire._messages import AckStatus, PowerState
 
 @dataclass(frozen=True)
 class Register:
-    """One register as the table has it."""
+    """A register of the table."""
 
     index: int
     name: str
@@ -26,16 +26,16 @@ class Register:
     whole: bool = False
     default: float = 0.0
     values: str | None = None
-    """Name of the enumeration whose numbers it holds."""
+    """Name of the enumeration of its values."""
     bits: str | None = None
-    """Name of the enumeration whose bits it holds."""
+    """Name of the enumeration of its bits."""
     section: str = ""
 
     def refuses(self, value: float) -> AckStatus | None:
-        """Why the table does not allow a value; None where it does."""
+        """The reason why a value is invalid by the table, or None."""
         if not math.isfinite(value):
             return AckStatus.NOT_A_NUMBER
-        # The bounds go the way of the values: a bound that is no single must admit its own image.
+        # Bounds are rounded to singles, as values are, so that the bound itself is accepted.
         low, high = map(single, self.range)
         if not low <= value <= high or (self.whole and value != int(value)):
             return AckStatus.OUT_OF_RANGE
@@ -74,9 +74,9 @@ def register_name(index: int) -> str | None:
 
 
 class RegisterFile:
-    """The drive's registers: what they hold, and which writes the table allows.
+    """The drive's registers: values, and checks of writes by the table.
 
-    The drive's own reasons to refuse a value (past its limits, not in its modes) come after these.
+    The drive checks its own limits and modes afterwards.
     """
 
     def __init__(self, own: Mapping[str, float] | None = None) -> None:
@@ -88,20 +88,20 @@ class RegisterFile:
         return self._values[name]
 
     def __setitem__(self, name: str, value: float) -> None:
-        """Set from the drive's side, whatever the access."""
+        """Set a register from the drive's side, with any access."""
         self._values[registers()[name].name] = single(value)
 
     def values(self) -> Mapping[str, float]:
-        """All values by name: live, not a copy."""
+        """All values by name (a live view)."""
         return self._values
 
     def read(self, index: int) -> float | AckStatus:
-        """The value, or `unknown`."""
+        """The value, or `AckStatus.UNKNOWN`."""
         name = register_name(index)
         return AckStatus.UNKNOWN if name is None else self._values[name]
 
     def check(self, index: int, value: float, state: PowerState) -> AckStatus:
-        """Whether the table allows this write in this state; writes nothing."""
+        """Status of a write by the table in this state, without writing."""
         register = _by_index().get(index)
         if register is None:
             return AckStatus.UNKNOWN
@@ -113,7 +113,7 @@ class RegisterFile:
         return register.refuses(value) or AckStatus.OK
 
     def write(self, index: int, value: float, state: PowerState) -> AckStatus:
-        """Write where the table allows it."""
+        """Write a value if `check` permits it; returns the status."""
         status = self.check(index, value, state)
         if status is AckStatus.OK:
             self._values[_by_index()[index].name] = single(value)

@@ -1,4 +1,4 @@
-"""Rows of a capture as bytes: which channels, in which format and scale. Exact in f32, half a count off in int16."""
+"""Rows of a capture as bytes: channels, format and scales. Exact in f32; within half a count in int16."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Channel(IntFlag):
 
 
 VECTORS = Channel.I_ALPHA | Channel.I_BETA | Channel.V_ALPHA | Channel.V_BETA
-"""The least that a capture needs."""
+"""Channels that every capture needs."""
 
 
 class CaptureFormat(IntEnum):
@@ -41,12 +41,12 @@ class CaptureFormat(IntEnum):
 
 
 _SCALE_REGISTERS = ("current_scale_a", "voltage_scale_v", "bus_scale_v", "temperature_scale_c", "ripple_scale_a")
-"""In the order of the fields of `Scales`."""
+"""Registers in the order of the fields of `Scales`."""
 
 
 @dataclass(frozen=True)
 class Scales:
-    """What a count is worth."""
+    """Value of a count of each quantity."""
 
     current_a: float
     voltage_v: float
@@ -56,13 +56,13 @@ class Scales:
 
     @classmethod
     def of(cls, values: Mapping[str, float]) -> Scales:
-        """From a drive's registers."""
+        """Scales from a drive's registers."""
         return cls(*(values[name] for name in _SCALE_REGISTERS))
 
     @classmethod
     def spanning(cls, current_a: float, voltage_v: float, bus_v: float, ripple_a: float) -> Scales:
-        """Scales with which int16 just reaches these values; singles, as the wire carries them."""
-        spans = (current_a, voltage_v, bus_v, 327.67, ripple_a)
+        """Scales with which int16 spans these values, rounded to singles."""
+        spans = (current_a, voltage_v, bus_v, 32767 * 0.01, ripple_a)
         return cls(*(float(np.float32(span / 32767.0)) for span in spans))
 
     def as_registers(self) -> dict[str, float]:
@@ -79,7 +79,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class RowFormat:
-    """How a row is laid out."""
+    """Layout of a row."""
 
     channels: Channel
     form: CaptureFormat
@@ -94,9 +94,9 @@ class RowFormat:
         return len(list(self.channels)) * (2 if self.form is CaptureFormat.INT16 else 4)
 
     def pack(self, columns: Mapping[Channel, Real]) -> bytes:
-        """Rows from one array a channel, shape (n,) each, SI units.
+        """Bytes of rows from one array per channel, shape (n,) each, SI units.
 
-        What int16 does not reach is saturated, as a converter does; raises `InputError` for a NaN.
+        int16 saturates, as a converter does. Raises `InputError` for a NaN.
         """
         missing = [str(channel.name) for channel in self.channels if channel not in columns]
         if missing:
@@ -110,9 +110,9 @@ class RowFormat:
         return np.clip(counts, -32768, 32767).astype("<i2").tobytes()
 
     def unpack(self, data: bytes | memoryview) -> dict[Channel, NDArray[np.float64]]:
-        """One array a channel, shape (n,), SI units.
+        """One array per channel, shape (n,), SI units.
 
-        Raises `DriveFault` (wrong_data) for a part of a row or a sample that is not finite.
+        Raises `DriveFault` (wrong_data) for an incomplete row or a sample that is not finite.
         """
         if len(data) % self.row_bytes:
             raise DriveFault(

@@ -1,6 +1,6 @@
-"""Which messages count: sequence numbers, sessions, what feeds the watchdog, the age of telemetry. No I/O, no clocks.
+"""Validity of messages: sequence numbers, sessions, watchdog, age of telemetry. Pure logic.
 
-Both ends use these, so that both agree on what is new, what is a repetition and what is stale.
+Both ends use it and thus agree on which messages are new, repeated or stale.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _OP_OF = {ParameterWrite: Op.PARAMETER_WRITE, ParameterRead: Op.PARAMETER_READ}
 
 
 def newer(seq: int, than: int, bits: int = 8) -> bool:
-    """Whether a sequence number follows another one, which may have wrapped: by less than half the circle."""
+    """Whether a wrapping sequence number is ahead of another one by less than half its range."""
     return 0 < (seq - than) % (1 << bits) < 1 << (bits - 1)
 
 
 class Unwrapped:
-    """A counter that wraps on the wire and goes on here (the drive's tick); late values are looked up, not taken."""
+    """Unwraps a counter (the drive's tick); an older value does not change the state."""
 
     def __init__(self, bits: int = 32) -> None:
         self._bits = bits
         self._latest: int | None = None
 
     def __call__(self, value: int) -> int:
-        """The count without wraps: nearest to the latest one."""
+        """The unwrapped count nearest to the latest one."""
         if self._latest is None:
             self._latest = value
             return value
@@ -53,7 +53,7 @@ class Unwrapped:
 
 
 class TelemetryGate:
-    """Lets only newer telemetry in, and knows when it has become stale; one for each periodic message."""
+    """Accepts only newer telemetry and detects stale telemetry; one for each periodic message."""
 
     def __init__(self, period_s: float) -> None:
         self.period_s = period_s
@@ -61,19 +61,19 @@ class TelemetryGate:
         self._taken_s = -math.inf
 
     def accept(self, seq: int, now_s: float) -> bool:
-        """Whether a message is newer than all before; when stale, any is: the drive may have restarted."""
+        """Whether a message is newer than all before; any is after staleness, since the drive may have restarted."""
         if self._seq is not None and not newer(seq, self._seq) and not self.stale(now_s):
             return False
         self._seq, self._taken_s = seq, now_s
         return True
 
     def stale(self, now_s: float) -> bool:
-        """Whether nothing newer came for three periods."""
+        """Whether no newer message was accepted for three periods."""
         return now_s - self._taken_s > STALE_PERIODS * self.period_s
 
 
 class Conversation:
-    """The host's side of stop-and-wait: makes requests and recognises their answers. One request at a time."""
+    """The host's side of stop-and-wait: numbers requests, one at a time."""
 
     def __init__(self, session: int | None = None) -> None:
         self.session = secrets.randbelow(0xFFFF) + 1 if session is None else session
@@ -85,7 +85,7 @@ class Conversation:
         return Command(self.session, self._next(), op, arg)
 
     def write(self, index: int, value: float) -> ParameterWrite:
-        """The next parameter write; raises `InputError` where the value is no finite single."""
+        """The next parameter write; raises `InputError` where the value is not a finite single."""
         try:
             finite = math.isfinite(single(value))
         except OverflowError:
@@ -99,12 +99,12 @@ class Conversation:
         return ParameterRead(self.session, self._next(), index)
 
     def heartbeat(self, now_s: float) -> Heartbeat:
-        """The next heartbeat. Counts on its own, so that it may come from another thread."""
+        """The next heartbeat; its separate counter permits another thread."""
         self._beat = (self._beat + 1) % 256
         return Heartbeat(self.session, self._beat, int(now_s * 1e3) % (1 << 32))
 
     def armed(self, ack: Ack) -> None:
-        """Go on in the session that the drive issued."""
+        """Continue in the session that the drive issued."""
         self.session = ack.value
 
     def _next(self) -> int:
@@ -113,7 +113,7 @@ class Conversation:
 
 
 def answers(message: Message, request: Request) -> bool:
-    """Whether a message is the answer to this request, refusals included."""
+    """Whether a message answers this request; refusals do."""
     if not isinstance(message, (Ack, ParameterValue)) or message[:2] != request[:2]:
         return False
     if isinstance(message, ParameterValue):
@@ -122,19 +122,19 @@ def answers(message: Message, request: Request) -> bool:
 
 
 class Verdict(Enum):
-    """What the drive does with a request."""
+    """The drive's treatment of a request."""
 
     NEW = "new"
     REPEATED = "repeated"
-    """Send the stored reply again, do nothing."""
+    """Send the stored reply again without acting."""
     OLD = "old"
-    """Drop it: a late copy."""
+    """Drop the request, a late copy."""
     STALE = "stale"
-    """Of another session: answer stale_session, do nothing."""
+    """Request of another session: answer stale_session without acting."""
 
 
 class Ledger:
-    """The drive's side of stop-and-wait: which request is new, and the reply to the last one."""
+    """The drive's side of stop-and-wait: detects new requests and keeps the last reply."""
 
     def __init__(self) -> None:
         self.session = 0
@@ -144,11 +144,11 @@ class Ledger:
         self._closed: deque[int] = deque(maxlen=16)
 
     def judge(self, request: Request) -> Verdict:
-        """What to do with a request; a new one must be answered through `store`.
+        """Treatment of a request; the answer to a new one must pass through `store`.
 
-        `identify` opens a session that was not known; one that was closed stays closed. Whether it
-        may be opened now (not while another host has the drive armed) is the drive's to say, before
-        `open`. Reads are never repeated: judge them for the sake of the sequence and answer always.
+        `identify` opens an unknown session; a closed one stays closed. Before `open`, the drive has to
+        check that no other host has it armed. Reads are never repetitions: judge them to advance the
+        sequence, and always answer.
         """
         session, seq = request[:2]
         if (session, seq) == self._last and not isinstance(request, ParameterRead):
@@ -162,13 +162,13 @@ class Ledger:
         return Verdict.NEW
 
     def open(self, request: Command) -> None:
-        """Take up the session of an `identify`."""
+        """Open the session of an `identify`."""
         if request.session != self.session:
             self._closed.append(self.session)
             self.session, self._seq = request.session, request.seq
 
     def issue(self) -> int:
-        """A new random session, on arming; the one before is closed."""
+        """A new random session, on arming; the previous one is closed."""
         known = {0, self.session, *self._closed}
         self._closed.append(self.session)
         while (session := secrets.randbelow(0xFFFF) + 1) in known:
@@ -177,44 +177,44 @@ class Ledger:
         return session
 
     def store(self, request: Request, reply: Reply) -> Reply:
-        """Keep the reply for repetitions, and hand it back."""
+        """Store the reply for repetitions and return it."""
         self._last, self._reply = (request.session, request.seq), reply
         return reply
 
     @property
     def reply(self) -> Reply:
-        """The stored reply; after `Verdict.REPEATED` only."""
+        """The stored reply, valid after `Verdict.REPEATED`."""
         assert self._reply is not None
         return self._reply
 
 
 class Watchdog:
-    """The drive's dead man: fed by heartbeats of the session alone, that are newer and were not held up."""
+    """The drive's watchdog, fed by newer heartbeats of the session that were not delayed."""
 
-    _REMEMBERED = 64
+    _MAX_DELAYS = 64
 
     def __init__(self, limit_s: float) -> None:
         self.limit_s = limit_s
         self.last_seq = 0
         self._fed_s = -math.inf
         self._fresh = True
-        self._delays: deque[float] = deque(maxlen=self._REMEMBERED)
+        self._delays: deque[float] = deque(maxlen=self._MAX_DELAYS)
 
     def start(self, now_s: float) -> None:
-        """On arming: the time runs from here, and any first heartbeat of the session is taken."""
+        """Start the timeout on arming; the first heartbeat of the session is accepted in any case."""
         self._fed_s, self._fresh = now_s, True
         self._delays.clear()
 
     def feed(self, beat: Heartbeat, session: int, now_s: float) -> bool:
-        """Whether this heartbeat was taken.
+        """Whether this heartbeat was accepted.
 
-        It must not have been under way longer than the quickest of the last ones by more than the
-        limit: what a stopped link hands over later in one go is no sign of life.
+        Its transmission delay may exceed the shortest recent one by at most the limit, so that
+        heartbeats which a stalled link delivers late do not count.
         """
         if beat.session != session or not (self._fresh or newer(beat.seq, self.last_seq)):
             return False
         delay = (now_s - beat.host_ms * 1e-3) % _HOST_CLOCK_S
-        late = bool(self._delays) and _ahead(delay, self._delays) > self.limit_s
+        late = bool(self._delays) and _excess_delay(delay, self._delays) > self.limit_s
         self._delays.append(delay)
         self.last_seq, self._fresh = beat.seq, False
         if late:
@@ -223,14 +223,14 @@ class Watchdog:
         return True
 
     def expired(self, now_s: float) -> bool:
-        """Whether the safe state is due. Ask before reading the link, not after."""
+        """Whether the timeout has passed; to be checked before reading the link."""
         return now_s - self._fed_s > self.limit_s
 
 
 _HOST_CLOCK_S = (1 << 32) * 1e-3
 
 
-def _ahead(delay: float, others: deque[float]) -> float:
-    """How much longer than the shortest of the others, on a clock that wraps."""
+def _excess_delay(delay: float, others: deque[float]) -> float:
+    """Excess of a delay over the shortest of others, on a clock that wraps [s]."""
     half = 0.5 * _HOST_CLOCK_S
     return max((delay - other + half) % _HOST_CLOCK_S - half for other in others)

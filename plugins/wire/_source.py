@@ -1,4 +1,4 @@
-"""The device's end of an upload: a capture that grows, and answers to read requests. No I/O, no threads."""
+"""The device's end of an upload: a growing capture, and answers to read requests. Pure logic."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from plugins.wire._messages import AckStatus, BulkEnd, ReadBlock
 
 
 class Answer(NamedTuple):
-    """What goes out on a read request: block payloads, then the end."""
+    """Answer to a read request: block payloads, then the end."""
 
     payloads: list[bytes]
     end: BulkEnd
 
 
 class CaptureSource:
-    """One capture in the drive's memory.
+    """A capture in the drive's memory.
 
     Parameters
     ----------
     number : int
-        Capture number under which it is read.
+        Capture number.
     length : int
-        Bytes that it will have when it is complete.
+        Bytes of the complete capture.
     memory_bytes : int, optional
-        A ring: what is older than this many bytes has been overwritten. None: everything is kept.
+        Size of a ring buffer that overwrites older bytes. None: everything is kept.
     """
 
     def __init__(self, number: int, length: int, memory_bytes: int | None = None) -> None:
@@ -37,14 +37,14 @@ class CaptureSource:
 
     @classmethod
     def complete_with(cls, number: int, data: bytes) -> CaptureSource:
-        """A capture that is all there (a description, a table of ripple rows)."""
+        """A complete capture (a description, a table of ripple rows)."""
         source = cls(number, len(data))
         source.append(data)
         return source
 
     @property
     def captured(self) -> int:
-        """Bytes so far."""
+        """Bytes captured so far."""
         return len(self._data)
 
     @property
@@ -52,24 +52,24 @@ class CaptureSource:
         return self.captured >= self.length
 
     def append(self, data: bytes) -> None:
-        """Whole rows, as they are captured; what is past the announced length is left out."""
+        """Append captured rows; data beyond the announced length are dropped."""
         data = data[: self.length - self.captured]
         self._crc = crc32(data, self._crc)
         self._data += data
 
     def answer(self, request: ReadBlock, layout: BlockLayout) -> Answer | AckStatus:
-        """The blocks that are there, or why there are none.
+        """The requested blocks as far as captured, or the reason of a refusal.
 
-        A block that is not full yet is left out until the capture is complete.
+        An incomplete block is omitted until the capture is complete.
         """
         if request.capture != self.number:
             return AckStatus.NOT_CAPTURED
-        if request.offset % layout.block or request.blocks > layout.most:
+        if request.offset % layout.block or request.blocks > layout.max_blocks:
             return AckStatus.OUT_OF_RANGE
         if request.blocks and self._memory_bytes is not None and request.offset < self.captured - self._memory_bytes:
             return AckStatus.OVERWRITTEN
-        there = self.captured - request.offset
-        blocks = -(-there // layout.block) if self.complete else there // layout.block
+        available = self.captured - request.offset
+        blocks = -(-available // layout.block) if self.complete else available // layout.block
         count = max(0, min(request.blocks, blocks))
         end = BulkEnd(self._crc, self.captured, request.window)
         with memoryview(self._data) as view:

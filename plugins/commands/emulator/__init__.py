@@ -1,4 +1,4 @@
-"""The simulated plant behind the drive protocol, as a process of its own with a microcontroller's limits."""
+"""The simulated plant as a device with the drive protocol and a microcontroller's limits, in its own process."""
 
 from plugins.commands.emulator._device import Device
 from plugins.commands.emulator._emulation import Emulation, LinkSettings, run_emulation

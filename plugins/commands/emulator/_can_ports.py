@@ -1,4 +1,4 @@
-"""The device's side of a CAN bus: any interface of python-can, or the terminal that its serial one opens."""
+"""The device's side of a CAN bus: any interface of python-can, or a terminal for its interface `serial`."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from protocols import InputError
 
 _CAN_HEAD, _CAN_START, _CAN_END = struct.Struct("<BIBI"), 0xAA, 0xBB
 _FILTERS_IN_KERNEL = "socketcan"
-"""Other interfaces of python-can filter frame by frame, after all the work is done."""
+"""Interface that filters in the kernel; python-can's others filter each frame after parsing it."""
 
 
 class SerialCanPort(PtyPort):
-    """A pseudo-terminal at whose other end python-can's interface ``serial`` is opened: classic frames without losses.
+    """A pseudo-terminal for python-can's interface ``serial``: classic frames without losses.
 
     Its format: 0xAA, time stamp (4 bytes), length (1), identifier (4), data, 0xBB; little-endian.
 
@@ -30,7 +30,7 @@ class SerialCanPort(PtyPort):
     path : Path
         As for a serial line.
     node : int
-        Whose identifiers to send and to hear.
+        Node number of the identifiers to send and to receive.
     """
 
     def __init__(self, path: Path, node: int = 0) -> None:
@@ -48,7 +48,7 @@ class SerialCanPort(PtyPort):
         return (47 + 8 * (len(unit) - _CAN_HEAD.size - 1)) / 8
 
     def damage(self, unit: Unit, chance: random.Random) -> Unit | None:
-        return None  # a bus controller drops it
+        return None  # a bus controller drops damaged frames
 
     def damage_received(self, frame: Frame, chance: random.Random) -> Frame | None:
         return None
@@ -60,7 +60,7 @@ class SerialCanPort(PtyPort):
             start, _, length, identifier = _CAN_HEAD.unpack_from(self._bytes)
             end = _CAN_HEAD.size + length
             if start != _CAN_START or length > 8:
-                self._bytes = self._bytes[1:]  # somewhere in a frame: look for the next
+                self._bytes = self._bytes[1:]  # inside a frame: search the next start
             elif len(self._bytes) <= end:
                 break
             else:
@@ -78,7 +78,7 @@ class CanPort:
     ----------
     interface, channel : str
     node : int
-        Whose identifiers to send and to hear.
+        Node number of the identifiers to send and to receive.
     fd : bool
         CAN FD: blocks of captures are frames of 64 bytes.
     bitrate, data_bitrate : int
@@ -121,7 +121,7 @@ class CanPort:
         self._bulk_ids = {frame_id(CLASSIC_LAYOUT.name), frame_id(CAN_FD_LAYOUT.name)}
 
     def publish(self) -> None:
-        """A bus is there for all."""
+        """Nothing to publish: a bus is visible to all."""
 
     @property
     def connected(self) -> bool | None:
@@ -134,7 +134,7 @@ class CanPort:
         return frame
 
     def cost(self, unit: Unit) -> float:
-        """ISO 11898-1 without stuff bits; the data of an FD frame counts at its own bit rate."""
+        """Cost of a frame by ISO 11898-1 without stuff bits; FD data count at their own bit rate."""
         assert isinstance(unit, Frame)
         size = len(unit.payload)
         if size <= 8:
@@ -142,7 +142,7 @@ class CanPort:
         return (29 + (38 + 8 * size) * self._fast) / 8
 
     def damage(self, unit: Unit, chance: random.Random) -> Unit | None:
-        """Controllers drop what does not fit the frame's own CRC; of bulk data some is let through."""
+        """Drop a damaged frame, as controllers do by its CRC; some bulk frames pass with an error."""
         assert isinstance(unit, Frame)
         if unit.frame_id not in self._bulk_ids:
             return None
@@ -193,7 +193,7 @@ class CanPort:
 
 
 def _readable(bus: Any) -> select.poll | None:
-    """What tells whether a frame is there, where the bus is a file."""
+    """Poll object for received frames, where the bus has a file descriptor."""
     try:
         fd = bus.fileno()
     except NotImplementedError:

@@ -1,4 +1,4 @@
-"""`fluxbench emulate`: a drive that is not there, behind a real line."""
+"""`fluxbench emulate`: an emulated drive on a real line."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NOT_HERE = {
     "watchdog_s": "use --watchdog",
     "realtime_factor": "use --speed",
     "longest_capture_s": "it follows from --memory-rows",
-    "gap_s": "the emulated drive's time is real",
+    "gap_s": "the emulated drive runs in real time",
     "faults": "kill, stop or disturb the emulator instead",
 }
 
@@ -73,7 +73,7 @@ def emulate(
     reorder: Part = 0.0,
     corrupt: Part = 0.0,
 ) -> int:
-    """Be a drive with the simulated motor on a serial line or a CAN bus, until SIGINT or SIGTERM."""
+    """Emulate a drive with the simulated motor on a serial line or a CAN bus, until SIGINT or SIGTERM."""
     from plugins.commands.emulator._device import Device
     from plugins.commands.emulator._emulation import LinkSettings, run_emulation
     from plugins.commands.emulator._line import Losses
@@ -105,7 +105,7 @@ command = entry_point(emulate)
 
 
 def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) -> tuple[SimulatedOptions, Motor]:
-    """Plant and nameplate: those of the procedure `demo`, of a motor file, with what is set on the command line."""
+    """Plant and nameplate of the procedure `demo` or a motor file, with the settings of the command line."""
     from orchestrator.config import read_procedure
     from orchestrator.registry.plugins import make_options
     from plugins.drives.simulated import SimulatedDrive, SimulatedOptions

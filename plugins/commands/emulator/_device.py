@@ -1,6 +1,6 @@
-"""The device: the drive's half of the protocol. Frames in, frames out; no link, no thread.
+"""The device: the drive's side of the protocol, from received to sent frames.
 
-What it may refuse is decided here; what acts by itself is `_power`.
+This module processes and refuses requests; `_power` acts on its own.
 """
 
 from __future__ import annotations
@@ -61,22 +61,22 @@ _FROM_HOST = ("EStop", "Heartbeat", "Command", "ParameterWrite", "ParameterRead"
 
 
 class Device:
-    """A drive with firmware.
+    """An emulated drive with firmware.
 
     Parameters
     ----------
     options : SimulatedOptions
     motor : Motor
-        The nameplate that the plant is scaled from; it holds until a host writes another one.
+        The nameplate from which the plant is scaled; the control uses it until a host writes another one.
     seed : int
     layout : callable
-        From the device's block size to how its link carries blocks.
+        Maps the device's block size to the link's block layout.
     settings : DeviceSettings
     log : Log
     clock : callable
         Wall time [s], monotonic.
 
-    Raises `InputError` where the options make no motor.
+    Raises `InputError` where the options do not describe a motor.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class Device:
         self._layout = layout(self._settings.block_bytes)
         self._facts = facts_of_rig(self.rig, self._settings, text)
         self._file = RegisterFile(capability_registers(own, self._facts))
-        self._tell_temperature()
+        self._update_temperature()
         self._file["brake"] = float(self.rig.braked)
         self._programs = Programs(self.rig, self._file, self._facts, self._settings)
         self._ledger = Ledger()
@@ -113,13 +113,13 @@ class Device:
         self._live_credit, self._live_s = 0.0, clock()
         self._host_ids = {frame_id(name) for name in _FROM_HOST}
         self.urgent: list[Frame] = []
-        """Frames to be sent, to be taken by the caller; before `bulk`."""
+        """Frames for the caller to send, before `bulk`."""
         self.bulk: list[Frame] = []
 
-    # One turn
+    # Cycle
 
     def receive(self, frames: Iterable[Frame]) -> None:
-        """Take what came; `power.guard` goes before."""
+        """Process received frames; to be called after `power.guard`."""
         for frame in frames:
             message = decode(*frame) if frame.frame_id in self._host_ids else None
             if message is not None:
@@ -127,18 +127,18 @@ class Device:
                     self.urgent.append(encode(reply))
 
     def turn(self) -> None:
-        """Let time pass, and say what is due."""
+        """Advance the plant and queue the messages that are due."""
         rows = self.power.advance()
         if rows and self._file["ripple_live"]:
-            self.urgent += map(encode, self._at_most(rows))
-        self.urgent += map(encode, self._news())
+            self.urgent += map(encode, self._limit_rate(rows))
+        self.urgent += map(encode, self._telemetry_messages())
 
     def wait_s(self) -> float:
-        """How long there is nothing to do but to listen."""
+        """Time until the next action [s]."""
         return min(self.power.wait_s(), self._telemetry.wait_s(self._clock()))
 
-    def _at_most(self, rows: list[Message]) -> list[Message]:
-        """As many of the live rows as the bus has room for: 500 a second, of two messages each."""
+    def _limit_rate(self, rows: list[Message]) -> list[Message]:
+        """Live rows within the permitted rate of 500 a second; each row has two messages."""
         now_s = self._clock()
         earned = self._live_credit + (now_s - self._live_s) * BOUNDS.ripple_rate_hz
         self._live_s, room = now_s, min(earned, 0.05 * BOUNDS.ripple_rate_hz)
@@ -146,12 +146,12 @@ class Device:
         self._live_credit = room - sent
         return rows[: 2 * sent]
 
-    def _news(self) -> Iterator[Message]:
+    def _telemetry_messages(self) -> Iterator[Message]:
         now_s, power, period_s = self._clock(), self.power, self._file["telemetry_period_s"]
-        shown = self.rig.simulator.shown
-        warmth = self._tell_temperature()
+        shown = self.rig.simulator.filtered
+        temperature_c = self._update_temperature()
         yield from self._telemetry.status(
-            now_s, power.state, power.cause, power.faults, power.last_beat, shown[2], warmth
+            now_s, power.state, power.cause, power.faults, power.last_beat, shown[2], temperature_c
         )
         scale_a, inputs = self._facts.scales.current_a, power.open_interlocks
         yield from self._telemetry.periodic(now_s, period_s, shown, scale_a, self.rig.ticks, inputs)
@@ -160,8 +160,8 @@ class Device:
         busy = power.state is PowerState.RUNNING
         yield from self._telemetry.progress(now_s, power.phase, number, rows, busy)
 
-    def _tell_temperature(self) -> int:
-        """Put the winding's temperature into its register; the same as telemetry says it."""
+    def _update_temperature(self) -> int:
+        """Write the winding temperature to its register; returns it in telemetry's form."""
         measured = self.rig.simulator.temperature_c
         self._file["temperature_c"] = -273.0 if measured is None else measured
         return NO_TEMPERATURE_C if measured is None else round(min(max(measured, -127.0), 127.0))
@@ -212,10 +212,10 @@ class Device:
                 return ParameterValue(request.session, request.seq, request.parameter, float(held))
             value = 0
         else:
-            status, value = self._obey(request)
+            status, value = self._execute(request)
         return Ack(request.session, request.seq, op, status, self.power.state, value)
 
-    def _obey(self, command: Command) -> tuple[AckStatus, int]:
+    def _execute(self, command: Command) -> tuple[AckStatus, int]:
         match command.op:
             case Op.IDENTIFY:
                 return self._identify(command)
@@ -269,20 +269,20 @@ class Device:
             return AckStatus.PAST_LIMIT, 0
         if self.power.open_interlocks:
             return AckStatus.INTERLOCK_OPEN, self.power.open_interlocks
-        self._believe_nameplate()
+        self._apply_nameplate()
         self.power.arm(limits)
         session = self._ledger.issue()
         self._log("armed", session=session, limits=limits.model_dump())
         return AckStatus.OK, session
 
-    def _believe_nameplate(self) -> None:
-        """The host's, where it says something else than what the device knows more precisely itself."""
+    def _apply_nameplate(self) -> None:
+        """Use the host's nameplate, except for values that equal the device's own, which are more precise."""
         own, file = self.rig.own_nameplate, self._file
 
         def register(name: str, value: float) -> float:
             return value if file[name] in (0.0, single(value)) else file[name]
 
-        self.rig.believe(
+        self.rig.retune(
             replace(
                 own,
                 pole_pairs=int(register("motor_pole_pairs", own.pole_pairs)),
@@ -331,7 +331,7 @@ class Device:
     # Programs
 
     def _run_program(self) -> tuple[AckStatus, int]:
-        if (status := self._must_hold()) is not AckStatus.OK:
+        if (status := self._require_holding()) is not AckStatus.OK:
             return status, 0
         excitation = self._programs.excitation()
         if isinstance(excitation, AckStatus):
@@ -345,13 +345,13 @@ class Device:
         self.power.run(excitation, capture)
         return AckStatus.OK, capture.number
 
-    def _must_hold(self) -> AckStatus:
+    def _require_holding(self) -> AckStatus:
         if self.power.state is PowerState.FAULTED:
             return AckStatus.FAULT_LATCHED
         return AckStatus.OK if self.power.state is PowerState.HOLDING else AckStatus.WRONG_STATE
 
     def _capture_arm(self, rows: int) -> tuple[AckStatus, int]:
-        if (status := self._must_hold()) is not AckStatus.OK:
+        if (status := self._require_holding()) is not AckStatus.OK:
             return status, 0
         if not 1 <= rows <= 16_000_000:
             return AckStatus.OUT_OF_RANGE, 0
@@ -362,7 +362,7 @@ class Device:
         return AckStatus.OK, capture.number
 
     def _capture_trigger(self) -> tuple[AckStatus, int]:
-        if (status := self._must_hold()) is not AckStatus.OK:
+        if (status := self._require_holding()) is not AckStatus.OK:
             return status, 0
         if self._armed_capture is None:
             return AckStatus.WRONG_STATE, 0
@@ -374,7 +374,7 @@ class Device:
 
     def _read_blocks(self, request: ReadBlock) -> Iterator[Message]:
         source = self._source(request.capture)
-        # An answer may be shorter than its request; a link must never keep the watchdog waiting.
+        # An answer may be shorter than its request, so that it does not delay the watchdog.
         request = request._replace(blocks=min(request.blocks, max(1, BOUNDS.max_answer_bytes // self._layout.block)))
         answer = AckStatus.NOT_CAPTURED if source is None else source.answer(request, self._layout)
         if isinstance(answer, Answer):
@@ -390,7 +390,7 @@ class Device:
 
 
 def open_inputs(names: Sequence[str], file: Path | None) -> int:
-    """Bits of the interlock inputs that a file names now, one a line, in the order of `names`; none without a file."""
+    """Bits of the open interlock inputs, which a file lists one per line, in the order of `names`."""
     try:
         lines = set() if file is None else set(map(str.strip, file.read_text("utf-8", "replace").splitlines()))
     except OSError:

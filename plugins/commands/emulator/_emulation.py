@@ -1,4 +1,4 @@
-"""The emulator's loop: watchdog, link, plant, line, in this order, until a signal ends it."""
+"""The emulator's loop over watchdog, link, plant and line, until a signal ends it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from plugins.wire import Frame
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """What the line does to the traffic, and how the process is run."""
+    """Rate and losses of the line, and priority of the process."""
 
     rate: float | None = None
-    """Bytes a second; None: as fast as the port takes them."""
+    """Bytes per second; None: as fast as the port accepts them."""
     losses: Losses = NO_LOSSES
     seed: int = 0
     priority: bool = True
-    """Whether to ask the system for real-time priority."""
+    """Whether to request real-time priority."""
 
 
 class Emulation:
@@ -40,14 +40,14 @@ class Emulation:
         self._connected: bool | None = None
 
     def turn(self) -> None:
-        """Once round; waits for the link while nothing else is due."""
+        """Run one cycle; waits for the link while nothing else is due."""
         device, power = self._device, self._device.power
         wait_s = device.wait_s()
         if not self._outbox.empty:
             wait_s = min(BOUNDS.backlog_period_s, wait_s) if self._outbox.blocked else 0.0
         power.guard(time.monotonic())
         frames = self._lossy(self._port.receive(wait_s))
-        self._notice()
+        self._log_connection()
         power.guard(time.monotonic())
         device.receive(frames)
         device.turn()
@@ -57,7 +57,7 @@ class Emulation:
         device.bulk.clear()
         self._outbox.pump(time.monotonic())
 
-    def _notice(self) -> None:
+    def _log_connection(self) -> None:
         connected = self._port.connected
         if connected is not None and connected != self._connected:
             if self._connected is not None or connected:
@@ -68,12 +68,12 @@ class Emulation:
 
 
 def run_emulation(device: Device, port: Port, settings: LinkSettings, log: Log) -> None:
-    """Run until SIGINT or SIGTERM; then go to the safe state and let go of the link."""
+    """Run until SIGINT or SIGTERM; then go to the safe state and close the link."""
     emulation = Emulation(device, port, settings, log)
-    with _ending() as ending:
+    with _ending_signals() as ending:
         try:
             port.publish()
-            log("started", pid=os.getpid(), priority=settings.priority and _undisturbed())
+            log("started", pid=os.getpid(), priority=settings.priority and _request_priority())
             while not ending():
                 emulation.turn()
         finally:
@@ -85,8 +85,8 @@ def run_emulation(device: Device, port: Port, settings: LinkSettings, log: Log) 
         log("ended")
 
 
-def _undisturbed() -> bool:
-    """Ask for real-time priority: a microcontroller shares its time with nobody. Whether the system allows it."""
+def _request_priority() -> bool:
+    """Request real-time priority, for timing as on a microcontroller; returns whether it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
     except (OSError, AttributeError):  # not allowed; not Linux
@@ -95,13 +95,13 @@ def _undisturbed() -> bool:
 
 
 @contextmanager
-def _ending() -> Iterator[Callable[[], bool]]:
+def _ending_signals() -> Iterator[Callable[[], bool]]:
     caught: list[int] = []
 
-    def note(number: int, frame: FrameType | None) -> None:
+    def record(number: int, frame: FrameType | None) -> None:
         caught.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, record) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield lambda: bool(caught)
     finally:

@@ -1,4 +1,4 @@
-"""What the device has to send: in order of urgency, at the pace of a real line, and with its losses."""
+"""The device's send queue: ordered by urgency, with the rate and the losses of a real line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Losses:
-    """Parts of one, a frame: what the link does to it, each way."""
+    """Probabilities of losses per frame, in each direction."""
 
     drop: float = 0.0
     duplicate: float = 0.0
@@ -32,22 +32,22 @@ NO_LOSSES = Losses()
 
 
 class Lossy(Generic[T]):
-    """One direction of a link that loses, repeats, reorders and damages, the same for the same seed."""
+    """One direction of a link that drops, repeats, reorders and damages frames, reproducible by its seed."""
 
     def __init__(self, losses: Losses, seed: str, damage: Callable[[T, random.Random], T | None]) -> None:
         self._losses, self._random, self._damage = losses, random.Random(seed), damage
         self._held: deque[T] = deque()
 
     def __call__(self, units: Iterable[T]) -> list[T]:
-        """What arrives; a frame that is held back arrives with a later call, if it is the last of this one."""
+        """The arriving frames; a delayed frame at the end arrives with a later call."""
         if not self._losses:
             return list(units)
         out: list[T] = []
         for unit in units:
-            out += self._one(unit)
+            out += self._transmit(unit)
         return out
 
-    def _one(self, unit: T) -> Iterable[T]:
+    def _transmit(self, unit: T) -> Iterable[T]:
         losses, chance = self._losses, self._random.random
         if chance() < losses.drop:
             return
@@ -67,14 +67,14 @@ class Lossy(Generic[T]):
 
 
 class Outbox:
-    """Frames on their way out; telemetry and answers overtake bulk data.
+    """Queue of frames to send; telemetry and answers overtake bulk data.
 
     Parameters
     ----------
     port : Port
     lossy : Lossy
     rate : float, optional
-        Bytes a second of the line (bits over 8 on a CAN bus); None: as fast as the port takes them.
+        Bytes per second of the line (bits over 8 on a CAN bus); None: as fast as the port accepts them.
     """
 
     def __init__(self, port: Port, lossy: Lossy[Unit], rate: float | None) -> None:
@@ -84,14 +84,14 @@ class Outbox:
         self._coded: deque[Unit] = deque()
         self._credit, self._paid_s, self._taken_s = 0.0, 0.0, 0.0
         self.blocked = False
-        """Whether the line, or its pace, took no more the last time."""
+        """Whether the line or its rate limit refused the last frame."""
 
     def put(self, frames: Iterable[Frame]) -> None:
-        """Telemetry and answers."""
+        """Queue telemetry and answers."""
         self._urgent.extend(frames)
 
     def put_bulk(self, frames: Iterable[Frame]) -> None:
-        """Blocks of a capture, with their end; left out where too many are waiting: the host asks again."""
+        """Queue blocks of a capture with their end; dropped if too many are queued (the host repeats requests)."""
         if len(self._bulk) < BOUNDS.max_waiting_frames:
             self._bulk.extend(frames)
 
@@ -100,13 +100,13 @@ class Outbox:
         return not (self._urgent or self._bulk or self._coded)
 
     def clear(self) -> None:
-        """Forget everything: nobody is there."""
+        """Drop all frames, when no host is connected."""
         self._urgent.clear()
         self._bulk.clear()
         self._coded.clear()
 
     def pump(self, now_s: float) -> None:
-        """Send what line and port take now; never waits."""
+        """Send the frames that line and port accept now, without waiting."""
         if self.empty:
             self._taken_s = now_s
         if self._rate is not None:

@@ -1,4 +1,4 @@
-"""The emulator's log: one JSON object a line, flushed at once. Decides nothing."""
+"""The emulator's log: one JSON object per line, flushed at once."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from protocols import StorageError
 
 
 class Log(Protocol):
-    """Where events go."""
+    """Receiver of events."""
 
     def __call__(self, event: str, **details: Any) -> None: ...
 
 
 def no_log(event: str, **details: Any) -> None:
-    """Keeps nothing."""
+    """Discard an event."""
 
 
 class JsonLines:

@@ -1,4 +1,4 @@
-"""The device's memory for captures: rows and ripple rows of the latest program. Sends nothing."""
+"""The device's capture memory: rows and ripple rows of the latest program."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ CHANNELS = (
 
 
 class Capture:
-    """What one program captures.
+    """Capture of one program.
 
     Parameters
     ----------
     number, rows : int
-        Capture number, and samples when it is complete.
+        Capture number, and samples of the complete capture.
     form : RowFormat, optional
         None: no raw rows.
     memory_bytes : int, optional
@@ -56,12 +56,12 @@ class Capture:
         self.row_bytes = 0 if form is None else form.row_bytes
         self.ripple = ripple
         self.done = 0
-        """Samples so far."""
+        """Samples captured so far."""
         self._form = form
         self._raw = None if form is None else CaptureSource(number, rows * form.row_bytes, memory_bytes)
 
     def source(self, number: int) -> CaptureSource | None:
-        """What is read under a capture number."""
+        """The source of a capture number's data."""
         if number == self.number:
             return self._raw
         if number == self.number + RIPPLE_FLAG and self.ripple is not None:
@@ -69,7 +69,7 @@ class Capture:
         return None
 
     def take(self, step: Step) -> list[Message]:
-        """Keep the samples of a step; returns live ripple rows."""
+        """Store the samples of a step; returns live ripple rows."""
         count = min(len(step.i_ab), self.rows - self.done)
         i, v, v_dc = step.i_ab[:count], step.v_ab[:count], step.v_dc[:count]
         self.done += count
@@ -93,7 +93,7 @@ def _columns(i: Real, v: Real, v_dc: Real) -> dict[Channel, Real]:
 
 
 class RippleMemory:
-    """Ripple rows, demodulated as the samples come: the rows sent live are those that are read afterwards.
+    """Ripple rows, demodulated during the capture; live rows equal those that are read afterwards.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ class RippleMemory:
         Capture number of the program.
     grid : RippleGrid
     samples : int
-        Of the capture.
+        Samples of the capture.
     angle_rad : float
         Believed d axis in the stator frame.
     base_v : (float, float)
@@ -116,24 +116,24 @@ class RippleMemory:
         self._starts = grid.starts(self.rows)
         self._turn = np.exp(-1j * angle_rad)
         self._i, self._v = np.zeros((0, 2)), np.zeros((0, 2))
-        self._made = 0
+        self._rows_done = 0
 
     def take(self, i_ab: Real, v_ab: Real, last: bool) -> list[Message]:
-        """Samples in; the rows that they complete out."""
+        """Add samples; returns the rows that they complete."""
         self._i = np.concatenate((self._i, self._believed(i_ab)))
         self._v = np.concatenate((self._v, self._believed(v_ab)))
-        first = int(self._starts[self._made])
-        # A row ends where the next one starts, so that sample must have been taken, but for the last.
-        upto = self.rows if last else int(np.searchsorted(self._starts, first + len(self._i), side="right")) - 1
-        upto = min(upto, self.rows)
-        if upto <= self._made:
+        first = int(self._starts[self._rows_done])
+        # A row ends where the next one starts, so the next row's first sample is needed, except for the last row.
+        stop = self.rows if last else int(np.searchsorted(self._starts, first + len(self._i), side="right")) - 1
+        stop = min(stop, self.rows)
+        if stop <= self._rows_done:
             return []
-        count = int(self._starts[upto]) - first
-        tail = _Tail(**vars(self._grid), row=self._made, many=upto - self._made)
+        count = int(self._starts[stop]) - first
+        tail = _RowRange(**vars(self._grid), row=self._rows_done, many=stop - self._rows_done)
         counts = demodulate(self._i[:count], self._v[:count], self.base_v, tail).counts(self._scales)
         self._i, self._v = self._i[count:], self._v[count:]
         self.source.append(counts.tobytes())
-        begin, self._made = self._made, upto
+        begin, self._rows_done = self._rows_done, stop
         return list(_live(counts.tolist(), begin))
 
     def _believed(self, ab: Real) -> NDArray[np.float64]:
@@ -149,8 +149,8 @@ def _live(counts: list[list[int]], first: int) -> Iterator[Message]:
 
 
 @dataclass(frozen=True)
-class _Tail(RippleGrid):
-    """Some rows of a grid, their first sample counted as 0."""
+class _RowRange(RippleGrid):
+    """Successive rows of a grid, with their first sample as sample 0."""
 
     row: int = 0
     many: int = 0

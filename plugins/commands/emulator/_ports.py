@@ -1,4 +1,4 @@
-"""The device's side of a link, and a pseudo-terminal as one. Never waits to send."""
+"""The device's side of a link, and a pseudo-terminal as such a link; sending never blocks."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from plugins.wire import BlockLayout, Frame, SerialDecoder, serial_blocks, to_se
 from protocols import InputError
 
 Unit = Frame | bytes
-"""What a port sends at a time: a frame, or the bytes of one."""
+"""Unit of sending: a frame, or the bytes of one."""
 
 
 class Port(Protocol):
-    """A link that is open."""
+    """An open link."""
 
     @property
     def connected(self) -> bool | None:
-        """Whether a host has the other end open; None where that cannot be known."""
+        """Whether a host has opened the other end; None if unknown."""
         ...
 
     def publish(self) -> None:
-        """Let hosts find it; raises `InputError` where the place is taken."""
+        """Make the link visible to hosts; raises `InputError` where its name is taken."""
         ...
 
     def layout(self, block_bytes: int) -> BlockLayout: ...
@@ -37,21 +37,21 @@ class Port(Protocol):
     def coded(self, frame: Frame) -> Unit: ...
 
     def cost(self, unit: Unit) -> float:
-        """Bytes that the line is busy for."""
+        """Transmission time of a unit, in bytes of the line."""
         ...
 
     def damage(self, unit: Unit, chance: random.Random) -> Unit | None:
-        """The unit after a disturbance; None where a receiver does not get to see it."""
+        """The unit after a disturbance; None where a receiver drops it."""
         ...
 
     def damage_received(self, frame: Frame, chance: random.Random) -> Frame | None: ...
 
     def send(self, unit: Unit) -> bool:
-        """Whether it was taken."""
+        """Whether the unit was accepted."""
         ...
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        """What has come, waiting for the first one only."""
+        """Received frames, waiting for the first one only."""
         ...
 
     def close(self) -> None: ...
@@ -63,7 +63,7 @@ class PtyPort:
     Parameters
     ----------
     path : Path
-        The link; one that a killed emulator left behind is replaced.
+        The symbolic link; one that a killed emulator left behind is replaced.
     """
 
     def __init__(self, path: Path) -> None:
@@ -82,7 +82,7 @@ class PtyPort:
         try:
             _point(self._path, self._slave_name)
         except OSError as error:
-            raise InputError(str(self._path), "", f"cannot be made a link: {error.strerror}") from None
+            raise InputError(str(self._path), "", f"cannot be linked: {error.strerror}") from None
 
     @property
     def connected(self) -> bool | None:
@@ -120,14 +120,14 @@ class PtyPort:
             self._rest = unit[os.write(self._master, unit) :]
         except BlockingIOError:
             return False
-        except OSError:  # the host is just letting go
+        except OSError:  # the host is closing
             return False
         return True
 
     def receive(self, timeout_s: float) -> list[Frame]:
         events = self._poll.poll(1e3 * timeout_s)
         if not events:
-            self._connected = True  # a terminal that nobody has open says so at once
+            self._connected = True  # a terminal without a host reports a hang-up at once
             return []
         if not events[0][1] & select.POLLIN:
             self._lost()
@@ -145,7 +145,7 @@ class PtyPort:
 
     def _lost(self) -> None:
         if self._connected:
-            # A real line keeps nothing that a host did not read: the next one must not get it.
+            # As on a real line, the next host must not receive unread data of the previous one.
             with suppress(OSError, termios.error):
                 termios.tcflush(self._master, termios.TCOFLUSH)
                 slave = os.open(self._slave_name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -163,9 +163,9 @@ class PtyPort:
 def _point(path: Path, target: str) -> None:
     if path.is_symlink():
         if not path.readlink().is_relative_to("/dev/pts"):
-            raise InputError(str(path), "", "is a link to something that is no terminal; left alone")
+            raise InputError(str(path), "", "is a link to something other than a terminal; left unchanged")
     elif path.exists():
-        raise InputError(str(path), "", "is there already; left alone")
+        raise InputError(str(path), "", "exists already; left unchanged")
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     temporary.unlink(missing_ok=True)
     temporary.symlink_to(target)

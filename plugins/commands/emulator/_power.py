@@ -1,6 +1,6 @@
-"""The power stage: its state, what it runs, and the protections that need nobody's permission to act.
+"""The power stage: state, running program, and protections that act on their own.
 
-The clock of the plant is followed here, and the heartbeat's. What a command means is `_device`.
+It keeps the clocks of the plant and of the heartbeat; `_device` interprets commands.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _RUNNING_STEP_S = 2.5e-3
 _IDLE_STEP_S = 2e-2
 _FREE_STEP_S = 5e-2
 _BUS_LIMITS_RATIO = (0.5, 1.3)
-"""Bus voltages over the nominal one, beyond which the drive trips."""
+"""Range of the bus voltage over the nominal one; the drive trips outside it."""
 _ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
 
 
@@ -34,13 +34,13 @@ class PowerStage:
     clock : callable
         Wall time [s], monotonic.
     speed : float, optional
-        Simulated seconds a second. None: as fast as can be while a program runs; between programs
-        time stands still.
+        Simulated over wall time. None: as fast as possible while a program runs; between programs
+        simulated time stops.
     log : Log
     directory : Path, optional
-        Where the plant's state is kept whenever the gates go off.
+        Folder for the plant's state, saved whenever the gates are switched off.
     read_interlocks : callable
-        Bits of the interlock inputs that are open now.
+        Returns the bits of the open interlock inputs.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class PowerStage:
         self.rig, self.speed, self.log = rig, speed, log
         self._read_interlocks = read_interlocks
         self.open_interlocks = 0
-        """Bits of the inputs that were open when `guard` looked last."""
+        """Bits of the inputs that were open at the last `guard`."""
         self._clock, self._directory = clock, directory
         self._fs = rig.options.sampling_frequency_hz
         limit_s = rig.options.watchdog_s
@@ -90,12 +90,12 @@ class PowerStage:
         return 0 if self._watchdog is None else self._watchdog.last_seq
 
     def feed(self, beat: Heartbeat, session: int, now_s: float) -> None:
-        """A heartbeat; nothing else keeps the watchdog quiet."""
+        """Feed the watchdog by a heartbeat."""
         if self.energised and self._watchdog is not None and self._watchdog.feed(beat, session, now_s):
             self._fed_s = now_s
 
     def arm(self, limits: Limits) -> None:
-        """PWM on, zero current."""
+        """Switch PWM on, at zero current."""
         self._fed_s = self._clock()
         if self._watchdog is not None:
             self._watchdog.start(self._fed_s)
@@ -103,57 +103,57 @@ class PowerStage:
         self.rig.limit(limits)
         self._pwm, self.state, self.phase = True, PowerState.HOLDING, Phase.IDLE
         self._off_after = False
-        self._do(self.rig.hold(self._samples))
+        self._set_steps(self.rig.hold(self._samples))
 
     def run(self, excitation: Excitation, capture: Capture) -> None:
-        """Start a program from where the operating point is."""
+        """Start a program from the present operating point."""
         self.capture, self.capture_start = capture, 0
         self.state, self.phase = PowerState.RUNNING, Phase.RAMPING
         self._off_after, self._recording = isinstance(excitation, GatesOff), False
         self._begun_at, self._due_at = self.rig.ticks, self.rig.ticks + self.rig.length(excitation)
-        self._do(self.rig.excite(excitation, self._samples))
+        self._set_steps(self.rig.excite(excitation, self._samples))
 
     def record(self, capture: Capture) -> None:
-        """Capture what is being held."""
+        """Capture at the held operating point."""
         self.capture, self.capture_start = capture, 0
         self._recording = True
-        self._do(self.rig.record(capture.rows, self._off_after, self._samples))
+        self._set_steps(self.rig.record(capture.rows, self._off_after, self._samples))
 
     def stop(self) -> None:
-        """Give up the program and bring the current to zero; nothing where PWM is off."""
+        """Abort the program and ramp the current to zero, if PWM is on."""
         if not self.energised or self.state is PowerState.STOPPING:
             return
-        self._give_up()
+        self._abort_capture()
         if self._off_after and self.state is PowerState.HOLDING:
             return
         self._off_after = False
         self.state = PowerState.STOPPING
-        self._do(self.rig.to_zero(self._samples))
+        self._set_steps(self.rig.to_zero(self._samples))
 
     def disarm(self) -> None:
-        """PWM off; a fault stays latched."""
-        self._give_up()
+        """Switch PWM off; a fault stays latched."""
+        self._abort_capture()
         if self._pwm:
             self._gates_off()
         if self.state is not PowerState.FAULTED:
             self.state = PowerState.DISARMED
 
     def clear(self) -> None:
-        """Forget latched faults; disarmed afterwards."""
+        """Clear latched faults; the state is disarmed afterwards."""
         if self.state is PowerState.FAULTED:
             self.disarm()
             self.state = PowerState.DISARMED
         self.cause, self.faults, self.value, self.limit = Fault.NONE, 0, 0.0, 0.0
 
     def shut_down(self) -> None:
-        """The safe state for good: the process is about to end."""
+        """Go to the safe state before the process ends."""
         begun_s = self._clock()
-        self._give_up()
+        self._abort_capture()
         try:
             for _ in self.rig.to_safety(self._samples):
                 pass
         except Tripped as trip:
-            self.log("fault", cause=_word(Fault.OVERLOAD if trip.overload else Fault.OVERCURRENT), first="ended")
+            self.log("fault", cause=_name(Fault.OVERLOAD if trip.overload else Fault.OVERCURRENT), first="ended")
         self.state = PowerState.DISARMED
         self._gates_off()
         self.log("safe", cause="ended", latency_s=round(self._clock() - begun_s, 6))
@@ -161,7 +161,7 @@ class PowerStage:
     # Protections
 
     def guard(self, now_s: float) -> None:
-        """Dead man and interlocks: to be called before the link is read, so that nothing late can wake or arm."""
+        """Check watchdog and interlocks; to be called before the link is read, so that late frames have no effect."""
         self.open_interlocks = self._read_interlocks()
         if self.energised and self.open_interlocks:
             self.trip(Fault.INTERLOCK, float(self.open_interlocks))
@@ -189,50 +189,50 @@ class PowerStage:
         self.faults |= 1 << fault
         self.log(
             "fault",
-            cause=_word(fault),
-            first=_word(self.cause),
+            cause=_name(fault),
+            first=_name(self.cause),
             value=value,
             limit=limit,
             since_beat_s=self._age(now_s),
         )
         was_energised = self.energised
-        self._give_up()
+        self._abort_capture()
         self.state = PowerState.FAULTED
         if at_once and self._pwm:
             self._gates_off()
         elif was_energised:
             self._tripped_s = now_s
-            self._do(self.rig.to_safety(self._samples))
+            self._set_steps(self.rig.to_safety(self._samples))
 
     def _gates_off(self) -> None:
         now_s = self._clock()
         self._pwm = False
         self.rig.drain()
-        self._do(self.rig.off(self._idle), self._idle)
+        self._set_steps(self.rig.off(self._idle), self._idle)
         if self.state is PowerState.FAULTED:
             latency_s = round(now_s - self._since_s, 6)
-            self.log("safe", cause=_word(self.cause), latency_s=latency_s, since_beat_s=self._age(now_s))
+            self.log("safe", cause=_name(self.cause), latency_s=latency_s, since_beat_s=self._age(now_s))
         if self._directory is not None:
             self.rig.save(self._directory)
 
     def _age(self, now_s: float) -> float:
         return round(now_s - self._fed_s, 6)
 
-    def _give_up(self) -> None:
+    def _abort_capture(self) -> None:
         if self.state is PowerState.RUNNING or self._recording:
             self.phase, self._recording = Phase.GIVEN_UP, False
 
     # Time
 
     def advance(self) -> list[Message]:
-        """Let the plant's time pass as far as it is due; returns live ripple rows."""
+        """Advance the plant by the time that is due; returns live ripple rows."""
         begun_s, messages = self._clock(), list[Message]()
         while self._is_due() and self._clock() - begun_s < BOUNDS.max_turn_s:
             messages += self._step()
         return messages
 
     def wait_s(self) -> float:
-        """Until the next step is due."""
+        """Time until the next step is due [s]."""
         if self.speed is None:
             return 0.0 if self._is_due() else 0.02
         anchor_s, ticks = self._anchor
@@ -250,9 +250,9 @@ class PowerStage:
             return True
         return behind >= self._next
 
-    def _do(self, steps: Iterator[Step], samples: int = 0) -> None:
+    def _set_steps(self, steps: Iterator[Step], samples: int = 0) -> None:
         if self.speed is not None and self._next != (samples or self._samples):
-            # From a coarse grid to a fine one: what is not due yet would delay the start.
+            # On a change from a coarse to a fine grid, steps that are not due yet would delay the start.
             self._anchor = (self._clock(), self.rig.ticks)
         self._steps, self._next = steps, samples or self._samples
 
@@ -279,7 +279,7 @@ class PowerStage:
             self.phase, self._recording = Phase.COMPLETE, False
             self.log("complete", capture=self.capture.number if self.capture else 0)
         self.state = PowerState.HOLDING
-        self._do(self.rig.off(self._samples) if self._off_after else self.rig.hold(self._samples))
+        self._set_steps(self.rig.off(self._samples) if self._off_after else self.rig.hold(self._samples))
 
     def _captured(self, step: Step) -> list[Message]:
         if self.state is not PowerState.RUNNING and not self._recording:
@@ -295,15 +295,15 @@ class PowerStage:
         return self.capture.take(step)
 
     def _watch(self, step: Step) -> None:
-        """What the step loop does not look at itself: energy, durations, bus voltage."""
+        """Check energy, durations and bus voltage, which the step loop does not."""
         if not self.energised or self._limits is None:
             return
         squares = float(np.einsum("nk,nk->", step.i_ab, step.i_ab, dtype=np.float64))
         self.energy_j += 1.5 * self.rig.nameplate.resistance_ohm * squares / self._fs
         duration_s = (self.rig.ticks - self._armed_at) / self._fs
-        for used, most in ((self.energy_j, self._limits.energy_j), (duration_s, self._limits.duration_s)):
-            if most is not None and used > most:
-                self.trip(Fault.LIMIT, used, most)
+        for used, limit in ((self.energy_j, self._limits.energy_j), (duration_s, self._limits.duration_s)):
+            if limit is not None and used > limit:
+                self.trip(Fault.LIMIT, used, limit)
         if self.state is PowerState.RUNNING and self.rig.ticks > self._due_at:
             taken, allowed = self.rig.ticks - self._begun_at, self._due_at - self._begun_at
             self.trip(Fault.PROGRAM_TOO_LONG, taken / self._fs, allowed / self._fs)
@@ -313,5 +313,5 @@ class PowerStage:
             self.trip(Fault.BUS_VOLTAGE, v_dc, edge)
 
 
-def _word(fault: Fault) -> str:
+def _name(fault: Fault) -> str:
     return fault.name.lower()

@@ -1,4 +1,4 @@
-"""What the device lets a program be, and what it keeps of it: judged by limits, modes and memory. Runs nothing."""
+"""Checks programs by the device's limits, modes and memory, and allocates their captures."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ from protocols import DriveRefused, Excitation, Injection, Trapezoid
 
 @dataclass(frozen=True)
 class DeviceSettings:
-    """The device's own size and pace."""
+    """The device's memory, speed and files."""
 
     memory_rows: int = 8192
-    """Rows of four int16 channels that its memory for captures holds."""
+    """Rows of four int16 channels in the capture memory."""
     ring: bool = True
-    """Whether a longer capture overwrites its oldest rows; else it is refused."""
+    """Whether a longer capture overwrites its oldest rows; otherwise it is refused."""
     block_bytes: int = 1020
     longest_program_s: float = 3600.0
     speed: float | None = 1.0
-    """Simulated seconds a second. None: as fast as can be, with captures kept whole (time that runs
-    ahead of the link would overwrite them)."""
+    """Simulated over wall time. None: as fast as possible, with whole captures kept (a ring would be
+    overwritten before the link has read it)."""
     directory: Path | None = None
-    """Where the plant's state is kept."""
+    """Folder for the plant's state."""
     interlocks: Path | None = None
-    """A file that names the interlock inputs that are open."""
+    """File that lists the open interlock inputs."""
 
 
 def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
-    """What the device says of itself beyond its capabilities."""
+    """Facts of the device beside its capabilities."""
     own = rig.capabilities
     bits = Capability.RIPPLE_ON_DRIVE | Capability.RAW_CAPTURE | Capability.F32_CAPTURE | Capability.RIPPLE_CURVATURE
     if settings.ring:
@@ -75,7 +75,7 @@ def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
 
 
 class Programs:
-    """From registers to excitations and captures; statuses say why not."""
+    """Converts registers to excitations and captures; a status gives the reason of a refusal."""
 
     def __init__(self, rig: Rig, file: RegisterFile, facts: DriveFacts, settings: DeviceSettings) -> None:
         self._rig, self._file, self._facts, self._settings = rig, file, facts, settings
@@ -87,15 +87,15 @@ class Programs:
             excitation = program_of(self._file.values())
         except ValueError:
             return AckStatus.OUT_OF_RANGE
-        # The PWM frequency as the device has it, not as a single carried it.
-        wanted_hz = excitation.pwm_frequency_hz
-        own_hz = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == wanted_hz), wanted_hz)
-        excitation = excitation.model_copy(update={"pwm_frequency_hz": own_hz})
+        # The device's exact PWM frequency instead of its rounding to a single.
+        single_hz = excitation.pwm_frequency_hz
+        exact_hz = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == single_hz), single_hz)
+        excitation = excitation.model_copy(update={"pwm_frequency_hz": exact_hz})
         status = self._judge(excitation)
         return excitation if status is AckStatus.OK else status
 
     def capture(self, rows: int, excitation: Excitation | None) -> Capture | AckStatus:
-        """Memory for so many rows, announced in the registers."""
+        """Memory for a number of rows, announced in the registers."""
         capture = self._capture(rows, excitation)
         if isinstance(capture, Capture):
             self._number = capture.number
@@ -105,7 +105,7 @@ class Programs:
         return capture
 
     def _judge(self, excitation: Excitation) -> AckStatus:
-        """Whether the limits, and the device's own, allow it."""
+        """Status of an excitation by the run's limits and the device's own."""
         own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
         if isinstance(excitation, Trapezoid) and excitation.periods > BOUNDS.max_trapezoid_periods:
             return AckStatus.TOO_LONG
@@ -122,7 +122,7 @@ class Programs:
         return AckStatus.OK
 
     def _capture(self, rows: int, excitation: Excitation | None) -> Capture | AckStatus:
-        """Memory for so many rows, and for the ripple of an injection."""
+        """Memory for a number of rows, and for the ripple of an injection."""
         number = self._number % LAST_CAPTURE + 1
         channels, f32 = Channel(int(self._file["capture_mask"])), bool(self._file["capture_format"])
         if channels & ~CHANNELS:

@@ -1,4 +1,4 @@
-"""The device sends telemetry by itself, each message at its own period. Holds no state but counters."""
+"""Periodic telemetry of the device, each message at its own period."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from plugins.wire import Fault, Measurement, Message, Phase, PowerState, Progres
 
 
 class Telemetry:
-    """Counts and due times of the periodic messages."""
+    """Sequence numbers and due times of the periodic messages."""
 
     def __init__(self, now_s: float) -> None:
         self._born_s = now_s
@@ -20,15 +20,15 @@ class Telemetry:
         self._phase: tuple[Phase, int] = (Phase.IDLE, 0)
 
     def status(
-        self, now_s: float, state: PowerState, cause: Fault, faults: int, beat: int, v_dc: float, warmth_c: int
+        self, now_s: float, state: PowerState, cause: Fault, faults: int, beat: int, v_dc: float, temperature_c: int
     ) -> Iterator[Message]:
-        """Status, when it is due or something has changed."""
+        """Status, when due or changed."""
         status = (state, cause, faults)
         if status == self._last_status and now_s < self._due_s:
             return
         self._last_status = status
         self._status = (self._status + 1) % 256
-        yield Status(state, cause, beat, faults, _volts(v_dc), warmth_c, self._status)
+        yield Status(state, cause, beat, faults, _volts(v_dc), temperature_c, self._status)
 
     def periodic(
         self,
@@ -39,7 +39,7 @@ class Telemetry:
         ticks: int,
         open_interlocks: int,
     ) -> Iterator[Message]:
-        """Measurement and clock, when they are due; `status` goes before."""
+        """Measurement and clock, when due; to be called after `status`."""
         if now_s >= self._due_s:
             self._due_s = now_s + period_s if now_s - self._due_s > period_s else self._due_s + period_s
             self._measurement = (self._measurement + 1) % 256
@@ -50,11 +50,11 @@ class Telemetry:
             yield self.tick(now_s, ticks)
 
     def wait_s(self, now_s: float) -> float:
-        """Until a message is due."""
+        """Time until a message is due [s]."""
         return max(0.0, min(self._due_s, self._tick_due_s) - now_s)
 
     def tick(self, now_s: float, ticks: int) -> Tick:
-        """The clock, now."""
+        """The present clock."""
         return Tick(ticks % (1 << 32), int((now_s - self._born_s) * 1e6) % (1 << 32))
 
     def progress(self, now_s: float, phase: Phase, capture: int, rows: int, running: bool) -> Iterator[Message]:

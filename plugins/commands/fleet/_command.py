@@ -14,7 +14,7 @@ from plugins.commands.fleet._run import run
 
 
 class _RunUnlessNamed(typer.core.TyperGroup):
-    """The group without a command's name: its arguments are those of `run`."""
+    """A group that passes arguments without a command's name to `run`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if not args or args[0] not in (*self.commands, *ctx.help_option_names):

@@ -1,4 +1,4 @@
-"""What the commands share that have workers fill a fleet's table: their options, and the work itself."""
+"""Shared by the commands that fill a fleet's table by workers: options and execution."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RetryFailed = Annotated[bool, typer.Option("--retry-failed", help="Repeat what f
 
 
 def complete(job: FleetJob | CampaignJob, what: str, scheduler: str | None, jobs: int | None, *, quiet: bool) -> None:
-    """Have the workers do what is left of a job; `what` describes all of it for the message."""
+    """Run a job's remaining items on the workers; `what` describes all items for the message."""
     from orchestrator.fleet import ClusterSettings, connected
 
     if not job.todo:

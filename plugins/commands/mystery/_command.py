@@ -34,12 +34,12 @@ def mystery(
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
     from orchestrator.runs import is_run
-    from plugins.commands.mystery._guessing import brought_about, judge, read_guess, sealed_effects
+    from plugins.commands.mystery._guessing import caused_effects, judge, read_guess, sealed_effects
 
     if number < 0:
         raise InputError("fluxbench mystery", str(number), WHOLE)
     if out is not None and not out.name:
-        raise InputError("--out", "", "expected a folder of its own")
+        raise InputError("--out", "", "expected a separate folder")
     path = out if out is not None else Path("runs") / f"mystery-{number}"
     if is_run(path):
         _refuse_another(number, path)
@@ -49,7 +49,7 @@ def mystery(
         raise InputError(str(path), "", f"no such mystery; `fluxbench mystery {number}` makes it")
     _refuse_unfinished(path)
     verdict = (
-        None if guess is None else judge(read_guess(guess), sealed_effects(path), _fitted(path), brought_about(path))
+        None if guess is None else judge(read_guess(guess), sealed_effects(path), _fitted(path), caused_effects(path))
     )
     hidden = sealed_effects(path) if reveal else None
     if as_json:
@@ -65,7 +65,7 @@ def mystery(
 def command(arguments: Sequence[str]) -> int:
     """Entry point of the command."""
     negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
-    if negative is not None:  # else it would be taken for an option
+    if negative is not None:  # otherwise it would be parsed as an option
         raise InputError("fluxbench mystery", negative, WHOLE)
     return entry_point(mystery)(arguments)
 
@@ -92,25 +92,25 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
 
 
 def _refuse_another(number: int, path: Path) -> None:
-    """Raise `InputError` where the run is not this mystery: its name, motor or seed is another."""
+    """Raise `InputError` where the run's name, motor or seed is not that of this mystery."""
     from orchestrator.runs import RunDirectory
 
-    measured, wanted = RunDirectory.open(path).record.procedure, procedure_of(number)
-    if (measured.name, measured.seed, measured.motor) != (wanted.name, wanted.seed, wanted.motor):
+    measured, expected = RunDirectory.open(path).record.procedure, procedure_of(number)
+    if (measured.name, measured.seed, measured.motor) != (expected.name, expected.seed, expected.motor):
         raise InputError(str(path), "", f"this run is not mystery {number}: it has another motor or seed")
 
 
 def _refuse_unfinished(path: Path) -> None:
-    """Raise `InputError` where there is something left to measure."""
+    """Raise `InputError` where the run is not complete."""
     from orchestrator.runs import RunDirectory
 
     ended = RunDirectory.open(path).ended()
     if ended is None or ended.outcome != "finished":
-        raise InputError(str(path), "", f"not measured to its end: `fluxbench resume {path}` comes first")
+        raise InputError(str(path), "", f"not measured to its end: run `fluxbench resume {path}` first")
 
 
 def procedure_of(number: int) -> Procedure:
-    """The campaign on the motor behind a number; nothing in it but the sealed plant depends on what is hidden."""
+    """The procedure for a mystery's motor; only its sealed plant depends on the hidden effects."""
     from orchestrator.config import load_procedure
     from plugins.commands.mystery._drawing import draw
     from protocols import DriveChoice, ProcedureMotor
@@ -127,7 +127,7 @@ def procedure_of(number: int) -> Procedure:
 
 
 def _run(number: int, path: Path, quiet: bool) -> BaseException | None:
-    """Run the drawn motor into a new directory; the error that ended it, where one did."""
+    """Run the drawn motor into a new directory; returns the error that ended it, if any."""
     from orchestrator.engine import AbsentOperator, RunServices, handling_signals, start_run
 
     with handling_signals() as interrupts:
@@ -139,8 +139,8 @@ def _print_verdict(verdict: Verdict) -> None:
     sizes = {size.name: size for size in verdict.sizes}
     for name in verdict.right:
         size = sizes.get(name)
-        size_text = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_off(size.ratio)}" if size else ""
-        _print_line(f"{name}: right{size_text}")
+        suffix = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_error(size.ratio)}" if size else ""
+        _print_line(f"{name}: right{suffix}")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
     if verdict.complete:
@@ -151,7 +151,7 @@ def _print_verdict(verdict: Verdict) -> None:
         _print_line(hidden if verdict.right or verdict.wrong else f"nothing: wrong; {hidden}")
 
 
-def _off(ratio: float | None) -> str:
+def _error(ratio: float | None) -> str:
     if ratio is None or ratio <= 0.0:
         return "of the wrong sign"
     if abs(ratio - 1.0) < 0.0005:
@@ -162,7 +162,7 @@ def _off(ratio: float | None) -> str:
 
 
 def _fitted(path: Path) -> dict[str, dict[str, float]]:
-    """Sizes of the recording's own model, where it has one."""
+    """Parameters of the recording's model, where it has one."""
     from orchestrator.recording import has_model, read_model
 
     effects = read_model(path).effects if has_model(path) else ()

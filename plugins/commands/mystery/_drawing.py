@@ -1,4 +1,4 @@
-"""From a number to a motor: its nameplate, what it truly is, and the effects in it. Nothing is run here."""
+"""Draws a motor by a number: its nameplate, its true plant and the hidden effects."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ Rng = np.random.Generator
 Parameters = dict[str, float]
 
 HOW_MANY = {0: 0.1, 1: 0.35, 2: 0.35, 3: 0.2}
-"""Probability of so many hidden effects."""
+"""Probability by the number of hidden effects."""
 
 
 @dataclass(frozen=True)
 class Mystery:
-    """A drawn motor: what everybody may know, and what is sealed."""
+    """A drawn motor with its public data and its sealed plant."""
 
     motor: Mapping[str, Any]
-    """The nameplate, as a procedure has it."""
+    """The nameplate in a procedure's form."""
     limits: Limits
     plant: Mapping[str, Any]
-    """The simulated drive's sealed option."""
+    """The simulated drive's sealed option `plant`."""
     seed: int
-    """Of the sensors' noise."""
+    """Seed of the sensors' noise."""
 
 
 def draw(number: int) -> Mystery:
@@ -53,7 +53,7 @@ def draw(number: int) -> Mystery:
 
 
 def _nameplate(rng: Rng) -> dict[str, Any]:
-    """A relative of the 400 W machine: other power, voltage, resistance and saliency."""
+    """A variant of the 400 W machine with other power, voltage, resistance and saliency."""
     size, volts = math.exp(rng.uniform(-0.7, 0.7)), rng.uniform(110.0, 200.0)
     amps = 1.66 * size * 139.3 / volts
     ohms = volts / 139.3 / (amps / 1.66)
@@ -80,7 +80,7 @@ def _digits(value: float) -> float:
 
 
 def _between(rng: Rng, low: float, high: float) -> float:
-    """Log-uniform, three digits."""
+    """A log-uniform value, rounded to three digits."""
     return _digits(math.exp(rng.uniform(math.log(low), math.log(high))))
 
 
@@ -97,7 +97,7 @@ def _volts(motor: Mapping[str, Any]) -> float:
 
 
 MIN_ANGLE_RAD = 0.01
-"""Of a rotor that is misaligned by more than the alignment's own error, electrical."""
+"""Smallest misalignment (electrical), above the error of the alignment itself."""
 
 
 def _dead_time(rng: Rng, m: Mapping[str, Any]) -> Parameters:
@@ -154,4 +154,4 @@ _SIZES: Mapping[str, Callable[[Rng, Mapping[str, Any]], Parameters]] = {
     "voltage_delay": lambda r, m: {"delay_s": _between(r, 3e-6, 50e-6)},
     "winding_heating": _heating,
 }
-"""Each effect's parameters, the one by which guesses are judged first."""
+"""Parameters of each effect, first the one by which guesses are judged."""

@@ -1,4 +1,4 @@
-"""A guess held against the sealed answer: which names are right, and how far off the sizes are."""
+"""Compares a guess with the sealed answer: correct names, and ratios of sizes."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Effects = Mapping[str, Mapping[str, float]]
 
 
 class Guess(Strict):
-    """One name, and its size where one was given."""
+    """A guessed effect, optionally with a size."""
 
     name: str
     size: float | None = None
 
 
 class GuessedSize(Strict):
-    """How far off a size is."""
+    """A guessed size and its ratio to the true one."""
 
     name: str
     parameter: str
@@ -35,7 +35,7 @@ class GuessedSize(Strict):
 
 
 class Verdict(Strict):
-    """How right a guess is, without saying more than that."""
+    """Result of a guess, without revealing other effects."""
 
     right: tuple[str, ...]
     wrong: tuple[str, ...]
@@ -49,19 +49,19 @@ class Verdict(Strict):
 
 
 def read_guess(words: str) -> tuple[Guess, ...]:
-    """`dead_time,hysteresis=0.03` as guesses, `nothing` as none.
+    """Parse guesses such as `dead_time,hysteresis=0.03`; `nothing` gives an empty tuple.
 
     Raises
     ------
     InputError
-        A name that no installed effect has, one given twice, or a size that is no number.
+        For an unknown effect, a repeated name, or a size that is not a number.
     """
     if words.strip() == NOTHING:
         return ()
     names = [info.name for info in installed(PluginKind.EFFECTS)]
     guesses: dict[str, Guess] = {}
     if NOTHING in (part.partition("=")[0].strip() for part in words.split(",")):
-        raise InputError("--guess", NOTHING, "stands alone: say it, or the names of what you found")
+        raise InputError("--guess", NOTHING, "cannot be combined: give it alone, or the names of the effects found")
     for word in filter(None, (part.strip() for part in words.split(","))):
         name, equals, size = (part.strip() for part in word.partition("="))
         if name not in names:
@@ -72,25 +72,25 @@ def read_guess(words: str) -> tuple[Guess, ...]:
             raise InputError("--guess", name, "given twice")
         guesses[name] = Guess(name=name, size=_number(name, size) if equals else None)
     if not guesses:
-        raise InputError("--guess", "", f"empty; say {NOTHING} where you found none")
+        raise InputError("--guess", "", f"empty; give {NOTHING} if you found none")
     return tuple(guesses.values())
 
 
 def sealed_effects(run: Path) -> Effects:
-    """The hidden effects and their parameters, out of the private directory beside a run.
+    """The hidden effects and their parameters, from the private directory beside a run.
 
     Raises
     ------
     RecordingError
-        Where there is no run, or its secrets are gone.
+        Where there is no run, or its private directory is missing.
     """
     plant: Mapping[str, Any] = RunDirectory.open(run).procedure().drive.options["plant"]
     hidden = {name: parameters for name, parameters in plant.get("effects", {}).items() if parameters is not None}
     return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in hidden.items()}
 
 
-def brought_about(run: Path) -> Effects:
-    """What the run itself made of the bench: the angle at which the rotor came to rest, where it counts."""
+def caused_effects(run: Path) -> Effects:
+    """Effects that the run itself caused: the rotor's rest angle, where it is large enough."""
     from plugins.drives.simulated import misalignment
 
     angle = misalignment(private_directory(run.resolve()))
@@ -100,15 +100,15 @@ def brought_about(run: Path) -> Effects:
 
 
 def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, extra: Effects | None = None) -> Verdict:
-    """Hold guesses against what is hidden.
+    """Compare guesses with the hidden effects.
 
     Parameters
     ----------
     fitted : mapping
         Parameters of the recording's model: they replace sizes that were not given.
     extra : mapping, optional
-        What the run brought about (`brought_about`): right where it is guessed, as large as it came to be, and not
-        missing where it is not.
+        Effects that the run itself caused (`caused_effects`): correct where they are guessed, but not missing where
+        they are not.
     """
     guesses = tuple(guesses)
     true = {**hidden, **(extra or {})}
@@ -123,7 +123,7 @@ def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, extra: Eff
 
 
 def _size(guess: Guess, true: Mapping[str, float], fitted: Mapping[str, float]) -> GuessedSize | None:
-    """Judged by the first parameter, or the larger of two phases'."""
+    """Size of a guess, by the first parameter or the larger one of two phases."""
     phases = [name for name in true if name.startswith(("offset_", "bias_", "extra_a_", "extra_b_"))]
     parameter = max(phases, key=lambda name: abs(true[name])) if phases else next(iter(true))
     guessed = guess.size if guess.size is not None else fitted.get(parameter)
@@ -140,6 +140,6 @@ def _number(name: str, text: str) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise InputError(
-            "--guess", name, f"{text!r} is no number; expected the size of its first parameter, in SI units"
+            "--guess", name, f"{text!r} is not a number; expected the size of its first parameter, in SI units"
         )
     return value

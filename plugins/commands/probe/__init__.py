@@ -1,4 +1,4 @@
-"""`fluxbench probe`: which drives there are on this machine's ports and buses. Reads only; moves nothing."""
+"""`fluxbench probe`: finds drives on this machine's ports and buses; reads only, moves nothing."""
 
 from plugins.commands.probe._finding import Found, can_bus, found_on, links_of_this_machine, serial_line
 

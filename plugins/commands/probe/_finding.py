@@ -1,4 +1,4 @@
-"""Asks on a link who is there: register reads and the description, which no drive minds in any state."""
+"""Finds drives on a link by reading registers and the description, which is harmless in every state."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from plugins.wire import MAX_NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_
 from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultCause
 
 _NOT_PROBED = ("serial", "virtual")
-"""Interfaces of python-can on every serial port, and within this process alone."""
+"""Interfaces of python-can that are not probed: any serial port, and buses within this process."""
 
 
 @dataclass(frozen=True)
 class LinkName:
-    """A link that may be opened, and how a procedure names it."""
+    """A link to be probed, and its settings in a procedure."""
 
     text: str
     settings: dict[str, Any]
-    """Options of the drive plugin, its name among them."""
+    """Options of the drive plugin, with its name."""
     open: Callable[[int], Port]
-    """For the drive of this number."""
-    most: int = 1
-    """Drives that may be there."""
+    """Opens a port to the drive with this node number."""
+    max_drives: int = 1
+    """Largest number of drives on the link."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Found:
     answer_timeout_s: ClassVar[float] = 0.4
     """Time after which a silent drive counts as absent."""
     node_answer_timeout_s: ClassVar[float] = 0.2
-    """The same for each drive that might be on a bus: most are not there."""
+    """As `answer_timeout_s`, for each possible drive of a bus, most of which are absent."""
     telemetry_timeout_s: ClassVar[float] = 0.3
-    """Time in which a reading has to come."""
+    """Time in which telemetry has to arrive."""
     longest_period_s: ClassVar[float] = 10.0
     """Longest supported period of telemetry."""
 
@@ -55,7 +55,7 @@ class Found:
     @property
     def settings(self) -> dict[str, Any]:
         """Options of the drive plugin for this drive."""
-        return self.link.settings | ({"node": self.node} if self.link.most > 1 else {})
+        return self.link.settings | ({"node": self.node} if self.link.max_drives > 1 else {})
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -63,7 +63,7 @@ class Found:
         return () if self.status is None else fault_names(self.status)
 
     def as_json(self) -> dict[str, Any]:
-        """The same for `--json`."""
+        """The drive for `--json`."""
         status = self.status
         telemetry = status and {
             "state": status.state.name.lower(),
@@ -106,12 +106,12 @@ def can_bus(interface: str, channel: str, bitrate: int, fd: bool) -> LinkName:
 
 
 def links_of_this_machine(baud_rate: int, bitrate: int, fd: bool) -> list[LinkName]:
-    """All serial ports and CAN channels that pyserial and python-can know of here."""
+    """All serial ports and CAN channels that pyserial and python-can detect."""
     import can
     from serial.tools import list_ports
 
     lines = [serial_line(port.device, baud_rate) for port in sorted(list_ports.comports())]
-    with _hushed("can"):
+    with _without_logging("can"):
         buses = can.detect_available_configs()
     return lines + [
         can_bus(str(bus["interface"]), str(bus["channel"]), bitrate, fd)
@@ -121,8 +121,8 @@ def links_of_this_machine(baud_rate: int, bitrate: int, fd: bool) -> list[LinkNa
 
 
 @contextmanager
-def _hushed(logger: str) -> Iterator[None]:
-    """Without the complaints of interfaces whose drivers are not installed."""
+def _without_logging(logger: str) -> Iterator[None]:
+    """Suppress log messages of interfaces whose drivers are not installed."""
     log = logging.getLogger(logger)
     level = log.level
     log.setLevel(logging.CRITICAL + 1)
@@ -135,13 +135,13 @@ def _hushed(logger: str) -> Iterator[None]:
 
 
 def found_on(name: LinkName) -> list[Found | DriveError]:
-    """The drives on this link, and what kept others from being understood.
+    """The drives on this link, and errors of incompatible ones.
 
-    Raises `DriveFault` where the link cannot be opened or nobody answers.
+    Raises `DriveFault` where the link cannot be opened or no drive answers.
     """
     results: list[Found | DriveError] = []
     silence: DriveFault | None = None
-    for node in range(name.most):
+    for node in range(name.max_drives):
         try:
             results.append(_found(name, node))
         except DriveFault as fault:
@@ -166,15 +166,16 @@ def _found(name: LinkName, node: int) -> Found:
 
 
 def _identified(name: LinkName, node: int, link: Link) -> Found:
-    host = Host(link, Found.answer_timeout_s if name.most == 1 else Found.node_answer_timeout_s)
+    host = Host(link, Found.answer_timeout_s if name.max_drives == 1 else Found.node_answer_timeout_s)
     major = host.read("protocol_major")
     if major != PROTOCOL_MAJOR:
         where = link.port.where
-        raise DriveRefused(f"{where}: a drive that speaks version {major:g} of the protocol, not {PROTOCOL_MAJOR}")
-    own = host.own_registers()
-    scales = facts_of(own).scales
-    description = host.description(own, link.port.layout(int(own["bulk_block_bytes"])))
+        raise DriveRefused(f"{where}: a drive with version {major:g} of the protocol, not {PROTOCOL_MAJOR}")
+    registers = host.own_registers()
+    scales = facts_of(registers).scales
+    description = host.description(registers, link.port.layout(int(registers["bulk_block_bytes"])))
     news = link.news
     link.wait(lambda: news.status is not None and news.measurement is not None, Found.telemetry_timeout_s)
     current = news.measurement and (scales.current_a * news.measurement.i_d, scales.current_a * news.measurement.i_q)
-    return Found(name, node, capabilities_of(own, description, None), description, own, news.status, current)
+    capabilities = capabilities_of(registers, description, None)
+    return Found(name, node, capabilities, description, registers, news.status, current)

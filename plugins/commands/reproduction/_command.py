@@ -11,7 +11,7 @@ from plugins.command_line import entry_point
 
 
 def reproduce(
-    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else made.")] = Path("runs/paper"),
+    run: Annotated[Path, typer.Option(help="Run directory: read if it exists, else created.")] = Path("runs/paper"),
     out: Annotated[Path, typer.Option(help="Folder for the page and its figures.")] = Path("runs/paper-page"),
     literal: Annotated[
         bool,

@@ -1,4 +1,4 @@
-"""The paper's figures, drawn from one run: a PNG each, in the paper's order and with its axes. Computes nothing."""
+"""The paper's figures, drawn from one run: one PNG each, in the paper's order and with its axes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# The paper's own blue, green and red.
+# The colours of the paper: blue, green and red.
 D_COLOUR, Q_COLOUR, ZERO_COLOUR = BLUE, GREEN, VERMILION
 FLUX_LABELS = {"d": r"$\psi_d - \psi_M$ [mWb]", "q": r"$\psi_q$ [mWb]"}
 
@@ -80,7 +80,7 @@ def _processing(material: Material) -> Figure:
 
 
 def _centred(loop: Loop) -> Array:
-    """The loop's flux, level with the averaged curve."""
+    """The loop's flux, shifted to the mean of the averaged curve."""
     order = np.argsort(loop.mean_current)
     on_curve = np.interp(loop.current, loop.mean_current[order], loop.mean[order])
     return np.asarray(loop.compensated - np.mean(loop.compensated - on_curve))
@@ -134,9 +134,9 @@ def _inductances(material: Material) -> Figure:
         figure.subplots(1, 3), {"l_dd": "L_{dd}", "l_qq": "L_{qq}", "l_dq": "L_{dq}"}.items(), strict=True
     ):
         values = 1e3 * np.asarray(getattr(grid, key))
-        there = np.isfinite(values) & np.isfinite(psi_d) & np.isfinite(psi_q)
-        scale = signed_scale(values[there]) if key == "l_dq" else {"cmap": "YlGnBu"}
-        contours = axes.tricontourf(psi_d[there], psi_q[there], values[there], levels=14, **scale)
+        is_known = np.isfinite(values) & np.isfinite(psi_d) & np.isfinite(psi_q)
+        scale = signed_scale(values[is_known]) if key == "l_dq" else {"cmap": "YlGnBu"}
+        contours = axes.tricontourf(psi_d[is_known], psi_q[is_known], values[is_known], levels=14, **scale)
         figure.colorbar(contours, ax=axes).set_label("mH")
         axes.set_title(f"${name}$", fontsize=STYLE.small_pt)
         name_axes(bare(axes), *FLUX_LABELS.values())

@@ -1,4 +1,4 @@
-"""What the page is made of: one run of the paper's procedure, estimated anew. Draws nothing."""
+"""Data of the page: one run of the paper's procedure, estimated again."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ NEEDED = ("classical", "injection", "energy")
 
 @dataclass(frozen=True)
 class Loop:
-    """Flux along one axis, the other held at zero, three ways; fluxes start at zero.
+    """Flux along one axis at zero current on the other, by three evaluations, each with zero initial flux.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class Loop:
     uncompensated, compensated : array, shape (n,)
         Integrated over all periods in succession [Wb].
     mean_current, mean : array, shape (m,)
-        Average of all points of one current, zero at zero current.
+        Average over points of equal current, zero at zero current.
     """
 
     axis: str
@@ -73,16 +73,16 @@ class Material:
     resistance_ohm : tuple of float
         R_s at the beginning and at the end of the classical sweep.
     estimates : dict of FluxMapEstimate
-        By method.
+        Estimates by method.
     difference_percent : float or None
-        Classical against injection.
+        Rms difference of the maps by the classical method and by injection.
     trajectories : tuple of array, shape (n, 3)
-        Time and current (d, q) of one period: on q, on d, on both axes.
+        Time and current (d, q) of one period: along q, along d, along both axes.
     sweeps : tuple of array, shape (n, 4)
         Current and flux (d, q) along each classical path, averaged.
     loops : tuple of Loop
     truth : TrueMagnetics
-        The plant's, for the last column of the page alone.
+        The plant's magnetics, for the last table of the page only.
     samples : int
     """
 
@@ -98,21 +98,21 @@ class Material:
 
     @property
     def rated_wb(self) -> float:
-        """|psi(rated i_q) - psi(0, 0)| as the plant has it, what percentages refer to."""
+        """The plant's |psi(rated i_q) - psi(0, 0)|, the reference of percentages [Wb]."""
         ends = self.truth.flux(np.array([[0.0, self.motor.rated_current_a or 1.0], [0.0, 0.0]]))
         return float(np.linalg.norm(ends[0] - ends[1]))
 
     def error_percent(self, method: str) -> tuple[float, float]:
-        """rms and largest distance of a map from the plant's, over the map's grid, in per cent of the rated flux."""
+        """Rms and largest distance of a map from the plant's, over its grid, in percent of the rated flux."""
         grid = self.estimates[method].map
         nodes = np.stack(np.meshgrid(grid.i_d, grid.i_q, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
         psi = np.column_stack([grid.psi_d.ravel(), grid.psi_q.ravel()])
         inside = np.isfinite(psi).all(axis=1)
         zero = np.zeros((1, 2))
-        own = psi[inside] - flux_at(grid)(zero)
+        estimated = psi[inside] - flux_at(grid)(zero)
         true = self.truth.flux(nodes[inside]) - self.truth.flux(zero)
-        off = 100.0 / self.rated_wb * np.linalg.norm(own - true, axis=1)
-        return float(np.sqrt(np.mean(off**2))), float(off.max())
+        error_percent = 100.0 / self.rated_wb * np.linalg.norm(estimated - true, axis=1)
+        return float(np.sqrt(np.mean(error_percent**2))), float(error_percent.max())
 
 
 def collect(directory: Path) -> Material:
@@ -121,7 +121,7 @@ def collect(directory: Path) -> Material:
     Raises
     ------
     RecordingError
-        Where the run is not of the simulated drive, or lacks a sweep that the paper has.
+        Where the run is not of the simulated drive, or lacks a sweep of the paper.
     """
     run = RunDirectory.open(directory)
     procedure = run.procedure()
@@ -194,7 +194,7 @@ def _axis_trace(segments: Sequence[Segment], traces: list[SweepTrace], axis: str
 
 
 def _levelled(traces: list[SweepTrace], losses: VoltageLosses, level: FluxMap) -> tuple[Array, ...]:
-    """Current and mean flux along each path, its constant taken from the map."""
+    """Current and mean flux along each path, with its constant from the map."""
     out = []
     for trace in traces:
         path = sweep_of(trace, losses.flux(trace)).path

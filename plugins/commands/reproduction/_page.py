@@ -1,4 +1,4 @@
-"""The page: each figure and table of the paper with its printed numbers beside those of a run."""
+"""The page: the paper's figures and tables, with its printed numbers beside those of a run."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ and everything in which the two differ is on [a page of its own](literal.md)."""
 def write_page(material: Material, folder: Path, *, literal: bool = False) -> Path:
     """Write the page and its figures into a folder; returns the page's path.
 
-    With `literal` it names the page beside it.
+    With `literal` it links to the literal page.
     """
     folder.mkdir(parents=True, exist_ok=True)
     names = draw_all(material, folder)
@@ -98,8 +98,8 @@ def _number_table(material: Material) -> str:
     for axis, word in (("d", "even"), ("q", "odd")):
         ours = f"{_percent(injection.parity, axis)} (classical: {_percent(classical.parity, axis)})"
         rows.append((f"psi_{axis} {word} in i_q, largest departure", '"satisfied"', ours))
-    apart = material.difference_percent
-    rows.append(("injection against classical", "small differences", f"{_two_decimals(apart)} rms"))
+    difference = material.difference_percent
+    rows.append(("injection against classical", "small differences", f"{_two_decimals(difference)} rms"))
     points = len(material.estimates["injection"].points.i_dq)
     rows.append(("operating points of the injection, 5 s each", "about 0.1 A apart", f"{points}"))
     return markdown_table(("", "paper", "here"), rows)
@@ -123,5 +123,5 @@ def _percent(figures: AxisPercent | None, axis: str) -> str:
 
 
 def _two_decimals(value: float | None) -> str:
-    """As the paper's own figures need to be compared with, whatever their size."""
+    """A percentage with two decimals, as in the paper."""
     return UNKNOWN if value is None else f"{fixed(value, 2)} %"

@@ -1,5 +1,5 @@
-"""The operator's page: procedures started, followed, answered and stopped from a browser on this machine.
+"""The operator's page: start, monitor, answer and stop procedures from a browser on this machine.
 
-The run is a process of its own (`fluxbench run --remote page`); the server here only shows what that says, and hands on
-what a person answers. Where the server is gone, the run stops by itself.
+The run is a separate process (`fluxbench run --remote page`). The server displays its output and forwards answers. If
+the server ends, the run stops by itself.
 """

@@ -1,4 +1,4 @@
-"""The page's addresses: what is read by GET, what changes something by POST."""
+"""The page's addresses: GET reads, POST changes something."""
 
 from __future__ import annotations
 
@@ -33,24 +33,24 @@ ASSETS = {
 }
 MAX_BODY_BYTES = 1 << 16
 REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-"""A report holds texts from outside: nothing in it is run."""
+"""A report contains foreign text: no script in it is executed."""
 
 
 def page_app(run: RunOfThePage, folder: Path, token: str) -> Starlette:
-    """The application for one folder, behind its guard."""
+    """The application for one folder, protected by `Guard`."""
     page = _Page(run, folder)
     read = {"choices": page.choices, "events": page.events, "report/{run}": page.report}
     changing = (page.check, page.start, page.resume, page.answer, page.stop)
     routes = [
         *(Route(f"/{path}", _asset(*asset), methods=["GET"]) for path, asset in ASSETS.items()),
-        *(Route(f"/{path}", _in_words(call), methods=["GET"]) for path, call in read.items()),
-        *(Route(f"/{call.__name__}", _in_words(call), methods=["POST"]) for call in changing),
+        *(Route(f"/{path}", _with_errors(call), methods=["GET"]) for path, call in read.items()),
+        *(Route(f"/{call.__name__}", _with_errors(call), methods=["POST"]) for call in changing),
     ]
     return Starlette(routes=routes, middleware=[Middleware(Guard, token=token)])
 
 
 class _Page:
-    """What is done at each address, by the address' name."""
+    """Handlers of the addresses, named like them."""
 
     def __init__(self, run: RunOfThePage, folder: Path) -> None:
         self._run, self._folder = run, folder
@@ -106,8 +106,8 @@ def _asset(name: str, media_type: str) -> Endpoint:
     return asset
 
 
-def _in_words(call: Endpoint) -> Endpoint:
-    """What is wrong with a request is one line, and a status."""
+def _with_errors(call: Endpoint) -> Endpoint:
+    """Endpoint that reports a request's error as one line with a status."""
 
     async def answered(request: Request) -> Response:
         try:
@@ -125,7 +125,7 @@ def _problem(message: str, status: int) -> Response:
 
 
 async def _body(request: Request, model: type[T]) -> T:
-    """What a request asks for; raises `InputError`."""
+    """A request's body as `model`; raises `InputError`."""
     raw = b""
     async for part in request.stream():
         raw += part

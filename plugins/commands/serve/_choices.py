@@ -1,4 +1,4 @@
-"""What the page offers to choose from: procedures, motors, drives, runs. Reads, and starts nothing."""
+"""The page's choices: procedures, motors, drives and runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REPORT = "report.html"
 
 
 def choices(folder: Path) -> dict[str, Any]:
-    """All of it, for the page, with each file's error beside its name."""
+    """All choices for the page, with each file's error beside its name."""
     return {
         "folder": shown(str(folder)),
         "procedures": [*_procedures(folder)],
@@ -30,19 +30,19 @@ def choices(folder: Path) -> dict[str, Any]:
 
 
 def procedure_word(folder: Path, name: str) -> str:
-    """A procedure of the list as `run` takes it; raises `InputError` where it is none of them."""
+    """Argument of `run` for a listed procedure; raises `InputError` for others."""
     if name in shipped_procedures():
         return name
     return _file_word(folder, name, "procedure", _has_stages)
 
 
 def motor_word(folder: Path, name: str) -> str:
-    """A motor file of the list as ``--motor`` takes it; raises `InputError` where it is none of them."""
+    """Argument of ``--motor`` for a listed motor file; raises `InputError` for others."""
     return _file_word(folder, name, "motor", lambda text: not _has_stages(text))
 
 
 def run_folder(folder: Path, name: str) -> Path:
-    """A run of the list; raises `InputError` where it is none of them."""
+    """Folder of a listed run; raises `InputError` for others."""
     place = folder / RUNS / name
     if name in ("", ".", "..") or Path(name).name != name or not (place / "run.json").is_file():
         raise InputError("runs", "", "no such run")
@@ -70,26 +70,26 @@ def _choice(name: str, word: str, summary: Callable[[str], str | None]) -> dict[
         return {"name": name, "summary": "", "problem": shown(str(error))}
 
 
-def _runs(folder: Path, most: int = 30) -> list[dict[str, Any]]:
-    """The newest first."""
+def _runs(folder: Path, max_runs: int = 30) -> list[dict[str, Any]]:
+    """Up to `max_runs` runs, the newest first."""
     if not (folder / RUNS).is_dir():
         return []
     rows = sorted(run_rows(folder / RUNS, lambda _: None), key=lambda row: row["created"], reverse=True)
     below = [row | {"run": Path(row["run"]).name} for row in rows if Path(row["run"]).parent == folder / RUNS]
-    shortened: list[dict[str, Any]] = [{key: shown(value) for key, value in row.items()} for row in below[:most]]
+    shortened: list[dict[str, Any]] = [{key: shown(value) for key, value in row.items()} for row in below[:max_runs]]
     for row in shortened:
         row["has_report"] = (folder / RUNS / row["run"] / REPORT).is_file()
     return shortened
 
 
-def _files(folder: Path, largest: int = 1 << 20) -> Iterator[tuple[str, str]]:
-    """Name and text of each YAML file in the folder, and in folders in it but the runs'."""
+def _files(folder: Path, max_bytes: int = 1 << 20) -> Iterator[tuple[str, str]]:
+    """Name and text of each YAML file in the folder and its subfolders, except the runs'."""
     for file in sorted([*folder.glob("*.y*ml"), *folder.glob("[!.]*/*.y*ml")]):
         name = file.relative_to(folder)
-        if name.parts[0] == RUNS or not file.is_file() or file.stat().st_size > largest:
+        if name.parts[0] == RUNS or not file.is_file() or file.stat().st_size > max_bytes:
             continue
         try:
-            yield str(name), read_text(file, largest)
+            yield str(name), read_text(file, max_bytes)
         except (OSError, UnicodeDecodeError):
             continue
 

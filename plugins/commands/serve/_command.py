@@ -18,7 +18,7 @@ def serve(
     ] = Path(),
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen on; 0: any free port.")] = 0,
 ) -> int:
-    """Start, follow, answer and stop runs from a browser on this machine. Ctrl-C ends it, and a run that is going."""
+    """Start, follow, answer and stop runs from a browser on this machine. Ctrl-C ends the server and an active run."""
     from orchestrator.formatting.sentences import shown
     from plugins.commands.serve._server import serve_page
     from protocols import InputError

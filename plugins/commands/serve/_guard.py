@@ -1,4 +1,4 @@
-"""Who may speak to the page: whoever has the token, from this machine, on a page of ours; nobody else is answered."""
+"""Access control of the page: requests need the token, a local host name and the page's origin."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 HOSTS = ("127.0.0.1", "localhost")
-"""Names that lead here and nowhere else: under any other one a foreign page has had this address resolved."""
+"""Host names that can only mean this machine; any other name may stem from DNS rebinding by a foreign page."""
 POLICY = "default-src 'self'; img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -24,15 +24,15 @@ HEADERS = {
 
 
 def new_token() -> str:
-    """256 bits that nobody guesses, as a word of a URL."""
+    """A random token of 256 bits for a URL."""
     return secrets.token_urlsafe(32)
 
 
 class Guard:
-    """Lets requests through that carry the token: once in the URL of the page, from then on in a cookie.
+    """Passes requests with the token: once in the page's URL, afterwards in a cookie.
 
-    Others get 403, and so do requests under a foreign name of this machine (DNS rebinding) and what changes something
-    and comes from another origin than the page.
+    Other requests get 403, as do those with a foreign host name (DNS rebinding), and changing requests from another
+    origin than the page.
     """
 
     def __init__(self, app: ASGIApp, token: str) -> None:
@@ -44,9 +44,9 @@ class Guard:
         if scope["type"] != "http":
             return None
         request = Request(scope)
-        comes_in = request.method == "GET" and scope["path"] == "/"
-        comes_in = comes_in and self._matches(request.query_params.get("token", ""))
-        problem = self._problem(request, comes_in)
+        is_entry = request.method == "GET" and scope["path"] == "/"
+        is_entry = is_entry and self._matches(request.query_params.get("token", ""))
+        problem = self._problem(request, is_entry)
         app = self._app if problem is None else PlainTextResponse(f"{problem}\n", 403)
 
         async def answer(message: Message) -> None:
@@ -54,19 +54,19 @@ class Guard:
                 headers = MutableHeaders(scope=message)
                 for name, value in HEADERS.items():
                     headers.setdefault(name, value)
-                if comes_in and problem is None:
+                if is_entry and problem is None:
                     cookie = f"{_cookie(request)}={self._token}; Path=/; HttpOnly; SameSite=Strict"
                     headers.append("Set-Cookie", cookie)
             await send(message)
 
         return await app(scope, receive, answer)
 
-    def _problem(self, request: Request, comes_in: bool) -> str | None:
-        """Why a request is not answered; None where it is."""
+    def _problem(self, request: Request, is_entry: bool) -> str | None:
+        """Reason for refusing a request, or None."""
         host = request.headers.get("host", "")
         if _name_of(host) not in HOSTS:
             return "not under this name"
-        if not comes_in and not self._matches(request.cookies.get(_cookie(request), "")):
+        if not is_entry and not self._matches(request.cookies.get(_cookie(request), "")):
             return "token missing or wrong: open the address that `fluxbench serve` has printed"
         if request.method not in ("GET", "HEAD") and request.headers.get("origin") != f"http://{host}":
             return "not from this page"
@@ -84,6 +84,6 @@ def _name_of(host: str) -> str | None:
 
 
 def _cookie(request: Request) -> str:
-    """A name of its own for each server of this machine: cookies know hosts, not ports."""
+    """A cookie name with the server's port, since cookies distinguish hosts, not ports."""
     server = request.scope.get("server") or ("", 0)
     return f"fluxbench_{server[1]}"

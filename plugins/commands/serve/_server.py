@@ -1,4 +1,4 @@
-"""The process that serves the page: its socket, its address, and its end."""
+"""The server process of the page: socket, address and shutdown."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from protocols import InputError
 
 
 def serve_page(folder: Path, host: str, port: int) -> int:
-    """Print the address with its token, and serve until a signal; a run that is going is stopped then.
+    """Print the address with its token, and serve until a signal, which stops an active run.
 
     Raises
     ------
@@ -35,7 +35,7 @@ async def _serve(folder: Path, listening: socket.socket) -> int:
     token, run = new_token(), RunOfThePage(folder)
     config = uvicorn.Config(
         page_app(run, folder, token),
-        access_log=False,  # addresses hold the token
+        access_log=False,  # addresses contain the token
         log_config=None,
         log_level="critical",
         server_header=False,
@@ -44,18 +44,18 @@ async def _serve(folder: Path, listening: socket.socket) -> int:
     )
     host, port = listening.getsockname()
     print(f"http://{host}:{port}/?token={token}", flush=True)
-    _tell(f"open this address in a browser on this machine, for {shown(str(folder))}")
-    _tell("Ctrl-C ends it, and a run that is going")
+    _print_message(f"open this address in a browser on this machine, for {shown(str(folder))}")
+    _print_message("Ctrl-C ends the server and an active run")
     server = _Server(config)
     _end_by_signals(server, run)
     await server.serve([listening])
     if run.is_going:
-        _tell("the run has not ended yet: it stops by itself")
+        _print_message("the run has not ended yet; it stops by itself")
     return 0
 
 
 class _Server(uvicorn.Server):
-    """A server that leaves signals alone."""
+    """A server that does not handle signals."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -63,12 +63,12 @@ class _Server(uvicorn.Server):
 
 
 def _end_by_signals(server: uvicorn.Server, run: RunOfThePage) -> None:
-    """The first signal stops a run that is going, and then the server; the second one the server at once."""
+    """Handle signals: the first stops an active run and then the server, the second the server at once."""
     ending: list[asyncio.Task[None]] = []
 
     async def end(name: str) -> None:
         if run.is_going:
-            _tell("stopping the run; once more leaves it to end by itself")
+            _print_message("stopping the run; another signal ends the server without waiting")
         await run.close(f"the page's server was ended by {name}")
         server.should_exit = True
 
@@ -93,6 +93,6 @@ def _bound(host: str, port: int) -> socket.socket:
     return listening
 
 
-def _tell(line: str) -> None:
-    with suppress(OSError):  # the terminal is gone
+def _print_message(line: str) -> None:
+    with suppress(OSError):  # the terminal has been closed
         print(f"fluxbench: {line}", file=sys.stderr, flush=True)

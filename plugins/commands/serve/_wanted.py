@@ -1,4 +1,4 @@
-"""What the page asks for, as it may come from a browser, and as words of the command line."""
+"""Requests of the page, as validated models and as command-line arguments."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Line = Annotated[str, Field(max_length=2000)]
 
 
 class Wanted(Strict):
-    """A procedure, and what goes over it."""
+    """A request for a run: a procedure with overrides."""
 
     procedure: Line
     motor: Line = ""
@@ -33,7 +33,7 @@ class Wanted(Strict):
         return " · ".join(part for part in (self.procedure, self.motor or "the procedure's motor", drive) if part)
 
     def checking(self, folder: Path) -> list[str]:
-        """The words of `fluxbench check`."""
+        """Arguments of `fluxbench check`."""
         words = ["check", procedure_word(folder, self.procedure), "--json"]
         if self.motor:
             words.append(f"--motor={motor_word(folder, self.motor)}")
@@ -42,13 +42,13 @@ class Wanted(Strict):
         return words + [f"--set={setting}" for setting in self.settings if setting.strip()]
 
     def running(self, folder: Path) -> list[str]:
-        """The words of `fluxbench run`, as far as they are the page's to say."""
-        _, procedure, _, *laid_over = self.checking(folder)
+        """Arguments of `fluxbench run` that the page determines."""
+        _, procedure, _, *overrides = self.checking(folder)
         about = {"serial": self.serial, "operator": self.operator, "note": self.note}
         options = [f"--{name}={value}" for name, value in about.items() if value.strip()]
         options += [f"--tag={tag}" for tag in self.tags if tag.strip()]
         options += [] if self.ambient_c is None else [f"--ambient={self.ambient_c}"]
-        return ["run", procedure, *laid_over, *options]
+        return ["run", procedure, *overrides, *options]
 
 
 class Answer(Strict):

@@ -1,4 +1,4 @@
-"""A CAN bus by any interface of python-can, classic or FD. Frames only; no protocol."""
+"""A CAN bus by any interface of python-can, classic or FD: sends and receives frames."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     import can
 
 _DAMAGED = (ValueError, TypeError, struct.error)
-"""What python-can's own parsers let through when a frame was cut off."""
+"""Errors that python-can's parsers raise on a truncated frame."""
 _CLASSIC_BLOCK_BITS = 135.0
-"""Bits on the bus for one block with the worst stuffing (docs/wire.md, Bandwidth)."""
+"""Bits on the bus for one block with the most bit stuffing (docs/wire.md, Bandwidth)."""
 _FD_SLOW_BITS = 36.0
 _FD_FAST_BITS = 680.0
 _FILTERS_IN_KERNEL = "socketcan"
-"""Other interfaces of python-can filter frame by frame, after all the work is done."""
+"""Interface that filters in the kernel; python-can's others filter each frame after parsing it."""
 _WITHOUT_BIT_RATE = ("virtual", "udp_multicast")
 """Interfaces without a bit rate."""
 
@@ -36,36 +36,36 @@ class CanPort:
     Parameters
     ----------
     interface, channel : str
-        As python-can names them.
+        Interface and channel in python-can's notation.
     bitrate : int
     node : int
-        Which of the bus's drives is talked to; the others are ignored.
+        Node number of the drive; frames of others are ignored.
     fd : bool
-        CAN FD: blocks of captures are 64 bytes long, everything else stays classic.
+        CAN FD: blocks of captures are FD frames of 64 bytes, all other frames are classic.
     data_bitrate : int
         Bit rate of an FD frame's data.
     settings : mapping
         Further arguments of the interface.
 
-    Raises python-can's own errors, and `InputError` for what the interface does not understand.
+    Raises python-can's own errors, and `InputError` for settings that the interface refuses.
     """
 
     max_batch_frames: ClassVar[int] = 512
-    """Frames taken at a time."""
+    """Largest number of frames received at a time."""
     max_batch_s: ClassVar[float] = 5e-3
-    """Longest time for that: frame by frame the rest of the host is too slow for CAN FD."""
+    """Longest CPU time for receiving a batch; single frames would be too slow for CAN FD."""
     max_errors_in_a_row: ClassVar[int] = 3
-    """Successive errors without a good frame; a frame damaged on the way counts as one."""
+    """Successive errors, damaged frames included, after which the bus is given up."""
     receive_buffer_bytes: ClassVar[int] = 4 << 20
-    """Requested from the kernel, which grants what it is allowed to."""
+    """Receive buffer requested from the kernel, which may grant less."""
     socket_frame_bytes: ClassVar[int] = 1280
-    """Most bytes that a frame takes of a socket's buffer: the kernel counts its own bookkeeping."""
+    """Largest size of a frame in a socket's buffer, with the kernel's bookkeeping."""
     min_request_blocks: ClassVar[int] = 16
-    """Fewest blocks in a request, however small the buffer."""
+    """Smallest number of blocks in a request, with any buffer."""
     block_load_ratio: ClassVar[float] = 0.8
-    """Part of the bus that telemetry, requests and repetitions leave to blocks."""
+    """Share of the bus for blocks, beside telemetry, requests and repetitions."""
     rest_of_frame_s: ClassVar[float] = 0.5
-    """python-can's serial format has no checksum: a frame given up half-way leaves bytes that look like another one."""
+    """Wait for the rest of a frame: python-can's serial format has no checksum, so the rest could pass as a frame."""
 
     def __init__(
         self,
@@ -128,7 +128,7 @@ class CanPort:
         return True
 
     def _sent(self, message: can.Message, deadline: float) -> bool:
-        """Whether the bus took it; a full queue of a bus that is busy is no error yet."""
+        """Whether the bus accepted the message by the deadline; a full queue is retried."""
         try:
             self._bus.send(message, timeout=max(1e-3, deadline - time.monotonic()))
         except self._can.CanTimeoutError:
@@ -166,7 +166,7 @@ class CanPort:
             if self._errors < CanPort.max_errors_in_a_row:
                 return None
             if isinstance(error, _DAMAGED):
-                raise self._can.CanOperationError(f"no whole frame any more ({error})") from error
+                raise self._can.CanOperationError(f"only damaged frames are received ({error})") from error
             raise
         if message is not None:
             self._errors = 0
@@ -177,25 +177,25 @@ class CanPort:
 
 
 def classic_rate(bitrate: int) -> float:
-    """Bytes of captures a second on a bus of classic frames."""
+    """Bytes of capture per second on a bus with classic frames."""
     return CanPort.block_load_ratio * CLASSIC_LAYOUT.block * bitrate / _CLASSIC_BLOCK_BITS
 
 
 def _widen_buffer(bus: can.BusABC) -> int | None:
-    """Frames that a socket now keeps while nobody reads; None where the bus is none. More are lost without a word."""
+    """Frames that a socket buffers before it silently drops some; None where the bus is not a socket."""
     try:
-        twin = socket.socket(fileno=bus.fileno())
+        duplicate = socket.socket(fileno=bus.fileno())
     except (OSError, NotImplementedError, ValueError):  # not every interface has a socket
         return None
     with suppress(OSError):
-        twin.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, CanPort.receive_buffer_bytes)
-    held = twin.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
-    twin.detach()
-    return held // CanPort.socket_frame_bytes
+        duplicate.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, CanPort.receive_buffer_bytes)
+    granted = duplicate.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    duplicate.detach()
+    return granted // CanPort.socket_frame_bytes
 
 
 def _poll_of(bus: can.BusABC) -> select.poll:
-    """Tells whether anything is there, for an interface whose `recv` does not heed the time that it is given."""
+    """Poll object for an interface whose `recv` ignores its timeout."""
     readable = select.poll()
     readable.register(bus.fileno(), select.POLLIN)
     return readable

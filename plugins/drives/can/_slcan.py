@@ -1,6 +1,6 @@
-"""A CAN bus behind a serial adapter (Lawicel's letters, `slcan`), classic frames only; no protocol.
+"""A CAN bus by a serial adapter (Lawicel's ASCII format, `slcan`): sends and receives classic frames.
 
-python-can has this interface too, but reads it letter by letter, and is slower than the bus.
+python-can's own `slcan` interface reads character by character and is slower than the bus.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from plugins.wire import CLASSIC_LAYOUT, BlockLayout, Frame, from_bus, on_bus
 from protocols import InputError
 
 SETTINGS = frozenset({"tty_baudrate", "sleep_after_open"})
-"""Those of python-can's interface that are heeded here."""
+"""Supported settings of python-can's interface."""
 BIT_RATES = {
     10_000: 0,
     20_000: 1,
@@ -28,9 +28,9 @@ BIT_RATES = {
     1_000_000: 8,
 }
 _ANSWER_END = re.compile(rb"[\r\a]")
-"""Of an answer: done, or refused; the latter shows as an answer that does not come."""
-_HEADER_LETTERS = 5
-"""Letters before a frame's data: t, three of the identifier, one of the length."""
+"""End of an answer: done (CR) or refused (BEL)."""
+_HEADER_CHARACTERS = 5
+"""Characters before a frame's data: t, three of the identifier, one of the length."""
 
 
 class SlcanPort:
@@ -42,17 +42,17 @@ class SlcanPort:
         The adapter's device, pseudo-terminal or ``socket://host:port``; ``@115200`` after it is its baud rate.
     bitrate : int
     bulk_rate : float
-        Bytes of captures a second that a bus of this bit rate carries.
+        Bytes of capture per second at this bit rate.
     node : int
-        Which of the bus's drives is talked to; the others are ignored.
+        Node number of the drive; frames of others are ignored.
     settings : mapping
-        `tty_baudrate`, and `sleep_after_open` [s] for adapters that are reset by being opened, as in python-can.
+        `tty_baudrate`, and `sleep_after_open` [s] for adapters that opening resets, as in python-can.
 
-    Raises pyserial's and the system's own errors, and `InputError` for what no adapter understands.
+    Raises pyserial's and the system's own errors, and `InputError` for settings that no adapter supports.
     """
 
     open_s: ClassVar[float] = 0.1
-    """An adapter that does not take three short commands within this time takes nothing."""
+    """Time in which an adapter has to accept three short commands."""
     default_baud_rate: ClassVar[int] = 115_200
     sleep_after_open_s: ClassVar[float] = 2.0
 
@@ -79,7 +79,7 @@ class SlcanPort:
         self._line = Line(device, baud_rate)
         time.sleep(float(options.get("sleep_after_open", SlcanPort.sleep_after_open_s)))
         self._rest = b""
-        self._before = b"\r"  # ends whatever the adapter has of an earlier command
+        self._before = b"\r"  # terminates an incomplete earlier command in the adapter
         self._line.write(b"\rC\rS%d\rO\r" % BIT_RATES[bitrate], SlcanPort.open_s)
 
     def layout(self, block_bytes: int) -> BlockLayout:
@@ -89,7 +89,7 @@ class SlcanPort:
         return self._bulk_rate
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
-        taken = self._line.write(self._before + self._in_letters(frames), timeout_s)
+        taken = self._line.write(self._before + self._encode(frames), timeout_s)
         self._before = b"" if taken else b"\r"
         return taken
 
@@ -97,9 +97,9 @@ class SlcanPort:
         return self._line.fileno()
 
     def as_written(self, frames: Sequence[Frame]) -> bytes:
-        return b"\r" + self._in_letters(frames)  # what the other process has begun ends here
+        return b"\r" + self._encode(frames)  # terminates an incomplete frame of the other process
 
-    def _in_letters(self, frames: Sequence[Frame]) -> bytes:
+    def _encode(self, frames: Sequence[Frame]) -> bytes:
         lines = (f"t{on_bus(id_, self._node):03X}{len(data)}{data.hex().upper()}\r" for id_, data in frames)
         return "".join(lines).encode("ascii")
 
@@ -108,12 +108,12 @@ class SlcanPort:
         return [frame for answer in answers if (frame := self._frame(answer)) is not None]
 
     def _frame(self, answer: bytes) -> Frame | None:
-        """None for what is no classic frame of this node, and for one that lost a letter."""
-        if answer[:1] != b"t" or len(answer) < _HEADER_LETTERS:
+        """Frame of this node in an answer; None for others and for damaged ones."""
+        if answer[:1] != b"t" or len(answer) < _HEADER_CHARACTERS:
             return None
         try:
             identifier = from_bus(int(answer[1:4], 16), self._node)
-            payload = bytes.fromhex(answer[_HEADER_LETTERS:].decode("ascii"))
+            payload = bytes.fromhex(answer[_HEADER_CHARACTERS:].decode("ascii"))
             fits = len(payload) == int(answer[4:5])
         except ValueError:
             return None

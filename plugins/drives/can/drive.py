@@ -1,4 +1,4 @@
-"""The drive `can`: the drive protocol on a CAN bus, by python-can. The protocol itself is in `plugins/wire`."""
+"""The drive `can`: the drive protocol of `plugins/wire` on a CAN bus, by python-can."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class CanOptions(LinkOptions):
     """Options of the drive `can`."""
 
     interface: Annotated[str, Field(min_length=1)] = "socketcan"
-    """As python-can names it."""
+    """python-can's name of the interface."""
     channel: Annotated[str, Field(min_length=1)]
     node: Annotated[int, Field(ge=0, lt=MAX_NODES)] = 0
-    """Which of the drives on the bus."""
+    """Node number of the drive on the bus."""
     bitrate: BitRate = 1_000_000
     fd: bool = False
-    """CAN FD: captures come in frames of 64 bytes."""
+    """CAN FD: captures are sent in frames of 64 bytes."""
     data_bitrate: BitRate = 5_000_000
     settings: Mapping[str, str | int | float | bool] = Field(default_factory=dict)
-    """Further arguments of the interface (python-can's documentation names them)."""
+    """Further arguments of python-can's interface (see its documentation)."""
 
 
 class CanDrive(LinkDrive):

@@ -1,4 +1,4 @@
-"""A drive that is a folder: what is to be played goes out as a file, and what was measured comes back as one."""
+"""A drive that is a folder: requests are written as files, and measurements are read back as files."""
 
 from plugins.drives.csv_scope.drive import CsvScopeDrive, CsvScopeOptions
 

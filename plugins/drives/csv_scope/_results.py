@@ -1,4 +1,4 @@
-"""Turns a result's CSV file into a capture, by the importer and its mapping; the doubts are the importer's."""
+"""Converts a result's CSV file to a capture by the importer, which checks it, and its mapping."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ COLUMNS = (
     "rotor_angle",
     "resample",
 )
-"""The sections of a mapping that say what the columns are; all else follows from the excitation."""
+"""The sections of a mapping that describe columns; the excitation determines the others."""
 
 
 def read_columns(path: Path) -> dict[str, Any]:
-    """The mapping's sections about columns; raises `InputError` where the file is none."""
+    """The mapping's sections about columns; raises `InputError` where the file is not a mapping."""
     try:
         mapping = yaml.safe_load(read_text(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
@@ -58,7 +58,7 @@ def read_result(
         "sampling_frequency_hz": fs,
         "rotor_angle": {"value": excitation.rotor_angle_rad, "unit": "rad"},
         **columns,
-        "accept": [*columns.get("accept", ()), *_expected(excitation, motor)],
+        "accept": [*columns.get("accept", ()), *_expected_findings(excitation, motor)],
         "segments": [{"stage": STAGES[excitation.kind].value}],
     }
     with tempfile.TemporaryDirectory() as folder:
@@ -77,8 +77,8 @@ def read_result(
     return capture
 
 
-def _expected(excitation: Excitation, motor: Motor) -> tuple[str, ...]:
-    """What the importer would doubt of a measurement at no current, which is intended here."""
+def _expected_findings(excitation: Excitation, motor: Motor) -> tuple[str, ...]:
+    """Findings of the importer that are intended for a measurement at zero current."""
     is_small = excitation.longest_current_a < 0.05 * (motor.rated_current_a or 0.0)
     at_rest = is_small and excitation.kind in ("hold", "gates_off")
     return tuple(f.value for f in (Finding.CURRENT_UNIT, Finding.VOLTAGE_UNIT, Finding.CONSTANT_VOLTAGE) if at_rest)

@@ -1,4 +1,4 @@
-"""What is to be played, as a table: a row for each sample, from the start of settling to the end of the capture."""
+"""Table of references for an excitation: one row per sample from the start of settling to the capture's end."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from protocols import Excitation, GatesOff, Injection, Trapezoid
 
 COLUMNS = ("time_s", "gates", "current_control", "i_d_a", "i_q_a", "v_d_v", "v_q_v", "captured")
-"""References of the current control, and the voltage that is added to its own, or to what it had when it was frozen."""
+"""Current references, and the voltage to be added to that of the current control or to its frozen mean."""
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ def table_of(excitation: Excitation, sampling_frequency_hz: float) -> Floats:
 
 
 def write_table(path: Path, table: Floats) -> None:
-    """As CSV, with the names in its first line."""
+    """Write the table as CSV with a header line."""
     np.savetxt(path, table, fmt="%.9g", delimiter=",", header=",".join(COLUMNS), comments="")
 
 
@@ -48,7 +48,7 @@ def _trapezoid(e: Trapezoid, t: Floats) -> Floats:
 
 
 def _injected(e: Injection, t: Floats) -> Floats:
-    # A row's instant that is a period's end by rounding belongs to the next one.
+    # A row that is at a period's end except for rounding belongs to the next period.
     phase = np.round(e.frequency_hz * t, 9) % 1.0
     wave = np.where(phase < 0.5, 1.0, -1.0) if e.waveform == "square" else np.sin(2.0 * np.pi * phase)
     turn = 2.0 * np.pi * e.rotation_hz * t

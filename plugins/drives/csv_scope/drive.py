@@ -1,8 +1,8 @@
-"""The drive `csv_scope`: a person or a script plays the excitations, on whatever there is, and brings back files.
+"""The drive `csv_scope`: a person or a script plays the excitations on any equipment and returns files.
 
-For what has no protocol that a host could speak: real-time simulators (dSPACE, Speedgoat, PLECS RT box), an inverter
-with an oscilloscope. Each request is a numbered file in a folder; docs/csv-scope.md says what is in it and how it is
-answered. There is no dead man in a folder: who plays protects motor and drive.
+It serves equipment without a protocol for a host: real-time simulators (dSPACE, Speedgoat, PLECS RT box), an inverter
+with an oscilloscope. Each request is a numbered file in a folder; docs/csv-scope.md describes requests and answers.
+A folder has no watchdog: the person or script that plays protects motor and drive.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from protocols import (
 )
 
 Playable = Literal["gates_off", "hold", "trapezoid", "injection"]
-"""What a table can say: it knows beforehand when a voltage is turned."""
+"""Excitations that a table fixed in advance can describe."""
 
 
 class CsvScopeOptions(Strict):
-    """Options of the drive `csv_scope`: what it is that plays, in numbers."""
+    """Options of the drive `csv_scope`: folder, mapping and capabilities of the equipment."""
 
-    folder: Path = Field(description="Where requests go and answers come from; has to be there.")
-    mapping: Path = Field(description="An import's mapping: which columns of an answer are what.")
+    folder: Path = Field(description="Existing folder for requests and answers.")
+    mapping: Path = Field(description="An import's mapping, which describes the columns of an answer.")
     sampling_frequency_hz: Positive
     dc_bus_voltage_v: Positive
     max_current_a: Positive
     max_voltage_v: Positive | None = None
-    """None: what the bus gives in every direction."""
+    """None: the bus voltage over sqrt(3), available in every direction."""
     pwm_frequency_hz: Positive | None = None
     """None: the sampling frequency."""
     voltage_delay_samples: NonNegative = 0.0
@@ -58,11 +58,11 @@ class CsvScopeOptions(Strict):
     rotation_step_hz: Positive | None = None
     excitations: frozenset[Playable] = frozenset(get_args(Playable))
     wait_s: Positive | None = None
-    """For a measurement; None: as long as it takes."""
+    """Longest wait for a measurement; None: unlimited."""
     deed_s: Positive = 120.0
-    """For the power stage to be switched on or off."""
+    """Longest wait for the power stage to be switched on or off."""
     steady_s: NonNegative = 0.3
-    """A file that has not changed for so long is whole; one that is renamed into place needs none of it."""
+    """A file that has not changed for this time is complete; 0 if files are renamed into place."""
 
 
 class CsvScopeDrive(DriveShell):
@@ -78,7 +78,7 @@ class CsvScopeDrive(DriveShell):
     Options: ClassVar[type[BaseModel]] = CsvScopeOptions
     poll_s: ClassVar[float] = 0.02
     alive_s: ClassVar[float] = 0.25
-    """Between signs of life while nothing has come."""
+    """Period of keepalives while waiting for an answer."""
     block_s: ClassVar[float] = 0.25
 
     def __init__(self, setup: DriveSetup) -> None:
@@ -90,13 +90,13 @@ class CsvScopeDrive(DriveShell):
         self._current, self._bus_v = 0j, self._options.dc_bus_voltage_v
 
     def open(self) -> Capabilities:
-        """Look at folder and mapping, and number on after what is there; raises `InputError` where they are not."""
+        """Read folder and mapping and continue their numbers; raises `InputError` where one is missing."""
         o = self._options
         if not o.folder.is_dir():
             raise InputError("drive", "folder", f"{o.folder} is no directory")
         self._columns = read_columns(o.mapping)
-        taken = [int(path.name[:4]) for path in o.folder.glob("[0-9][0-9][0-9][0-9].*")]
-        self._number = max(taken, default=0)
+        numbers = [int(path.name[:4]) for path in o.folder.glob("[0-9][0-9][0-9][0-9].*")]
+        self._number = max(numbers, default=0)
         pwm = o.pwm_frequency_hz or o.sampling_frequency_hz
         return Capabilities(
             name="csv_scope",
@@ -114,18 +114,18 @@ class CsvScopeDrive(DriveShell):
             heeds_bandwidth=False,
             excitations=o.excitations,
             watchdog_s=None,
-            clock_is_simulated=True,  # who plays takes the time that it takes
+            clock_is_simulated=True,  # playing takes any time
             notes=(f"each point waits for an answer in {o.folder} (docs/csv-scope.md)",),
         )
 
     def energise(self, limits: Limits) -> None:
-        """Ask for the power stage, within these limits."""
-        self._do("arm", limits=limits.model_dump(mode="json"))
+        """Request the power stage to be switched on, within these limits."""
+        self._execute("arm", limits=limits.model_dump(mode="json"))
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
-        """Write the table and the request; blocks come when the answer is there."""
+        """Write the table and the request; blocks follow when the answer arrives."""
         fs = self._options.sampling_frequency_hz
-        stem = self._next()
+        stem = self._next_stem()
         write_table(self._options.folder / f"{stem}.table.csv", table_of(excitation, fs))
         self._request(
             stem,
@@ -136,9 +136,9 @@ class CsvScopeDrive(DriveShell):
             sampling_frequency_hz=fs,
             excitation=excitation.model_dump(mode="json"),
         )
-        return self._answered(stem, excitation)
+        return self._await_capture(stem, excitation)
 
-    def _answered(self, stem: str, excitation: Excitation) -> Iterator[Capture]:
+    def _await_capture(self, stem: str, excitation: Excitation) -> Iterator[Capture]:
         o, fs = self._options, self._options.sampling_frequency_hz
         for _ in self._waiting(stem, "result.csv", o.wait_s):
             yield keepalive(self._now_s(), fs)
@@ -157,16 +157,16 @@ class CsvScopeDrive(DriveShell):
 
     def ramp(self) -> None:
         """Request zero current, and wait for the confirmation."""
-        self._do("ramp_down")
+        self._execute("ramp_down")
         self._current = 0j
 
     def switch_off(self) -> None:
-        """Ask for the power stage to be switched off."""
-        self._do("disarm")
+        """Request the power stage to be switched off."""
+        self._execute("disarm")
         self._current = 0j
 
     def telemetry(self) -> Telemetry:
-        """What the last answer ended with: nothing is known of what has happened since."""
+        """The last row of the last answer."""
         i = self._current
         return Telemetry(
             state=self.state,
@@ -178,10 +178,10 @@ class CsvScopeDrive(DriveShell):
         )
 
     def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the folder has it."""
+        """Nothing to save: the folder holds all."""
 
     def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
+        """Continue the experiment's clock from `start_s`."""
         self._clock_s, self._origin_s = start_s, time.monotonic() - start_s
 
     # The folder
@@ -189,33 +189,33 @@ class CsvScopeDrive(DriveShell):
     def _now_s(self) -> float:
         return max(self._clock_s, time.monotonic() - self._origin_s)
 
-    def _next(self) -> str:
+    def _next_stem(self) -> str:
         self._number += 1
         return f"{self._number:04d}"
 
-    def _request(self, stem: str, deed: str, **fields: Any) -> None:
-        """Write a request, whole when it has its name."""
+    def _request(self, stem: str, order: str, **fields: Any) -> None:
+        """Write a request atomically."""
         path = self._options.folder / f"{stem}.request.json"
         partial = path.with_suffix(".partial")
         try:
-            partial.write_text(json.dumps({"request": deed, **fields}, indent=1), encoding="utf-8")
+            partial.write_text(json.dumps({"request": order, **fields}, indent=1), encoding="utf-8")
             partial.replace(path)
         except OSError as error:
             raise DriveFault(FaultCause.LINK_LOST, f"{path}: cannot be written: {error.strerror or error}") from None
 
-    def _do(self, deed: str, **fields: Any) -> None:
-        stem = self._next()
-        self._request(stem, deed, answer=f"{stem}.done", **fields)
+    def _execute(self, order: str, **fields: Any) -> None:
+        stem = self._next_stem()
+        self._request(stem, order, answer=f"{stem}.done", **fields)
         for _ in self._waiting(stem, "done", self._options.deed_s):
             pass
 
     def _waiting(self, stem: str, answer: str, longest_s: float | None) -> Iterator[None]:
-        """Until the answer is there, with a look around now and then; raises `DriveFault` for a fault, or in vain."""
+        """Wait for an answer, yielding periodically; raises `DriveFault` for a reported fault or after `longest_s`."""
         folder, begun_s, yielded_s = self._options.folder, time.monotonic(), time.monotonic()
         path, fault = folder / f"{stem}.{answer}", folder / f"{stem}.fault"
         while not self._is_whole(path):
             if self._is_whole(fault):
-                self.limits = None  # who says so has switched off
+                self.limits = None  # a player that reports a fault has switched off
                 raise self._latched(_fault_in(fault))
             now_s = time.monotonic()
             if longest_s is not None and now_s - begun_s > longest_s:
@@ -226,7 +226,7 @@ class CsvScopeDrive(DriveShell):
             time.sleep(self.poll_s)
 
     def _latched(self, fault: DriveFault) -> DriveFault:
-        """Not `trip`: switching off by a file takes a wait, which would delay the fault's report."""
+        """Latch a fault without `trip`, whose switching off by a file would delay the report."""
         self.latch(fault)
         return fault
 
@@ -238,8 +238,8 @@ class CsvScopeDrive(DriveShell):
 
 
 def _fault_in(path: Path) -> DriveFault:
-    """What the player says has happened: a cause of `FaultCause`, a colon, and words; else words alone."""
-    text = path.read_text(encoding="utf-8", errors="replace").strip() or "the player says that something is wrong"
+    """The player's fault: `cause: detail` with a cause of `FaultCause`, or a detail alone."""
+    text = path.read_text(encoding="utf-8", errors="replace").strip() or "the player reports an unspecified fault"
     cause, _, detail = text.splitlines()[0].partition(":")
     known = {one.value: one for one in FaultCause}
     match = known.get(cause.strip())

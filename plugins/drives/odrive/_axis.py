@@ -1,7 +1,7 @@
-"""One axis of an ODrive: its configuration, a current at an angle, readings. Property names are firmware 0.5.6's own.
+"""One axis of an ODrive: configuration, a current at an angle, readings. Properties are named as in firmware 0.5.6.
 
-In torque control the board holds a current along q of the frame that its encoder gives. The encoder's phase offset
-turns that frame against the rotor, so that the current points where it is wanted (encoder.cpp, motor.cpp):
+In torque control the board holds a current along q of its encoder's frame. The encoder's phase offset rotates that
+frame against the rotor, which gives the current the requested direction (encoder.cpp, motor.cpp):
 
     theta = direction 2 pi p / cpr (counts - offset),      i_q = direction torque / K_t.
 """
@@ -25,9 +25,9 @@ MAX_STATE_CHANGE_S = 1.0
 MAX_FRAME_TURN_S = 0.3
 """Time in which the frame has to reach its angle."""
 CURRENT_MARGIN_RATIO = 0.5
-"""Current beyond the limit, over the limit, at which the board trips."""
+"""The board's trip margin above the current limit, over the limit."""
 MAX_FRAME_ERROR_RAD = 0.05
-"""Largest difference of the frame from its set-point: an encoder's count, and the rotor's motion."""
+"""Largest error of the frame's angle, by the encoder's resolution and motion of the rotor."""
 ERROR_SOURCES = ("", ".motor", ".encoder", ".controller")
 RUN_SETTINGS = (
     "config.enable_watchdog",
@@ -38,7 +38,7 @@ RUN_SETTINGS = (
     "controller.config.input_mode",
     "encoder.config.phase_offset_float",
 )
-"""What is set for a run, and put back in this order: a watchdog at work does not outlive a timeout of zero."""
+"""Properties set for a run and restored in this order, so that an active watchdog never has a timeout of zero."""
 CONFIGURATION = (
     "motor.config.motor_type",
     "motor.is_calibrated",
@@ -53,7 +53,7 @@ CONFIGURATION = (
 
 @dataclass(frozen=True)
 class Errors:
-    """Latched errors of the axis and its parts; zero is none."""
+    """Latched error codes of the axis and its parts; 0 without an error."""
 
     axis: int
     motor: int
@@ -70,7 +70,7 @@ class Errors:
 
 
 class Axis:
-    """An axis at the other end of a line.
+    """An axis of a board, by a line.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ class Axis:
         self._facts: dict[str, float] = {}
         self.check, self.close = line.check, line.close
 
-    def learn(self) -> None:
-        """Read the configuration; raises `DriveRefused` where it does not fit."""
+    def read_configuration(self) -> None:
+        """Read the configuration; raises `DriveRefused` where it is unsuitable."""
         self._own = self._read(RUN_SETTINGS)
         self._facts = facts = self._read(CONFIGURATION)
         where = f"{self._line.where}, {self._name}"
@@ -95,7 +95,7 @@ class Axis:
         if not facts["motor.is_calibrated"]:
             raise DriveRefused(f"{where}: the motor is not calibrated")
         if not facts["encoder.is_ready"] or facts["encoder.config.direction"] not in (-1.0, 1.0):
-            raise DriveRefused(f"{where}: the encoder is not calibrated; its phase is what a current is held at")
+            raise DriveRefused(f"{where}: the encoder is not calibrated, by whose phase a current is held")
         if not facts["motor.config.torque_constant"] > 0.0:
             raise DriveRefused(f"{where}: no torque_constant, which turns torque into current")
 
@@ -108,29 +108,29 @@ class Axis:
         return self._own["motor.config.current_lim"]
 
     def bus_v(self) -> float:
-        """The bus [V]."""
+        """DC-bus voltage [V]."""
         return self._line.read(["vbus_voltage"])[0]
 
     def state(self) -> int:
-        """What the axis does."""
+        """The axis' state (`AxisState` of the firmware)."""
         return int(self._line.read([f"{self._name}.current_state"])[0])
 
     def errors(self) -> Errors:
-        """Those that are latched."""
+        """The latched errors."""
         return Errors(*map(int, self._line.read([f"{self._name}{part}.error" for part in ERROR_SOURCES])))
 
     def clear(self) -> None:
-        """Forget them, and the other axis' with them."""
+        """Clear the errors of both axes."""
         self._line.send("sc")
 
     def feed(self) -> None:
-        """What the watchdog hears."""
+        """Feed the watchdog."""
         self._line.send(f"u {self._number}")
 
     # Power stage
 
     def switch_on(self, current_a: float, watchdog_s: float) -> None:
-        """Within a current, under the watchdog, at no torque."""
+        """Enter closed loop at zero torque, with a current limit and the watchdog."""
         self._write(
             {
                 "motor.config.current_lim": current_a,
@@ -146,35 +146,35 @@ class Axis:
         self._enter(CLOSED_LOOP)
 
     def switch_off(self) -> None:
-        """Idle, and everything as it was."""
+        """Go idle and restore the configuration."""
         self._torque(0.0)
         self._enter(IDLE)
-        whole = ("enable_watchdog", "control_mode", "input_mode")
-        self._write({k: int(v) if k.rpartition(".")[2] in whole else v for k, v in self._own.items()})
+        integers = ("enable_watchdog", "control_mode", "input_mode")
+        self._write({k: int(v) if k.rpartition(".")[2] in integers else v for k, v in self._own.items()})
 
     def hold(self, current_a: float, angle_rad: float) -> None:
-        """A current along a stator angle: zero, then the frame, then the current."""
+        """Hold a current along a stator angle: zero torque, rotation of the frame, then the current."""
         self._torque(0.0)
-        wanted = angle_rad - 0.5 * math.pi
+        target_rad = angle_rad - 0.5 * math.pi
         deadline = time.monotonic() + MAX_FRAME_TURN_S
-        while (off := self._off(wanted)) is not None:
+        while (error_rad := self._frame_error(target_rad)) is not None:
             if time.monotonic() > deadline:
-                raise DriveFault(FaultCause.WRONG_DATA, f"the encoder's frame is off its angle by {off:.3f} rad")
-            self._turn(off)
+                raise DriveFault(FaultCause.WRONG_DATA, f"the encoder's frame is off its angle by {error_rad:.3f} rad")
+            self._turn(error_rad)
         direction, constant = self._facts["encoder.config.direction"], self._facts["motor.config.torque_constant"]
         self._torque(direction * constant * current_a)
 
     def reading(self) -> np.ndarray:
-        """i_alpha, i_beta [A], v_alpha, v_beta, v_dc [V], each of its own instant."""
+        """i_alpha, i_beta [A], v_alpha, v_beta, v_dc [V], not sampled simultaneously."""
         control = f"{self._name}.motor.current_control"
         names = ("Ialpha_measured", "Ibeta_measured", "final_v_alpha", "final_v_beta")
         return np.array(self._line.read([*(f"{control}.{name}" for name in names), "vbus_voltage"]))
 
-    def _off(self, wanted: float) -> float | None:
-        """How far the frame is from its angle; None where it is there."""
+    def _frame_error(self, target_rad: float) -> float | None:
+        """Error of the frame's angle [rad]; None within the tolerance."""
         (phase,) = self._line.read([f"{self._name}.motor.current_control.phase"])
-        off = math.remainder(wanted - phase, 2.0 * math.pi)
-        return None if abs(off) <= MAX_FRAME_ERROR_RAD else off
+        error_rad = math.remainder(target_rad - phase, 2.0 * math.pi)
+        return None if abs(error_rad) <= MAX_FRAME_ERROR_RAD else error_rad
 
     def _turn(self, by_rad: float) -> None:
         name = "encoder.config.phase_offset_float"

@@ -1,6 +1,6 @@
 """The drive `odrive`: holds direct currents under the board's own current control, and reads them slowly.
 
-It claims `hold` alone. docs/odrive.md says what keeps it from the rest.
+It supports `hold` alone; docs/odrive.md gives the reasons.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ FIRMWARE_VERSION = (0, 5)
 MAX_RAMP_S = 0.5
 """Time in which the current has to fall to zero."""
 CURRENT_DECAY_S = 0.01
-"""Time for the rest of the current to decay."""
+"""Time for the residual current to decay."""
 MAX_CAPTURE_ATTEMPTS = 10
 MAX_READING_DELAY_S = 0.05
-"""A reading that is later than this starts the capture anew."""
+"""A reading later than this restarts the capture."""
 TRIP_RATIO = 1.1
 """Measured current or voltage over its limit, above which the drive trips."""
 ZERO_CURRENT_RATIO = 0.02
 """Current over its limit, below which it counts as zero."""
 MIN_CURRENT_ERROR_RATIO = 0.05
-"""Deviation from the set-point over the current limit, below which it is no error."""
+"""Deviation from the set-point over the current limit, below which it is accepted."""
 MAX_CURRENT_ERROR_RATIO = 0.3
 """Deviation from the set-point over the set-point, above which it is an error."""
 MAX_MODULATION_RATIO = 0.8
-"""Voltage over bus voltage, times the root of three, that the board modulates."""
+"""Largest voltage vector of the board's modulation, times sqrt(3), over the bus voltage."""
 
 
 class OdriveOptions(Strict):
@@ -58,14 +58,14 @@ class OdriveOptions(Strict):
     port: Annotated[str, Field(min_length=1)]
     """Serial device, or ``socket://host:port``."""
     baud_rate: Annotated[int, Field(ge=1)] = 115200
-    """Of a UART; USB does not care."""
+    """Baud rate of a UART; irrelevant on USB."""
     axis: Annotated[int, Field(ge=0, le=1)] = 0
     sampling_frequency_hz: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0
-    """Readings a second while capturing."""
+    """Rate of readings while capturing."""
     watchdog_s: Annotated[float, Field(ge=0.1, le=10.0)] = 0.5
-    """The axis' watchdog is set to it for the run."""
+    """Timeout of the axis' watchdog during the run."""
     clear_fault: bool = False
-    """Forget the errors that the board has latched, on connecting: after somebody has seen to their cause."""
+    """Clear the board's latched errors on connecting; remove their cause first."""
 
 
 class OdriveDrive(PolledDrive[Axis]):
@@ -81,10 +81,10 @@ class OdriveDrive(PolledDrive[Axis]):
     Options: ClassVar[type[BaseModel]] = OdriveOptions
     why_not: ClassVar[Mapping[ExcitationKind, str]] = {
         "gates_off": "it measures no current while it is idle",
-        "trapezoid": "it is read a few dozen times a second, with voltages that are not of the same instant",
-        "injection": "it is read a few dozen times a second, and its stock oscilloscope has no source",
-        "steps": "no command of it turns a voltage where a current is met",
-        "spin": "it is held to a rotor that is locked",
+        "trapezoid": "it gives a few dozen readings a second, with voltages of other instants than the currents",
+        "injection": "it gives a few dozen readings a second, and its stock oscilloscope has no source",
+        "steps": "it has no command that reverses a voltage at a current limit",
+        "spin": "it supports a locked rotor only",
     }
 
     def __init__(self, setup: DriveSetup) -> None:
@@ -94,14 +94,14 @@ class OdriveDrive(PolledDrive[Axis]):
     # Link
 
     def open(self) -> Capabilities:
-        """Ask the board who it is and how it is configured. Nothing is energised.
+        """Read the board's version and configuration. Nothing is energised.
 
         Raises
         ------
         DriveFault
-            Nobody answers, or what is answered cannot be used.
+            No answer, or an unusable one.
         DriveRefused
-            Firmware, configuration or nameplate do not fit, or somebody else drives it.
+            Firmware, configuration or nameplate do not fit, or another host controls the axis.
         """
         o = self._options
         line = Properties(o.port, o.baud_rate)
@@ -109,13 +109,13 @@ class OdriveDrive(PolledDrive[Axis]):
         version = tuple(map(int, line.read(["fw_version_major", "fw_version_minor", "fw_version_revision"])))
         if version[:2] != FIRMWARE_VERSION:
             raise DriveRefused(f"{line.where}: firmware {'.'.join(map(str, version))}, 0.5 is needed")
-        axis.learn()
+        axis.read_configuration()
         if axis.pole_pairs != self.setup.motor.pole_pairs:
             message = f"motor.config.pole_pairs is {axis.pole_pairs}, the nameplate's {self.setup.motor.pole_pairs}"
             raise DriveRefused(f"{line.where}: {message}")
         if axis.state() != IDLE:
-            raise DriveRefused(f"{line.where}: axis {o.axis} is not idle: somebody else drives it")
-        self._take_up(axis)
+            raise DriveRefused(f"{line.where}: axis {o.axis} is not idle: another host controls it")
+        self._clear_stale_errors(axis)
         bus_v = axis.bus_v()
         if bus_v <= 0.0:
             raise DriveFault(FaultCause.BUS_VOLTAGE, f"{line.where}: reads a bus of {bus_v:g} V")
@@ -135,8 +135,8 @@ class OdriveDrive(PolledDrive[Axis]):
             notes=(f"firmware {'.'.join(map(str, version))}; held currents alone (docs/odrive.md)",),
         )
 
-    def _take_up(self, axis: Axis) -> None:
-        """A watchdog that has run out is over, for its host is gone; other errors stay unless seen to."""
+    def _clear_stale_errors(self, axis: Axis) -> None:
+        """Clear an expired watchdog of an earlier host, and other errors only where `clear_fault` is set."""
         errors = axis.errors()
         if not errors:
             return
@@ -146,19 +146,19 @@ class OdriveDrive(PolledDrive[Axis]):
             self.latch(_fault(errors, self._options.watchdog_s))
 
     def heartbeat(self) -> None:
-        """Feed the watchdog, where there is a power stage to watch."""
+        """Feed the watchdog while the power stage is on."""
         axis = self.board
         if axis is None or self.limits is None:
             return
         try:
             axis.feed()
         except DriveFault:
-            return  # the line keeps it
+            return  # the line keeps the fault
 
     # Power stage
 
     def energise(self, limits: Limits) -> None:
-        """The board's own current limit and watchdog, then closed loop at no torque."""
+        """Set the board's current limit and watchdog, then enter closed loop at zero torque."""
         axis = self.connected()
         try:
             axis.switch_on(min(limits.current_a, axis.own_limit_a), self._options.watchdog_s)
@@ -166,15 +166,15 @@ class OdriveDrive(PolledDrive[Axis]):
             raise self.trip(fault) from None
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
-        """Hold; refuses what needs more voltage than the limit, by the nameplate's resistance."""
+        """Hold a current; refuses one that exceeds the voltage limit by the nameplate's resistance."""
         assert isinstance(excitation, Hold)
         assert self.limits is not None
         needed_v = excitation.longest_current_a * (self.setup.motor.stator_resistance_ohm or 0.0)
         if needed_v > self.limits.voltage_v:
             raise DriveRefused(f"needs {needed_v:.3g} V by the nameplate's resistance, above the limit")
-        return self.tripping(self._held(excitation, self.limits))
+        return self.tripping(self._hold_rows(excitation, self.limits))
 
-    def _held(self, hold: Hold, limits: Limits) -> Generator[Capture]:
+    def _hold_rows(self, hold: Hold, limits: Limits) -> Generator[Capture]:
         axis = self.connected()
         self.aim(hold)
         axis.hold(*cmath.polar(self.target_a))
@@ -184,7 +184,7 @@ class OdriveDrive(PolledDrive[Axis]):
         yield from self.blocks(i, v, start_s - self.origin_s, rows[:, 4])
 
     def _rows(self, axis: Axis, count: int, limits: Limits) -> Generator[Capture, None, tuple[np.ndarray, float]]:
-        """Readings, one each period; all anew where one comes later than a direct current bears."""
+        """Readings, one each period; restarted where one is late by more than `MAX_READING_DELAY_S`."""
         fs = self.own.sampling_frequency_hz
         for _ in range(MAX_CAPTURE_ATTEMPTS):
             rows, start_s = list[np.ndarray](), time.monotonic()
@@ -199,11 +199,11 @@ class OdriveDrive(PolledDrive[Axis]):
                     yielded_s = time.monotonic()
                     yield self.keepalive()
             else:
-                time.sleep(max(0.0, start_s + count / fs - time.monotonic()))  # the last row has a period as well
+                time.sleep(max(0.0, start_s + count / fs - time.monotonic()))  # the last row lasts a period as well
                 self.require_sound(self.board_fault())
                 return np.array(rows), start_s
             yield self.keepalive()
-        message = f"readings come late at {fs:g} Hz; choose a lower sampling_frequency_hz"
+        message = f"readings arrive late at {fs:g} Hz; choose a lower sampling_frequency_hz"
         raise DriveFault(FaultCause.NO_ANSWER, message)
 
     def _watch(self, row: np.ndarray, limits: Limits) -> None:
@@ -212,14 +212,14 @@ class OdriveDrive(PolledDrive[Axis]):
             raise DriveFault(FaultCause.OVERCURRENT, f"{i:.3g} A flow, the limit is {limits.current_a:g} A")
         if v > TRIP_RATIO * limits.voltage_v:
             raise DriveFault(FaultCause.INTERNAL, f"{v:.3g} V are commanded, the limit is {limits.voltage_v:g} V")
-        off = abs(complex(row[0], row[1]) - self.target_a)
-        if off > max(MAX_CURRENT_ERROR_RATIO * abs(self.target_a), MIN_CURRENT_ERROR_RATIO * limits.current_a):
+        deviation_a = abs(complex(row[0], row[1]) - self.target_a)
+        if deviation_a > max(MAX_CURRENT_ERROR_RATIO * abs(self.target_a), MIN_CURRENT_ERROR_RATIO * limits.current_a):
             self.require_sound(self.board_fault())
-            message = f"{i:.3g} A flow, {off:.3g} A off the set-point of {abs(self.target_a):.3g} A"
+            message = f"{i:.3g} A flow, {deviation_a:.3g} A off the set-point of {abs(self.target_a):.3g} A"
             raise DriveFault(FaultCause.INTERNAL, f"{message}: the board limits it, or the rotor has turned")
 
     def telemetry(self) -> Telemetry:
-        """A reading, now; while the axis is idle no current is measured, and none is given."""
+        """A reading, now; its current is zero while the axis is idle, since none is measured then."""
         axis = self.connected()
         if self.limits is not None and not self.latched and (fault := self.board_fault()) is not None:
             self.trip(fault)
@@ -229,7 +229,7 @@ class OdriveDrive(PolledDrive[Axis]):
         return self.reading(i, bus_v)
 
     def ramp(self) -> None:
-        """No torque, and wait until the current is gone."""
+        """Set zero torque and wait for the current to decay."""
         axis = self.connected()
         if self.limits is None:
             return
@@ -241,28 +241,28 @@ class OdriveDrive(PolledDrive[Axis]):
         time.sleep(CURRENT_DECAY_S)
 
     def switch_off(self) -> None:
-        """Idle, and the board's settings as they were."""
+        """Go idle and restore the board's settings."""
         axis = self.connected()
         if axis.state() == CLOSED_LOOP:
             self.ramp()
         axis.switch_off()
 
     def forget_fault(self) -> None:
-        """Clear the board's own errors; the axis stays idle."""
+        """Clear the board's errors; the axis stays idle."""
         self.connected().clear()
 
     def board_fault(self) -> DriveFault | None:
-        """The axis' errors, or its leaving closed loop."""
+        """Fault by the axis' errors, or by leaving closed loop."""
         axis = self.connected()
         errors = axis.errors()
         if errors:
             return _fault(errors, self._options.watchdog_s)
         if axis.state() != CLOSED_LOOP:
-            return DriveFault(FaultCause.INTERNAL, "the axis has left closed loop: somebody else drives it")
+            return DriveFault(FaultCause.INTERNAL, "the axis has left closed loop: another host controls it")
         return None
 
 
 def _fault(errors: Errors, watchdog_s: float) -> DriveFault:
     if errors.axis & Errors.WATCHDOG:
-        return DriveFault(FaultCause.HEARTBEAT_LOST, f"no beat for {watchdog_s:g} s")
+        return DriveFault(FaultCause.HEARTBEAT_LOST, f"no heartbeat for {watchdog_s:g} s")
     return DriveFault(FaultCause.INTERNAL, f"ODrive errors: {errors}")

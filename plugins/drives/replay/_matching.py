@@ -1,4 +1,4 @@
-"""Which segment of a recording answers an excitation; reads settings, never waveforms."""
+"""Matches segments of a recording to excitations by their settings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ KIND_OF: Mapping[SegmentStage, ExcitationKind] = {
     SegmentStage.INJECTION: "injection",
 }
 SETTING_TOLERANCE_RATIO = 0.01
-"""Relative difference of equal settings; of currents, over the rated one."""
+"""Largest relative difference of equal settings (of currents: over the rated one)."""
 
 _FIELDS: Mapping[ExcitationKind, tuple[str, ...]] = {
     "gates_off": (),
@@ -34,14 +34,14 @@ _WORDS: Mapping[ExcitationKind, str | None] = {
 
 
 def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_a: float) -> bool:
-    """Whether a segment holds what the excitation asks for, and enough of it.
+    """Whether a segment matches an excitation and is long enough.
 
-    What the segment's settings leave out is taken to fit.
+    Settings that the segment does not state are assumed to match.
 
     Parameters
     ----------
     scale_a : float
-        Currents may differ by a hundredth of this.
+        Scale of the currents' tolerance [A].
     """
     if KIND_OF.get(segment.stage) != excitation.kind:
         return False
@@ -49,27 +49,27 @@ def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_
         return False
     if abs(math.remainder(segment.rotor_angle_rad - excitation.rotor_angle_rad, math.tau)) > SETTING_TOLERANCE_RATIO:
         return False
-    wanted, settings = excitation.model_dump(), segment.settings
+    requested, settings = excitation.model_dump(), segment.settings
     pwm_hz = settings.get("pwm_frequency_hz") or manifest.drive.pwm_frequency_hz
-    if not _alike(excitation.pwm_frequency_hz or manifest.drive.pwm_frequency_hz, pwm_hz, 0.0):
+    if not _matches(excitation.pwm_frequency_hz or manifest.drive.pwm_frequency_hz, pwm_hz, 0.0):
         return False
     word = _WORDS[excitation.kind]
-    if word is not None and settings.get(word, wanted[word]) != wanted[word]:
+    if word is not None and settings.get(word, requested[word]) != requested[word]:
         return False
     return all(
-        _alike(wanted[field], settings.get(field), scale_a if field.endswith("_a") else 0.0)
+        _matches(requested[field], settings.get(field), scale_a if field.endswith("_a") else 0.0)
         for field in _FIELDS[excitation.kind]
-        if not (field == "held_a" and wanted["swept_axis"] == "dq")
+        if not (field == "held_a" and requested["swept_axis"] == "dq")
     )
 
 
-def _alike(wanted: float | None, recorded: Any, scale: float) -> bool:
-    if wanted is None or not isinstance(recorded, int | float):
+def _matches(requested: float | None, recorded: Any, scale: float) -> bool:
+    if requested is None or not isinstance(recorded, int | float):
         return True
-    return abs(wanted - recorded) <= SETTING_TOLERANCE_RATIO * max(abs(wanted), abs(recorded), scale)
+    return abs(requested - recorded) <= SETTING_TOLERANCE_RATIO * max(abs(requested), abs(recorded), scale)
 
 
-def in_words(excitation: Excitation) -> str:
-    """The excitation in words, for errors."""
+def describe(excitation: Excitation) -> str:
+    """Description of the excitation, for errors."""
     fields = ", ".join(f"{field} {getattr(excitation, field):g}" for field in _FIELDS[excitation.kind])
     return f"{excitation.kind}" + (f" with {fields}" if fields else "")

@@ -1,7 +1,7 @@
-"""The drive `replay`: hands out a recording's segments as answers to a procedure's excitations.
+"""The drive `replay`: returns a recording's segments as captures of a procedure's excitations.
 
-What the recording does not hold is refused; nothing is interpolated or made up. Good for showing a run again, live,
-and for trying estimators, streams and procedures on real measurements without a motor.
+An excitation that the recording lacks is refused; nothing is interpolated. It serves to show a run again, live, and to
+try estimators, streams and procedures on real measurements without a motor.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pydantic import BaseModel, Field
 
 from orchestrator.driving import DriveShell, in_blocks
 from orchestrator.recording import Recording, open_recording
-from plugins.drives.replay._matching import KIND_OF, answers, in_words
+from plugins.drives.replay._matching import KIND_OF, answers, describe
 from protocols import (
     Capabilities,
     Capture,
@@ -39,7 +39,7 @@ class ReplayOptions(Strict):
 
     recording: Path = Field(description="The recording, or run directory, to play.")
     real_time: bool = False
-    """Take as long as the measurement took; else as fast as it can be read."""
+    """Play at the pace of the measurement; otherwise as fast as possible."""
 
 
 class ReplayDrive(DriveShell):
@@ -54,9 +54,9 @@ class ReplayDrive(DriveShell):
     name: ClassVar[str] = "replay"
     Options: ClassVar[type[BaseModel]] = ReplayOptions
     watchdog_s: ClassVar[float] = 0.2
-    """It has nothing to make safe, but stops as a drive would, so that a run against it shows a heart that fails."""
+    """Timeout of the heartbeat, as on a real drive, so that a failing heartbeat shows in a replay too."""
     headroom: ClassVar[float] = 4.0
-    """Limits up to so many rated currents are taken: what is played never comes near."""
+    """Largest accepted limit over the rated current."""
 
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
@@ -69,7 +69,7 @@ class ReplayDrive(DriveShell):
         self._last_beat_s = 0.0
 
     def open(self) -> Capabilities:
-        """Open the recording and say what is in it.
+        """Open the recording; returns the capabilities that it contains.
 
         Raises
         ------
@@ -103,15 +103,15 @@ class ReplayDrive(DriveShell):
         )
 
     def energise(self, limits: Limits) -> None:
-        """Ready to play."""
+        """Nothing to switch on."""
         self.heartbeat()
 
     def heartbeat(self) -> None:
-        """The host is alive."""
+        """Note the host's heartbeat."""
         self._last_beat_s = time.monotonic()
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
-        """Play the first segment that answers the excitation and was not played yet, else one that was.
+        """Play the first matching segment that was not played yet, else the last one.
 
         Raises
         ------
@@ -123,16 +123,16 @@ class ReplayDrive(DriveShell):
         assert limits is not None
         fitting = [s for s in recording.segments() if answers(s, excitation, recording.manifest, self._scale_a)]
         if not fitting:
-            raise DriveRefused(f"{recording.path}: holds no {in_words(excitation)} that is long enough")
+            raise DriveRefused(f"{recording.path}: holds no {describe(excitation)} that is long enough")
         segment = next((s for s in fitting if s.id not in self._played), fitting[-1])
         try:
             capture = recording.load(segment)
         except FluxbenchError as error:
             raise DriveFault(FaultCause.WRONG_DATA, str(error)) from error
         rows = excitation.rows(capture.sampling_frequency_hz)
-        longest = float(np.linalg.norm(capture.i_ab[:rows], axis=1).max())
-        if not longest <= limits.current_a:
-            raise DriveRefused(f"{segment.id} reaches {longest:.3g} A, above the limit of {limits.current_a:g} A")
+        largest_a = float(np.linalg.norm(capture.i_ab[:rows], axis=1).max())
+        if not largest_a <= limits.current_a:
+            raise DriveRefused(f"{segment.id} reaches {largest_a:.3g} A, above the limit of {limits.current_a:g} A")
         self._played.add(segment.id)
         start_s = max(segment.start_s, self._clock_s)
         start_s += 0.0 if start_s > self._clock_s else excitation.settling_s
@@ -141,7 +141,7 @@ class ReplayDrive(DriveShell):
     def _play(self, capture: Capture, rows: int, segment: Segment) -> Iterator[Capture]:
         fs = capture.sampling_frequency_hz
         turn = np.exp(-1j * segment.rotor_angle_rad)
-        for block in in_blocks(capture, 0.5 * self.watchdog_s, rows):  # a heart that stops is noticed in time
+        for block in in_blocks(capture, 0.5 * self.watchdog_s, rows):  # short, to notice a missing heartbeat
             if self._options.real_time:
                 time.sleep(len(block) / fs)
             silent_s = time.monotonic() - self._last_beat_s
@@ -160,7 +160,7 @@ class ReplayDrive(DriveShell):
         )
 
     def ramp(self) -> None:
-        """Play nothing more."""
+        """Stop playing."""
         self._current = 0j
 
     def set_brake(self, engaged: bool) -> None:
@@ -168,14 +168,14 @@ class ReplayDrive(DriveShell):
         raise DriveRefused("a recording has no brake to move")
 
     def release(self) -> None:
-        """Let go of the recording."""
+        """Close the recording."""
         self._recording = None
 
     def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the run's clock gives what was played."""
+        """Nothing to save: `restore` derives the played segments from the clock."""
 
     def restore(self, point_id: str, start_s: float) -> None:
-        """Go on after what lies before the experiment's clock."""
+        """Continue after the segments before the experiment's clock."""
         self._clock_s = start_s
         if self._recording is not None:
             self._played = {s.id for s in self._recording.manifest.segments if s.start_s < start_s}

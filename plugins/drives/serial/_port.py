@@ -1,4 +1,4 @@
-"""A serial line with COBS frames on it; no protocol."""
+"""A serial line with COBS frames: sends and receives frames."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ class SerialPort:
     """An open serial line; parameters and errors as those of `Line`."""
 
     frame_overhead_bytes: ClassVar[int] = 16
-    """Identifier, offset, CRC-32, stuffing and the closing zero around a block's data."""
+    """Overhead of a block: identifier, offset, CRC-32, stuffing and the closing zero."""
     block_load_ratio: ClassVar[float] = 0.9
-    """Part of the line that telemetry, requests and repetitions leave to blocks."""
+    """Share of the line for blocks, beside telemetry, requests and repetitions."""
 
     requests_each = 16
     blocks_each = 64
@@ -25,11 +25,11 @@ class SerialPort:
         self._line = Line(port, baud_rate, dtr=dtr)
         self._line_rate = baud_rate / 10.0 if self._line.is_device else None
         self._decoder = SerialDecoder()
-        self._before = b"\0"  # ends whatever the other end has of an earlier frame
+        self._before = b"\0"  # terminates an incomplete earlier frame at the receiver
 
     @property
     def bad_frames(self) -> int:
-        """Frames that came damaged, and were dropped."""
+        """Number of damaged frames, which were dropped."""
         return self._decoder.bad_frames
 
     def layout(self, block_bytes: int) -> BlockLayout:
@@ -47,14 +47,14 @@ class SerialPort:
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
         taken = self._line.write(self._before + all_to_serial(frames), timeout_s)
-        self._before = b"" if taken else b"\0"  # what is cut off here is damaged there, and dropped
+        self._before = b"" if taken else b"\0"  # the receiver drops a truncated frame as damaged
         return taken
 
     def fileno(self) -> int:
         return self._line.fileno()
 
     def as_written(self, frames: Sequence[Frame]) -> bytes:
-        return b"\0" + all_to_serial(frames)  # what the other process has begun ends here
+        return b"\0" + all_to_serial(frames)  # terminates an incomplete frame of the other process
 
     def receive(self, timeout_s: float) -> list[Frame]:
         return self._decoder.feed(self._line.read(timeout_s))

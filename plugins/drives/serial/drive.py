@@ -1,4 +1,4 @@
-"""The drive `serial`: the drive protocol on a serial line. The protocol itself is in `plugins/wire`."""
+"""The drive `serial`: the drive protocol of `plugins/wire` on a serial line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The test bench: the brake, where the rotor rests, and what engaging the brake does to its angle."""
+"""The test bench: its brake, the rotor's rest angle and the misalignment by the brake."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Bench:
         return 0.0 if effect is None else effect.angle_rad
 
     def rest_angle(self) -> float:
-        """Where the rotor stands at the start: at 0 with the brake engaged, anywhere where it is free."""
+        """Rotor angle at the start [rad]: 0 with the brake engaged, random where it is released."""
         rest = self._plant.rotor.rest_angle_rad
         if self.braked:
             return (rest or 0.0) + self._misalignment
@@ -33,12 +33,12 @@ class Bench:
         return float(np.random.default_rng([self._seed, 4]).uniform(-math.pi, math.pi))
 
     def mechanics(self, simulator: Simulator) -> PlantParameters:
-        """The plant's parameters with the brake as it is."""
+        """The plant's parameters with the brake's present state."""
         plant = simulator.plant
         return plant.locked(self._plant.brake.slip_torque_nm) if self.braked else plant.parameters
 
     def set_brake(self, engaged: bool, simulator: Simulator) -> None:
-        """Move the brake; as it engages, it turns the shaft by the misalignment."""
+        """Engage or release the brake; engaging turns the shaft by the misalignment."""
         engaged = engaged and self._plant.brake.works
         if engaged == self.braked:
             return

@@ -1,23 +1,23 @@
-"""Three legs of a bridge between two turning points of the carrier, compiled: their edges, and what they add up to.
+"""Switching of the three bridge legs within half a carrier period, compiled: edge times and voltage integrals.
 
-Rising, the carrier turns every leg from low to high, falling from high to low. A leg obeys at once where it need not
-wait; else, with the phase current i as it is at the edge (out of the leg positive),
+A rising carrier switches every leg from low to high, a falling one from high to low. With the phase current i at the
+edge (positive out of the leg), the edge comes after its command by
 
-    delay = t_d                        where the current holds the node until the other switch turns on,
-            C V / |i|                  where it swings the node itself within t_d: the middle of the ramp,
-            t_d - |i| t_d^2 / (4 C V)  where the swing is cut short by the other switch.
+    delay = t_d                        where the diode holds the node until the other switch turns on,
+            C V / |i|                  where the current commutates the node within t_d (middle of the ramp),
+            t_d - |i| t_d^2 / (4 C V)  where the other switch ends the commutation early.
 
-Both edges of a period together lose t_d - C V / |i| of the bus against the sign of the current. That is of capacitances
-that stay what they are. Those of junctions fall with the voltage v across them as v^-m; both devices' together are then
-largest at both rails, and of the charge 2 C V of a whole swing
+Both edges of a period together lose t_d - C V / |i| of the bus voltage against the sign of the current. This holds for
+constant capacitances. Junction capacitances fall with their voltage v as v^-m. The sum of both devices is then largest
+at both rails, and the share
 
     x(u) = (u^(1-m) + 1 - (1-u)^(1-m)) / 2
 
-has flown where the node has come the part u of the bus. A whole swing's middle stays where it was, by symmetry; one
-that is cut short is late by t_d less the integral of u over its time.
+of the charge 2 C V of a whole commutation has flown when the node has moved by the share u of the bus voltage. By
+symmetry the middle of a whole ramp does not shift; an edge that is ended early is late by t_d - (integral of u dt).
 
-Between edges voltages are constant. Currents within a part are those of the inductance at its start, which is good to
-some 0.1 % of the ripple: they decide edges and drops, and are corrected for at its end (`_switching`).
+Voltages are constant between edges. Within an interval the current follows from the inductance at its start, which is
+exact to some 0.1 % of the ripple. It determines edges and drops; `_switching` corrects it at the interval's end.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from typing import NamedTuple
 
 from plugins.drives.simulated._energy import Array
 from plugins.drives.simulated._numba import inlined
-from plugins.drives.simulated._state import BEHIND_A, BEHIND_B, DUE, LEVEL, SQRT3
+from plugins.drives.simulated._state import DUE, FILTER_LAG_A, FILTER_LAG_B, LEVEL, SQRT3
 
 NO_EDGE_S = 1e9
-"""No edge is pending [s]."""
+"""Time of an edge that is not pending [s]."""
 Three = tuple[float, float, float]
 
 
@@ -38,12 +38,12 @@ class BridgeParameters(NamedTuple):
     """Devices and carrier, in SI."""
 
     half_s: float
-    """From one turning point of the carrier to the next."""
+    """Half the carrier period: time between two turning points."""
     dead_s: Three
     two_capacitances_f: float
-    """Of both devices of a leg, such that they take the charge of a whole swing."""
-    power: float
-    """1 - m of the law by which the capacitances fall with their voltage; 1: they do not."""
+    """2 C: sum over both devices of a leg, averaged over the charge of a whole commutation."""
+    charge_exponent: float
+    """1 - m with the capacitance proportional to v^-m; 1: constant capacitance."""
     switch_v: float
     switch_ohm: float
     diode_v: float
@@ -52,48 +52,48 @@ class BridgeParameters(NamedTuple):
     timer_s: float
     minimum_s: float
     filter_s: float
-    """Of the current sensors."""
+    """Time constant of the current sensors."""
     core_rate: float
     damper_rate: float
 
 
-class Part(NamedTuple):
-    """A part of the carrier's half, and what stands still during it."""
+class Interval(NamedTuple):
+    """An interval of half a carrier period, with the quantities that are constant during it."""
 
     start_s: float
-    """From the turning point on."""
+    """Time since the turning point."""
     stop_s: float
     rising: bool
     duty: Three
     bus_v: float
     warm_v: float
-    """Drops over those of cold devices."""
+    """Forward drop over that of cold devices; `warm_ohm` likewise."""
     warm_ohm: float
     i_alpha: float
-    """At the start."""
+    """Current at the interval's start."""
     i_beta: float
     resistance_ohm: float
     alpha_per_h: float
-    """The inverse inductance, stator frame."""
+    """Inverse inductance matrix in the stator frame."""
     cross_per_h: float
     beta_per_h: float
 
 
-class Course(NamedTuple):
-    """What a part adds up to: integrals over its time."""
+class IntervalIntegrals(NamedTuple):
+    """Time integrals over an interval."""
 
     flux_alpha: float
-    """Of the legs' voltage [V s]."""
+    """Integral of the legs' voltage [V s]."""
     flux_beta: float
-    twice_alpha: float
-    """Of that integral [V s^2]."""
-    twice_beta: float
+    flux_time_alpha: float
+    """Integral of `flux_alpha` [V s^2]."""
+    flux_time_beta: float
     charge: float
-    """What the bus gave [A s]."""
+    """Charge drawn from the bus [A s]."""
     heat_j: float
-    """What the devices took."""
+    """Conduction loss of the devices."""
     core_alpha: float
-    """Of the flux' rate of change, as the branches remember it [V s]."""
+    """Integral of dpsi/dt, weighted by the branch's decay [V s]."""
     core_beta: float
     damper_alpha: float
     damper_beta: float
@@ -101,42 +101,42 @@ class Course(NamedTuple):
 
 @inlined
 def edge_time(b: BridgeParameters, rising: bool, duty: float) -> float:
-    """When the carrier meets the duty, after its turning point, as the timer can; `half_s` or more: not at all."""
+    """Time from the turning point to the commanded edge, rounded to the timer; `half_s` or more: no edge."""
     at = (1.0 - duty if rising else duty) * b.half_s
     return b.timer_s * math.floor(at / b.timer_s + 0.5) if b.timer_s > 0.0 else at
 
 
 @inlined
-def edge_delay(rising: bool, dead_s: float, charge: float, power: float, i: float) -> float:
-    """From a command to the step that has the edge's volt-seconds; `charge` is 2 C V, `power` of its law."""
+def edge_delay(rising: bool, dead_s: float, charge: float, charge_exponent: float, i: float) -> float:
+    """Delay from the command to the ideal step with the edge's volt-seconds [s]; `charge` is 2 C V [A s]."""
     driving = -i if rising else i
     if driving <= 0.0:
         return dead_s
     if driving * dead_s >= charge:
         return 0.5 * charge / driving
-    if power == 1.0:
+    if charge_exponent == 1.0:
         return dead_s - 0.5 * driving * dead_s * dead_s / charge
-    return dead_s * (1.0 - mean_height(driving * dead_s / charge, power))
+    return dead_s * (1.0 - mean_height(driving * dead_s / charge, charge_exponent))
 
 
 @inlined
-def mean_height(flown: float, power: float) -> float:
-    """Mean part of the bus that a node has come while the part `flown` of a swing's charge flows, evenly in time."""
+def mean_height(flown: float, exponent: float) -> float:
+    """Mean of u while the share `flown` of a commutation's charge flows at constant current."""
     low, high = 0.0, 1.0
     for _ in range(40):
         u = 0.5 * (low + high)
-        if 0.5 * (u**power + 1.0 - (1.0 - u) ** power) < flown:
+        if 0.5 * (u**exponent + 1.0 - (1.0 - u) ** exponent) < flown:
             low = u
         else:
             high = u
-    # The integral of u over the charge is u x less that of x over u.
-    below = 0.5 * (u + (u ** (1.0 + power) + (1.0 - u) ** (1.0 + power) - 1.0) / (1.0 + power))
+    # Integration by parts: integral of u dx = u x - integral of x du.
+    below = 0.5 * (u + (u ** (1.0 + exponent) + (1.0 - u) ** (1.0 + exponent) - 1.0) / (1.0 + exponent))
     return float(u - below / flown)
 
 
 @inlined
-def device_drop(b: BridgeParameters, w: Part, high: bool, i: float) -> float:
-    """Voltage that the conducting device of a leg takes from its phase."""
+def device_drop(b: BridgeParameters, w: Interval, high: bool, i: float) -> float:
+    """Forward voltage of the conducting device of a leg [V]."""
     by_switch = high == (i > 0.0)
     volts = b.switch_v if by_switch else b.diode_v
     ohm = b.switch_ohm if by_switch else b.diode_ohm
@@ -145,19 +145,19 @@ def device_drop(b: BridgeParameters, w: Part, high: bool, i: float) -> float:
 
 
 @inlined
-def _next(x: Array, leg: int, rising: bool, commanded_s: float, half_s: float, now_s: float) -> float:
-    """When something happens to a leg: an edge comes, is commanded, or is called off before it came."""
+def _next_event(x: Array, leg: int, rising: bool, commanded_s: float, half_s: float, now_s: float) -> float:
+    """Time of a leg's next event: an edge occurs, is commanded, or is cancelled while pending."""
     due = float(x[DUE + leg])
-    on_its_way = (x[LEVEL + leg] > 0.5) != rising
+    is_due = (x[LEVEL + leg] > 0.5) != rising
     if due < NO_EDGE_S:
-        return due if on_its_way or commanded_s >= half_s else min(due, max(commanded_s, now_s))
-    return max(commanded_s, now_s) if on_its_way and commanded_s < half_s else NO_EDGE_S
+        return due if is_due or commanded_s >= half_s else min(due, max(commanded_s, now_s))
+    return max(commanded_s, now_s) if is_due and commanded_s < half_s else NO_EDGE_S
 
 
 @inlined
-def _act(b: BridgeParameters, x: Array, leg: int, rising: bool, now_s: float, charge: float, i: float) -> None:
+def _apply_event(b: BridgeParameters, x: Array, leg: int, rising: bool, now_s: float, charge: float, i: float) -> None:
     if x[DUE + leg] >= NO_EDGE_S:
-        x[DUE + leg] = now_s + edge_delay(rising, b.dead_s[leg], charge, b.power, i)
+        x[DUE + leg] = now_s + edge_delay(rising, b.dead_s[leg], charge, b.charge_exponent, i)
         return
     if x[DUE + leg] <= now_s:
         x[LEVEL + leg] = 1.0 - x[LEVEL + leg]
@@ -170,18 +170,18 @@ def _phases(i_alpha: float, i_beta: float) -> Three:
 
 
 @inlined
-def traverse(b: BridgeParameters, w: Part, x: Array) -> Course:
-    """Go through a part edge by edge; leaves legs and sensors' filters as they are at its end."""
+def integrate_interval(b: BridgeParameters, w: Interval, x: Array) -> IntervalIntegrals:
+    """Integrate over an interval edge by edge; updates the state of the legs and of the sensors' filters."""
     at = (edge_time(b, w.rising, w.duty[0]), edge_time(b, w.rising, w.duty[1]), edge_time(b, w.rising, w.duty[2]))
     charge = b.two_capacitances_f * w.bus_v
     now, i_alpha, i_beta = w.start_s, w.i_alpha, w.i_beta
     i = _phases(i_alpha, i_beta)
-    flux_alpha = flux_beta = twice_alpha = twice_beta = from_bus = heat = 0.0
+    flux_alpha = flux_beta = flux_time_alpha = flux_time_beta = from_bus = heat = 0.0
     core_alpha = core_beta = damper_alpha = damper_beta = 0.0
     while True:
         leg, then = -1, w.stop_s
         for j in range(3):
-            event = _next(x, j, w.rising, at[j], b.half_s, now)
+            event = _next_event(x, j, w.rising, at[j], b.half_s, now)
             if event < then:
                 leg, then = j, event
         t = then - now
@@ -198,8 +198,8 @@ def traverse(b: BridgeParameters, w: Part, x: Array) -> Course:
             )
             v_alpha, v_beta = (2.0 * v_a - v_b - v_c) * (1.0 / 3.0), (v_b - v_c) * (1.0 / SQRT3)
             u_alpha, u_beta = v_alpha - w.resistance_ohm * i_alpha, v_beta - w.resistance_ohm * i_beta
-            twice_alpha += t * (flux_alpha + 0.5 * t * v_alpha)
-            twice_beta += t * (flux_beta + 0.5 * t * v_beta)
+            flux_time_alpha += t * (flux_alpha + 0.5 * t * v_alpha)
+            flux_time_beta += t * (flux_beta + 0.5 * t * v_beta)
             flux_alpha += t * v_alpha
             flux_beta += t * v_beta
             heat += t * (drops[0] * i[0] + drops[1] * i[1] + drops[2] * i[2])
@@ -214,8 +214,8 @@ def traverse(b: BridgeParameters, w: Part, x: Array) -> Course:
             if b.filter_s > 0.0:
                 fade = math.exp(-t / b.filter_s)
                 lag = b.filter_s * (1.0 - fade)
-                x[BEHIND_A] = fade * x[BEHIND_A] - lag * slope_alpha
-                x[BEHIND_B] = fade * x[BEHIND_B] - 0.5 * lag * (SQRT3 * slope_beta - slope_alpha)
+                x[FILTER_LAG_A] = fade * x[FILTER_LAG_A] - lag * slope_alpha
+                x[FILTER_LAG_B] = fade * x[FILTER_LAG_B] - 0.5 * lag * (SQRT3 * slope_beta - slope_alpha)
             if b.core_rate > 0.0:
                 fade = math.exp(-t * b.core_rate)
                 core_alpha = fade * core_alpha + (1.0 - fade) / b.core_rate * u_alpha
@@ -227,16 +227,16 @@ def traverse(b: BridgeParameters, w: Part, x: Array) -> Course:
         now = then
         if leg < 0:
             break
-        _act(b, x, leg, w.rising, now, charge, i[leg])
+        _apply_event(b, x, leg, w.rising, now, charge, i[leg])
     if w.stop_s >= b.half_s:
         for j in range(3):
             if x[DUE + j] < NO_EDGE_S:
                 x[DUE + j] = max(0.0, x[DUE + j] - b.half_s)
-    return Course(
+    return IntervalIntegrals(
         flux_alpha,
         flux_beta,
-        twice_alpha,
-        twice_beta,
+        flux_time_alpha,
+        flux_time_beta,
         from_bus,
         heat,
         core_alpha,

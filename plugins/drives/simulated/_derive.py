@@ -1,4 +1,4 @@
-"""From options and nameplate to the numbers of the plant: what is left out is scaled here."""
+"""Parameters of the plant from options and nameplate; omitted options are scaled by the nameplate."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from plugins.drives.simulated._derive_switching import Ratings, derive_bench, refuse_switched_options, without_bridge
 from plugins.drives.simulated._energy import Magnetics, hessian
 from plugins.drives.simulated._map import FluxTable, load_table, map_energy, usable_reach
-from plugins.drives.simulated._model import as_modelled
+from plugins.drives.simulated._model import apply_model
 from plugins.drives.simulated._polynomial import COEFFICIENTS, nameplate_energy, polynomial_energy
 from plugins.drives.simulated._sensing import BenchParameters, SensorParameters
 from plugins.drives.simulated._state import SQRT3, PlantParameters
@@ -22,7 +22,7 @@ from protocols import InputError, Motor
 
 @dataclass(frozen=True)
 class Nameplate:
-    """What the drive believes of its motor; peak values."""
+    """The motor as the drive's nameplate has it; peak values."""
 
     pole_pairs: int
     rated_a: float
@@ -32,27 +32,27 @@ class Nameplate:
     pm_flux_wb: float
     torque_nm: float
     rated_voltage_v: float | None
-    """Length of the vector."""
+    """Rated length of the voltage vector."""
 
 
 @dataclass(frozen=True)
 class TruePlant:
-    """The plant in numbers."""
+    """The plant's true parameters."""
 
     magnetics: Magnetics
     parameters: PlantParameters
     """With the brake released; see `locked`."""
     sensors: SensorParameters
     options: Plant
-    """As they were given, with what a model says of them."""
+    """The plant's options, updated by its `model.json` where there is one."""
     table: FluxTable | None
-    """The map that the magnetics come from, where they do."""
+    """The flux map behind the magnetics, or None."""
     reach_a: float
     """Longest current vector for which the magnetics are known."""
     reach_positive_d_a: float
-    """Largest i_d; less where a map had to be continued to positive i_d."""
+    """Largest i_d; less where a map had to be extrapolated to positive i_d."""
     bench: BenchParameters | None = None
-    """The switched inverter with its sensors, where there is one."""
+    """The switched inverter with its sensors; None for an averaged one."""
 
     def locked(self, slip_torque_nm: float | None) -> PlantParameters:
         """The parameters with the brake engaged."""
@@ -61,12 +61,12 @@ class TruePlant:
 
 
 def read_nameplate(motor: Motor) -> Nameplate:
-    """The nameplate with what follows from it.
+    """The nameplate, with omitted values derived from the others.
 
     Raises
     ------
     InputError
-        Where the motor lacks what a drive needs for tuning its control.
+        Where the motor lacks a value that the control is tuned by.
     """
     needed = ("rated_current_rms_a", "stator_resistance_ohm", "d_inductance_h", "q_inductance_h")
     for field in needed:
@@ -93,7 +93,7 @@ def read_nameplate(motor: Motor) -> Nameplate:
 
 
 def bus_voltage(options: SimulatedOptions, nameplate: Nameplate) -> float:
-    """DC-bus voltage [V]; raises `InputError` where neither options nor nameplate tell."""
+    """DC-bus voltage [V]; raises `InputError` where neither options nor nameplate state it."""
     if options.dc_bus_voltage_v is not None:
         return options.dc_bus_voltage_v
     if nameplate.rated_voltage_v is None:
@@ -109,18 +109,18 @@ def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> 
     InputError
         Where the magnetics do not describe a motor, or a map cannot be read.
     """
-    plant, table = as_modelled(options.plant)
+    plant, table = apply_model(options.plant)
     options = options.model_copy(update={"plant": plant})
     magnetics, table = (map_energy(table), table) if table is not None else _magnetics(plant, nameplate)
     energy = magnetics.energy
-    own = table.motor.stator_resistance_ohm if table is not None and table.motor is not None else None
-    resistance = plant.resistance_ohm or own or nameplate.resistance_ohm
+    map_ohm = table.motor.stator_resistance_ohm if table is not None and table.motor is not None else None
+    resistance = plant.resistance_ohm or map_ohm or nameplate.resistance_ohm
     sample_s = 1.0 / options.sampling_frequency_hz
     steepest = max(energy.outside_d, energy.outside_q)
     refuse_switched_options(options)
     switched = plant.inverter == "switched"
-    behind = without_bridge(options) if switched else options
-    parameters = _parameters(behind, nameplate, magnetics, resistance, dc_bus_v)
+    averaged = without_bridge(options) if switched else options
+    parameters = _parameters(averaged, nameplate, magnetics, resistance, dc_bus_v)
     parameters = parameters._replace(off_ohm=0.5 / (steepest * sample_s))
     if plant.substeps is None:
         parameters = parameters._replace(substeps=_substeps(parameters, magnetics))
@@ -169,8 +169,8 @@ def _parameters(
     dead_per_a = 1.0 / ((dead and dead.threshold_a) or 0.04 * rated)
     drop_per_a = 1.0 / ((drop and drop.threshold_a) or 0.01 * rated)
     dead_v, drop_v = dead.voltage_v if dead else 0.0, drop.voltage_v if drop else 0.0
-    late = (effects.voltage_delay.delay_s if effects.voltage_delay else 0.0) / sample_s
-    if options.voltage_delay_samples + late > 3.99:
+    delay_samples = (effects.voltage_delay.delay_s if effects.voltage_delay else 0.0) / sample_s
+    if options.voltage_delay_samples + delay_samples > 3.99:
         raise InputError("drive.plant.effects", "voltage_delay", "the delay is longer than three samples in all")
     extra = (uneven.extra_a_ohm, uneven.extra_b_ohm) if uneven else (0.0, 0.0)
     on_ohm = drop.on_resistance_ohm if drop else 0.0
@@ -193,7 +193,7 @@ def _parameters(
         bias_beta_v=(bias_a + 2 * bias_b) / SQRT3,
         dc_bus_v=dc_bus_v,
         sag_per_watt=sag.per_watt if sag else 0.0,
-        delay_samples=options.voltage_delay_samples + late,
+        delay_samples=options.voltage_delay_samples + delay_samples,
         skin_ohm=skin_ohm,
         skin_rate=2 * math.pi * skin.corner_hz if skin else 0.0,
         eddy_siemens=1.0 / eddy.core_loss_ohm if eddy and not branches.core_rate else 0.0,
@@ -239,7 +239,7 @@ def _stops(effects: Effects, stiffness: float) -> tuple[float, float]:
 
 
 class _Branches(NamedTuple):
-    """Resistances and inductances beside the magnetising one, as `PlantParameters` names them."""
+    """Branches parallel to the magnetising inductance, with the field names of `PlantParameters`."""
 
     core_d_per_h: float = 0.0
     core_q_per_h: float = 0.0
@@ -266,7 +266,7 @@ def _branches(plant: Plant, sample_s: float) -> _Branches:
 
 
 def _mechanics(plant: Plant, nameplate: Nameplate) -> tuple[float, float, float]:
-    """Inertia, viscous and Coulomb friction; scaled: swings at 8 Hz about the rated current's vector, damping 0.35."""
+    """Inertia, viscous and Coulomb friction; by default for 8 Hz and damping 0.35 about the rated current vector."""
     rotor, swing = plant.rotor, 2 * math.pi * 8.0
     inertia = rotor.inertia_kg_m2 or nameplate.pole_pairs * nameplate.torque_nm / swing**2
     viscous = 2 * 0.35 * inertia * swing if rotor.viscous_nm_s is None else rotor.viscous_nm_s
@@ -290,7 +290,7 @@ def _sensors(plant: Plant, nameplate: Nameplate) -> SensorParameters:
 
 
 def _substeps(p: PlantParameters, magnetics: Magnetics) -> int:
-    """Enough for the fastest time constant: well resolved where the motor works, stable wherever it may get."""
+    """Integration steps a sample: accurate within the motor's range, stable everywhere."""
     h_dd, _, h_qq = hessian(*magnetics, magnetics.energy.psi_m, 0.0)
     usual, steepest = 1.7 * max(h_dd, h_qq), max(magnetics.energy.outside_d, magnetics.energy.outside_q)
     fastest = max(p.inverter_slope_ohm * usual / 0.9, p.inverter_slope_ohm * steepest / 2.0)

@@ -1,4 +1,4 @@
-"""From options to the switched inverter and its sensors in numbers, and what is refused of them."""
+"""Parameters of the switched inverter and its sensors, derived from the options and checked."""
 
 from __future__ import annotations
 
@@ -17,49 +17,50 @@ INVERTER_KEY = "drive.plant.switching"
 SENSORS_KEY = "drive.plant.sensors"
 SWITCHED_ONLY = "needs plant.inverter: switched"
 MAX_STEP_DECAY = 0.015
-"""Largest R h / L of a part of the carrier's period: a part is right to first order in it."""
+"""Largest R h / L of an integration interval h: an interval is exact to first order in it."""
 
 
 @dataclass(frozen=True)
 class Ratings:
-    """What sizes that were left out are scaled from."""
+    """Ratings from which omitted options are scaled."""
 
     rated_a: float
     l_h: float
     """The smaller inductance."""
     dc_bus_v: float
     sensors: SensorParameters
-    """The two that every drive has."""
+    """Parameters of sensors a and b."""
 
 
 def carrier_frequencies(options: SimulatedOptions) -> tuple[float, ...]:
     """The supported PWM frequencies [Hz]; raises `InputError` for one that the sampling does not fit."""
-    own = options.pwm_frequency_hz or options.sampling_frequency_hz
-    choices = options.pwm_frequencies_hz or (0.5 * own, own, 2.0 * own)
+    default_hz = options.pwm_frequency_hz or options.sampling_frequency_hz
+    choices = options.pwm_frequencies_hz or (0.5 * default_hz, default_hz, 2.0 * default_hz)
     if options.plant.inverter == "averaged":
-        return tuple(sorted({*choices, own}))
-    for field, given in (("pwm_frequency_hz", (own,)), ("pwm_frequencies_hz", options.pwm_frequencies_hz or ())):
+        return tuple(sorted({*choices, default_hz}))
+    for field, given in (("pwm_frequency_hz", (default_hz,)), ("pwm_frequencies_hz", options.pwm_frequencies_hz or ())):
         for f in given:
             if not _fits(options, f):
-                late = f" and {options.voltage_delay_samples:g} samples later" if options.voltage_delay_samples else ""
-                message = f"the carrier has to turn at every row{late}, and at {f:g} Hz it does not"
+                delay = options.voltage_delay_samples
+                late = f" (also {delay:g} samples later)" if delay else ""
+                message = f"rows{late} have to coincide with carrier peaks or valleys; at {f:g} Hz they do not"
                 raise InputError("drive", field, message)
-    return tuple(sorted({own, *(f for f in choices if _fits(options, f))}))
+    return tuple(sorted({default_hz, *(f for f in choices if _fits(options, f))}))
 
 
 def _fits(options: SimulatedOptions, pwm_hz: float) -> bool:
-    turns = 2.0 * pwm_hz / options.sampling_frequency_hz
-    late = turns * options.voltage_delay_samples
-    return turns > 0.5 and all(abs(n - round(n)) < 1e-9 for n in (turns, late))
+    half_periods = 2.0 * pwm_hz / options.sampling_frequency_hz
+    delay = half_periods * options.voltage_delay_samples
+    return half_periods > 0.5 and all(abs(n - round(n)) < 1e-9 for n in (half_periods, delay))
 
 
 def declared_delay(options: SimulatedOptions) -> float:
-    """n such that v[k] acts from t_k + n Ts; the mean over a sample is of an instant half a sample ago."""
+    """Delay n in samples: v[k] acts from t_k + n Ts. A reading averaged over a sample is half a sample old."""
     return options.voltage_delay_samples + (0.5 if options.current_sampling == "averaged" else 0.0)
 
 
 def refuse_switched_options(options: SimulatedOptions) -> None:
-    """Raises `InputError` where an averaged inverter is given what only a switched one has."""
+    """Raises `InputError` for options of the switched inverter where the inverter is averaged."""
     plant = options.plant
     if plant.inverter == "switched":
         return
@@ -74,41 +75,41 @@ def refuse_switched_options(options: SimulatedOptions) -> None:
 
 
 def without_bridge(options: SimulatedOptions) -> SimulatedOptions:
-    """The options of the plant behind a switched bridge: what bridge and sensors do themselves is left out."""
+    """The options without the effects that the switched bridge and its sensors simulate themselves."""
     effects = options.plant.effects
     eddy = effects.eddy_currents
     if eddy is not None and eddy.time_constant_s is None:
         eddy = eddy.model_copy(update={"time_constant_s": 1.0 / options.sampling_frequency_hz})
-    own = dict.fromkeys(("dead_time", "device_drop", "bus_sag", "voltage_delay", "current_filter"))
-    left = effects.model_copy(update={**own, "eddy_currents": eddy})
-    plant = options.plant.model_copy(update={"effects": left})
+    simulated = dict.fromkeys(("dead_time", "device_drop", "bus_sag", "voltage_delay", "current_filter"))
+    remaining = effects.model_copy(update={**simulated, "eddy_currents": eddy})
+    plant = options.plant.model_copy(update={"effects": remaining})
     return options.model_copy(update={"plant": plant, "voltage_delay_samples": 0.0})
 
 
 def derive_bench(
     options: SimulatedOptions, plant: PlantParameters, known: Ratings
 ) -> tuple[PlantParameters, BenchParameters]:
-    """Bridge and sensors, and the plant that is taken through their parts.
+    """Parameters of the plant, and those of the bridge and its sensors.
 
     Raises
     ------
     InputError
-        Where an option is larger than the carrier, or the drive, allows.
+        Where an option exceeds what the carrier period or the drive permits.
     """
     if options.voltage_delay_samples > 2.0:
         raise InputError("drive", "voltage_delay_samples", "two samples at most on a switched inverter")
-    own_hz = options.pwm_frequency_hz or options.sampling_frequency_hz
-    turns = round(2.0 * own_hz / options.sampling_frequency_hz)
-    parts = max(1, math.ceil(0.5 * plant.resistance_ohm / (own_hz * known.l_h) / MAX_STEP_DECAY))
+    default_hz = options.pwm_frequency_hz or options.sampling_frequency_hz
+    half_periods = round(2.0 * default_hz / options.sampling_frequency_hz)
+    intervals = max(1, math.ceil(0.5 * plant.resistance_ohm / (default_hz * known.l_h) / MAX_STEP_DECAY))
     s, effects, bus = options.plant.switching, options.plant.effects, options.plant.switching.bus
-    dead = _dead_times(options, own_hz, known.dc_bus_v)
+    dead = _dead_times(options, default_hz, known.dc_bus_v)
     switch_v, switch_ohm, diode_v, diode_ohm, knee = _devices(options, known)
     lag = effects.current_filter.time_constant_s if effects.current_filter else 0.0
     bridge = BridgeParameters(
-        half_s=0.5 / own_hz,
+        half_s=0.5 / default_hz,
         dead_s=dead,
         two_capacitances_f=2.0 * _capacitance(options, max(dead), known),
-        power=1.0 - s.grading,
+        charge_exponent=1.0 - s.grading,
         switch_v=switch_v,
         switch_ohm=switch_ohm,
         diode_v=diode_v,
@@ -123,11 +124,11 @@ def derive_bench(
     sag = effects.bus_sag.per_watt * known.dc_bus_v**2 if effects.bus_sag else 0.0
     switching = SwitchingParameters(
         bridge=bridge,
-        halves=turns,
-        delay_halves=round(turns * options.voltage_delay_samples),
+        half_periods=half_periods,
+        delay_half_periods=round(half_periods * options.voltage_delay_samples),
         shift_s=s.sampling_offset_s - (effects.voltage_delay.delay_s if effects.voltage_delay else 0.0),
-        steps=math.ceil(plant.substeps / (turns * parts)),
-        parts=parts,
+        steps=math.ceil(plant.substeps / (half_periods * intervals)),
+        intervals=intervals,
         nominal_v=known.dc_bus_v,
         compensated=bus.compensated,
         logged=bus.logged == "measured",
@@ -140,15 +141,15 @@ def derive_bench(
         junction_step=-math.expm1(-plant.sample_s / s.device_time_constant_s),
         averaged=options.current_sampling == "averaged",
     )
-    _refuse_long(options, switching)
-    _refuse_weak(options, switching, known, plant.resistance_ohm)
+    _check_timing(options, switching)
+    _check_trip(options, switching, known, plant.resistance_ohm)
     return plant._replace(has_branches=False), BenchParameters(switching, _sensing(options, known))
 
 
-def _dead_times(options: SimulatedOptions, own_hz: float, dc_bus_v: float) -> Three:
+def _dead_times(options: SimulatedOptions, default_hz: float, dc_bus_v: float) -> Three:
     given, effect = options.plant.switching.dead_time_s, options.plant.effects.dead_time
     if given is None:
-        given = effect.voltage_v / (own_hz * dc_bus_v) if effect else 0.0
+        given = effect.voltage_v / (default_hz * dc_bus_v) if effect else 0.0
     return given if isinstance(given, tuple) else (given, given, given)
 
 
@@ -161,7 +162,7 @@ def _capacitance(options: SimulatedOptions, dead_s: float, known: Ratings) -> fl
 
 
 def _devices(options: SimulatedOptions, known: Ratings) -> tuple[float, float, float, float, float]:
-    """Switch, diode and their knee."""
+    """Switch (V, ohm), diode (V, ohm) and the knee current of both [A]."""
     s, effect = options.plant.switching, options.plant.effects.device_drop
     volts, ohm = (effect.voltage_v, effect.on_resistance_ohm) if effect else (0.0, 0.0)
     switch_v = volts if s.switch_drop_v is None else s.switch_drop_v
@@ -177,37 +178,37 @@ def _devices(options: SimulatedOptions, known: Ratings) -> tuple[float, float, f
     )
 
 
-def _refuse_long(options: SimulatedOptions, s: SwitchingParameters) -> None:
-    """Refuse what does not fit into the carrier's shortest supported period."""
+def _check_timing(options: SimulatedOptions, s: SwitchingParameters) -> None:
+    """Raises `InputError` for times that exceed the shortest supported carrier period."""
     fastest = max(carrier_frequencies(options))
-    period, words = 1.0 / fastest, f"of the carrier at {fastest:g} Hz"
+    period, where = 1.0 / fastest, f"of the carrier at {fastest:g} Hz"
     if s.bridge.minimum_s >= period:
         raise InputError(
-            INVERTER_KEY, "minimum_pulse_s", f"{_us(s.bridge.minimum_s)} is no shorter than the period {words}"
+            INVERTER_KEY, "minimum_pulse_s", f"{_us(s.bridge.minimum_s)} is no shorter than the period {where}"
         )
     for field, value in (("dead_time_s", max(s.bridge.dead_s)), ("timer_s", s.bridge.timer_s)):
         if value >= 0.5 * period:
-            raise InputError(INVERTER_KEY, field, f"{_us(value)} is no shorter than half the period {words}")
+            raise InputError(INVERTER_KEY, field, f"{_us(value)} is no shorter than half the period {where}")
     if abs(s.shift_s) >= 0.5 * period:
         prefix = "with effects.voltage_delay, " if options.plant.effects.voltage_delay else ""
         raise InputError(
-            INVERTER_KEY, "sampling_offset_s", f"{prefix}{_us(s.shift_s)} is half the period {words} or more"
+            INVERTER_KEY, "sampling_offset_s", f"{prefix}{_us(s.shift_s)} is half the period {where} or more"
         )
 
 
-def _refuse_weak(options: SimulatedOptions, s: SwitchingParameters, known: Ratings, resistance_ohm: float) -> None:
-    """What could not carry the current at which the drive trips: nodes that it does not swing, a bus that gives way."""
+def _check_trip(options: SimulatedOptions, s: SwitchingParameters, known: Ratings, resistance_ohm: float) -> None:
+    """Raises `InputError` where capacitances or bus resistance keep the current from reaching the trip level."""
     given, trip_a = options.plant.switching, _trip_a(options, known)
     at_trip, half_s = f"the {trip_a:.3g} A at which the drive trips", 0.5 / max(carrier_frequencies(options))
     swing_s = s.bridge.two_capacitances_f * known.dc_bus_v / trip_a
     if given.output_capacitance_f is not None and swing_s >= half_s:
-        message = f"{at_trip} take {_us(swing_s)} from rail to rail, half the carrier's period is {_us(half_s)}"
+        message = f"{at_trip} take {_us(swing_s)} to commutate, longer than half the carrier period ({_us(half_s)})"
         raise InputError(INVERTER_KEY, "output_capacitance_f", message)
     if not given.bus.resistance_ohm:
         return
-    most_w, loss_w = known.dc_bus_v**2 / (4.0 * given.bus.resistance_ohm), 1.5 * resistance_ohm * trip_a**2
-    if most_w <= loss_w:
-        message = f"lets no more than {most_w:.3g} W through, and {at_trip} take {loss_w:.3g} W in the winding"
+    max_w, loss_w = known.dc_bus_v**2 / (4.0 * given.bus.resistance_ohm), 1.5 * resistance_ohm * trip_a**2
+    if max_w <= loss_w:
+        message = f"passes at most {max_w:.3g} W, and {at_trip} dissipate {loss_w:.3g} W in the winding"
         raise InputError(INVERTER_KEY, "bus.resistance_ohm", f"{given.bus.resistance_ohm:g} ohm {message}")
 
 

@@ -2,8 +2,8 @@
 
 Either the paper's polynomial or a tensor cubic B-spline; both are functions of one scalar, so
 reciprocity holds by construction, and both are even in psi_q by construction. Outside the box in
-which it is known, H goes on quadratically, so that an overcurrent meets a stiff but finite motor.
-Where the coefficients come from is not decided here (see `_polynomial` and `_map`).
+which it is known, H is continued quadratically, so that an overcurrent meets a stiff but finite motor.
+`_polynomial` and `_map` supply the coefficients.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Energy(NamedTuple):
 
 
 class Magnetics(NamedTuple):
-    """An energy, whole. The array travels apart: compiled code counts references to it at every call."""
+    """An energy with its spline. The array is separate, since compiled code counts references at every call."""
 
     energy: Energy
     spline: Array

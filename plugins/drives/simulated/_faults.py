@@ -1,4 +1,4 @@
-"""Failures on request: when they are due, and what a block of wrong data looks like."""
+"""Injected faults: their instants, and corrupted data blocks."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from protocols import Capture
 
 
 class FaultPlan:
-    """Which of the configured faults are still to come."""
+    """The configured faults, each of which occurs once."""
 
     def __init__(self, faults: Sequence[Fault]) -> None:
         self.faults = tuple(faults)
         self.fired: set[int] = set()
 
     def due(self, number: int, start_s: float, sampling_frequency_hz: float, samples: int) -> dict[int, int]:
-        """Indices of the faults within an excitation, by the sample (settling included) before which they strike."""
+        """Sample (settling included) before which each fault within an excitation occurs, by the fault's index."""
         moments: dict[int, int] = {}
         for index, fault in enumerate(self.faults):
             if index in self.fired:
@@ -36,13 +36,13 @@ class FaultPlan:
         return moments
 
     def strike(self, index: int) -> Fault:
-        """The fault that happens now; it happens once."""
+        """The fault of this index, marked as having occurred."""
         self.fired.add(index)
         return self.faults[index]
 
 
 def corrupted(capture: Capture, fault: Fault) -> Capture:
-    """What a faulty link would hand over instead of a block."""
+    """A block as a faulty link would deliver it."""
     fields = {name: getattr(capture, name) for name in type(capture).model_fields}
     i = capture.i_ab.copy()
     match fault.data:
@@ -55,4 +55,4 @@ def corrupted(capture: Capture, fault: Fault) -> Capture:
         case "gap":
             fields["start_s"] = capture.start_s + 0.25
     fields["i_ab"] = i
-    return Capture.model_construct(**fields)  # past the model's own checks: that is the point
+    return Capture.model_construct(**fields)  # bypasses the model's checks on purpose

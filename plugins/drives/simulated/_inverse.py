@@ -1,4 +1,4 @@
-"""psi(i): the inverse of i = grad H(psi), by Newton's method. Nothing here runs in the step loop."""
+"""psi(i): the inverse of i = grad H(psi), by Newton's method; not used in the step loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from plugins.drives.simulated._numba import kernel
 
 @kernel
 def _invert(e: Energy, spline: Array, i: Array, psi: Array) -> int:
-    """Damped Newton from psi_M for each row; returns the first row that was not found, or -1."""
+    """Damped Newton from psi_M for each row; returns the first row without convergence, or -1."""
     for n in range(i.shape[0]):
         d, q = e.psi_m, 0.0
         i_d, i_q = current(e, spline, d, q)

@@ -1,9 +1,9 @@
-"""The iron, compiled: what current the flux asks for, hysteresis and branches included, and the torque that makes.
+"""The iron, compiled: current for a flux, with hysteresis and parallel branches, and the torque.
 
     i = grad H(psi) - magnets' + slots' + sum of stop operators + core + damper,     T = 3/2 n (psi_d i_q - psi_q i_d)
 
-Core and damper are branches of a resistance and an inductance beside the magnetising one: they are held during a step
-and moved at its end.
+Core and damper are R-L branches parallel to the magnetising inductance; they are constant during a step
+and updated at its end.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from plugins.drives.simulated._state import (
 )
 
 
-class Held(NamedTuple):
-    """What stands still during a step of the integration."""
+class StepConstants(NamedTuple):
+    """Quantities that are constant during an integration step."""
 
     v_alpha: float
     v_beta: float
@@ -41,7 +41,7 @@ class Held(NamedTuple):
     resistance_ohm: float
     magnet_a: float
     branch_d: float
-    """What core and damper carry [A]."""
+    """Current of core and damper branches [A]."""
     branch_q: float
     moving: bool
     driven: bool
@@ -49,7 +49,7 @@ class Held(NamedTuple):
     cos: float
     sin: float
     psi_d: float
-    """At the start of the step, with the stops as they were then."""
+    """Flux at the start of the step; the stops likewise."""
     psi_q: float
     stop1_d: float
     stop1_q: float
@@ -60,7 +60,7 @@ class Held(NamedTuple):
 
 
 class Stage(NamedTuple):
-    """The integrated states."""
+    """State at a Runge-Kutta stage."""
 
     psi_d: float
     psi_q: float
@@ -72,7 +72,7 @@ class Stage(NamedTuple):
 
 @inlined
 def _stop(p: PlantParameters, limit: float, stop_d: float, stop_q: float, d: float, q: float) -> tuple[float, float]:
-    """Vector stop operator after the flux has moved by (d, q): follows elastically, slides at its limit, an ellipse."""
+    """Vector stop operator after a flux change (d, q): elastic within its limit, an ellipse, and sliding on it."""
     stop_d += p.stop_slope * d
     stop_q += p.stop_slope * q
     along_q = stop_q * p.stop_d_over_q
@@ -84,8 +84,8 @@ def _stop(p: PlantParameters, limit: float, stop_d: float, stop_q: float, d: flo
 
 
 @inlined
-def magnetising(p: PlantParameters, e: Energy, spline: Array, f: Held, y: Stage) -> tuple[float, float, float]:
-    """(i_d, i_q) that the iron asks for, and the torque 3/2 n (psi_d i_q - psi_q i_d) [Nm]."""
+def magnetising(p: PlantParameters, e: Energy, spline: Array, f: StepConstants, y: Stage) -> tuple[float, float, float]:
+    """Magnetising current (i_d, i_q) [A] and torque 3/2 n (psi_d i_q - psi_q i_d) [Nm]."""
     i_d, i_q = current(e, spline, y.psi_d, y.psi_q)
     i_d -= f.magnet_a
     slot_torque = 0.0
@@ -109,8 +109,8 @@ def magnetising(p: PlantParameters, e: Energy, spline: Array, f: Held, y: Stage)
 
 
 @inlined
-def move_stops(p: PlantParameters, f: Held, x: Array, d: float, q: float) -> None:
-    """Leave the stops where the step has brought them."""
+def move_stops(p: PlantParameters, f: StepConstants, x: Array, d: float, q: float) -> None:
+    """Update the stops after a flux change (d, q)."""
     limit = p.stop_limit_a
     x[STOPS], x[STOPS + 1] = _stop(p, limit, f.stop1_d, f.stop1_q, d, q)
     x[STOPS + 2], x[STOPS + 3] = _stop(p, 2 * limit, f.stop2_d, f.stop2_q, d, q)
@@ -119,7 +119,7 @@ def move_stops(p: PlantParameters, f: Held, x: Array, d: float, q: float) -> Non
 
 @inlined
 def move_branches(p: PlantParameters, x: Array, d: float, q: float, h: float) -> None:
-    """Core and damper after the flux has moved by (d, q) in h, exact for a constant voltage."""
+    """Update core and damper after a flux change (d, q) in h; exact for a constant voltage."""
     if p.core_rate > 0.0:
         fade, share = math.exp(-h * p.core_rate), -math.expm1(-h * p.core_rate) / (h * p.core_rate)
         carry_branches(x, CORE_D, fade * x[CORE_D] + p.core_d_per_h * share * d)
@@ -132,7 +132,7 @@ def move_branches(p: PlantParameters, x: Array, d: float, q: float, h: float) ->
 
 @inlined
 def carry_branches(x: Array, branch: int, current_a: float) -> None:
-    """Give a branch its current [A]; the stator's carries it."""
+    """Set a branch's current [A] and change the stator current by as much."""
     change = current_a - x[branch]
     x[branch] = current_a
     if branch in (CORE_D, DAMPER_D):

@@ -1,11 +1,9 @@
 """Flux maps of real machines as energies: a table psi(i) becomes a spline H(psi) with grad H = i.
 
-Files are read as everywhere else (`orchestrator.flux_maps.load_map`); where the magnet does not lie on d, the map is
-turned until it does.
-The spline is fitted to the currents, so that the model is free of curl and even in psi_q whatever
-the measurement's errors; third differences are held small, which smooths noise, and continues H
-quadratically (constant inductances) where the table has no points. Fitting needs the table only:
-a nameplate beside it is handed through.
+`orchestrator.flux_maps.load_map` reads the files; a map whose magnet does not lie on d is rotated until it does.
+The spline is fitted to the currents, so that the model is free of curl and even in psi_q despite
+measurement errors. A penalty on third differences smooths noise and extrapolates H quadratically (constant
+inductances) where the table has no points.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from protocols import InputError, Motor
 OPTION_KEY = "drive.plant.magnetics"
 SPLINE_CELLS = (24, 36)
 SMOOTHING_FACTORS = (1.0, 3.0, 10.0, 30.0, 100.0)
-"""Weights of the third differences over the least, tried in order until the energy is convex."""
+"""Factors on the weight of the third differences, tried in order until the energy is convex."""
 
 
 @dataclass(frozen=True)
@@ -39,20 +37,20 @@ class FluxTable:
     psi_dq: Array
     """Shape (n, 2) [Wb]."""
     motor: Motor | None = None
-    """The nameplate, for maps that come with the package."""
+    """The nameplate of a map of the package."""
     smoothing: float = 0.03
-    """Least weight of the third differences."""
+    """Smallest weight of the third differences."""
     turned_rad: float = 0.0
-    """By how much the file's frame was turned to lie on the magnet."""
+    """Angle by which the file's frame was rotated onto the magnet."""
 
     @property
     def reach_a(self) -> float:
-        """Largest current that the table knows on both axes."""
+        """Largest current that the table covers on both axes [A]."""
         return float(np.abs(self.i_dq).max(axis=0).min())
 
     @property
     def holds_zero(self) -> bool:
-        """Whether zero current lies within the table's range on both axes, or at its end."""
+        """Whether zero current lies within the table's range on both axes."""
         return bool(((self.i_dq.min(axis=0) <= 0.0) & (self.i_dq.max(axis=0) >= 0.0)).all())
 
 
@@ -76,16 +74,16 @@ def _about(name: str) -> dict[str, Any]:
 
 
 def load_table(name: str | None, file: Path | None) -> FluxTable:
-    """A shipped map by name, or the user's own: whatever `orchestrator.flux_maps.load_map` reads.
+    """Table of a map of the package, by name, or of a user's file.
 
     Raises
     ------
     InputError
-        Where there is no such map, or the file does not hold one.
+        Where there is no such map, or the file holds none.
     """
     if name is None:
         path = Path() if file is None else file
-        return _on_the_magnet(_points(str(path), path))
+        return _rotate_to_magnet(_points(str(path), path))
     about = _about(name)
     with as_file(files("plugins.drives.simulated") / "maps" / f"{name}.csv") as path:
         table = _points(name, path)
@@ -93,7 +91,7 @@ def load_table(name: str | None, file: Path | None) -> FluxTable:
 
 
 def _points(source: str, path: Path) -> FluxTable:
-    """The grid points at which a map is known."""
+    """The grid points at which a map has values."""
     from orchestrator.flux_maps import load_map
 
     flux_map = load_map(path)
@@ -107,19 +105,19 @@ def _points(source: str, path: Path) -> FluxTable:
     return FluxTable(source, i_dq, np.column_stack((flux_map.psi_d[known], flux_map.psi_q[known])).astype(np.float64))
 
 
-def _on_the_magnet(table: FluxTable, near: float = 0.1, least_share: float = 0.05) -> FluxTable:
-    """The table in the frame of its magnet.
+def _rotate_to_magnet(table: FluxTable, near: float = 0.1, min_flux_share: float = 0.05) -> FluxTable:
+    """The table, rotated so that its magnet lies on d.
 
-    The plant is even about its d axis, on which the magnet lies. Where that is, the flux at the point nearest to zero
-    current tells: a current `near` zero, relative to the largest, and a flux of `least_share` of the largest. A table
-    that begins beside zero tells nothing: iron that saturates on the way there would pass for a turn.
+    The plant is even about the d axis. The magnet's direction is that of the flux at the point nearest to zero current,
+    extrapolated to zero. This needs a current below `near` of the largest and a flux above `min_flux_share` of the
+    largest. A table that does not include zero stays as it is: saturation on the way would look like a rotation.
     """
     if not table.holds_zero:
         return table
     length = np.linalg.norm(table.i_dq, axis=1)
     at = int(np.argmin(length))
     flux = np.linalg.norm(table.psi_dq, axis=1)
-    if length[at] > near * length.max() or flux[at] < least_share * flux.max():
+    if length[at] > near * length.max() or flux[at] < min_flux_share * flux.max():
         return table
     rest_d, rest_q = table.psi_dq[at] - _inductance(table) @ table.i_dq[at]
     angle = math.atan2(rest_q, rest_d)
@@ -131,9 +129,9 @@ def _on_the_magnet(table: FluxTable, near: float = 0.1, least_share: float = 0.0
 
 
 def _inductance(table: FluxTable) -> Array:
-    """Slope of the flux over the current about the table's point nearest to zero [H], shape (2, 2)."""
-    apart = np.linalg.norm(table.i_dq, axis=1)
-    near = np.argsort(apart, kind="stable")[:9]
+    """Incremental inductance at the table's point nearest to zero current [H], shape (2, 2)."""
+    distance = np.linalg.norm(table.i_dq, axis=1)
+    near = np.argsort(distance, kind="stable")[:9]
     design = np.column_stack((np.ones(len(near)), table.i_dq[near]))
     return np.asarray(np.linalg.lstsq(design, table.psi_dq[near], rcond=None)[0][1:].T, dtype=np.float64)
 
@@ -141,12 +139,12 @@ def _inductance(table: FluxTable) -> Array:
 def map_energy(table: FluxTable) -> Magnetics:
     """Spline energy of a flux map.
 
-    It is convex at the table's points, and between them and their mirror images, where no point may be.
+    It is convex at the table's points and on the d axis, where the table may have none.
 
     Raises
     ------
     InputError
-        Where the table cannot be a motor's: no convex energy goes through it.
+        Where no convex energy fits the table.
     """
     i_dq, psi_dq = _symmetrised(table)
     box = _box(psi_dq, i_dq)
@@ -162,14 +160,14 @@ def map_energy(table: FluxTable) -> Magnetics:
     outside_d, outside_q = float(points[:, 0].max()), float(points[:, 2].max())
     energy = box._replace(outside_d=outside_d, outside_q=outside_q)
     nearest = psi_dq[int(np.argmin(np.abs(i_dq).sum(axis=1)))]
-    return Magnetics(energy._replace(psi_m=_rest(Magnetics(energy, spline), float(nearest[0]))), spline)
+    return Magnetics(energy._replace(psi_m=_zero_current_flux(Magnetics(energy, spline), float(nearest[0]))), spline)
 
 
 def usable_reach(table: FluxTable, magnetics: Magnetics, *, positive_d: bool) -> float:
-    """Radius of the circle (or of its half with i_d <= 0) in which the model is a motor [A].
+    """Radius of the circle (or of its half with i_d <= 0) in which the model is physical [A].
 
-    Within the table's range on both axes, and where a one-sided table had to be continued, as far
-    as the inductances stay within a third to three times what they are at the table's points.
+    Within the table's range on both axes, and where a one-sided table had to be extrapolated, as far
+    as the inductances stay within 1/3 to 3 times those at the table's points.
     """
     energy = magnetics.energy
 
@@ -186,10 +184,10 @@ def usable_reach(table: FluxTable, magnetics: Magnetics, *, positive_d: bool) ->
     reach = 0.0
     for radius in table.reach_a * np.linspace(0.05, 1.0, 20):
         try:
-            here = stiffness(flux_at(magnetics, radius * circle))
+            eigenvalues = stiffness(flux_at(magnetics, radius * circle))
         except ValueError:
             break
-        if here.min() < low or here.max() > high:
+        if eigenvalues.min() < low or eigenvalues.max() > high:
             break
         reach = float(radius)
     return reach
@@ -201,30 +199,30 @@ def fit_error(table: FluxTable, magnetics: Magnetics) -> float:
     return float(np.sqrt(((model - table.i_dq) ** 2).sum(axis=1).mean()))
 
 
-def misfit_in_words(table: FluxTable, magnetics: Magnetics) -> str:
-    """By how much the plant's smooth map differs from the file's points, and how it was turned; one line."""
+def describe_misfit(table: FluxTable, magnetics: Magnetics) -> str:
+    """One line on the smooth map's deviation from the file's points, and on its rotation."""
     share = 100.0 * fit_error(table, magnetics) / math.sqrt(float((table.i_dq**2).sum(axis=1).mean()))
     points = f"{len(table.i_dq)} points within {share:.2g} % of the current, rms"
     message = f"{table.source}: the motor's smooth map meets its {points}"
     if not table.holds_zero:
-        message += "; they begin beside zero current, which does not tell where the magnet lies: on d, as in the file"
+        message += "; they do not include zero current, so the magnet is taken to lie on d, as in the file"
     if abs(table.turned_rad) > math.radians(0.05):
         message += f"; turned by {-math.degrees(table.turned_rad):+.1f} degrees, so that the magnet lies on d"
     return message
 
 
 def _symmetrised(table: FluxTable) -> tuple[Array, Array]:
-    """The points and their mirror images in i_q; where both were measured, their mean."""
+    """The points and their mirror images in i_q, averaged where both were measured."""
     mirror = np.array([1.0, -1.0])
-    apart = np.abs(table.i_dq[:, None, :] - (table.i_dq * mirror)[None, :, :]).sum(axis=2)
-    twin = np.argmin(apart, axis=1)
-    has_twin = apart[np.arange(len(twin)), twin] < 1e-6 * table.reach_a
-    psi = np.where(has_twin[:, None], 0.5 * (table.psi_dq + (table.psi_dq * mirror)[twin]), table.psi_dq)
+    distance = np.abs(table.i_dq[:, None, :] - (table.i_dq * mirror)[None, :, :]).sum(axis=2)
+    mirrored = np.argmin(distance, axis=1)
+    has_mirror = distance[np.arange(len(mirrored)), mirrored] < 1e-6 * table.reach_a
+    psi = np.where(has_mirror[:, None], 0.5 * (table.psi_dq + (table.psi_dq * mirror)[mirrored]), table.psi_dq)
     return np.vstack((table.i_dq, table.i_dq * mirror)), np.vstack((psi, psi * mirror))
 
 
 def _box(psi_dq: Array, i_dq: Array) -> Energy:
-    """A spline over a box that holds all points; to the right of a map that ends at i_d = 0, room to go on."""
+    """Spline box that contains all points, extended to the right for a map that ends at i_d = 0."""
     low, high, high_q = float(psi_dq[:, 0].min()), float(psi_dq[:, 0].max()), float(psi_dq[:, 1].max())
     if i_dq[:, 0].max() < 0.25 * -i_dq[:, 0].min():
         high += high - low
@@ -244,7 +242,7 @@ def _box(psi_dq: Array, i_dq: Array) -> Energy:
 
 
 def _fit(box: Energy, i_dq: Array, psi_dq: Array, smoothing: float) -> Array:
-    """Least squares for the coefficients."""
+    """Spline coefficients by penalised least squares."""
     from scipy.interpolate import BSpline
 
     shape, m, n = (box.rows + 3, box.columns + 3), box.cells_per_wb_d, box.cells_per_wb_q
@@ -277,8 +275,8 @@ def _fit(box: Energy, i_dq: Array, psi_dq: Array, smoothing: float) -> Array:
     return np.ascontiguousarray(0.5 * (coefficients + coefficients[:, ::-1]))
 
 
-def _rest(magnetics: Magnetics, start_d: float) -> float:
-    """psi_d at zero current, by Newton on the d axis."""
+def _zero_current_flux(magnetics: Magnetics, start_d: float) -> float:
+    """psi_d at zero current by Newton's method [Wb]."""
     psi = start_d
     for _ in range(50):
         inside = min(max(psi, magnetics.energy.low_d), magnetics.energy.high_d)

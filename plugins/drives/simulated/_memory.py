@@ -35,11 +35,11 @@ class _Checkpoint(Strict):
 
 @dataclass(frozen=True)
 class Saved:
-    """What a checkpoint holds beside the plant's memory."""
+    """Content of a checkpoint: the plant's memory, and the rig's settings."""
 
     memory: Memory
     number: int
-    """Excitations so far."""
+    """Number of excitations so far."""
     braked: bool
     bandwidth_hz: float
     damping: float
@@ -48,20 +48,20 @@ class Saved:
 
 def save(directory: Path, point_id: str, saved: Saved) -> None:
     """Write a checkpoint and remove all but the last two."""
-    memory, rest = vars(saved.memory), {name: value for name, value in vars(saved).items() if name != "memory"}
-    content = _Checkpoint(point_id=point_id, **{**memory, **rest, "state": tuple(saved.memory.state.tolist())})
+    memory, others = vars(saved.memory), {name: value for name, value in vars(saved).items() if name != "memory"}
+    content = _Checkpoint(point_id=point_id, **{**memory, **others, "state": tuple(saved.memory.state.tolist())})
     write_json(directory / f"plant-{content.ticks:015d}-{saved.number:06d}.json", content.model_dump())
-    for old in sorted(directory.glob("plant-*.json"))[:-2]:  # a kill may come while the last one is being written
+    for old in sorted(directory.glob("plant-*.json"))[:-2]:  # the process may die while the last one is written
         old.unlink(missing_ok=True)
 
 
 def load(directory: Path, point_id: str) -> Saved:
-    """The checkpoint of a point; raises `DriveRefused` where there is none that can be used."""
+    """The checkpoint of a point; raises `DriveRefused` where there is none."""
     for content in _checkpoints(directory):
         if content.point_id == point_id and len(content.state) == layout.STATE_LENGTH:
             fields = content.model_dump(exclude={"point_id", "state"})
-            own = {name: fields.pop(name) for name in ("ticks", "base_s", "angle_rad", "base_v", "open_loop")}
-            return Saved(Memory(np.array(content.state), **own), **fields)
+            memory_fields = {name: fields.pop(name) for name in ("ticks", "base_s", "angle_rad", "base_v", "open_loop")}
+            return Saved(Memory(np.array(content.state), **memory_fields), **fields)
     raise DriveRefused(f"{directory}: no state of the plant after point {point_id!r}")
 
 
@@ -72,7 +72,7 @@ def misalignment(directory: Path) -> float | None:
 
 
 def _checkpoints(directory: Path) -> Iterator[_Checkpoint]:
-    """Those that can be read, the latest first: a torn file is as good as none."""
+    """Readable checkpoints, the latest first; incomplete files are skipped."""
     for path in sorted(directory.glob("plant-*.json"), reverse=True):
         with suppress(OSError, ValueError, ValidationError):
             yield _Checkpoint.model_validate(json.loads(path.read_text(encoding="utf-8")))

@@ -1,7 +1,7 @@
-"""A plant out of a `model.json`: its map as a table of points, its R_s, its effects under the plant's own names.
+"""A plant from a `model.json`: its map as a table of points, its R_s, its effects under the plant's names.
 
-The file's format is all that is shared with whoever made it: the spline is evaluated here anew (docs/model.md). What
-the plant's effects do not know (the refinements of a fit) is left at the plant's own form.
+Only the file's format (docs/model.md) is shared with the diagnosis; the spline's evaluation is separate code.
+Parameters that the plant's effects lack (a fit's refinements) are ignored.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ OPTION_KEY = "drive.plant.model"
 SPLINE_DEGREE = 5
 
 
-def as_modelled(plant: Plant) -> tuple[Plant, FluxTable | None]:
-    """The plant with R_s and effects of its model, where it names one, and that model's map.
+def apply_model(plant: Plant) -> tuple[Plant, FluxTable | None]:
+    """The plant with R_s and effects of its `model`, and that model's map; unchanged without one.
 
     Raises
     ------
     RecordingError
         Where the file is no model.
     InputError
-        Where the model has an effect, or a size of one, that the plant cannot have.
+        Where the model has an effect, or a parameter's value, that the plant does not support.
     """
     if plant.model is None:
         return plant, None
@@ -51,15 +51,15 @@ def _effects(model: MotorModel) -> Effects:
     try:
         return Effects.model_validate(effects)
     except ValidationError as error:
-        wrong = error.errors()[0]
-        message = f"{wrong['msg'][:1].lower()}{wrong['msg'][1:]}, and the model says {wrong['input']!r}"
-        raise InputError(OPTION_KEY, ".".join(map(str, wrong["loc"])), message) from None
+        first_error = error.errors()[0]
+        message = f"{first_error['msg'][:1].lower()}{first_error['msg'][1:]}; the model has {first_error['input']!r}"
+        raise InputError(OPTION_KEY, ".".join(map(str, first_error["loc"])), message) from None
 
 
 def flux_table(model: MotorModel, source: Path, nodes: int = 25) -> FluxTable:
-    """The model's map at `nodes` x `nodes` currents over its rectangle, where it was measured.
+    """The model's map at `nodes` x `nodes` currents over its rectangle, within the measured hull.
 
-    Its splines have some ten intervals on a side: two nodes and more in each are enough for the plant's own.
+    A model's spline has some ten intervals per axis, so 25 nodes put two or more in each.
     """
     from scipy.spatial import Delaunay
 
@@ -81,8 +81,8 @@ def _flux(spline: CoEnergySpline, i_d: Array, i_q: Array) -> Array:
 
     cells = np.array([spline.d_intervals, spline.q_intervals])
     along_q = int(cells[1]) + SPLINE_DEGREE
-    even = np.minimum(np.arange(along_q), along_q - 1 - np.arange(along_q))
-    coefficients = np.array(spline.coefficients_j).reshape(int(cells[0]) + SPLINE_DEGREE, -1)[:, even]
+    mirrored = np.minimum(np.arange(along_q), along_q - 1 - np.arange(along_q))
+    coefficients = np.array(spline.coefficients_j).reshape(int(cells[0]) + SPLINE_DEGREE, -1)[:, mirrored]
     low = np.array([spline.d_low_a, -spline.q_high_a])
     step = (np.array([spline.d_high_a, spline.q_high_a]) - low) / cells
     knots_d, knots_q = (low[k] + step[k] * np.arange(-SPLINE_DEGREE, cells[k] + SPLINE_DEGREE + 1) for k in range(2))

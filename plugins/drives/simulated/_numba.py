@@ -1,8 +1,8 @@
-"""The decorators of every compiled function here; they do nothing but fix numba's settings.
+"""Decorators of the compiled functions, which fix numba's settings.
 
-numba keeps compiled code on disk and looks only at the one source file that a function is in: a
-change in another module that is compiled into it would go unseen. So the name under which a
-function is kept carries a fingerprint of all compiled modules.
+numba caches compiled code on disk and checks only the source file of the function itself, not the
+modules that are compiled into it. So the name under which a function is cached includes a
+fingerprint of all compiled modules.
 """
 
 from collections.abc import Callable
@@ -27,12 +27,12 @@ def _fingerprint() -> str:
 
 
 def kernel(function: F) -> F:
-    """Compile in nopython mode, cached on disk, without the interpreter's lock."""
+    """Compile in nopython mode, cached on disk, releasing the interpreter's lock."""
     return _compiled(function, forceinline=False)
 
 
 def inlined(function: F) -> F:
-    """The same for what the step loop is made of: a call there would cost more than what is called."""
+    """As `kernel`, always inlined: in the step loop a call would cost more than the function itself."""
     return _compiled(function, forceinline=True)
 
 

@@ -1,4 +1,4 @@
-"""What the simulated drive says it can do, and what it refuses. It moves nothing."""
+"""Capabilities of the simulated drive, and the excitations that it refuses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar
 from orchestrator.driving import SINGLE_PRECISION_RATIO
 from plugins.drives.simulated._derive import Nameplate, TruePlant
 from plugins.drives.simulated._derive_switching import carrier_frequencies, declared_delay
-from plugins.drives.simulated._map import misfit_in_words
+from plugins.drives.simulated._map import describe_misfit
 from plugins.drives.simulated._state import SQRT3
 from plugins.drives.simulated.options import SimulatedOptions
 from protocols import Capabilities, DriveRefused, Excitation, Injection, InputError, Spin, Trapezoid, VoltageSteps
@@ -23,12 +23,12 @@ class Permission:
 
     capabilities: Capabilities
     reach_positive_d_a: float
-    fastest: ClassVar[float] = 0.5
-    """The rotor's electrical angle from a row to the next [rad]."""
+    max_angle_step: ClassVar[float] = 0.5
+    """Largest electrical rotor angle between two rows [rad]."""
 
     @classmethod
     def of(cls, options: SimulatedOptions, nameplate: Nameplate, plant: TruePlant, bus_v: float) -> Permission:
-        """Limits from the options; what is left out follows from the nameplate."""
+        """Limits by the options, or else by the nameplate."""
         pwm = options.pwm_frequency_hz or options.sampling_frequency_hz
         table = plant.table
         reach = min(2.5 * nameplate.rated_a, plant.reach_a)
@@ -52,12 +52,12 @@ class Permission:
             interlocks=options.interlocks,
             simulated=True,
             motor_name=table.motor.name if table is not None and table.motor is not None else None,
-            notes=(misfit_in_words(table, plant.magnetics),) if table is not None else (),
+            notes=(describe_misfit(table, plant.magnetics),) if table is not None else (),
         )
         return cls(capabilities, plant.reach_positive_d_a)
 
     def check(self, excitation: Excitation, *, braked: bool) -> None:
-        """Raises `DriveRefused` for what control and motor do not allow, whatever the limits."""
+        """Raises `DriveRefused` for an excitation that control or motor cannot realise."""
         fs = self.capabilities.sampling_frequency_hz
         if excitation.control.bandwidth_hz > fs / 10:
             raise DriveRefused(f"bandwidth {excitation.control.bandwidth_hz:g} Hz is above a tenth of the sampling")
@@ -67,10 +67,10 @@ class Permission:
         elif isinstance(excitation, Trapezoid):
             largest_d_a += excitation.amplitude_a * {"d": 1.0, "q": 0.0, "dq": math.sqrt(0.5)}[excitation.swept_axis]
         if largest_d_a > self.reach_positive_d_a * SINGLE_PRECISION_RATIO:
-            raise DriveRefused(f"i_d above {self.reach_positive_d_a:.4g} A: this motor is not known there")
+            raise DriveRefused(f"i_d above {self.reach_positive_d_a:.4g} A: this motor's flux map does not reach there")
         if isinstance(excitation, Injection) and max(excitation.frequency_hz, excitation.rotation_hz) > 0.5 * fs:
             raise DriveRefused(f"injection at {excitation.frequency_hz:g} Hz is above half the sampling frequency")
         if isinstance(excitation, Spin) and braked:
             raise DriveRefused("the brake holds the rotor")
-        if isinstance(excitation, Spin) and (speed := abs(excitation.speed_rad_s)) > self.fastest * fs:
-            raise DriveRefused(f"{speed:g} rad/s: more than {self.fastest:g} rad between two rows")
+        if isinstance(excitation, Spin) and (speed := abs(excitation.speed_rad_s)) > self.max_angle_step * fs:
+            raise DriveRefused(f"{speed:g} rad/s: more than {self.max_angle_step:g} rad between two rows")

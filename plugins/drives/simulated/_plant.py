@@ -1,10 +1,9 @@
 """The plant, compiled: inverter, resistance, iron, frame and rotor over one step.
 
-    dpsi/dt = R(-theta) v_ab - R_s i_dq - omega J psi,     i = grad H(psi) + what the effects add,
+    dpsi/dt = R(-theta) v_ab - R_s i_dq - omega J psi,     i = grad H(psi) + currents of the effects,
 
 psi in the rotor's true frame, the voltage held, Heun's Runge-Kutta scheme of third order. Currents
-and voltages are vectors of the stator frame (amplitude-invariant Clarke). Neither sensors nor
-control are here.
+and voltages are vectors of the stator frame (amplitude-invariant Clarke).
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from __future__ import annotations
 import math
 
 from plugins.drives.simulated._energy import Array, Energy
-from plugins.drives.simulated._iron import Held, Stage, magnetising, move_branches, move_stops
+from plugins.drives.simulated._iron import Stage, StepConstants, magnetising, move_branches, move_stops
 from plugins.drives.simulated._numba import inlined
 from plugins.drives.simulated._state import (
     AMBIENT,
@@ -52,7 +51,7 @@ from plugins.drives.simulated._state import (
 
 @inlined
 def _step(x: float) -> float:
-    """Odd step from -1 to 1, smooth between: what a phase current does to its own dead time."""
+    """Smooth odd step from -1 to 1: dead-time voltage over the scaled phase current."""
     if x >= 1.0:
         return 1.0
     if x <= -1.0:
@@ -61,8 +60,8 @@ def _step(x: float) -> float:
 
 
 @inlined
-def _impressed(p: PlantParameters, f: Held, y: Stage, i_alpha: float, i_beta: float) -> tuple[float, float]:
-    """Voltage that moves the flux: the commanded one less all that inverter and copper take."""
+def _impressed(p: PlantParameters, f: StepConstants, y: Stage, i_alpha: float, i_beta: float) -> tuple[float, float]:
+    """Voltage that changes the flux: the commanded one less the drops of inverter and copper."""
     if f.off:
         return -(f.resistance_ohm + p.off_ohm) * i_alpha, -(f.resistance_ohm + p.off_ohm) * i_beta
     bus = 1.0 - p.sag_per_watt * 1.5 * (f.v_alpha * i_alpha + f.v_beta * i_beta)
@@ -92,7 +91,7 @@ def _impressed(p: PlantParameters, f: Held, y: Stage, i_alpha: float, i_beta: fl
 
 @inlined
 def _twist(p: PlantParameters, torque: float) -> float:
-    """Electrical angle by which the engaged brake gives way [rad]."""
+    """Electrical angle by which the engaged brake twists [rad]."""
     twist = p.twist_rad_per_nm * torque
     if p.backlash_rad != 0.0:
         twist += 0.5 * p.backlash_rad * math.tanh(torque / p.backlash_nm)
@@ -101,9 +100,9 @@ def _twist(p: PlantParameters, torque: float) -> float:
 
 @inlined
 def _with_eddies(
-    p: PlantParameters, f: Held, y: Stage, m_alpha: float, m_beta: float, u_alpha: float, u_beta: float
+    p: PlantParameters, f: StepConstants, y: Stage, m_alpha: float, m_beta: float, u_alpha: float, u_beta: float
 ) -> tuple[float, float]:
-    """Solve u = v - e(i_m + u / R_c): a damped fixed point, contracting whatever the inverter's slope."""
+    """Solve u = v - e(i_m + u / R_c) by a damped fixed-point iteration, which contracts for any inverter slope."""
     g = p.eddy_siemens
     damping = 1.0 / (1.0 + g * p.inverter_slope_ohm)
     for _ in range(60):
@@ -117,7 +116,9 @@ def _with_eddies(
 
 
 @inlined
-def _slope(p: PlantParameters, f: Held, y: Stage, i_d: float, i_q: float, torque: float) -> tuple[Stage, float, float]:
+def _slope(
+    p: PlantParameters, f: StepConstants, y: Stage, i_d: float, i_q: float, torque: float
+) -> tuple[Stage, float, float]:
     """dy/dt and the stator current (alpha, beta) at a stage whose magnetising current is (i_d, i_q)."""
     c, s, speed, acceleration = f.cos, f.sin, 0.0, 0.0
     if f.moving:
@@ -134,7 +135,7 @@ def _slope(p: PlantParameters, f: Held, y: Stage, i_d: float, i_q: float, torque
             speed = y.omega
             acceleration = p.torsion_rate * (p.torsion_rate * behind - 2.0 * p.torsion_damping * speed)
     if f.off:
-        # The terminals have the back-EMF's voltage, so that it drives nothing but the iron's own loss.
+        # The terminal voltage equals the back-EMF, so that only the iron loss draws a current.
         i_d -= p.eddy_siemens * speed * y.psi_q
         i_q += p.eddy_siemens * speed * y.psi_d
     i_alpha, i_beta = c * i_d - s * i_q, s * i_d + c * i_q
@@ -156,7 +157,7 @@ def _slope(p: PlantParameters, f: Held, y: Stage, i_d: float, i_q: float, torque
 
 
 @inlined
-def _along(y: Stage, h: float, k: Stage) -> Stage:
+def _add_scaled(y: Stage, h: float, k: Stage) -> Stage:
     """y + h k."""
     return Stage(
         y.psi_d + h * k.psi_d,
@@ -173,7 +174,7 @@ def integrate(
     p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: float, v_beta: float, h: float, off: bool
 ) -> None:
     """One Runge-Kutta step of `h` under a constant voltage; the stator current at its end is left in the state."""
-    f = Held(
+    f = StepConstants(
         v_alpha,
         v_beta,
         off,
@@ -196,16 +197,16 @@ def integrate(
         x[STOPS + 5],
     )
     start = Stage(x[PSI_D], x[PSI_Q], x[THETA], x[OMEGA], x[SKIN_ALPHA], x[SKIN_BETA])
-    # The magnetising current of the first stage is that of the last step's end.
+    # The first stage's magnetising current is that of the previous step's end.
     i_d, i_q, torque = x[IRON_D], x[IRON_Q], x[TORQUE]
     k1, from_alpha, from_beta = _slope(p, f, start, i_d, i_q, torque)
-    y = _along(start, h / 3.0, k1)
+    y = _add_scaled(start, h / 3.0, k1)
     i_d, i_q, torque = magnetising(p, e, spline, f, y)
     k2, _, _ = _slope(p, f, y, i_d, i_q, torque)
-    y = _along(start, h * (2.0 / 3.0), k2)
+    y = _add_scaled(start, h * (2.0 / 3.0), k2)
     i_d, i_q, torque = magnetising(p, e, spline, f, y)
     k3, _, _ = _slope(p, f, y, i_d, i_q, torque)
-    y = _along(_along(start, 0.25 * h, k1), 0.75 * h, k3)
+    y = _add_scaled(_add_scaled(start, 0.25 * h, k1), 0.75 * h, k3)
     i_d, i_q, torque = magnetising(p, e, spline, f, y)
     x[IRON_D], x[IRON_Q], x[TORQUE] = i_d, i_q, torque
     if p.has_stops:
@@ -219,13 +220,13 @@ def integrate(
         _, x[I_ALPHA], x[I_BETA] = _slope(p, f, y, i_d, i_q, torque)
     else:
         x[I_ALPHA], x[I_BETA] = x[COS] * i_d - x[SIN] * i_q, x[SIN] * i_d + x[COS] * i_q
-    _lag(p, x, from_alpha, from_beta, h)
+    _filter_currents(p, x, from_alpha, from_beta, h)
     if p.friction_nm < math.inf and not f.driven:
         _stick_or_slip(p, x, start.omega)
 
 
 @inlined
-def _lag(p: PlantParameters, x: Array, from_alpha: float, from_beta: float, h: float) -> None:
+def _filter_currents(p: PlantParameters, x: Array, from_alpha: float, from_beta: float, h: float) -> None:
     """First-order lag of the sensors of phases a and b, exact for a current that is linear over the step."""
     a, b = x[I_ALPHA], -0.5 * x[I_ALPHA] + 0.5 * SQRT3 * x[I_BETA]
     if p.filter_s == 0.0:
@@ -233,9 +234,9 @@ def _lag(p: PlantParameters, x: Array, from_alpha: float, from_beta: float, h: f
         return
     from_a, from_b = from_alpha, -0.5 * from_alpha + 0.5 * SQRT3 * from_beta
     decay = math.exp(-h / p.filter_s)
-    behind_a, behind_b = p.filter_s * (a - from_a) / h, p.filter_s * (b - from_b) / h
-    x[READING_A] = a - behind_a + (x[READING_A] - from_a + behind_a) * decay
-    x[READING_B] = b - behind_b + (x[READING_B] - from_b + behind_b) * decay
+    lag_a, lag_b = p.filter_s * (a - from_a) / h, p.filter_s * (b - from_b) / h
+    x[READING_A] = a - lag_a + (x[READING_A] - from_a + lag_a) * decay
+    x[READING_B] = b - lag_b + (x[READING_B] - from_b + lag_b) * decay
 
 
 @inlined
@@ -252,8 +253,8 @@ def _stick_or_slip(p: PlantParameters, x: Array, omega_before: float) -> None:
 
 
 @inlined
-def age(p: PlantParameters, x: Array, square_a2: float) -> None:
-    """Heat and magnets after a sample in which the current's square was this on the mean."""
+def advance_temperatures(p: PlantParameters, x: Array, square_a2: float) -> None:
+    """Update winding and magnet temperatures after a sample with this mean squared current."""
     watts = 1.5 * p.resistance_ohm * (1.0 + x[HEAT]) * square_a2
     if p.has_housing:
         winding = x[HEAT] - x[HOUSING] - x[AMBIENT]
@@ -269,21 +270,21 @@ def age(p: PlantParameters, x: Array, square_a2: float) -> None:
 
 @inlined
 def advance(p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: float, v_beta: float, off: bool) -> None:
-    """One sample: the voltage as it reaches the bridge, the fast states, then heat and magnets."""
+    """Advance the plant by one sample: delayed voltage, electrical states, then temperatures."""
     loss = x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA]
-    whole = int(p.delay_samples)
-    late = p.delay_samples - whole
+    whole_samples = int(p.delay_samples)
+    fraction = p.delay_samples - whole_samples
     if p.delay_samples > 0.0:
         for j in range(VOLTAGES + 2 * DELAYED - 1, VOLTAGES + 1, -1):
             x[j] = x[j - 2]
     x[VOLTAGES], x[VOLTAGES + 1] = v_alpha, v_beta
-    newest = VOLTAGES + 2 * whole
+    newest = VOLTAGES + 2 * whole_samples
     n = p.substeps
-    for step in range(0 if late > 0.0 else n, 2 * n):
-        at, share = (newest + 2, late) if step < n else (newest, 1.0 - late)
+    for step in range(0 if fraction > 0.0 else n, 2 * n):
+        at, share = (newest + 2, fraction) if step < n else (newest, 1.0 - fraction)
         psi_d, psi_q = x[PSI_D], x[PSI_Q]
         integrate(p, e, spline, x, x[at], x[at + 1], share * p.sample_s / n, off)
         if p.has_branches:
             move_branches(p, x, x[PSI_D] - psi_d, x[PSI_Q] - psi_q, share * p.sample_s / n)
-    age(p, x, 0.5 * (loss + x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA]))
+    advance_temperatures(p, x, 0.5 * (loss + x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA]))
     x[BUS] = p.dc_bus_v * (1.0 - p.sag_per_watt * 1.5 * (v_alpha * x[I_ALPHA] + v_beta * x[I_BETA]))

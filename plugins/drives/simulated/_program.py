@@ -1,4 +1,4 @@
-"""From an excitation to the pieces that the step loop runs; decides nothing about permission."""
+"""Programs: the sequence of set-point pieces that realises an excitation."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from plugins.drives.simulated._run import CONTROL, OFF, OPEN, STEPS, ControlPara
 from protocols import CurrentControl, Excitation, GatesOff, Hold, Injection, Spin, Trapezoid, VoltageSteps
 
 DRAIN_S = 0.02
-"""Time for the bridge's diodes to bring a residual current to zero."""
+"""Time in which a residual current decays to zero through the diodes."""
 SPIN_UP_S = 0.4
-"""Time in which the other machine takes the rotor to a speed, and back to rest."""
+"""Time in which the driving machine accelerates the rotor, and brings it back to rest."""
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A piece and what becomes of its rows."""
+    """A piece and how its rows are used."""
 
     piece: Piece
     captured: bool = False
     averaged: bool = False
-    """The mean voltage over it becomes the base voltage of the stretches that follow."""
+    """Its mean voltage becomes the base voltage of the following stretches."""
     on_base: bool = False
     """Its voltages are relative to the base voltage."""
-    turned: bool = False
-    """Another machine holds the shaft from here on, and turns it."""
+    driven: bool = False
+    """Another machine drives the shaft from its start on."""
     parked: bool = False
-    """At its end the rotor stands again where it stood."""
+    """At its end the rotor is at rest at its original angle."""
 
 
 @dataclass(frozen=True)
@@ -50,18 +50,18 @@ class Program:
 
 @dataclass(frozen=True)
 class Planner:
-    """Makes programs; knows the sampling frequency and how fast a current may be moved."""
+    """Composes programs for a sampling frequency, a nameplate and a voltage limit."""
 
     sampling_frequency_hz: float
     nameplate: Nameplate
     max_v: float
 
     def samples(self, seconds: float) -> int:
-        """Whole samples in a duration."""
+        """Duration in samples, rounded."""
         return round(seconds * self.sampling_frequency_hz)
 
     def program(self, excitation: Excitation, start: tuple[float, float]) -> Program:
-        """The excitation from the present set-point `start` (believed dq frame) on."""
+        """Program of an excitation, from the present set-point `start` (believed dq frame)."""
         match excitation:
             case GatesOff():
                 down = self.to_zero(excitation.control, start).stretches
@@ -82,7 +82,7 @@ class Planner:
                 return Program(tuple(self._spin(excitation, start)))
 
     def to_zero(self, control: CurrentControl, start: tuple[float, float]) -> Program:
-        """Current to zero under control, and four periods of the control's bandwidth there."""
+        """Ramp the current to zero under control, then hold it for four periods of the control's bandwidth."""
         ramp = self._ramp(start, (0.0, 0.0), self._ramp_samples(control, start, (0.0, 0.0)))
         return Program((Stretch(ramp), Stretch(self._still((0.0, 0.0), 4.0 / control.bandwidth_hz))))
 
@@ -90,10 +90,10 @@ class Planner:
         """Hold the set-point."""
         return Program((Stretch(self._still(start, seconds)),))
 
-    def at_rest(self, mode: int, speed_rad_s: float) -> Stretch:
-        """The rotor taken from this speed to where it stood, without current."""
+    def decelerate(self, mode: int, speed_rad_s: float) -> Stretch:
+        """Decelerate the rotor from this speed to its original angle, without current."""
         count = max(1, self.samples(SPIN_UP_S))
-        return Stretch(Piece(mode, count, faster=-speed_rad_s / count), parked=True)
+        return Stretch(Piece(mode, count, speed_step=-speed_rad_s / count), parked=True)
 
     def _still(self, at: tuple[float, float], seconds: float) -> Piece:
         return Piece(CONTROL, self.samples(seconds), *at)
@@ -103,7 +103,7 @@ class Planner:
         return Piece(CONTROL, samples, *start, (end[0] - start[0]) / n, (end[1] - start[1]) / n)
 
     def _ramp_samples(self, control: CurrentControl, start: tuple[float, float], end: tuple[float, float]) -> int:
-        """Two time constants of the closed loop, or longer where the voltage does not reach."""
+        """Two time constants of the closed loop, or longer where the voltage limit requires it."""
         change = math.hypot(end[0] - start[0], end[1] - start[1])
         reach = max(self.nameplate.l_d_h, self.nameplate.l_q_h) * change / (0.3 * self.max_v)
         return self.samples(max(1.0 / (math.pi * control.bandwidth_hz), reach)) if change > 0 else 0
@@ -150,7 +150,7 @@ class Planner:
             discarded,
             amplitude_v=excitation.amplitude_v,
             cycles=excitation.frequency_hz / fs,
-            turns=excitation.rotation_hz / fs,
+            revolutions=excitation.rotation_hz / fs,
             square=excitation.waveform == "square",
         )
         yield Stretch(wave, on_base=True)
@@ -173,11 +173,11 @@ class Planner:
     def _spin(self, excitation: Spin, start: tuple[float, float]) -> Iterator[Stretch]:
         speed, up, zero = excitation.speed_rad_s, max(1, self.samples(SPIN_UP_S)), (0.0, 0.0)
         mode = OFF if excitation.bridge == "off" else CONTROL
-        # The other machine holds the shaft from the first sample to the last.
-        yield from (replace(stretch, turned=True) for stretch in self.to_zero(excitation.control, start).stretches)
+        # The driving machine holds the shaft from the first sample to the last.
+        yield from (replace(stretch, driven=True) for stretch in self.to_zero(excitation.control, start).stretches)
         if mode == OFF:
             yield Stretch(Piece(OFF, self.samples(DRAIN_S)))
-        yield Stretch(Piece(mode, up, faster=speed / up))
+        yield Stretch(Piece(mode, up, speed_step=speed / up))
         settle, target = self.samples(excitation.settle_s), excitation.start_dq_a
         if mode == OFF:
             yield Stretch(Piece(OFF, settle))
@@ -186,7 +186,7 @@ class Planner:
         yield Stretch(Piece(mode, self.samples(excitation.captured_s), *target), captured=True)
         if mode == CONTROL:
             yield from self.to_zero(excitation.control, target).stretches
-        yield self.at_rest(mode, speed)
+        yield self.decelerate(mode, speed)
 
 
 def tune(
@@ -234,5 +234,5 @@ def tune(
         per_rated2=0.0 if overload_s is None else 1.0 / nameplate.rated_a**2,
         sample_s=h,
         overload_s=math.inf if overload_s is None else overload_s,
-        shown_step=min(1.0, h / 2e-3),
+        telemetry_step=min(1.0, h / 2e-3),
     )

@@ -1,8 +1,8 @@
 """The step loop, compiled: sensors, then the drive's control, then the plant, sample by sample.
 
-One row is what a recording's row is: the current at t_k as the sensors read it, before the
-voltage of the row acts; the voltage, held until t_k+1. The control sees nothing but the readings
-and the nameplate. What is to be run is a `Piece`; who puts pieces together is `_program`.
+A row is that of a recording: the current at t_k as the sensors read it, before the
+voltage of the row acts; the voltage, held until t_k+1. The control uses only the readings
+and the nameplate. The loop runs one `Piece` at a time; `_program` composes them.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from plugins.drives.simulated._state import (
     COMMAND_D,
     COMMAND_Q,
     COS,
+    FILTERED_D,
+    FILTERED_Q,
     INTEGRAL_D,
     INTEGRAL_Q,
     MOVING,
     MOVING_DRIVEN,
     OMEGA,
+    OVERLOAD,
     PSI_D,
     PSI_Q,
     READING_A,
     READING_B,
-    SHOWN_D,
-    SHOWN_Q,
     SIGN_D,
     SIGN_Q,
     SIN,
-    SPENT,
     SQRT3,
     THETA,
     PlantParameters,
@@ -44,18 +44,18 @@ from plugins.drives.simulated._state import (
 from plugins.drives.simulated._switching import advance_switched
 
 CONTROL, OPEN, OFF, GIVEN, STEPS = range(5)
-"""Current control; open-loop voltage; bridge off; voltages that `v_out` already holds; steps turned at a current."""
+"""Current control; open-loop voltage; bridge off; voltages given in `v_out`; steps reversed at current limits."""
 
 
 class ControlParameters(NamedTuple):
     """PI control with feed-forward in the believed frame, tuned from the nameplate."""
 
     angle_rad: float
-    """Of the believed d axis, the rotor standing."""
+    """Believed angle of the d axis at standstill."""
     encoder_ratio: float
-    """What the angle sensor reads of a turn."""
+    """Angle sensor reading over true electrical angle."""
     lead_samples: float
-    """From a row to the middle of the time in which its voltage acts, as the drive knows it."""
+    """Declared time from a row to the middle of its voltage's interval."""
     cos: float
     sin: float
     proportional_d: float
@@ -65,18 +65,18 @@ class ControlParameters(NamedTuple):
     integral_q: float
     resistance_ohm: float
     inductance_d: float
-    """Over the sample time: volts for amperes a sample."""
+    """L_d over the sample time [V per A/sample]."""
     inductance_q: float
     flux: float
-    """Of the magnets, over the sample time."""
+    """Magnet flux over the sample time [V]."""
     max_v: float
     trip_a: float
     per_rated2: float
     """1 / rated current squared (0: no overload protection)."""
     sample_s: float
     overload_s: float
-    shown_step: float
-    """Of the low-pass behind telemetry."""
+    telemetry_step: float
+    """Weight of a new reading in telemetry's low-pass filter."""
 
 
 class Piece(NamedTuple):
@@ -91,31 +91,31 @@ class Piece(NamedTuple):
     slope_q: float = 0.0
     amplitude_v: float = 0.0
     cycles: float = 0.0
-    """Periods of the injected wave a sample."""
-    turns: float = 0.0
-    """Turns of the injected vector a sample."""
+    """Periods of the injected wave per sample."""
+    revolutions: float = 0.0
+    """Revolutions of the injection's direction per sample."""
     square: bool = True
     first: int = 0
     """Samples since the injection started."""
     turn_d: float = 0.0
-    """Current at which the voltage of steps is turned round [A]."""
+    """Current at which the step voltage is reversed [A]."""
     turn_q: float = 0.0
-    faster: float = 0.0
-    """By how much the speed grows in a sample, where another machine turns the rotor [rad/s]."""
+    speed_step: float = 0.0
+    """Speed increment per sample of a rotor driven by another machine [rad/s]."""
 
 
 @inlined
 def _control(
     c: ControlParameters, w: Piece, k: int, x: Array, i_d: float, i_q: float, turned: float
 ) -> tuple[float, float]:
-    """v_dq of the PI control; back-calculation keeps the integrals where the voltage is limited.
+    """v_dq of the PI control, with anti-windup by back-calculation.
 
-    Where the frame turns, by `turned` a sample, the nameplate's back-EMF is fed forward.
+    The nameplate's back-EMF is fed forward for a frame that turns by `turned` rad per sample.
     """
-    want_d, want_q = w.d + w.slope_d * k, w.q + w.slope_q * k
-    error_d, error_q = want_d - i_d, want_q - i_q
-    forward_d = c.resistance_ohm * want_d + c.inductance_d * w.slope_d
-    forward_q = c.resistance_ohm * want_q + c.inductance_q * w.slope_q
+    target_d, target_q = w.d + w.slope_d * k, w.q + w.slope_q * k
+    error_d, error_q = target_d - i_d, target_q - i_q
+    forward_d = c.resistance_ohm * target_d + c.inductance_d * w.slope_d
+    forward_q = c.resistance_ohm * target_q + c.inductance_q * w.slope_q
     forward_d -= turned * c.inductance_q * i_q
     forward_q += turned * (c.inductance_d * i_d + c.flux)
     v_d = forward_d + c.proportional_d * error_d + x[INTEGRAL_D]
@@ -124,13 +124,13 @@ def _control(
     scale = min(1.0, c.max_v / length) if length > 0.0 else 1.0
     x[INTEGRAL_D] += c.integral_d * (error_d + (scale - 1.0) * v_d / c.proportional_d)
     x[INTEGRAL_Q] += c.integral_q * (error_q + (scale - 1.0) * v_q / c.proportional_q)
-    x[COMMAND_D], x[COMMAND_Q] = want_d + w.slope_d, want_q + w.slope_q
+    x[COMMAND_D], x[COMMAND_Q] = target_d + w.slope_d, target_q + w.slope_q
     return scale * v_d, scale * v_q
 
 
 @inlined
 def _inject(c: ControlParameters, w: Piece, k: int, cos: float, sin: float) -> tuple[float, float]:
-    """v_dq open loop: base voltage and the wave, at present along (cos, sin)."""
+    """v_dq open loop: base voltage plus the injected wave along (cos, sin)."""
     v_d, v_q = w.d + w.slope_d * k, w.q + w.slope_q * k
     if w.amplitude_v != 0.0:
         phase = (w.first + k) * w.cycles
@@ -148,7 +148,7 @@ def _inject(c: ControlParameters, w: Piece, k: int, cos: float, sin: float) -> t
 
 @inlined
 def _step(c: ControlParameters, w: Piece, k: int, x: Array, i_d: float, i_q: float) -> tuple[float, float]:
-    """v_dq of voltage steps: each axis turns where its current has passed its limit."""
+    """v_dq of voltage steps: the voltage of an axis is reversed when its current has passed the limit."""
     if k == 0:
         x[SIGN_D] = x[SIGN_Q] = 1.0
     if x[SIGN_D] * i_d >= w.turn_d:
@@ -178,20 +178,20 @@ def run(
     phases_out: Rows,
     bench: BenchParameters | None,
 ) -> int:
-    """Run samples `done` .. `done + count` of a piece; returns how many, fewer where the drive trips.
+    """Run samples `done` .. `done + count` of a piece; returns the number of samples run, fewer where the drive trips.
 
-    `bench` is the switched inverter with its sensors; None, for which other code is compiled, an averaged one.
-    `sums` gathers v_d and v_q as the drive believes them: the frozen base voltage is taken from it.
+    `bench` holds the switched inverter and its sensors; None selects the averaged inverter (compiled separately).
+    `sums` accumulates v_d and v_q in the believed frame; the frozen base voltage is their mean.
     """
     off, driven = w.mode == OFF, x[MOVING] == MOVING_DRIVEN
     own_cos, own_sin, ahead_cos, ahead_sin, turned = c.cos, c.sin, c.cos, c.sin, 0.0
-    turn = (w.first + done) * w.turns
+    turn = (w.first + done) * w.revolutions
     turn = 2 * math.pi * (turn - math.floor(turn))
     cos, sin = math.cos(turn), math.sin(turn)
-    cos_step, sin_step = math.cos(2 * math.pi * w.turns), math.sin(2 * math.pi * w.turns)
+    cos_step, sin_step = math.cos(2 * math.pi * w.revolutions), math.sin(2 * math.pi * w.revolutions)
     for k in range(count):
         if driven:
-            x[OMEGA] += w.faster
+            x[OMEGA] += w.speed_step
             turned = c.encoder_ratio * x[OMEGA] * c.sample_s
             angle = c.angle_rad + c.encoder_ratio * (x[THETA] - x[ANCHOR])
             own_cos, own_sin = math.cos(angle), math.sin(angle)
@@ -204,8 +204,8 @@ def run(
             i_alpha, i_beta = sense(bench.sensing, x, noise, k, phases_out)
         square = i_alpha * i_alpha + i_beta * i_beta
         if not off and w.mode != GIVEN:
-            x[SPENT] = max(0.0, x[SPENT] + (square * c.per_rated2 - 1.0) * c.sample_s)
-            if square > c.trip_a * c.trip_a or x[SPENT] > c.overload_s:
+            x[OVERLOAD] = max(0.0, x[OVERLOAD] + (square * c.per_rated2 - 1.0) * c.sample_s)
+            if square > c.trip_a * c.trip_a or x[OVERLOAD] > c.overload_s:
                 return k
         i_d, i_q = own_cos * i_alpha + own_sin * i_beta, -own_sin * i_alpha + own_cos * i_beta
         v_d = v_q = 0.0
@@ -223,12 +223,12 @@ def run(
         bus_out[k] = np.float32(x[BUS])
         sums[0] += v_d
         sums[1] += v_q
-        # With the bridge off the terminals themselves are measured, where there is something to measure.
+        # With the bridge off the drive measures the terminal voltage, which is the back-EMF.
         emf_alpha = np.float32(-x[OMEGA] * (x[SIN] * x[PSI_D] + x[COS] * x[PSI_Q]))
         emf_beta = np.float32(x[OMEGA] * (x[COS] * x[PSI_D] - x[SIN] * x[PSI_Q]))
-        x[SHOWN_D] += c.shown_step * (i_d - x[SHOWN_D])
-        x[SHOWN_Q] += c.shown_step * (i_q - x[SHOWN_Q])
-        # The row's own (rounded) voltage acts, so that a recording says exactly what was applied.
+        x[FILTERED_D] += c.telemetry_step * (i_d - x[FILTERED_D])
+        x[FILTERED_Q] += c.telemetry_step * (i_q - x[FILTERED_Q])
+        # The voltage acts as rounded in the row, so that a recording holds exactly what was applied.
         if bench is None:
             advance(p, e, spline, x, float(v_out[k, 0]), float(v_out[k, 1]), off)
         else:

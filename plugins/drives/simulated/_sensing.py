@@ -1,4 +1,4 @@
-"""Phase-current sensors, compiled: two plain ones, or two or three with everything that sensors have."""
+"""Phase-current sensors, compiled: two linear ones, or two or three with drift, remanence and converter."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 
 from plugins.drives.simulated._energy import Array
 from plugins.drives.simulated._numba import inlined
-from plugins.drives.simulated._state import BEFORE, DRIFT, READING_A, READING_B, REMANENT, SQRT3
+from plugins.drives.simulated._state import DRIFT, LAST_CURRENT, READING_A, READING_B, REMANENT, SQRT3
 from plugins.drives.simulated._switching import SwitchingParameters
 
 Rows = np.ndarray[Any, np.dtype[np.float32]]
 
 
 class SensorParameters(NamedTuple):
-    """Two phase sensors; the third current closes the star."""
+    """Sensors of phases a and b; the third current is i_c = -i_a - i_b."""
 
     gain_a: float
     gain_b: float
@@ -28,7 +28,7 @@ class SensorParameters(NamedTuple):
 
 
 class SensingParameters(NamedTuple):
-    """Of three sensors; the third is there where `three` is."""
+    """Sensors of the switched inverter; entries of the third apply only where `three` is True."""
 
     three: bool
     gain: tuple[float, float, float]
@@ -37,17 +37,17 @@ class SensingParameters(NamedTuple):
     even_per_a: float
     noise_a: float
     drift_a: float
-    """Standard deviation of an offset's step from row to row."""
+    """Standard deviation of an offset's random-walk step per row."""
     remanence_a: float
     remanence_share: float
-    """Of a change of the current, what the core follows until it is full."""
+    """Slope of the play-type hysteresis: remanent reading over current change, up to `remanence_a`."""
     quantum_a: float
     full_scale_a: float
-    """Readings end there; infinite without a converter."""
+    """Saturation limit of a reading; infinite without a converter."""
 
 
 class BenchParameters(NamedTuple):
-    """The switched inverter and its sensors together, as the step loop takes them."""
+    """Parameters of the switched inverter and its sensors."""
 
     switching: SwitchingParameters
     sensing: SensingParameters
@@ -68,9 +68,9 @@ def _sensor(s: SensingParameters, x: Array, j: int, i: float, noise: float, drif
         x[DRIFT + j] += s.drift_a * drift
         value += x[DRIFT + j]
     if s.remanence_a > 0.0:
-        kept = x[REMANENT + j] + s.remanence_share * (i - x[BEFORE + j])
-        x[REMANENT + j] = min(s.remanence_a, max(-s.remanence_a, kept))
-        x[BEFORE + j] = i
+        remanent = x[REMANENT + j] + s.remanence_share * (i - x[LAST_CURRENT + j])
+        x[REMANENT + j] = min(s.remanence_a, max(-s.remanence_a, remanent))
+        x[LAST_CURRENT + j] = i
         value += x[REMANENT + j]
     value = min(s.full_scale_a, max(-s.full_scale_a, value))
     return s.quantum_a * math.floor(value / s.quantum_a + 0.5) if s.quantum_a > 0.0 else value
@@ -78,9 +78,9 @@ def _sensor(s: SensingParameters, x: Array, j: int, i: float, noise: float, drif
 
 @inlined
 def sense(s: SensingParameters, x: Array, noise: Rows, k: int, phases: Rows) -> tuple[float, float]:
-    """The vector (alpha, beta) of row k; the phases' readings go to `phases` where there are three sensors.
+    """Measured current (alpha, beta) of row k; with three sensors the readings are written to `phases`.
 
-    `noise` has a column for each sensor, and one for each sensor's drift.
+    `noise` has three columns for the sensors' noise and three for their drift.
     """
     a, b = x[READING_A], x[READING_B]
     i_a = _sensor(s, x, 0, a, noise[k, 0], noise[k, 3])

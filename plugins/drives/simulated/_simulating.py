@@ -1,4 +1,4 @@
-"""Measurements of a motor that is not there, with effects that nobody but their author knows of."""
+"""Measurements of a simulated motor with chosen effects."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ def simulate(
     Parameters
     ----------
     motor : path or Motor, optional
-        A YAML file with the nameplate (and limits, where it has some), or the nameplate, whose `usual_limits` are
-        taken; by default the procedure's own.
+        A YAML file with the nameplate and, optionally, limits; or the nameplate, whose `usual_limits` then
+        apply. Default: the procedure's own motor.
     effects : mapping, optional
-        What motor and drive suffer from: ``{"dead_time": {"voltage_v": 1.5}}``; by default nothing.
+        Parameters by effect: ``{"dead_time": {"voltage_v": 1.5}}``; by default no effects.
     plant : mapping, optional
         Other options of the plant: ``{"model": "runs/x/model.json"}``, ``{"sensors": {"noise_a": 0.002}}``.
     procedure, settings, out, streams
-        As `run` takes them.
+        As for `run`.
 
     Raises
     ------
     FluxbenchError
         As `run`.
     """
-    laid_over: dict[str, Any] = {
+    overrides: dict[str, Any] = {
         "drive.plant": {**(plant or {}), "effects": dict(effects or {})},
-        "drive.watchdog_s": 10.0,  # there is nobody to be hurt: a busy machine may be late
+        "drive.watchdog_s": 10.0,  # simulated hardware cannot be damaged, and the host may be busy
     }
     if isinstance(motor, Motor):
-        laid_over["motor"] = motor.model_dump(mode="json", exclude_none=True)
-        laid_over["limits"] = usual_limits(motor).model_dump(mode="json", exclude_none=True)
+        overrides["motor"] = motor.model_dump(mode="json", exclude_none=True)
+        overrides["limits"] = usual_limits(motor).model_dump(mode="json", exclude_none=True)
         motor = None
     return run(
-        procedure, drive="simulated", motor=motor, settings={**laid_over, **(settings or {})}, out=out, streams=streams
+        procedure, drive="simulated", motor=motor, settings={**overrides, **(settings or {})}, out=out, streams=streams
     )
 
 
 def usual_limits(motor: Motor) -> Limits:
-    """Limits that let a motor saturate: 2.2 times its rated current, and a twentieth above its rated voltage.
+    """Limits for a saturated motor: 2.2 times the rated current and 1.05 times the rated voltage.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def usual_limits(motor: Motor) -> Limits:
     """
     if motor.rated_current_a is None or motor.rated_voltage_rms_v is None:
         field = "rated_voltage_rms_v" if motor.rated_voltage_rms_v is None else "rated_current_rms_a"
-        raise InputError("motor", field, "limits follow from it: give it, or a file with limits of their own")
+        raise InputError("motor", field, "the limits are derived from it: give it, or a file that states limits")
 
     def rounded(value: float) -> float:
         return float(f"{value:.3g}")

@@ -1,7 +1,6 @@
 """Runs programs on the plant: the drive's firmware loop, its clock and its memory.
 
-Knows nothing of permissions, links or wall time; `drive` does. Everything that a resumed run
-needs is in `Memory`.
+Permissions, link and wall time belong to `drive`. Everything that a resumed run needs is in `Memory`.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from plugins.drives.simulated._switching import at_frequency
 from protocols import Capture
 
 _Buffers = tuple[Rows, Rows, Rows, Rows]
-"""i_ab, v_ab, v_dc, and i_abc, which has no rows on a drive of two sensors."""
+"""i_ab, v_ab, v_dc and i_abc; i_abc is empty on a drive with two sensors."""
 
 
 class Tripped(Exception):
-    """The drive's own protection acted; says which."""
+    """The drive's own protection acted: overload, or else overcurrent."""
 
     def __init__(self, overload: bool) -> None:
         self.overload = overload
@@ -47,14 +46,14 @@ class Step(NamedTuple):
 
 @dataclass
 class Memory:
-    """All that changes while the plant lives."""
+    """State of plant and control."""
 
     state: Array
     ticks: int = 0
     """Samples since `base_s`."""
     base_s: float = 0.0
     angle_rad: float = 0.0
-    """The believed angle in which the control's memory is kept."""
+    """Believed rotor angle of the frame in which the control's state is kept."""
     base_v: tuple[float, float] = (0.0, 0.0)
     """Frozen voltage of the last injection."""
     open_loop: bool = False
@@ -64,11 +63,11 @@ class Simulator:
     """Plant, sensors and control loop, sample by sample."""
 
     block_s: ClassVar[float] = 0.5
-    """Longest block of rows that is handed out at a time."""
+    """Duration of the longest block of rows."""
     start_c: ClassVar[float] = 20.0
-    """Of the winding when the plant was made."""
+    """Winding temperature at the start [C]."""
     copper_per_k: ClassVar[float] = 3.93e-3
-    """At 20 degrees (IEC 60028)."""
+    """Temperature coefficient of copper at 20 degrees (IEC 60028) [1/K]."""
 
     def __init__(
         self,
@@ -97,42 +96,42 @@ class Simulator:
 
     @property
     def time_s(self) -> float:
-        """The drive's clock."""
+        """Time of the drive's clock."""
         return self.memory.base_s + self.memory.ticks / self.sampling_frequency_hz
 
     @property
     def set_point(self) -> tuple[float, float]:
-        """Where the current control stands, believed dq frame [A]."""
+        """Present current set-point in the believed dq frame [A]."""
         x = self.memory.state
         return float(x[layout.COMMAND_D]), float(x[layout.COMMAND_Q])
 
     @property
-    def shown(self) -> tuple[float, float, float]:
-        """(i_d, i_q, v_dc) as telemetry shows them: readings, low-passed."""
+    def filtered(self) -> tuple[float, float, float]:
+        """Low-pass filtered readings (i_d [A], i_q [A], v_dc [V]) of telemetry."""
         x = self.memory.state
-        return float(x[layout.SHOWN_D]), float(x[layout.SHOWN_Q]), float(x[layout.BUS])
+        return float(x[layout.FILTERED_D]), float(x[layout.FILTERED_Q]), float(x[layout.BUS])
 
     @property
     def temperature_c(self) -> float | None:
-        """Of the winding, by how much its resistance has risen; None without a thermometer."""
+        """Winding temperature from the rise of its resistance; None without a thermometer."""
         if not self._thermometer:
             return None
         return self.start_c + float(self.memory.state[layout.HEAT]) / self.copper_per_k
 
     def turn_to(self, theta_rad: float) -> None:
-        """Put the resting rotor to an electrical angle."""
+        """Set the electrical angle of the resting rotor."""
         x = self.memory.state
         x[layout.THETA] = x[layout.ANCHOR] = theta_rad
         x[layout.COS], x[layout.SIN] = np.cos(theta_rad), np.sin(theta_rad)
 
     def hold_rotor(self, parameters: PlantParameters) -> None:
-        """Take over other mechanics; the rotor stands still at that moment."""
+        """Replace the mechanical parameters; the rotor is at rest."""
         self.parameters = parameters
         x = self.memory.state
         x[layout.MOVING] = x[layout.OMEGA] = 0.0
 
-    def believe(self, angle_rad: float) -> None:
-        """Turn the control's memory into another believed frame: the voltages stay what they are."""
+    def set_believed_angle(self, angle_rad: float) -> None:
+        """Transform the control's state into another believed frame; the stator voltages do not change."""
         turn = self.memory.angle_rad - angle_rad
         if turn == 0.0:
             return
@@ -144,7 +143,7 @@ class Simulator:
         self.memory.angle_rad = angle_rad
 
     def noise(self, *number: int) -> np.random.Generator:
-        """The noise of one excitation, whatever came before it."""
+        """Noise generator of one excitation, independent of those before it."""
         return np.random.Generator(np.random.SFC64(np.random.SeedSequence([self.seed, *number])))
 
     def run(
@@ -153,9 +152,9 @@ class Simulator:
         control: ControlParameters,
         pwm_ratio: float,
         noise: np.random.Generator,
-        stops: tuple[int, ...],
+        breakpoints: tuple[int, ...],
     ) -> Iterator[Capture | int]:
-        """Run a program; yields captures, and each number of `stops` once so many samples are done.
+        """Run a program; yields captures, and each number of `breakpoints` once that many samples are done.
 
         Raises
         ------
@@ -163,39 +162,39 @@ class Simulator:
             Where the reading is above the trip level; the rest of the program is not run.
         """
         switching = self._switching(pwm_ratio)
-        ahead = sorted(stops)
+        pending = sorted(breakpoints)
         elapsed, rows, remaining = 0, self._scratch, program.captured
-        warmth = np.empty(0, np.float32)
+        temperature = np.empty(0, np.float32)
         theta = np.empty(0, np.float64)
-        filled, room = 0, 0
+        filled, space = 0, 0
         for stretch in program.stretches:
             if stretch.averaged:
                 self._sums[:] = 0.0
             piece, done = self._begin(stretch, control), 0
             while done < piece.samples:
-                while ahead and ahead[0] <= elapsed:
-                    yield ahead.pop(0)
-                if stretch.captured and room == 0:
-                    room, filled = min(self.block, remaining), 0
+                while pending and pending[0] <= elapsed:
+                    yield pending.pop(0)
+                if stretch.captured and space == 0:
+                    space, filled = min(self.block, remaining), 0
                     start_s = self.time_s
-                    rows, warmth = _buffers(room, self._three), np.empty(room, np.float32)
-                    theta = np.empty(room)
-                n = min(piece.samples - done, room if stretch.captured else self.block)
-                if ahead:
-                    n = min(n, ahead[0] - elapsed)
+                    rows, temperature = _buffers(space, self._three), np.empty(space, np.float32)
+                    theta = np.empty(space)
+                n = min(piece.samples - done, space if stretch.captured else self.block)
+                if pending:
+                    n = min(n, pending[0] - elapsed)
                 before = self.temperature_c
-                if self.turns and stretch.captured:
+                if self.is_driven and stretch.captured:
                     theta[filled : filled + n] = self._encoder(control, n)
                 self._rows(
                     switching, control, piece, done, n, noise, rows if stretch.captured else self._scratch, filled
                 )
                 if before is not None and self.temperature_c is not None and stretch.captured:
-                    warmth[filled : filled + n] = np.linspace(before, self.temperature_c, n, endpoint=False)
+                    temperature[filled : filled + n] = np.linspace(before, self.temperature_c, n, endpoint=False)
                 done += n
                 elapsed += n
                 if stretch.captured:
-                    filled, room, remaining = filled + n, room - n, remaining - n
-                    if room == 0:
+                    filled, space, remaining = filled + n, space - n, remaining - n
+                    if space == 0:
                         yield Capture(
                             start_s=start_s,
                             sampling_frequency_hz=self.sampling_frequency_hz,
@@ -203,12 +202,12 @@ class Simulator:
                             v_ab=rows[1],
                             v_dc=rows[2],
                             i_abc=rows[3] if self._three else None,
-                            temperature_c=warmth if self._thermometer else None,
-                            theta_rad=theta if self.turns else None,
+                            temperature_c=temperature if self._thermometer else None,
+                            theta_rad=theta if self.is_driven else None,
                         )
                         filled = 0
             self._end(stretch)
-        yield from ahead
+        yield from pending
 
     def stepwise(
         self,
@@ -218,7 +217,7 @@ class Simulator:
         noise: np.random.Generator,
         samples: int,
     ) -> Iterator[Step]:
-        """As `run`, in steps of at most so many samples: for drives whose link and watchdog come in between.
+        """As `run`, in steps of at most `samples`, between which a drive serves its link and watchdog.
 
         Raises
         ------
@@ -238,7 +237,7 @@ class Simulator:
             self._end(stretch)
 
     def _switching(self, pwm_ratio: float) -> tuple[PlantParameters, BenchParameters | None]:
-        """Plant and inverter at so many times the drive's own PWM frequency."""
+        """Plant and inverter at `pwm_ratio` times the drive's own PWM frequency."""
         bench = self.plant.bench
         if bench is None:
             return self.parameters._replace(dead_time_v=self.plant.parameters.dead_time_v * pwm_ratio), None
@@ -278,34 +277,34 @@ class Simulator:
         )
         self.memory.ticks += finished
         if finished < count:
-            raise Tripped(bool(x[layout.SPENT] > control.overload_s))
+            raise Tripped(bool(x[layout.OVERLOAD] > control.overload_s))
 
     @property
-    def turns(self) -> bool:
-        """Whether another machine turns the rotor."""
+    def is_driven(self) -> bool:
+        """Whether another machine drives the rotor."""
         return float(self.memory.state[layout.MOVING]) == layout.MOVING_DRIVEN
 
     @property
     def speed_rad_s(self) -> float:
-        """Electrical."""
+        """Electrical speed."""
         return float(self.memory.state[layout.OMEGA])
 
     def _encoder(self, control: ControlParameters, rows: int) -> Array:
-        """What the angle sensor reads at the rows to come, at a steady speed."""
+        """Readings of the angle sensor at the next rows, extrapolated at constant speed."""
         x = self.memory.state
         turned = x[layout.THETA] - x[layout.ANCHOR] + x[layout.OMEGA] * control.sample_s * np.arange(rows)
         return np.asarray(np.mod(control.angle_rad + control.encoder_ratio * turned, 2.0 * np.pi))
 
     def _begin(self, stretch: Stretch, control: ControlParameters) -> Piece:
         piece, memory, x = stretch.piece, self.memory, self.memory.state
-        if stretch.turned and not self.turns:
+        if stretch.driven and not self.is_driven:
             x[layout.MOVING] = layout.MOVING_DRIVEN
             x[layout.ANCHOR] = x[layout.THETA]
         if stretch.on_base:
             memory.open_loop = True
             return piece._replace(d=memory.base_v[0], q=memory.base_v[1])
         if piece.mode == CONTROL and memory.open_loop:
-            # Bumpless: the control starts from the voltage that was frozen.
+            # Bumpless transfer: the control starts from the frozen voltage.
             x[layout.INTEGRAL_D] = memory.base_v[0] - control.resistance_ohm * x[layout.COMMAND_D]
             x[layout.INTEGRAL_Q] = memory.base_v[1] - control.resistance_ohm * x[layout.COMMAND_Q]
             memory.open_loop = False
@@ -317,7 +316,7 @@ class Simulator:
         if stretch.averaged:
             n = stretch.piece.samples
             self.memory.base_v = (float(self._sums[0]) / n, float(self._sums[1]) / n)
-        if stretch.parked and self.turns:
+        if stretch.parked and self.is_driven:
             x = self.memory.state
             x[layout.MOVING] = x[layout.OMEGA] = 0.0
             self.turn_to(float(x[layout.ANCHOR]))

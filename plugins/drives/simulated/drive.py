@@ -1,8 +1,7 @@
-"""The simulated drive: as strict as hardware, and as ready to fail.
+"""The simulated drive: permissions, trips, watchdog, link and injected faults, as strict as on hardware.
 
-What is allowed, when it trips, the watchdog, the link and its faults are here; what current flows
-is the business of `_simulator`. Simulated time passes only while an excitation (or a ramp) runs,
-so that a run is the same however long the host takes between two calls.
+`_simulator` computes the currents. Simulated time passes only while an excitation (or a ramp) runs,
+so that a run does not depend on how long the host takes between two calls.
 """
 
 from __future__ import annotations
@@ -49,14 +48,14 @@ class SimulatedDrive(DriveShell):
         self._faults = FaultPlan(self._options.faults)
         self._link_lost = self._interlocks_open = False
         self._last_beat = 0.0
-        self._made: Rig | None = None
+        self._connected_rig: Rig | None = None
 
     # Link
 
     def open(self) -> Capabilities:
-        """Make the plant, compile its loop, seal the truth; raises `InputError` where the options make no motor."""
+        """Create the plant, compile its loop, seal the truth; raises `InputError` where they describe no motor."""
         setup = self.setup
-        self._made = rig = Rig(self._options, setup.motor, setup.seed)
+        self._connected_rig = rig = Rig(self._options, setup.motor, setup.seed)
         if setup.private_directory is not None:
             truth = describe(rig.nameplate, self._plant.plant, setup.seed)
             write_json(setup.private_directory / TRUTH_FILE, truth)
@@ -70,20 +69,20 @@ class SimulatedDrive(DriveShell):
     # Power stage
 
     def energise(self, limits: Limits) -> None:
-        """The watchdog's time runs from here."""
+        """Set the limits and start the watchdog."""
         self._rig.limit(limits)
         self.heartbeat()
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
-        """Check what this plant does not allow, then run it as the iterator is drawn from."""
+        """Check the excitation against the plant's limits; it runs as blocks are drawn from the iterator."""
         self._rig.permission.check(excitation, braked=self._rig.braked)
         return self._run(excitation)
 
     def telemetry(self) -> Telemetry:
-        """Readings as the drive low-passes them, in the frame of the last excitation."""
+        """Low-pass filtered readings in the frame of the last excitation."""
         self._check_link()
         self._watch()
-        i_d, i_q, v_dc = self._plant.shown
+        i_d, i_q, v_dc = self._plant.filtered
         time_s = self._plant.time_s
         return Telemetry(
             state=self.state,
@@ -98,22 +97,22 @@ class SimulatedDrive(DriveShell):
         )
 
     def ramp(self) -> None:
-        """Current to zero under control, then held there."""
+        """Ramp the current to zero under control and hold it there."""
         self._check_link()
         if not self._watch():
-            self._controlled(self._rig.down(), 1)
+            self._controlled(self._rig.ramp_down(), 1)
 
     def switch_off(self) -> None:
-        """Bridge off; what current there still is drains through the diodes."""
+        """Switch the bridge off; a residual current decays through the diodes."""
         self._check_link()
         self._drain(self._rig.gates_off(), 3)
 
     def forget_fault(self) -> None:
-        """Nothing is kept but what the shell keeps."""
+        """Nothing to clear beside what the shell keeps."""
         self._check_link()
 
     def set_brake(self, engaged: bool) -> None:
-        """Move the brake; as it engages it turns the shaft by the plant's misalignment."""
+        """Engage or release the brake; engaging turns the shaft by the plant's misalignment."""
         self.check_link()
         if not self._options.has_brake:
             raise DriveRefused("this drive has no brake")
@@ -122,22 +121,22 @@ class SimulatedDrive(DriveShell):
     # Memory
 
     def checkpoint(self, point_id: str) -> None:
-        """Save plant, control, clock and brake; nothing without a private directory."""
+        """Save plant, control, clock and brake, where there is a private directory."""
         if self.setup.private_directory is not None:
             self._rig.save(self.setup.private_directory, point_id, self._faults.fired)
 
     def restore(self, point_id: str, start_s: float) -> None:
-        """Go on after a point as if nothing had happened; the clock stands at `start_s`."""
+        """Restore the state after a point, with the clock at `start_s`."""
         self.check_link()
         if self.setup.private_directory is None:
-            raise DriveRefused("no private directory, so no state to take up again")
+            raise DriveRefused("no private directory, so there is no state to restore")
         if self.state is not DriveState.DISARMED:
-            raise DriveRefused(f"a state can be taken up while disarmed only ({self.state.value})")
-        self._faults.fired = set(self._rig.take_up(self.setup.private_directory, point_id))
+            raise DriveRefused(f"a state can be restored only while disarmed (now {self.state.value})")
+        self._faults.fired = set(self._rig.restore(self.setup.private_directory, point_id))
         if abs(start_s - self._plant.time_s) > 0.5 / self._options.sampling_frequency_hz:
             self._plant.memory.base_s += start_s - self._plant.time_s
 
-    # How an excitation runs
+    # Excitation
 
     def _run(self, excitation: Excitation) -> Iterator[Capture]:
         rig, simulator, fs = self._rig, self._plant, self._options.sampling_frequency_hz
@@ -148,7 +147,7 @@ class SimulatedDrive(DriveShell):
         due = self._faults.due(rig.number, simulator.time_s, fs, program.samples)
         noise = simulator.noise(0, rig.number)
         pace = _Pace(self._options.realtime_factor)
-        spoil: Fault | None = None
+        corruption: Fault | None = None
         blocks = simulator.run(program, rig.tuning(), rig.pwm_ratio, noise, tuple(due))
         while True:
             try:
@@ -158,17 +157,17 @@ class SimulatedDrive(DriveShell):
             if block is None:
                 return
             if isinstance(block, int):
-                spoil = self._strike(self._faults.strike(due[block])) or spoil
+                corruption = self._strike(self._faults.strike(due[block])) or corruption
                 continue
             pace.wait(len(block) / fs)
             self.check_link()
-            if spoil is not None:
-                block, spoil = corrupted(block, spoil), None
+            if corruption is not None:
+                block, corruption = corrupted(block, corruption), None
             yield block
             self.check_link()
 
     def _strike(self, fault: Fault) -> Fault | None:
-        """Let a fault happen; returns it where it spoils the block to come."""
+        """Trigger a fault; returns it where it corrupts the next block."""
         match fault.kind:
             case "lost_link":
                 self._link_lost = True
@@ -207,7 +206,7 @@ class SimulatedDrive(DriveShell):
     # Watchdog and link
 
     def check_link(self) -> None:
-        """What every call but the stopping ones begins with; raises `DriveFault`."""
+        """Raise `DriveFault` where the link is lost or the watchdog has acted."""
         self._check_link()
         if self._watch():
             raise self.latched[-1]
@@ -217,13 +216,13 @@ class SimulatedDrive(DriveShell):
             raise DriveFault(FaultCause.LINK_LOST, "the drive does not answer")
 
     def _watch(self) -> bool:
-        """The drive's own dead man; True where it has just acted."""
+        """Whether the drive's watchdog has just acted."""
         watchdog = self._options.watchdog_s
         if self.state is not DriveState.ARMED or watchdog is None:
             return False
         if time.monotonic() - self._last_beat <= watchdog:
             return False
-        self._controlled(self._rig.down(), 1)
+        self._controlled(self._rig.ramp_down(), 1)
         self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off"))
         return True
 
@@ -231,9 +230,9 @@ class SimulatedDrive(DriveShell):
 
     @property
     def _rig(self) -> Rig:
-        if self._made is None:
+        if self._connected_rig is None:
             raise DriveRefused("not connected")
-        return self._made
+        return self._connected_rig
 
     @property
     def _plant(self) -> Simulator:
@@ -241,7 +240,7 @@ class SimulatedDrive(DriveShell):
 
 
 class _Pace:
-    """Sleeps so that simulated time does not run ahead of the wall clock's pace."""
+    """Keeps simulated time from running ahead of the wall clock, scaled by a factor."""
 
     def __init__(self, factor: float | None) -> None:
         self._factor, self._due = factor, time.monotonic()

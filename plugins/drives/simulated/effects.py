@@ -1,6 +1,6 @@
-"""What a sealed plant may suffer from: one options model an effect, named as in the catalogue.
+"""Options of the plant's effects: one model per effect, named as in the catalogue.
 
-The models have sizes only; `_plant`, `_iron` and `_sensing` compute what they do.
+`_plant`, `_iron` and `_sensing` compute the effects.
 An effect that is not given is absent.
 """
 
@@ -19,11 +19,11 @@ class DeadTime(Strict):
     voltage_v: NonNegative
     """At the drive's own PWM frequency."""
     threshold_a: Positive | None = None
-    """Below it the phase current crosses zero within a PWM period. None: 4 % of the rated current."""
+    """Phase current below which the dead-time voltage fades. None: 4 % of the rated current."""
 
 
 class DeviceDrop(Strict):
-    """Forward drop of the switches, whatever the PWM frequency."""
+    """Forward drop of the switches, at any PWM frequency."""
 
     voltage_v: NonNegative
     threshold_a: Positive | None = None
@@ -38,7 +38,7 @@ class BusSag(Strict):
 
 
 class VoltageDelay(Strict):
-    """The voltage acts this much later than the drive says."""
+    """The voltage acts later than the drive declares, by this time."""
 
     delay_s: NonNegative
 
@@ -63,14 +63,14 @@ class PhaseResistanceImbalance(Strict):
 
 
 class CurrentOffset(Strict):
-    """Offsets of the sensors of phases a and b (c is what closes the star)."""
+    """Offsets of the sensors of phases a and b (i_c = -i_a - i_b)."""
 
     offset_a_a: float = 0.0
     offset_b_a: float = 0.0
 
 
 class VoltageBias(Strict):
-    """Voltage lost in phases a and b whatever the current (c is what closes the star)."""
+    """Constant voltage lost in phases a and b (that of c follows from the star connection)."""
 
     bias_a_v: float = 0.0
     bias_b_v: float = 0.0
@@ -85,20 +85,20 @@ class CurrentNonlinearity(Strict):
 class WindingHeating(Strict):
     """R = R_0 (1 + y), y following rise_per_watt times the copper loss through a thermal lag.
 
-    The housing, and the room, may warm as well: their rises are added to the winding's.
+    The rises of housing and ambient, where they warm as well, are added to the winding's.
     """
 
     rise_per_watt: float
     time_constant_s: Positive = 300.0
     housing_rise_per_watt: NonNegative = 0.0
-    """A second rise, slower: of what the winding stands in."""
+    """Second, slower rise, of the housing."""
     housing_time_constant_s: Positive = 1800.0
     ambient_rise_per_s: float = 0.0
-    """Relative change of R a second, whatever flows: the room warms or cools."""
+    """Relative change of R per second by the ambient temperature, at any current."""
 
 
 class SkinEffect(Strict):
-    """Extra resistance for what the current does above a corner frequency."""
+    """Extra resistance for current components above a corner frequency."""
 
     extra_ohm: NonNegative
     corner_hz: Positive = 60.0
@@ -113,9 +113,9 @@ class EddyCurrents(Strict):
 
     core_loss_ohm: Positive
     core_loss_q_ohm: Positive | None = None
-    """Of the q axis. None: as on d."""
+    """Core loss resistance of the q axis. None: as on d."""
     time_constant_s: Positive | None = None
-    """None: none; a sampling period on a switched inverter, whose edges the resistance alone would take whole."""
+    """None: no lag with an averaged inverter, one sampling period with a switched one."""
 
 
 class Damper(Strict):
@@ -136,11 +136,11 @@ class Hysteresis(Strict):
     half_width_a: NonNegative
     reversible_ratio: Annotated[float, Field(gt=0.5, le=1.0)] = 0.93
     q_over_d: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
-    """Of the widths: the iron need not be alike along both axes."""
+    """Ratio of the widths along q and d."""
 
 
 class RotorMisalignment(Strict):
-    """True minus believed electrical angle, once the brake is engaged (it turns the shaft a little)."""
+    """True minus believed electrical angle after the brake has engaged and turned the shaft."""
 
     angle_rad: float
 
@@ -148,20 +148,20 @@ class RotorMisalignment(Strict):
 class BrakeCompliance(Strict):
     """The locked rotor twists by rad_per_nm T_e (electrical), with a lag; backlash is passed at T_e = 0.
 
-    With a resonance the rotor swings on the shaft's spring instead: torsion of second order.
+    With a resonance the rotor oscillates on the shaft's spring instead (torsion of second order).
     """
 
     rad_per_nm: NonNegative
     lag_s: Positive = 1e-3
     backlash_rad: NonNegative = 0.0
     resonance_hz: Annotated[float, Field(gt=0, le=2000)] | None = None
-    """None: none, the lag alone."""
+    """None: no resonance, the lag alone."""
     damping: Annotated[float, Field(gt=0, le=5)] = 0.05
-    """Of the resonance, relative to the critical one."""
+    """Damping ratio of the resonance (1: critical)."""
 
 
 class MagnetHeating(Strict):
-    """The magnets' flux moves by flux_change_wb in the end, exponentially in time."""
+    """The magnet flux changes by flux_change_wb, exponentially in time."""
 
     flux_change_wb: float
     time_constant_s: Positive = 300.0
@@ -176,7 +176,7 @@ class SlotHarmonics(Strict):
 
 
 class Effects(Strict):
-    """Every effect of the catalogue; saturation and cross-saturation are the magnetics' own."""
+    """Every effect of the catalogue; saturation and cross-saturation belong to the magnetics."""
 
     dead_time: DeadTime | None = None
     device_drop: DeviceDrop | None = None

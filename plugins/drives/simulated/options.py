@@ -1,7 +1,6 @@
-"""Options of the simulated drive: the drive as a user sees it, and the plant, which is sealed.
+"""Options of the simulated drive: the drive as a user configures it, and the plant, which is sealed.
 
-Sizes that are left out are scaled from the nameplate, so that the same options serve a motor of
-any size. Nothing is computed here.
+Omitted values are scaled from the nameplate, so that the same options serve a motor of any size.
 """
 
 from __future__ import annotations
@@ -16,16 +15,17 @@ from plugins.drives.simulated.switching import PhaseSensors, Switching
 from protocols import NonNegative, Positive, Strict
 
 Fall = Annotated[float, Field(ge=0, le=0.65)]
+"""Relative fall of an inductance; the polynomial's form reaches about 0.8."""
 
 
 class NameplateMagnetics(Strict):
-    """The paper's polynomial energy, scaled so that the nameplate's motor saturates as motors do."""
+    """The paper's polynomial energy, scaled to the nameplate and to a specified saturation."""
 
     kind: Literal["nameplate"] = "nameplate"
     d_fall: Fall = 0.35
-    """How much L_dd has fallen at 1.25 times the rated current on +d."""
+    """Relative fall of L_dd at 1.25 times the rated current on +d."""
     q_fall: Fall = 0.4
-    """How much L_qq has fallen at 1.25 times the rated current on q."""
+    """Relative fall of L_qq at 1.25 times the rated current on q."""
     cross: Annotated[float, Field(ge=0, le=0.2)] = 0.1
     """|L_dq| / sqrt(L_d L_q) at the rated current at 45 degrees."""
 
@@ -34,7 +34,7 @@ class PolynomialMagnetics(Strict):
     """The paper's polynomial energy with its coefficients given, in A, Wb and H.
 
     H = x^2/(2 L_d) + y^2/(2 L_q) + a30 x^3 + a12 x y^2 + a40 x^4 + a22 x^2 y^2 + a04 y^4 +
-    a60 x^6 + a06 y^6 with x = psi_d - psi_M and y = psi_q; what is left out of the first three is
+    a60 x^6 + a06 y^6 with x = psi_d - psi_M and y = psi_q. L_d, L_q and psi_M default to
     the nameplate's.
     """
 
@@ -56,9 +56,9 @@ class MapMagnetics(Strict):
 
     kind: Literal["map"]
     name: str | None = None
-    """Without it and without a file: an error that lists the names."""
+    """Name of a map of the package; an unknown name is refused with the list of names."""
     file: Path | None = None
-    """Whatever `--model` reads (docs/export.md), half planes and holes included; turned until the magnet lies on d."""
+    """Any format of `--model` (docs/export.md), half planes and holes included; rotated to put the magnet on d."""
 
     @model_validator(mode="after")
     def _one_source(self) -> MapMagnetics:
@@ -71,15 +71,15 @@ Magnetics = Annotated[NameplateMagnetics | PolynomialMagnetics | MapMagnetics, F
 
 
 class Rotor(Strict):
-    """The mechanics of a rotor that may turn; left out, they are scaled from the rated torque."""
+    """Mechanics of the free rotor; omitted values are scaled from the rated torque."""
 
     rest_angle_rad: float | None = None
-    """Electrical angle at the start. None: 0 with the brake engaged, from the seed where released."""
+    """Electrical angle at the start. None: 0 with the brake engaged, random by the seed with it released."""
     inertia_kg_m2: Positive | None = None
     viscous_nm_s: NonNegative | None = None
     coulomb_nm: NonNegative | None = None
     encoder_ratio: float = 1.0
-    """Of the drive's electrical turns to the true ones: -1 with two phases exchanged, 2 with twice the pole pairs."""
+    """Measured over true electrical angle: -1 with two phases exchanged, 2 with twice the pole pairs."""
 
 
 class Brake(Strict):
@@ -87,58 +87,58 @@ class Brake(Strict):
 
     start: Literal["engaged", "released"] = "engaged"
     works: bool = True
-    """False: it never engages, whatever the command."""
+    """False: it never engages."""
     slip_torque_nm: Positive | None = None
-    """Torque above which it slips. None: never."""
+    """Torque above which the brake slips. None: it never slips."""
 
 
 class Sensors(PhaseSensors):
-    """The phase-current sensors' noise and resolution; what `PhaseSensors` adds is there on a switched inverter."""
+    """Noise and resolution of the phase-current sensors; `PhaseSensors` applies to a switched inverter only."""
 
     noise_a: NonNegative | None = None
     """Standard deviation. None: 0.17 % of the rated current."""
     quantum_a: NonNegative | None = None
-    """0: none. None: 0.04 % of the rated current."""
+    """Resolution; 0: continuous. None: 0.04 % of the rated current."""
 
 
 class Plant(Strict):
-    """Motor, brake, inverter and sensors as they truly are. No analysis may see any of it."""
+    """True motor, brake, inverter and sensors, hidden from every analysis."""
 
     magnetics: Magnetics = NameplateMagnetics()
     model: Path | None = None
-    """A `model.json` whose map, R_s and effects the plant has, instead of its own."""
+    """A `model.json` whose map, R_s and effects replace the plant's."""
     resistance_ohm: Positive | None = None
-    """At the start of the experiment. None: the nameplate's (the map's own for a map of the package)."""
+    """R_s at the start of the experiment. None: that of the map of the package, else the nameplate's."""
     rotor: Rotor = Rotor()
     brake: Brake = Brake()
     sensors: Sensors = Sensors()
     effects: Effects = Effects()
     damper: Damper | None = None
     inverter: Literal["averaged", "switched"] = "averaged"
-    """Averaged: one voltage a sample, fast. Switched: every edge, and what follows from it."""
+    """Averaged: one voltage per sample (fast). Switched: every edge of the bridge."""
     switching: Switching = Switching()
-    """Of the switched inverter."""
+    """Options of the switched inverter."""
     substeps: Annotated[int, Field(ge=1)] | None = None
-    """Steps of the integration in a sample. None: as many as the fastest time constant asks for."""
+    """Integration steps per sample. None: as many as the fastest time constant requires."""
 
 
 class Fault(Strict):
-    """One way to fail, once: in an excitation by its number (from 1), or at a time of the drive's clock."""
+    """A fault that occurs once: in an excitation by its number (from 1), or at a time of the drive's clock."""
 
     kind: Literal["lost_link", "stuck", "slow", "wrong_data", "trip", "exception", "interlock"]
-    """interlock: all of the drive's inputs open, and stay so; it does not trip by itself."""
+    """interlock: all inputs open and stay open; the drive does not trip by itself."""
     at_excitation: Annotated[int, Field(ge=1)] | None = None
     at_s: NonNegative | None = None
     after_s: NonNegative = 0.0
     """Simulated time within the excitation, settling included (with `at_excitation`)."""
     timeout_s: NonNegative = 1.0
-    """stuck: wall time until the drive is given up."""
+    """stuck: wall time until the drive reports no answer."""
     sleep_s: NonNegative = 0.5
-    """slow: wall time that the block takes longer."""
+    """slow: additional wall time of the block."""
     data: Literal["nan", "huge", "shape", "gap"] = "nan"
-    """wrong_data: what is wrong with the block."""
+    """wrong_data: kind of corruption of the block."""
     cause: Literal["overcurrent", "overtemperature", "bus_voltage", "internal"] = "internal"
-    """trip: what the drive says."""
+    """trip: cause that the drive reports."""
 
     @model_validator(mode="after")
     def _one_moment(self) -> Fault:
@@ -148,40 +148,40 @@ class Fault(Strict):
 
 
 class SimulatedOptions(Strict):
-    """The drive as its user configures it; `plant` is sealed."""
+    """Options of the drive; `plant` is sealed."""
 
     sampling_frequency_hz: Positive = 10_000.0
     pwm_frequency_hz: Positive | None = None
     """None: the sampling frequency."""
     pwm_frequencies_hz: tuple[Positive, ...] | None = None
-    """All supported ones. None: half, once and twice the drive's own."""
+    """Supported PWM frequencies. None: 0.5, 1 and 2 times the drive's own."""
     dc_bus_voltage_v: Positive | None = None
-    """None: what gives twice the rated voltage."""
+    """None: a bus that provides twice the rated voltage."""
     voltage_delay_samples: Annotated[float, Field(ge=0, le=3)] = 0.0
     current_sensors: Literal[2, 3] = 2
-    """Three: all are recorded, and the vector is the Clarke transform of all (with `plant.inverter: switched`)."""
+    """Three (with `plant.inverter: switched`): all are recorded and enter the Clarke transform."""
     current_sampling: Literal["turning_point", "averaged"] = "turning_point"
-    """Where the carrier turns, or the mean since the last row; the declared delay is half a sample longer then."""
+    """At the carrier's turning point, or the mean since the last row (declared delay: half a sample longer)."""
     thermometer: bool = False
-    """One in the winding, recorded with the currents (with `effects.winding_heating`, else it stays at 20 degrees)."""
+    """Records the winding temperature with the currents (constant 20 degrees without `effects.winding_heating`)."""
     max_current_a: Positive | None = None
-    """None: 2.5 times the rated current, or as far as the motor is known."""
+    """None: 2.5 times the rated current, or the end of the flux map if that is less."""
     max_voltage_v: Positive | None = None
-    """None: the longest vector that the bus gives in every direction."""
+    """None: the bus voltage over sqrt(3), available in every direction."""
     trip_ratio: Annotated[float, Field(gt=1)] = 1.2
-    """Overcurrent trip over the limit handed over when arming."""
+    """Overcurrent trip level over the current limit of the experiment."""
     overload_s: Positive | None = None
-    """Most of the time integral of (i / rated)^2 - 1 before the drive trips. None: no such protection."""
+    """Trip level of the time integral of (i / rated)^2 - 1. None: no overload protection."""
     longest_capture_s: Positive | None = None
     watchdog_s: Positive | None = 0.2
-    """Wall time; None: no dead man."""
+    """Wall time; None: no watchdog."""
     gap_s: NonNegative = 0.0
     """Time on the drive's clock between two excitations, at the operating point."""
     has_brake: bool = True
-    """Whether the drive moves the brake; else it stays as it started."""
+    """Whether the drive controls the brake; otherwise the brake keeps its initial state."""
     interlocks: tuple[str, ...] = ()
-    """Names of interlock inputs; closed but for a fault."""
+    """Names of interlock inputs; closed except during a fault."""
     realtime_factor: Positive | None = None
-    """Pace of simulated time against the wall clock. None: as fast as possible."""
+    """Simulated time over wall time. None: as fast as possible."""
     faults: tuple[Fault, ...] = ()
     plant: Plant = Plant()

@@ -1,7 +1,6 @@
-"""The simulated plant and its current control, step by step, for drives that bring link and protections of their own.
+"""The simulated plant and its current control, step by step, for drives with their own link and protections.
 
-Simulated time passes only in the steps that are drawn. Who may ask for what, and when it stops, is
-not known here.
+Simulated time passes only while steps are drawn from an iterator. Permissions and aborts belong to the caller.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from protocols import Capabilities, CurrentControl, DriveRefused, Excitation, Ga
 __all__ = ["Nameplate", "Rig", "Step", "Stretch", "Tripped", "is_ramp"]
 
 ENDLESS_SAMPLES = 1 << 60
-"""Samples of a state that lasts until the next command."""
+"""Length of a state that lasts until the next command, in samples."""
 _LATEST = "latest"
 
 
 @dataclass(frozen=True)
 class _Power:
-    """What the control is tuned with."""
+    """Settings of the current control and its limits."""
 
     control: CurrentControl
     max_current_a: float
@@ -46,19 +45,19 @@ class Rig:
     Parameters
     ----------
     options : SimulatedOptions
-        Of the simulated drive; what belongs to its link (watchdog, faults, pace) is not looked at.
+        Options of the simulated drive; those of its link (watchdog, faults, pace) are ignored.
     motor : Motor
-        The nameplate from which sizes that were left out are scaled.
+        The nameplate, from which omitted options are scaled.
     seed : int
         The same seed and the same programs give the same samples as `SimulatedDrive`.
 
-    Raises `InputError` where the options make no motor.
+    Raises `InputError` where the options do not describe a motor.
     """
 
     safe_bandwidth_hz: ClassVar[float] = 250.0
-    """Bandwidth with which a current is brought to safety, where the sampling allows it."""
+    """Control bandwidth of the emergency ramp, where the sampling frequency permits it."""
     safe_ramp_s: ClassVar[float] = 6e-3
-    """Shortest ramp to safety: fast, but without a jerk."""
+    """Shortest emergency ramp, without a jerk of the torque."""
 
     def __init__(self, options: SimulatedOptions, motor: Motor, seed: int) -> None:
         self.options = options
@@ -74,14 +73,14 @@ class Rig:
         self._power = _Power(CurrentControl(), own.max_current_a, own.max_voltage_v)
         self.pwm_ratio = 1.0
         self.number = 0
-        """Programs so far: the noise of each is its own."""
+        """Number of programs so far, which seeds the noise of each."""
         self._draws = 0
 
-    # What it is
+    # Properties
 
     @property
     def capabilities(self) -> Capabilities:
-        """What the options make of the drive."""
+        """The drive's capabilities by its options."""
         return self.permission.capabilities
 
     @property
@@ -91,13 +90,13 @@ class Rig:
 
     @property
     def ticks(self) -> int:
-        """Samples since the plant was made."""
+        """Samples since the start of the experiment's clock."""
         memory = self.simulator.memory
         return memory.ticks + round(memory.base_s * self.options.sampling_frequency_hz)
 
     @property
     def reading_a(self) -> float:
-        """Length of the current vector as the sensors see it now, without noise."""
+        """Present length of the current vector as measured, without noise."""
         x = self.simulator.memory.state
         return math.hypot(x[READING_A], (x[READING_A] + 2.0 * x[READING_B]) / SQRT3)
 
@@ -108,50 +107,50 @@ class Rig:
     # Commands
 
     def limit(self, limits: Limits) -> None:
-        """Take over the limits of an experiment."""
+        """Set the limits of an experiment."""
         self._power = replace(self._power, max_current_a=limits.current_a, max_voltage_v=limits.voltage_v)
 
-    def believe(self, nameplate: Nameplate) -> None:
-        """Tune the control with this nameplate."""
+    def retune(self, nameplate: Nameplate) -> None:
+        """Tune the control by this nameplate."""
         self.nameplate = nameplate
 
     def set_brake(self, engaged: bool) -> None:
-        """Move the brake; as it engages it turns the shaft by the plant's misalignment."""
+        """Engage or release the brake; engaging turns the shaft by the plant's misalignment."""
         self.bench.set_brake(engaged, self.simulator)
 
     def check(self, excitation: Excitation, limits: Limits) -> None:
-        """Raises `DriveRefused` for what these limits, or this drive, do not allow."""
+        """Raises `DriveRefused` for an excitation beyond these limits or the drive's own."""
         refuse_excitation(excitation, limits, self.capabilities, self.own_nameplate.resistance_ohm)
         self.permission.check(excitation, braked=self.braked)
 
-    # What it does
+    # Motion
 
     def excite(self, excitation: Excitation, samples: int) -> Iterator[Step]:
-        """A program, from the present operating point on; its end is held by `hold`."""
+        """Run an excitation from the present operating point; `hold` then keeps its end."""
         self.number += 1
         program = self.program(excitation)
         noise = self.simulator.noise(0, self.number)
         return self.simulator.stepwise(program, self.tuning(), self.pwm_ratio, noise, samples)
 
     def program(self, excitation: Excitation) -> Program:
-        """Take over an excitation's control, frame and PWM frequency; its program from the present operating point."""
+        """Set an excitation's control, frame and PWM frequency; returns its program from the present set-point."""
         self._power = replace(self._power, control=excitation.control)
         pwm = excitation.pwm_frequency_hz
         self.pwm_ratio = 1.0 if pwm is None else pwm / self.capabilities.pwm_frequency_hz
-        self.simulator.believe(excitation.rotor_angle_rad)
+        self.simulator.set_believed_angle(excitation.rotor_angle_rad)
         return self.planner.program(excitation, self.simulator.set_point)
 
     def length(self, excitation: Excitation) -> int:
-        """Samples of a program, settling included; nothing moves."""
+        """Samples of an excitation's program, settling included, without running it."""
         return self.planner.program(excitation, self.simulator.set_point).samples
 
     def hold(self, samples: int) -> Iterator[Step]:
-        """The present operating point, without end."""
+        """Hold the present operating point, without end."""
         still = Piece(CONTROL, ENDLESS_SAMPLES, *self.simulator.set_point)
         return self._run(Program((Stretch(still),)), samples)
 
     def record(self, rows: int, off: bool, samples: int) -> Iterator[Step]:
-        """Capture so many rows of what is being held (of the gates' being off)."""
+        """Capture rows at the present operating point, or with the gates off."""
         still = Piece(OFF, rows) if off else Piece(CONTROL, rows, *self.simulator.set_point)
         return self._run(Program((Stretch(still, captured=True),)), samples)
 
@@ -160,30 +159,30 @@ class Rig:
         return self._run(Program((Stretch(Piece(OFF, ENDLESS_SAMPLES)),)), samples)
 
     def drain(self) -> None:
-        """Gates off at once, until the diodes have brought the current to zero."""
+        """Switch the gates off and run until the current has decayed through the diodes."""
         for _ in self._run(self.gates_off(), ENDLESS_SAMPLES):
             pass
 
     def to_zero(self, samples: int) -> Iterator[Step]:
-        """Current to zero at the pace of the control's bandwidth."""
-        return self._run(self.down(), samples)
+        """Ramp the current to zero at the control's bandwidth."""
+        return self._run(self.ramp_down(), samples)
 
-    def down(self) -> Program:
-        """From the present set-point to zero, and a rotor that is turned to rest."""
+    def ramp_down(self) -> Program:
+        """Program that ramps the current to zero and brings a driven rotor to rest."""
         program = self.planner.to_zero(self._power.control, self.simulator.set_point)
-        if not self.simulator.turns:
+        if not self.simulator.is_driven:
             return program
-        return Program((*program.stretches, self.planner.at_rest(CONTROL, self.simulator.speed_rad_s)))
+        return Program((*program.stretches, self.planner.decelerate(CONTROL, self.simulator.speed_rad_s)))
 
     def gates_off(self) -> Program:
-        """Gates off until the diodes have brought the current to zero; a rotor that is turned comes to rest."""
+        """Program with the gates off until the current has decayed; a driven rotor is brought to rest."""
         off = Stretch(Piece(OFF, max(1, self.planner.samples(DRAIN_S))))
-        if not self.simulator.turns:
+        if not self.simulator.is_driven:
             return Program((off,))
-        return Program((off, self.planner.at_rest(OFF, self.simulator.speed_rad_s)))
+        return Program((off, self.planner.decelerate(OFF, self.simulator.speed_rad_s)))
 
     def to_safety(self, samples: int) -> Iterator[Step]:
-        """Current to zero as fast as voltage and sampling allow without a jerk: about 10 ms."""
+        """Ramp the current to zero as fast as voltage and sampling permit without a jerk, in about 10 ms."""
         fs, (d, q) = self.options.sampling_frequency_hz, self.simulator.set_point
         reach_s = max(self.nameplate.l_d_h, self.nameplate.l_q_h) * math.hypot(d, q) / (0.5 * self._power.max_voltage_v)
         ramp = max(1, self.planner.samples(max(Rig.safe_ramp_s, reach_s)))
@@ -214,11 +213,11 @@ class Rig:
 
     @property
     def planner(self) -> Planner:
-        """Makes programs by the present nameplate."""
+        """Planner for the present nameplate."""
         return Planner(self.options.sampling_frequency_hz, self.nameplate, self.capabilities.max_voltage_v)
 
     def tuning(self, control: CurrentControl | None = None) -> ControlParameters:
-        """The control as it is tuned now."""
+        """Present parameters of the control."""
         return tune(
             self.nameplate,
             control or self._power.control,
@@ -234,13 +233,13 @@ class Rig:
     # Memory
 
     def save(self, directory: Path, point_id: str = _LATEST, fired: Iterable[int] = ()) -> None:
-        """Write the plant's state, and which faults have struck; raises `StorageError`."""
+        """Write the plant's state and the faults that have occurred; raises `StorageError`."""
         memory, power = self.simulator.memory, self._power.control
         saved = _memory.Saved(memory, self.number, self.braked, power.bandwidth_hz, power.damping, tuple(sorted(fired)))
         _memory.save(directory, point_id, saved)
 
-    def take_up(self, directory: Path, point_id: str) -> tuple[int, ...]:
-        """Go on from a state that was saved; which faults had struck. Raises `DriveRefused` where there is none."""
+    def restore(self, directory: Path, point_id: str) -> tuple[int, ...]:
+        """Restore a saved state; returns the faults that had occurred. Raises `DriveRefused` where there is none."""
         saved = _memory.load(directory, point_id)
         self.simulator.memory = saved.memory
         self.number, self.bench.braked = saved.number, saved.braked
@@ -250,9 +249,9 @@ class Rig:
         return saved.fired
 
     def load(self, directory: Path) -> bool:
-        """Take up the latest state that was saved, gates off; whether there was one."""
+        """Restore the latest saved state with the gates off; returns False where there is none."""
         try:
-            self.take_up(directory, _LATEST)
+            self.restore(directory, _LATEST)
         except DriveRefused:
             return False
         self.drain()
@@ -260,5 +259,5 @@ class Rig:
 
 
 def is_ramp(stretch: Stretch) -> bool:
-    """Whether the set-point is under way."""
+    """Whether the set-point changes during the stretch."""
     return stretch.piece.mode == CONTROL and (stretch.piece.slope_d, stretch.piece.slope_q) != (0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Options of the switched inverter and of the sensors of a drive that has one; nothing is computed here."""
+"""Options of the switched inverter, and of the sensors of a drive with such an inverter."""
 
 from __future__ import annotations
 
@@ -13,71 +13,71 @@ class Bus(Strict):
     """The DC bus behind the bridge."""
 
     resistance_ohm: NonNegative = 0.0
-    """Of the source."""
+    """Resistance of the source."""
     capacitance_f: NonNegative = 0.0
-    """Across the bridge; 0: the bus follows its load at once."""
+    """Capacitance across the bridge; 0: the bus voltage follows its load without a lag."""
     logged: Literal["measured", "nominal"] = "measured"
-    """Whether rows and telemetry hold what the drive measures, or the nominal voltage repeated."""
+    """Whether rows and telemetry hold the measured or the nominal bus voltage."""
     gain: Annotated[float, Field(gt=0.5, lt=1.5)] = 1.0
     """Measured over true voltage."""
     compensated: bool = False
-    """Whether the drive divides by what it measures when it makes duties of voltages, or by the nominal voltage."""
+    """Whether duties are computed with the measured bus voltage, or with the nominal one."""
 
 
 class Switching(Strict):
     """An inverter of three legs on a symmetric carrier, edge by edge.
 
-    An edge waits for the dead time where the phase current holds the node. Where the current drives the node itself,
-    it charges the capacitances of both devices, dv/dt = i / (2 C), and what the dead time costs fades towards zero
-    current: t_d - C V / i in all. What decides is the current at the edge, its ripple included.
+    An edge is delayed by the dead time where a diode holds the node. Where the current commutates the node, it charges
+    the capacitances of both devices, dv/dt = i / (2 C), and the loss per period falls towards zero current:
+    t_d - C V / i. The current is that at the edge, ripple included.
 
-    `dead_time`, `device_drop`, `bus_sag` and `voltage_delay` among the plant's effects are taken as the averaged sizes
-    of the same things, for those that are not given here.
+    Where an option is omitted, the effects `dead_time`, `device_drop`, `bus_sag` and `voltage_delay` of the plant
+    supply its value.
     """
 
     dead_time_s: NonNegative | tuple[NonNegative, NonNegative, NonNegative] | None = None
-    """Of all legs, or of each. None: what loses `effects.dead_time.voltage_v` at the drive's own PWM frequency."""
+    """One for all legs, or one each. None: that which loses `effects.dead_time.voltage_v` at the own PWM frequency."""
     output_capacitance_f: NonNegative | None = None
-    """Of one device. None: what makes the dead time fade below `effects.dead_time.threshold_a` (4 % of rated)."""
+    """Of one device. None: from `effects.dead_time.threshold_a` (4 % of the rated current)."""
     grading: Annotated[float, Field(ge=0.0, le=0.8)] = 0.0
-    """By which power the capacitances fall with the voltage across them: 1/2 for an abrupt junction; 0: they do not.
-    `output_capacitance_f` is then what takes the same charge from rail to rail."""
+    """Exponent m of the capacitance, proportional to v^-m: 1/2 for an abrupt junction, 0 for a constant capacitance.
+    `output_capacitance_f` is then the constant capacitance of equal charge."""
     switch_drop_v: NonNegative | None = None
-    """At zero current. None: `effects.device_drop.voltage_v`."""
+    """Forward drop at zero current. None: `effects.device_drop.voltage_v`."""
     switch_ohm: NonNegative | None = None
     diode_drop_v: NonNegative | None = None
-    """None: as the switch."""
+    """None: equal to the switch's."""
     diode_ohm: NonNegative | None = None
     drop_knee_a: Positive | None = None
-    """Below it a drop falls to zero. None: `effects.device_drop.threshold_a` (1 % of the rated current)."""
+    """Current below which a drop falls to zero. None: `effects.device_drop.threshold_a` (1 % of rated)."""
     drop_per_k: float = -0.002
-    """Relative change of the drops with the devices' heat."""
+    """Relative change of the drops with the devices' temperature."""
     ohm_per_k: float = 0.004
     kelvin_per_watt: NonNegative = 0.0
-    """Devices over heat sink, for the loss of all three legs together; 0: they stay cold."""
+    """Thermal resistance from devices to heat sink, for the loss of all three legs together; 0: no heating."""
     device_time_constant_s: Positive = 2.0
     minimum_pulse_s: NonNegative = 0.0
-    """Pulses shorter than that are left out."""
+    """Pulses shorter than this are dropped."""
     timer_s: NonNegative = 0.0
     """Resolution of the edges."""
     sampling_offset_s: float = 0.0
-    """By how much the currents are sampled after the carrier's turning point; negative: before."""
+    """Delay of the current sampling after the carrier's turning point; negative: before it."""
     bus: Bus = Bus()
 
 
 class PhaseSensors(Strict):
-    """What each phase-current sensor adds to the two sensors' noise, gain and offset."""
+    """Errors of the phase-current sensors beside noise, gain and offset of sensors a and b."""
 
     gain_c_minus_1: float = 0.0
-    """Of the third sensor, on a drive that has three."""
+    """Gain error of the third sensor, on a drive that has three."""
     offset_c_a: float = 0.0
     drift_a_per_sqrt_s: NonNegative = 0.0
-    """Each offset's random walk: standard deviation after a second."""
+    """Random walk of each offset: standard deviation after one second."""
     even_per_a: float = 0.0
     """Each sensor reads i + k i^2."""
     remanence_a: NonNegative = 0.0
-    """What a Hall sensor's core keeps after a large current of one sign."""
+    """Remanent reading of a Hall sensor's core after a large current of one sign."""
     bits: Annotated[int, Field(ge=8, le=24)] | None = None
-    """Of the converter, instead of `quantum_a`; readings end at the full scale."""
+    """Resolution of the converter, instead of `quantum_a`; readings saturate at the full scale."""
     full_scale_a: Positive | None = None
     """None: four times the rated current."""

@@ -1,4 +1,4 @@
-"""The sealed truth: what the plant is, for its private file and for tests. Never for analysis."""
+"""The sealed truth about the plant, for its private file and for tests, never for analysis."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class TrueMagnetics:
         return self.magnetics.energy.psi_m
 
     def flux(self, i_dq: Array) -> Array:
-        """psi(i) [Wb], shape (n, 2); raises `ValueError` for a current far beyond the motor's."""
+        """psi(i) [Wb], shape (n, 2); raises `ValueError` where the energy has no flux for a current."""
         return flux_at(self.magnetics, np.atleast_2d(i_dq))
 
     def current(self, psi_dq: Array) -> Array:
@@ -43,19 +43,19 @@ class TrueMagnetics:
 
 
 def true_flux(options: SimulatedOptions, motor: Motor) -> TrueMagnetics:
-    """The truth behind a simulated drive with these options on this motor.
+    """The true magnetics of a simulated drive with these options on this motor.
 
     Raises
     ------
     InputError
-        As connecting to the drive would.
+        As on opening the drive.
     """
     nameplate = read_nameplate(motor)
     return TrueMagnetics(derive(options, nameplate, bus_voltage(options, nameplate)).magnetics)
 
 
 def describe(nameplate: Nameplate, plant: TruePlant, seed: int) -> dict[str, Any]:
-    """Everything there is to know about the plant, as JSON."""
+    """All of the plant's parameters and its flux map, as JSON."""
     magnetics = plant.magnetics
     rated = nameplate.rated_a
     axis = np.linspace(-1.25 * rated, 1.25 * rated, 11)

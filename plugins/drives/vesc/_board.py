@@ -1,7 +1,7 @@
-"""The conversation with a VESC: who it is, its settings, readings, a held current, a tone, sampled rows.
+"""Communication with a VESC: version, settings, readings, a held current, a tone, sampled rows.
 
 Commands are those of a stock firmware from 6.06 on: the terminal's `rotor_lock_openloop`, LispBM's console, and
-COMM_SAMPLE_PRINT. docs/vesc.md says where each was read.
+COMM_SAMPLE_PRINT. docs/vesc.md gives the sources.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ ANSWER_TIMEOUT_S = 1.0
 CONSOLE_PERIOD_S = 0.55
 """Time between two lines to the Lisp console, which silently drops a line within half a second of another."""
 TONE_RELEASE_S = 1.1
-"""Time after a tone's start during which the bridge stays on, whatever the command."""
+"""Time after a tone's start during which no command switches the bridge off."""
 FOC_MOTOR_TYPE = 2
 INJECTING_SENSOR_MODES = range(3, 9)
 """Sensor modes FOC_SENSOR_MODE_HFI to HFI_V5."""
@@ -27,7 +27,7 @@ INJECTING_SENSOR_MODES = range(3, 9)
 
 @dataclass(frozen=True)
 class Settings:
-    """What has to be known of the board's configuration; the first five are changed for a run and put back."""
+    """The relevant part of the board's configuration; the first five are changed for a run and restored."""
 
     max_scale: float
     min_scale: float
@@ -49,7 +49,7 @@ class Settings:
 
 
 class Board:
-    """A board at the other end of a link.
+    """A board, by a link.
 
     Parameters
     ----------
@@ -59,17 +59,17 @@ class Board:
     def __init__(self, link: Link) -> None:
         self._link = link
         self.check, self.close = link.check, link.close
-        self._sent_s, self.released_s = time.monotonic(), 0.0  # an earlier host may just have sent something
+        self._sent_s, self.released_s = time.monotonic(), 0.0  # an earlier host may have sent a line just now
 
     def version(self) -> tuple[int, int, str]:
-        """Firmware's version, and the board's name."""
+        """Major and minor version of the firmware, and the board's name."""
         answer = self._link.ask(bytes([Command.FW_VERSION]), Command.FW_VERSION, ANSWER_TIMEOUT_S)
         if len(answer) < 4:
             raise DriveFault(FaultCause.WRONG_DATA, f"{self._link.where}: a version of {len(answer)} octets")
         return answer[1], answer[2], answer[3:].split(b"\0")[0].decode("latin1")
 
     def settings(self) -> Settings:
-        """Read the configuration that is at work."""
+        """Read the active configuration."""
         limits = self._numbers(
             _conf_get(
                 "l-current-max-scale",
@@ -82,36 +82,36 @@ class Board:
             ),
             7,
         )
-        # Six digits behind the point are few for the proportional gain of a small winding.
+        # The console prints six decimals, too few for the proportional gain of a small winding.
         kinds = _conf_get("foc-current-ki", "motor-type", "foc-sensor-mode", "m-invert-direction")
         rest = self._numbers(f"(conf-get 'foc-f-zv) (* 1000.0 (conf-get 'foc-current-kp)) {kinds}", 6)
         values: list[Any] = [*limits, rest[0], rest[1] / 1000.0, rest[2], *map(int, rest[3:])]
         return Settings(*values)
 
     def apply(self, max_scale: float, min_scale: float, abs_current_a: float, timeout_ms: float) -> None:
-        """Set these in the board's memory, not for good; raises `DriveFault` where they are not held afterwards."""
-        wanted = {
+        """Set these in the board's volatile memory; raises `DriveFault` where they differ when read back."""
+        settings = {
             "l-current-max-scale": f"{max_scale:.6f}",
             "l-current-min-scale": f"{min_scale:.6f}",
             "l-abs-current-max": f"{abs_current_a:.6f}",
             "timeout-msec": f"{timeout_ms:.0f}",
         }
-        commands = " ".join(f"(conf-set '{name} {value})" for name, value in wanted.items())
-        held = self._numbers(_conf_get(*wanted), len(wanted), before=commands)
-        for (name, value), now in zip(wanted.items(), held, strict=True):
+        commands = " ".join(f"(conf-set '{name} {value})" for name, value in settings.items())
+        readback = self._numbers(_conf_get(*settings), len(settings), before=commands)
+        for (name, value), now in zip(settings.items(), readback, strict=True):
             if abs(now - float(value)) > 1e-4 * abs(float(value)) + 1e-6:
                 raise DriveFault(FaultCause.WRONG_DATA, f"{name} is {now:g} after {value} was written")
 
     def values(self) -> Values:
-        """A reading, of all that has been since the one before."""
-        return Values.of(self._link.ask(Values.question(), Command.GET_VALUES_SELECTIVE, ANSWER_TIMEOUT_S))
+        """A reading, averaged since the previous one."""
+        return Values.of(self._link.ask(Values.request(), Command.GET_VALUES_SELECTIVE, ANSWER_TIMEOUT_S))
 
     def alive(self) -> None:
-        """What the board's own timeout hears."""
+        """Feed the board's timeout."""
         self._link.send(bytes([Command.ALIVE]))
 
     def hold(self, current_a: float, degrees: float) -> None:
-        """Hold a current along an angle; a current of zero lets go."""
+        """Hold a current along an angle; zero current releases the motor."""
         text = f"rotor_lock_openloop {current_a:.6g} 0 {degrees % 360.0:.6f}"
         self._link.forget(Command.PRINT)
         self._link.send(bytes([Command.TERMINAL_CMD]) + text.encode() + b"\0")
@@ -129,16 +129,16 @@ class Board:
                 raise DriveFault(FaultCause.INTERNAL, f"{self._link.where}: {output.splitlines()[-1]}")
 
     def sample(self, mode: Sampling, rows: int) -> None:
-        """Have so many rows sampled, every period; they come by `row`."""
+        """Start sampling of `rows` successive rows; `row` returns them."""
         self._link.forget(Command.SAMPLE_PRINT)
         self._link.send(struct.pack(">BBHBB", Command.SAMPLE_PRINT, mode, rows, 1, 0))
 
     def row(self, timeout_s: float) -> bytes | None:
-        """The next row that has come; None where none does in time."""
+        """The next received row; None after `timeout_s` without one."""
         return self._link.take(Command.SAMPLE_PRINT, timeout_s)
 
     def row_rate_hz(self) -> float:
-        """What the board's rows say of their rate, to 10 Hz below."""
+        """Rate of the rows as they state it, rounded down to 10 Hz."""
         self.sample(Sampling.NOW, 1)
         row = self.row(ANSWER_TIMEOUT_S)
         if row is None:
@@ -146,7 +146,7 @@ class Board:
         return float(rows_of([row])["rate"][0])
 
     def tone(self, frequency_hz: float, amplitude_v: float, turns_hz: float, lasts_s: float) -> None:
-        """Start a sine along q of a frame without a current that turns; it ends by itself.
+        """Start a sine along q of a rotating frame without current; it ends by itself.
 
         The tone switches the bridge on and begins with its first period. The frame turns some time later.
         """
@@ -159,13 +159,13 @@ class Board:
     # The console
 
     def _numbers(self, query: str, count: int, before: str = "") -> list[float]:
-        """Values of expressions; what the console prints has room for 128 letters."""
+        """Values of expressions; the console prints up to 128 characters."""
         expression = f"(progn {before} (list {query}))"
         self._link.forget(Command.LISP_PRINT)
         self._evaluate(expression)
         deadline, output = time.monotonic() + ANSWER_TIMEOUT_S, ""
-        while (left := deadline - time.monotonic()) > 0.0:
-            answer = self._link.take(Command.LISP_PRINT, left)
+        while (remaining_s := deadline - time.monotonic()) > 0.0:
+            answer = self._link.take(Command.LISP_PRINT, remaining_s)
             if answer is None:
                 break
             output = answer[1:].rstrip(b"\0").decode("latin1")

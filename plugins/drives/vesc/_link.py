@@ -1,4 +1,4 @@
-"""A line to a VESC, serial or TCP: sends frames, sorts what comes by its command. Knows no command's meaning."""
+"""A line to a VESC, serial or TCP: sends frames and sorts received ones by command."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 from collections import defaultdict
 from contextlib import suppress
 
-from plugins.drives.vesc._packets import Decoder, framed
+from plugins.drives.vesc._packets import Decoder, encode_frame
 from plugins.link import DriveLine
 from protocols import DriveFault
 
@@ -16,57 +16,57 @@ WRITE_TIMEOUT_S = 1.0
 
 
 class Link(DriveLine):
-    """An open line; its reader is a thread that `close` ends.
+    """An open line with a reader thread, which `close` ends.
 
     Parameters
     ----------
     port : str
         A serial device or ``socket://host:port``.
     baud_rate : int
-        Of a UART.
+        Baud rate of a UART.
     """
 
     def __init__(self, port: str, baud_rate: int) -> None:
         super().__init__("VESC", port, baud_rate, WRITE_TIMEOUT_S)
-        self._come: defaultdict[int, queue.SimpleQueue[bytes]] = defaultdict(queue.SimpleQueue)
+        self._queues: defaultdict[int, queue.SimpleQueue[bytes]] = defaultdict(queue.SimpleQueue)
         self._closed = threading.Event()
         self._reader = threading.Thread(target=self._read, name="vesc", daemon=True)
         self._reader.start()
 
     def send(self, payload: bytes) -> None:
-        """Write a frame; raises `DriveFault` where it does not go out."""
-        self.write_bytes(framed(payload))
+        """Write a frame; raises `DriveFault` where it cannot be sent."""
+        self.write_bytes(encode_frame(payload))
 
     def take(self, command: int, timeout_s: float) -> bytes | None:
-        """The next payload of a command; None where none comes in time."""
+        """The next payload of a command; None after `timeout_s` without one."""
         self.check()
         try:
-            return self._come[command].get(timeout=timeout_s) if timeout_s > 0 else self._come[command].get_nowait()
+            return self._queues[command].get(timeout_s > 0, max(timeout_s, 0.0))
         except queue.Empty:
             return None
 
     def ask(self, payload: bytes, answer: int, timeout_s: float) -> bytes:
-        """Send, and take the next answer of this command; raises `DriveFault` where there is none."""
+        """Send, and return the next payload of the command `answer`; raises `DriveFault` without one."""
         self.forget(answer)
         self.send(payload)
-        answered = self.take(answer, timeout_s)
-        if answered is None:
+        payload_received = self.take(answer, timeout_s)
+        if payload_received is None:
             raise self.lose(f"does not answer within {timeout_s:g} s")
-        return answered
+        return payload_received
 
     def forget(self, command: int) -> None:
-        """Drop what has come of this command."""
-        self._come[command] = queue.SimpleQueue()
+        """Drop the received payloads of a command."""
+        self._queues[command] = queue.SimpleQueue()
 
     def close(self) -> None:
-        """End the reader and let go of the line."""
+        """End the reader and close the line."""
         self._closed.set()
         self._reader.join()
         super().close()
 
     def _read(self) -> None:
         decoder = Decoder()
-        with suppress(DriveFault):  # kept for whoever uses the link next
+        with suppress(DriveFault):  # kept for the next use of the link
             while not self._closed.is_set() and self.lost is None:
                 for payload in decoder.feed(self.read_bytes(POLL_PERIOD_S)):
-                    self._come[payload[0]].put(payload)
+                    self._queues[payload[0]].put(payload)

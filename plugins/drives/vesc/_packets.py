@@ -1,4 +1,4 @@
-"""What goes over a VESC's line: frames (comm/packet.c), commands (datatypes.h) and their numbers. Talks to nobody."""
+"""Encoding of a VESC's frames (comm/packet.c), commands (datatypes.h) and their values."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SHORT, LONG, END = 2, 3, 3
 
 
 class Command(IntEnum):
-    """Of COMM_PACKET_ID those that are used."""
+    """The used members of COMM_PACKET_ID."""
 
     FW_VERSION = 0
     SAMPLE_PRINT = 19
@@ -55,7 +55,7 @@ ROW = np.dtype(
 """A sampled row, as `send_sample_block` in motor/mc_interface.c writes it."""
 
 
-def framed(payload: bytes) -> bytes:
+def encode_frame(payload: bytes) -> bytes:
     """A payload of 1 to 512 octets as a frame."""
     n = len(payload)
     head = struct.pack(">BB", SHORT, n) if n < 256 else struct.pack(">BH", LONG, n)
@@ -63,13 +63,13 @@ def framed(payload: bytes) -> bytes:
 
 
 class Decoder:
-    """Payloads out of octets as they come; what is damaged is passed over, octet by octet."""
+    """Decodes payloads from a stream of octets; damaged ones are skipped, octet by octet."""
 
     def __init__(self) -> None:
         self._waiting = b""
 
     def feed(self, octets: bytes) -> list[bytes]:
-        """The payloads that are whole now."""
+        """The payloads that these octets complete."""
         data, at, payloads = self._waiting + octets, 0, []
         while at < len(data):
             payload, used = _first(data, at)
@@ -83,7 +83,7 @@ class Decoder:
 
 
 def _first(data: bytes, at: int) -> tuple[bytes | None, int]:
-    """What begins here and its octets; none and 1 for what is no frame, none and 0 for one that is not whole."""
+    """Payload and length of the frame at `at`; (None, 1) without a frame there, (None, 0) for an incomplete one."""
     start = data[at]
     if start not in (SHORT, LONG):
         return None, 1
@@ -103,7 +103,7 @@ def _first(data: bytes, at: int) -> tuple[bytes | None, int]:
 
 @dataclass(frozen=True)
 class Values:
-    """A reading; currents and voltages are means since the reading before, in the frame of the control."""
+    """A reading; currents and voltages are means since the previous reading, in the control's frame."""
 
     i: complex
     bus_v: float
@@ -114,13 +114,13 @@ class Values:
     MASK = 1 << 4 | 1 << 5 | 1 << 8 | 1 << 15 | 1 << 19 | 1 << 20 | 1 << 21
 
     @classmethod
-    def question(cls) -> bytes:
-        """What asks for it."""
+    def request(cls) -> bytes:
+        """Payload that requests a reading."""
         return struct.pack(">BI", Command.GET_VALUES_SELECTIVE, cls.MASK)
 
     @classmethod
     def of(cls, payload: bytes) -> Values:
-        """Raises `DriveFault` where it is something else."""
+        """Decode a reading; raises `DriveFault` for another payload."""
         layout = struct.Struct(">BIiihBiiB")
         if len(payload) != layout.size:
             raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {len(payload)} octets, expected {layout.size}")
@@ -136,7 +136,7 @@ def rows_of(payloads: list[bytes]) -> np.ndarray:
         raise DriveFault(FaultCause.WRONG_DATA, f"a sampled row is not of {ROW.itemsize} octets")
     rows = np.frombuffer(b"".join(payloads), ROW)
     if not np.array_equal(rows["index"], np.arange(len(rows))):
-        raise DriveFault(FaultCause.WRONG_DATA, "sampled rows are missing, or of two captures")
+        raise DriveFault(FaultCause.WRONG_DATA, "sampled rows are missing, or belong to two captures")
     return rows
 
 

@@ -1,6 +1,6 @@
 """The drive `vesc`: a VESC by its public commands, with a thousand rows of every control period at a time.
 
-It claims `gates_off`, `hold`, and `injection` at zero current. docs/vesc.md says what keeps it from the rest.
+It supports `gates_off`, `hold`, and `injection` at zero current; docs/vesc.md gives the reasons.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ OLDEST_FIRMWARE = (6, 6)
 MEMORY_ROWS = 1000
 """Rows that the board's memory holds."""
 MAX_INJECTION_ROWS = 600
-"""Rows of an injection, which waits up to half a turn for its direction."""
+"""Rows of an injection; the rest of the memory is the wait for its direction, up to half a turn."""
 RATE_STEP_HZ = 10.0
-"""Resolution of the rate that the rows give."""
+"""Resolution of the rows' rate."""
 MAX_UPLOAD_S = 10.0
-"""Time for the rows to come over a slow line: 50 kB."""
+"""Time for the transfer of the rows (50 kB) by a slow line."""
 MAX_RAMP_S = 0.5
 """Time in which the current has to fall to zero."""
 POLL_PERIOD_S = 0.01
 MIN_HELD_CURRENT_A = 0.05
-"""Current below which the board lets go (`cc_min_current`)."""
+"""Current below which the board releases the motor (`cc_min_current`)."""
 MAX_CURRENT_ERROR_RATIO = 0.3
 """Deviation of the mean current over its set-point, above which it is an error."""
 TRIP_RATIO = 1.5
-"""The board's trip current over the run's current limit."""
+"""Trip current of the board over the run's current limit."""
 MIN_TRIP_RATIO = 0.05
-"""Smallest trip current over the board's own one."""
+"""Smallest trip current over the board's configured one."""
 FAULTS: dict[int, tuple[FaultCause, str]] = {
     1: (FaultCause.BUS_VOLTAGE, "over voltage"),
     2: (FaultCause.BUS_VOLTAGE, "under voltage"),
@@ -73,9 +73,9 @@ class VescOptions(Strict):
     port: Annotated[str, Field(min_length=1)]
     """Serial device, or ``socket://host:port`` of a TCP bridge."""
     baud_rate: Annotated[int, Field(ge=1)] = 115200
-    """Of a UART; USB does not care."""
+    """Baud rate of a UART; irrelevant on USB."""
     watchdog_s: Annotated[float, Field(ge=0.1, le=10.0)] = 0.5
-    """The board's own timeout is set to it for the run."""
+    """Timeout of the board during the run."""
 
 
 class VescDrive(PolledDrive[Board]):
@@ -90,9 +90,9 @@ class VescDrive(PolledDrive[Board]):
     name: ClassVar[str] = "vesc"
     Options: ClassVar[type[BaseModel]] = VescOptions
     why_not: ClassVar[Mapping[ExcitationKind, str]] = {
-        "trapezoid": "its memory has a thousand rows, of a current that is set by hand",
-        "steps": "no command of it turns a voltage where a current is met",
-        "spin": "it is held to a rotor that is locked",
+        "trapezoid": "its memory has a thousand rows, and no command sets a current at a known instant",
+        "steps": "it has no command that reverses a voltage at a current limit",
+        "spin": "it supports a locked rotor only",
     }
 
     def __init__(self, setup: DriveSetup) -> None:
@@ -104,14 +104,14 @@ class VescDrive(PolledDrive[Board]):
     # Link
 
     def open(self) -> Capabilities:
-        """Ask the board who it is and how it is configured. Nothing is energised.
+        """Read the board's version and configuration. Nothing is energised.
 
         Raises
         ------
         DriveFault
-            Nobody answers, or what is answered cannot be used.
+            No answer, or an unusable one.
         DriveRefused
-            Its firmware is too old, or its configuration does not fit.
+            Firmware too old, or an unsuitable configuration.
         """
         o = self._options
         link = Link(o.port, o.baud_rate)
@@ -149,7 +149,7 @@ class VescDrive(PolledDrive[Board]):
         )
 
     def heartbeat(self) -> None:
-        """Feed the board's timeout; a beat that comes too late for it is remembered."""
+        """Feed the board's timeout; a heartbeat too late for it is noted."""
         board, now_s = self.board, time.monotonic()
         if board is None or self.limits is None:
             return
@@ -163,7 +163,7 @@ class VescDrive(PolledDrive[Board]):
     # Power stage
 
     def energise(self, limits: Limits) -> None:
-        """Give the board its limits and its timeout; the first current set-point switches its bridge on."""
+        """Set the board's limits and timeout; the first current set-point switches its bridge on."""
         board, own = self.connected(), self._own_settings()
         try:
             board.hold(0.0, 0.0)
@@ -184,17 +184,17 @@ class VescDrive(PolledDrive[Board]):
             raise self.trip(fault) from None
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
-        """Begin it as its rows are drawn; refuses a current that the board would let go."""
+        """Start the excitation as its rows are drawn; refuses currents below `MIN_HELD_CURRENT_A`."""
         if 0.0 < excitation.longest_current_a < MIN_HELD_CURRENT_A:
-            raise DriveRefused(f"{excitation.longest_current_a:g} A: below {MIN_HELD_CURRENT_A:g} A a VESC lets go")
+            raise DriveRefused(f"{excitation.longest_current_a:g} A: a VESC releases below {MIN_HELD_CURRENT_A:g} A")
         if isinstance(excitation, Hold):
-            return self.tripping(self._held(excitation))
+            return self.tripping(self._hold_rows(excitation))
         if isinstance(excitation, GatesOff):
-            return self.tripping(self._off(excitation))
+            return self.tripping(self._gates_off_rows(excitation))
         assert isinstance(excitation, Injection)
         if 0.0 < excitation.rotation_hz * MAX_INJECTION_ROWS / self.own.sampling_frequency_hz < 1.0 - 1e-6:
-            raise DriveRefused(f"the injected direction turns at {excitation.rotation_hz:g} Hz: no turn fits the rows")
-        return self.tripping(self._injected(excitation))
+            raise DriveRefused(f"the rows hold no whole turn of a direction rotating at {excitation.rotation_hz:g} Hz")
+        return self.tripping(self._injection_rows(excitation))
 
     def telemetry(self) -> Telemetry:
         """A reading of the last hundredth of a second."""
@@ -208,7 +208,7 @@ class VescDrive(PolledDrive[Board]):
         return self.reading(now.i * cmath.exp(1j * turn), now.bus_v, self.own.pwm_frequency_hz)
 
     def ramp(self) -> None:
-        """A target of zero: the board lets go within a millisecond."""
+        """Set a target of zero: the board releases the motor within a millisecond."""
         board = self.connected()
         board.hold(0.0, math.degrees(cmath.phase(self.target_a)))
         self.target_a = 0j
@@ -221,7 +221,7 @@ class VescDrive(PolledDrive[Board]):
         self.await_zero_current(flows, MAX_RAMP_S)
 
     def switch_off(self) -> None:
-        """Let go, wait until a tone's second is over, and put the board's settings back."""
+        """Release the motor, wait for the end of a tone, and restore the board's settings."""
         board, own = self.connected(), self._own_settings()
         self.ramp()
         time.sleep(max(0.0, board.released_s - time.monotonic()))
@@ -229,7 +229,7 @@ class VescDrive(PolledDrive[Board]):
 
     # Excitations
 
-    def _held(self, hold: Hold) -> Generator[Capture]:
+    def _hold_rows(self, hold: Hold) -> Generator[Capture]:
         board, fs = self.connected(), self.own.sampling_frequency_hz
         self.aim(hold)
         size, angle = cmath.polar(self.target_a)
@@ -243,14 +243,14 @@ class VescDrive(PolledDrive[Board]):
             turn = cmath.exp(1j * angle)
             inside = i / turn
             if abs(inside.mean() - size) > MAX_CURRENT_ERROR_RATIO * size:
-                message = f"set-point {size:.4g} A, measured {inside.mean():.4g} A: the board limits it, or has let go"
+                message = f"set-point {size:.4g} A, measured {inside.mean():.4g} A: the board limits or has released it"
                 raise DriveFault(FaultCause.INTERNAL, message)
             own = self._own_settings()
             moved = _rows.control(inside, size, (own.proportional, own.integral), 1.0 / fs)
             v = (now.v + moved - moved.mean()) * turn
         yield from self.blocks(i, v, start_s, now.bus_v)
 
-    def _off(self, gates_off: GatesOff) -> Generator[Capture]:
+    def _gates_off_rows(self, gates_off: GatesOff) -> Generator[Capture]:
         board = self.connected()
         self.ramp()
         yield from self.waiting(board.released_s - time.monotonic())
@@ -258,8 +258,8 @@ class VescDrive(PolledDrive[Board]):
         i = _rows.currents(rows)
         yield from self.blocks(i, np.zeros_like(i), start_s, now.bus_v)
 
-    def _injected(self, e: Injection) -> Generator[Capture]:
-        """A tone along q of a frame that turns, from the bridge's first period on: so its rows are the wave's own."""
+    def _injection_rows(self, e: Injection) -> Generator[Capture]:
+        """A tone along q of a rotating frame; rows start with the bridge's first period and thus with the wave."""
         board, own, fs = self.connected(), self._own_settings(), self.own.sampling_frequency_hz
         frequency, count = e.frequency_hz * _rows.TONE_FREQUENCY_RATIO, e.rows(fs)
         self.ramp()
@@ -267,15 +267,15 @@ class VescDrive(PolledDrive[Board]):
         yield from self.waiting(max(e.settle_s, board.released_s - time.monotonic()))
         board.sample(Sampling.START, MEMORY_ROWS)
         board.tone(frequency, e.amplitude_v, e.rotation_hz, MEMORY_ROWS / fs + 0.05)
-        rows, start_s, now = yield from self._come(MEMORY_ROWS)
+        rows, start_s, now = yield from self._receive_rows(MEMORY_ROWS)
         frame, begin = _rows.turning_frame(rows, e.rotation_hz, 1.0 / fs)
-        place, voltage = _rows.tone(MEMORY_ROWS, frequency, e.amplitude_v, 1.0 / fs)
+        wave_phase, voltage = _rows.tone(MEMORY_ROWS, frequency, e.amplitude_v, 1.0 / fs)
         i, turn = _rows.currents(rows), np.exp(1j * frame)
         moved = _rows.control(i / turn, 0.0, (own.proportional, own.integral), 1.0 / fs)
         late_s = e.discard_s
         at = _rows.window(
             frame + 0.5 * math.pi,
-            place,
+            wave_phase,
             e.rotor_angle_rad + 2.0 * math.pi * e.rotation_hz * late_s,
             e.frequency_hz * late_s,
             max(begin, round(late_s * fs)),
@@ -288,10 +288,10 @@ class VescDrive(PolledDrive[Board]):
 
     def _sampled(self, count: int) -> Generator[Capture, None, tuple[np.ndarray, float, Values]]:
         self.connected().sample(Sampling.NOW, count)
-        return (yield from self._come(count))
+        return (yield from self._receive_rows(count))
 
-    def _come(self, count: int) -> Generator[Capture, None, tuple[np.ndarray, float, Values]]:
-        """The rows as they come, the clock when they were begun, and a reading from while they were taken."""
+    def _receive_rows(self, count: int) -> Generator[Capture, None, tuple[np.ndarray, float, Values]]:
+        """Receive rows; returns them, the clock at their start, and a reading during sampling."""
         board, fs = self.connected(), self.own.sampling_frequency_hz
         begun_s = time.monotonic()
         yield from self.waiting(count / fs)
@@ -314,12 +314,12 @@ class VescDrive(PolledDrive[Board]):
     # Faults
 
     def forget_fault(self) -> None:
-        """The board forgets its own fault by itself."""
+        """Nothing to clear: the board clears its fault by itself."""
         self.connected()
         self._missed = False
 
     def board_fault(self) -> DriveFault | None:
-        """The board's trip, or its time-out."""
+        """Fault by the board's trip, or by its timeout."""
         return self._fault(self.connected().values())
 
     def _fault(self, now: Values) -> DriveFault | None:
@@ -327,7 +327,7 @@ class VescDrive(PolledDrive[Board]):
             cause, hint = FAULTS.get(now.fault, (FaultCause.INTERNAL, "see `faults` in its terminal"))
             return DriveFault(cause, f"VESC fault {now.fault}: {hint}")
         if now.timed_out or self._missed:
-            return DriveFault(FaultCause.HEARTBEAT_LOST, f"no beat for {self._options.watchdog_s:g} s")
+            return DriveFault(FaultCause.HEARTBEAT_LOST, f"no heartbeat for {self._options.watchdog_s:g} s")
         return None
 
     def _own_settings(self) -> Settings:
@@ -339,17 +339,17 @@ def _require_usable(settings: Settings, where: str) -> None:
     if settings.motor_type != FOC_MOTOR_TYPE:
         raise DriveRefused(f"{where}: its motor type is not FOC")
     if settings.sensor_mode in INJECTING_SENSOR_MODES:
-        raise DriveRefused(f"{where}: its sensor mode injects (HFI), into everything; choose another for the run")
+        raise DriveRefused(f"{where}: its sensor mode injects a signal (HFI); choose another one for the run")
     if settings.inverted:
-        raise DriveRefused(f"{where}: its motor direction is inverted, and angles with it; undo that for the run")
+        raise DriveRefused(f"{where}: its motor direction is inverted, which inverts angles; disable that for the run")
     if not settings.own_limit_a > 0.0 or not settings.current_min_a < 0.0:
         raise DriveRefused(f"{where}: its current limits are {settings.current_min_a:g} and {settings.own_limit_a:g} A")
 
 
 def _rate(zero_vectors_hz: float, row_rate_hz: float, where: str) -> float:
-    """Control periods a second: every zero vector or every other, by what rows say of their rate."""
+    """Control rate [Hz]: one period per zero vector or per two, by the rate of the rows."""
     for rate_hz in (0.5 * zero_vectors_hz, zero_vectors_hz):
         if 0.0 <= rate_hz - row_rate_hz <= 2.0 * RATE_STEP_HZ:
             return rate_hz
     message = f"rows of {row_rate_hz:g} Hz at foc_f_zv {zero_vectors_hz:g} Hz"
-    raise DriveRefused(f"{where}: {message}; every zero vector or every other was expected")
+    raise DriveRefused(f"{where}: {message}; expected one row per zero vector or per two")

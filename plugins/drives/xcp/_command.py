@@ -14,14 +14,14 @@ NAMES = ("fluxbench_config.h", "fluxbench_xcp.h", "fluxbench_xcp.c")
 
 
 def write_routine(directory: Path) -> tuple[Path, ...]:
-    """Write the C files, each whole or not at all, and return their paths.
+    """Write the C files atomically and return their paths.
 
-    A `fluxbench_config.h` that is there already is somebody's, and stays.
+    An existing `fluxbench_config.h` is not overwritten.
 
     Raises
     ------
     InputError
-        The directory cannot be made, or nothing can be written to it.
+        The directory cannot be created or written to.
     StorageError
         The disk is full.
     """
@@ -31,7 +31,7 @@ def write_routine(directory: Path) -> tuple[Path, ...]:
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError("DIR", str(directory), f"cannot be made: {error.strerror or error}") from None
+        raise InputError("DIR", str(directory), f"cannot be created: {error.strerror or error}") from None
     written = []
     for name in NAMES:
         path = directory / name

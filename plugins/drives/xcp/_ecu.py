@@ -1,4 +1,4 @@
-"""The variable `fluxbench` in the ECU, word by word as firmware/fluxbench_xcp.h declares it. Talks to nobody."""
+"""Layout of the variable `fluxbench` in the ECU, as firmware/fluxbench_xcp.h declares it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Rows = NDArray[np.void]
 MAGIC, VERSION = 0x46425831, 1
 FAULTS = {
     1: (FaultCause.OVERCURRENT, "the current passed its limit"),
-    2: (FaultCause.HEARTBEAT_LOST, "the ECU's routine saw no beat"),
+    2: (FaultCause.HEARTBEAT_LOST, "the ECU's routine received no heartbeat"),
     3: (FaultCause.BUS_VOLTAGE, "the bus has no voltage"),
     4: (FaultCause.INTERNAL, "the ECU's own protection switched off"),
 }
 
 
 class State(IntEnum):
-    """Of the power stage."""
+    """State of the power stage."""
 
     OFF = 0
     ON = 1
@@ -30,7 +30,7 @@ class State(IntEnum):
 
 
 class Phase(IntEnum):
-    """Of a program."""
+    """Phase of a program."""
 
     SETTLING = 0
     CAPTURING = 1
@@ -38,7 +38,7 @@ class Phase(IntEnum):
 
 
 class Order(IntEnum):
-    """Commands that the routine knows."""
+    """Commands of the routine."""
 
     SWITCH_ON = 1
     SWITCH_OFF = 2
@@ -47,7 +47,7 @@ class Order(IntEnum):
 
 
 class Mode(IntEnum):
-    """What a program does."""
+    """Operating mode of a program."""
 
     GATES_OFF = 0
     CONTROL = 1
@@ -63,7 +63,7 @@ class Status:
     refused: bool
     fault: int
     number: int
-    """Of the last order."""
+    """Number of the last order."""
 
     @classmethod
     def of(cls, word: int) -> Status:
@@ -71,7 +71,7 @@ class Status:
 
 
 class Layout:
-    """Types and offsets for an ECU of one byte order; every word has 32 bits.
+    """Types and offsets for an ECU's byte order; every word has 32 bits.
 
     Parameters
     ----------
@@ -103,12 +103,12 @@ class Layout:
 
 
 class Stream:
-    """The rows of one program as they come in.
+    """Checks and selects the incoming rows of one program.
 
     Parameters
     ----------
     number : int
-        Of the order that it runs by.
+        Number of the order that started the program.
     """
 
     def __init__(self, number: int) -> None:
@@ -116,7 +116,7 @@ class Stream:
         self._last: np.uint32 | None = None
 
     def captured(self, rows: Rows) -> Rows:
-        """Of the next rows those that the program captures.
+        """The captured ones of the next rows.
 
         Raises `DriveFault` where the ECU has tripped, a row is missing, or another order runs.
         """
@@ -128,7 +128,7 @@ class Stream:
             raise fault_of(newest)
         self._require_whole(rows["tick"])
         if newest.state != State.ON or newest.number != self._number:
-            raise DriveFault(FaultCause.INTERNAL, "the ECU has given the program up: somebody else drives it")
+            raise DriveFault(FaultCause.INTERNAL, "the ECU has ended the program: another host controls it")
         captured: Rows = rows[(status >> 16 == self._number) & (status >> 2 & 3 == Phase.CAPTURING)]
         return captured
 
@@ -143,6 +143,6 @@ class Stream:
 
 
 def fault_of(status: Status) -> DriveFault:
-    """What the ECU has latched."""
+    """The ECU's latched fault."""
     cause, detail = FAULTS.get(status.fault, (FaultCause.INTERNAL, f"the ECU has fault {status.fault}"))
     return DriveFault(cause, detail)

@@ -1,4 +1,4 @@
-"""The conversation with an ECU by pyxcp, the XCP master: reading, writing, and the rows of one DAQ list."""
+"""Communication with an ECU by the XCP master pyxcp: reading, writing, and the rows of one DAQ list."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ IDENTIFICATION = {
 }
 TIMESTAMP = {"NO_TIME_STAMP": 0, "S1": 1, "S2": 2, "S4": 4}
 MAX_WAITING_ROWS = 200_000
-"""Rows that wait for the host; a host that is later sees a gap."""
+"""Rows that are queued for the host; further rows are lost and show as a gap."""
 SOCKET_BYTES = 4_000_000
-"""Requested buffer of the system for a host that is busy."""
+"""Requested size of the socket's receive buffer."""
 
 
 def library() -> Any:
-    """pyxcp, imported when a drive is connected and no sooner; raises `PluginError` where it is not installed.
+    """The module pyxcp, imported on connecting; raises `PluginError` where it is not installed.
 
-    Its import takes over how Python shows values and errors at a terminal; that is put back. What it logs is raised as
-    the drive's fault as well.
+    Its import replaces Python's display and exception hooks, which are restored. Its logging is disabled, since its
+    errors are raised as faults of the drive.
     """
-    shown = sys.excepthook, sys.displayhook
-    its_own = logging.getLogger("pyxcp")
-    its_own.propagate = False
-    if not its_own.handlers:
-        its_own.addHandler(logging.NullHandler())
+    hooks = sys.excepthook, sys.displayhook
+    logger = logging.getLogger("pyxcp")
+    logger.propagate = False
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())
     try:
         return SimpleNamespace(
             Master=importlib.import_module("pyxcp.master").Master,
@@ -57,53 +57,53 @@ def library() -> Any:
         problem = f"needs the XCP master pyxcp: pip install 'fluxbench[xcp]' ({error})"
         raise PluginError("drive", "xcp", problem) from error
     finally:
-        sys.excepthook, sys.displayhook = shown
+        sys.excepthook, sys.displayhook = hooks
 
 
 class Arrivals:
-    """Frames of the DAQ list as they come; what pyxcp calls a policy. Fed by its thread, emptied by another."""
+    """Queue of the DAQ list's frames (a pyxcp policy), filled by pyxcp's thread and emptied by another."""
 
     def __init__(self, daq: Any) -> None:
         self._daq = daq
         self._frames: deque[bytes] = deque(maxlen=MAX_WAITING_ROWS)
         self.newest: tuple[float, bytes] = (0.0, b"")
-        """When the last one came, by the monotonic clock, and what it was."""
+        """Arrival of the last frame by the monotonic clock, and its content."""
         self.xcp_master: Any = None
 
     def feed(self, category: Any, counter: int, timestamp: int, payload: bytes) -> None:
-        """Keep a frame."""
+        """Queue a frame."""
         if category == self._daq:
             frame = bytes(payload)
             self.newest = (time.monotonic(), frame)
             self._frames.append(frame)
 
     def finalize(self) -> None:
-        """Nothing: there is no file."""
+        """Nothing to finish: no file is written."""
 
     def clear(self) -> None:
-        """Forget those that wait."""
+        """Drop the queued frames."""
         self._frames.clear()
 
     def take(self) -> bytes:
-        """All that wait, one after the other; emptied."""
-        taken = []
+        """Remove all queued frames and return them, concatenated."""
+        frames = []
         with suppress(IndexError):
             while True:
-                taken.append(self._frames.popleft())
-        return b"".join(taken)
+                frames.append(self._frames.popleft())
+        return b"".join(frames)
 
 
 class Link:
-    """An ECU at the other end; errors become `DriveFault` (link_lost), and a link that is lost stays so.
+    """Connection to an ECU; errors become `DriveFault` (link_lost), and a lost link stays lost.
 
     Parameters
     ----------
     host, port, protocol : str, int, str
-        Where it listens; "udp" or "tcp".
+        The ECU's address; "udp" or "tcp".
     address, extension : int
-        Of the variable `fluxbench`.
+        Address of the variable `fluxbench`.
     timeout_s : float
-        For an answer, and for the next row.
+        Timeout for an answer, and for the next row.
     """
 
     def __init__(self, host: str, port: int, protocol: str, address: int, extension: int, timeout_s: float) -> None:
@@ -120,22 +120,22 @@ class Link:
         self._rows = Arrivals(pyxcp.daq)
         try:
             self._master = pyxcp.Master("eth", SimpleNamespace(general=general, transport=transport), self._rows)
-        except Exception as error:  # pyxcp raises what its parts do: there is no common base
+        except Exception as error:  # pyxcp raises the errors of its parts, without a common base
             raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {_first_line(error)}") from error
         self._master.transport.get = self._answer
-        self._master.transport._record_pdu = lambda *pdu: None  # for diagnostics: most of what a row costs
+        self._master.transport._record_pdu = lambda *pdu: None  # diagnostics take most of a row's CPU time
         self.layout = Layout("<")
         self._head, self._quiet = 0, ProcessClock()
 
     def open(self, event: int) -> None:
-        """Connect and let the DAQ list run at the event; raises `DriveRefused` where the ECU has no room for it."""
+        """Connect and start the DAQ list at the event; raises `DriveRefused` where the ECU cannot provide it."""
         self._call(self._connect)
         is_intel = str(self._master.slaveProperties.byteOrder) == "INTEL"
         self.layout = Layout("<" if is_intel else ">")
         if self._master.slaveProperties.bytesPerElement != 1:
             raise DriveRefused(f"{self.where}: addresses count words, expected octets")
         if not self._master.slaveProperties.supportsDaq:
-            raise DriveRefused(f"{self.where}: has no DAQ")
+            raise DriveRefused(f"{self.where}: does not support DAQ")
         self._call(lambda: self._measure(event))
 
     def _connect(self) -> None:
@@ -164,7 +164,7 @@ class Link:
         m.startStopDaqList(1, DAQ_LIST)
 
     def close(self) -> None:
-        """Stop measuring, say goodbye, and let go of the socket and its threads."""
+        """Stop measuring, disconnect, and close the socket and its threads."""
         if self.lost is None:
             with suppress(DriveFault):
                 self._call(lambda: self._master.startStopSynch(0))
@@ -174,7 +174,7 @@ class Link:
     # The variable
 
     def read(self, offset: int, octets: int) -> bytes:
-        """What stands in the variable."""
+        """Content of the variable from `offset` on."""
         m = self._master
 
         def upload() -> bytes:
@@ -184,39 +184,39 @@ class Link:
         return self._call(upload)
 
     def write(self, offset: int, data: bytes) -> None:
-        """Put something into the variable."""
-        m, most = self._master, self._master.slaveProperties.maxCto - 2
+        """Write `data` into the variable from `offset` on."""
+        m, max_bytes = self._master, self._master.slaveProperties.maxCto - 2
 
         def download() -> None:
             m.setMta(self._at + offset, self._extension)
-            for first in range(0, len(data), most):
-                m.download(data[first : first + most])
+            for first in range(0, len(data), max_bytes):
+                m.download(data[first : first + max_bytes])
 
         self._call(download)
 
     # Rows
 
     def clear(self) -> None:
-        """Forget the rows that wait."""
+        """Drop the queued rows."""
         self._rows.clear()
         self._quiet = ProcessClock()
 
     def take(self) -> Rows:
-        """The rows that have come since, as `Layout.row`; raises `DriveFault` where none has for too long."""
+        """The rows received since the last call, as `Layout.row`; raises `DriveFault` after `timeout_s` without one."""
         self.check()
         framed = np.dtype([("head", "V", self._head), ("row", self.layout.row)])
         octets = self._rows.take()
         if len(octets) % framed.itemsize:
-            raise self._lose("rows of another length than requested")
+            raise self._lose("rows of a wrong length")
         if octets:
             self._quiet = ProcessClock()
         elif self._quiet() > self._timeout_s:
             raise self._lose(f"no row for {self._timeout_s:g} s")
-        taken: Rows = np.frombuffer(octets, framed)["row"]
-        return taken
+        rows: Rows = np.frombuffer(octets, framed)["row"]
+        return rows
 
     def newest(self) -> np.void:
-        """A row that comes from now on; raises `DriveFault` where none does in time."""
+        """The next row from now on; raises `DriveFault` after `timeout_s` without one."""
         requested_s, waited_s = time.monotonic(), ProcessClock()
         while self._rows.newest[0] <= requested_s:
             self.check()
@@ -231,31 +231,31 @@ class Link:
         if self.lost is not None:
             raise self.lost
 
-    def _call(self, talk: Callable[[], T]) -> T:
-        """Have one conversation to its end; where a command or its answer was lost, in step with the ECU, once more."""
+    def _call(self, exchange: Callable[[], T]) -> T:
+        """Run one exchange; where a command or its answer was lost, synchronise with the ECU and retry once."""
         self.check()
         with self._talk:
             try:
                 with suppress(self._timeout):
-                    return talk()
+                    return exchange()
                 self._synchronise()
-                return talk()
+                return exchange()
             except DriveRefused:
                 raise
             except Exception as error:  # as in `__init__`
                 raise self._lose(_first_line(error)) from error
 
     def _synchronise(self) -> None:
-        """Pass over late answers: to SYNCH, which is answered by error 0, the ECU answers last."""
+        """Skip late answers, up to that of SYNCH (error 0), which the ECU sends last."""
         answer = self._master.synch()
         while bytes(answer) != b"\0":
             answer = self._answer()[1:]
 
     def _answer(self) -> Any:
-        """The next answer, for pyxcp's own wait.
+        """The next answer, in place of pyxcp's own wait.
 
-        That one lets each row that comes prolong it, so that a lost answer is waited for for ever, and counts time in
-        which this process was kept from listening.
+        Each received row prolongs pyxcp's wait, so that it never ends after a lost answer. It also counts time in which
+        this process was suspended.
         """
         transport, waited_s = self._master.transport, ProcessClock()
         with transport.resQueue_condition:

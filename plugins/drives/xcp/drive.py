@@ -1,6 +1,6 @@
-"""The drive `xcp`: an ECU in whose fast routine fluxbench's C file runs, by XCP on Ethernet.
+"""The drive `xcp`: an ECU whose fast routine runs fluxbench's C file, by XCP on Ethernet.
 
-Excitations are calibration parameters, rows one DAQ list at the PWM event. docs/xcp.md says what the ECU has to do.
+Excitations are calibration parameters; rows are one DAQ list at the PWM event. docs/xcp.md states what the ECU needs.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from protocols import (
 KINDS: frozenset[ExcitationKind] = frozenset({"gates_off", "hold", "trapezoid", "injection"})
 POLL_PERIOD_S = 0.01
 MIN_BLOCK_S = 0.1
-"""Shortest block but the last."""
+"""Shortest block, except the last one."""
 MAX_BLOCK_S = 0.25
 """Longest block, and longest time without one."""
 STALL_TIMEOUT_S = 2.0
-"""Time beyond a program's own after which missing rows are a fault."""
+"""Time after a program's duration from which on missing rows are a fault."""
 
 
 class XcpOptions(Strict):
@@ -51,14 +51,14 @@ class XcpOptions(Strict):
     port: Annotated[int, Field(ge=1, le=65535)] = 5555
     protocol: Literal["udp", "tcp"] = "udp"
     address: Annotated[int, Field(ge=0, lt=2**32)]
-    """Of the variable `fluxbench`: ECU_ADDRESS in the A2L, or the linker's map."""
+    """Address of the variable `fluxbench`: ECU_ADDRESS in the A2L, or from the linker's map."""
     address_extension: Annotated[int, Field(ge=0, le=255)] = 0
     event: Annotated[int, Field(ge=0, le=65535)] = 0
     """Number of the DAQ event behind the fast routine."""
     timeout_s: Positive = 2.0
-    """For an answer of the ECU, and for the next row."""
+    """Timeout for an answer of the ECU, and for the next row."""
     clear_fault: bool = False
-    """Forget the fault that the ECU has latched, on connecting: after somebody has seen to its cause."""
+    """Clear the ECU's latched fault on connecting; remove its cause first."""
 
 
 class XcpDrive(PolledDrive[Link]):
@@ -83,16 +83,16 @@ class XcpDrive(PolledDrive[Link]):
     # Link
 
     def open(self) -> Capabilities:
-        """Find the variable `fluxbench` in the ECU and let its rows stream. Nothing is energised.
+        """Find the variable `fluxbench` in the ECU and start its rows. Nothing is energised.
 
         Raises
         ------
         PluginError
             pyxcp is not installed.
         DriveFault
-            Nobody answers, or somebody else does.
+            No answer, or an unusable one.
         DriveRefused
-            Somebody else drives it, or its XCP lacks what is needed.
+            Another host controls the ECU, or its XCP lacks a required feature.
         InputError
             The nameplate lacks what current control is tuned by.
         """
@@ -108,7 +108,7 @@ class XcpDrive(PolledDrive[Link]):
         word = link.layout.word
         self._beat = int(np.frombuffer(link.read(link.layout.beat_at, word.itemsize), word)[0])
         self._number = Status.of(int(self._fresh_row()["status"])).number
-        self._take_up(own)
+        self._require_off(own)
         self.origin_s = self._count() / own.sampling_frequency_hz
         return own
 
@@ -129,23 +129,23 @@ class XcpDrive(PolledDrive[Link]):
                 watchdog_covers=KINDS if watchdog_ticks else frozenset(),
             )
         except (ValueError, ZeroDivisionError) as error:
-            message = f"the ECU says impossible things of itself: {str(error).splitlines()[0]}"
+            message = f"the ECU states impossible capabilities: {str(error).splitlines()[0]}"
             raise DriveFault(FaultCause.WRONG_DATA, message) from None
 
-    def _take_up(self, own: Capabilities) -> None:
-        """Find the ECU off; a lost heartbeat is over, for its host is gone, and another fault stays unless seen to."""
+    def _require_off(self, own: Capabilities) -> None:
+        """Require the ECU to be off; clear a lost heartbeat, and other faults only where `clear_fault` is set."""
         status = Status.of(int(self._fresh_row()["status"]))
         if status.state == State.ON:
-            raise DriveRefused("the ECU's power stage is on: somebody else drives it")
+            raise DriveRefused("the ECU's power stage is on: another host controls it")
         if status.state == State.FAULTED:
             fault = fault_of(status)
             if fault.cause is FaultCause.HEARTBEAT_LOST or self._options.clear_fault:
-                self._tell(Order.CLEAR)
+                self._send_order(Order.CLEAR)
             else:
                 self.latch(fault)
 
     def heartbeat(self) -> None:
-        """Write the next beat; a link that does not take it is lost, and the next call raises that."""
+        """Write the next heartbeat; after a failure the next call raises the lost link."""
         link = self.board
         if link is None or link.lost is not None or self._own is None:
             return
@@ -153,7 +153,7 @@ class XcpDrive(PolledDrive[Link]):
         try:
             link.write(link.layout.beat_at, np.array(self._beat, link.layout.word).tobytes())
         except DriveFault:
-            return  # the link remembers
+            return  # the link keeps the fault
 
     # Power stage
 
@@ -163,31 +163,31 @@ class XcpDrive(PolledDrive[Link]):
             self._require_sound(Status.of(int(self._fresh_row()["status"])))
 
     def energise(self, limits: Limits) -> None:
-        """Hand over the limits, read them back, and switch on at zero current."""
+        """Write the limits, read them back, and switch on at zero current."""
         self.heartbeat()
-        self._order(Order.SWITCH_ON, self._planner(limits).to_zero(self.rotor_angle_rad))
+        self._run_order(Order.SWITCH_ON, self._planner(limits).to_zero(self.rotor_angle_rad))
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
-        """Write the program, read it back, let it run, and hand out its rows."""
+        """Write the program, read it back, start it and return its rows."""
         assert self.limits is not None
         planner = self._planner(self.limits)
         program = planner.program(excitation)
         if isinstance(excitation, GatesOff):
             self.ramp()
-        number = self._order(Order.RUN, program)
+        number = self._run_order(Order.RUN, program)
         self.rotor_angle_rad, self._control = excitation.rotor_angle_rad, excitation.control
         return self._captures(excitation, number)
 
     def ramp(self) -> None:
-        """Current to zero under control, and wait for it."""
+        """Ramp the current to zero under control and wait for it."""
         assert self.limits is not None
         planner = self._planner(self.limits)
-        self._order(Order.RUN, planner.to_zero(self.rotor_angle_rad, self._control))
+        self._run_order(Order.RUN, planner.to_zero(self.rotor_angle_rad, self._control))
         time.sleep(planner.ramp_s(self._control))
 
     def switch_off(self) -> None:
         """Gates off; raises `DriveFault` (still_armed) where they are not."""
-        self._tell(Order.SWITCH_OFF)
+        self._send_order(Order.SWITCH_OFF)
         status = Status.of(int(self._fresh_row()["status"]))
         if status.state == State.ON:
             raise DriveFault(FaultCause.STILL_ARMED, "the ECU does not switch off on command")
@@ -196,7 +196,7 @@ class XcpDrive(PolledDrive[Link]):
 
     def forget_fault(self) -> None:
         """Clear the ECU's fault; its gates stay off."""
-        self._tell(Order.CLEAR)
+        self._send_order(Order.CLEAR)
 
     def telemetry(self) -> Telemetry:
         """The newest row."""
@@ -214,38 +214,38 @@ class XcpDrive(PolledDrive[Link]):
         return self._count() / self.own.sampling_frequency_hz - self.origin_s
 
     def restore(self, point_id: str, start_s: float) -> None:
-        """Let the experiment's clock go on from `start_s`."""
+        """Continue the experiment's clock from `start_s`."""
         self.origin_s += self.now_s() - start_s
 
     def _count(self, row: np.void | None = None) -> int:
-        """Ticks since the link was opened, those of a counter that begins anew counted on."""
+        """Ticks since the link was opened, across overflows of the counter."""
         tick = int((self._fresh_row() if row is None else row)["tick"])
-        self._tick = tick if self._tick is None else self._tick + _ahead(tick, self._tick)
+        self._tick = tick if self._tick is None else self._tick + _tick_difference(tick, self._tick)
         return self._tick
 
     # Programs
 
     def _captures(self, excitation: Excitation, number: int) -> Iterator[Capture]:
-        """Blocks of the rows that it captures; raises `DriveFault` for a trip, a gap, or rows that stay away."""
+        """Blocks of captured rows; raises `DriveFault` for a trip, a gap, or missing rows."""
         link, fs = self.connected(), self.own.sampling_frequency_hz
-        wanted, longest = excitation.rows(fs), round(MAX_BLOCK_S * fs)
-        stream, waiting = Stream(number), np.zeros(0, link.layout.row)
+        remaining, longest = excitation.rows(fs), round(MAX_BLOCK_S * fs)
+        stream, pending = Stream(number), np.zeros(0, link.layout.row)
         yielded_s, waited_s = time.monotonic(), ProcessClock()
-        most_s = STALL_TIMEOUT_S + 1.5 * (excitation.settling_s + excitation.captured_s)
-        while wanted:
-            waiting = np.concatenate([waiting, self._next_rows(stream)])
-            while len(waiting) >= min(wanted, MIN_BLOCK_S * fs) and wanted:
-                yield self._capture(waiting[:longest])
-                wanted, waiting = wanted - len(waiting[:longest]), waiting[longest:]
+        timeout_s = STALL_TIMEOUT_S + 1.5 * (excitation.settling_s + excitation.captured_s)
+        while remaining:
+            pending = np.concatenate([pending, self._next_rows(stream)])
+            while len(pending) >= min(remaining, MIN_BLOCK_S * fs) and remaining:
+                yield self._capture(pending[:longest])
+                remaining, pending = remaining - len(pending[:longest]), pending[longest:]
                 yielded_s = time.monotonic()
             if time.monotonic() - yielded_s > MAX_BLOCK_S:
                 yielded_s = time.monotonic()
                 yield self.keepalive()
-            if waited_s() > most_s:
-                raise self.trip(DriveFault(FaultCause.PROGRAM_TOO_LONG, f"{excitation.kind}: its rows do not come"))
+            if waited_s() > timeout_s:
+                raise self.trip(DriveFault(FaultCause.PROGRAM_TOO_LONG, f"{excitation.kind}: its rows do not arrive"))
 
     def _next_rows(self, stream: Stream) -> Rows:
-        """What has been captured since; raises `DriveFault` where the ECU has tripped or rows are missing."""
+        """Newly captured rows; raises `DriveFault` where the ECU has tripped or rows are missing."""
         time.sleep(POLL_PERIOD_S)
         try:
             return stream.captured(self.connected().take())
@@ -258,22 +258,22 @@ class XcpDrive(PolledDrive[Link]):
         start_s = self._count(rows[0]) / fs - self.origin_s
         return Capture(start_s=start_s, sampling_frequency_hz=fs, i_ab=i, v_ab=v, v_dc=v_dc)
 
-    def _order(self, order: Order, program: dict[str, Any]) -> int:
-        """Write a program, read it back, and give the order; raises `DriveRefused` where the ECU does not take it."""
+    def _run_order(self, order: Order, program: dict[str, Any]) -> int:
+        """Write a program, read it back and send the order; raises `DriveRefused` where the ECU refuses it."""
         link = self.connected()
         written = np.zeros((), link.layout.program)
         for name, value in program.items():
             written[name] = value
         link.write(link.layout.program_at, written.tobytes())
-        held = np.frombuffer(link.read(link.layout.program_at, written.nbytes), written.dtype)[0]
+        readback = np.frombuffer(link.read(link.layout.program_at, written.nbytes), written.dtype)[0]
         for name in program:
-            if not np.array_equal(held[name], written[name]):
-                message = f"{name} is {held[name]} in the ECU after {written[name]} was written"
+            if not np.array_equal(readback[name], written[name]):
+                message = f"{name} is {readback[name]} in the ECU after {written[name]} was written"
                 raise self.trip(DriveFault(FaultCause.WRONG_DATA, message))
-        return self._tell(order)
+        return self._send_order(order)
 
-    def _tell(self, order: Order) -> int:
-        """Give an order and wait until the routine has seen it; returns its number."""
+    def _send_order(self, order: Order) -> int:
+        """Send an order and wait until the routine has accepted it; returns its number."""
         link = self.connected()
         self._number = number = self._number % 0xFFFF + 1
         link.clear()
@@ -281,13 +281,13 @@ class XcpDrive(PolledDrive[Link]):
         waited_s = ProcessClock()
         while (status := Status.of(int(self._fresh_row()["status"]))).number != number:
             if waited_s() > self._options.timeout_s:
-                raise DriveFault(FaultCause.NO_ANSWER, f"the ECU's routine does not see the order {order.name.lower()}")
+                raise DriveFault(FaultCause.NO_ANSWER, f"the ECU's routine ignores the order {order.name.lower()}")
         if status.refused:
             self._require_sound(status)
             raise DriveRefused(f"the ECU's routine refuses to {order.name.lower().replace('_', ' ')}")
         return number
 
-    # What they share
+    # Helpers
 
     def _require_sound(self, status: Status) -> None:
         """Raises `DriveFault` where the ECU has tripped."""
@@ -301,6 +301,6 @@ class XcpDrive(PolledDrive[Link]):
         return self.connected().newest()
 
 
-def _ahead(tick: int, before: int) -> int:
-    """Ticks from one to the other, either way, of counters of 32 bits."""
+def _tick_difference(tick: int, before: int) -> int:
+    """Signed difference of two 32-bit counter values."""
     return (tick - before + 2**31) % 2**32 - 2**31

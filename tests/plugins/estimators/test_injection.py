@@ -67,7 +67,7 @@ def test_points_between_which_the_motor_saturates_are_said_to_be_too_far_apart()
         abs(float(far.values[f"to_{axis}_a"] or 0.0) - float(far.values[f"from_{axis}_a"] or 0.0)) for axis in "dq"
     ]
     assert max(apart) > 0.5  # two points of the grid, not one of them twice
-    assert "points closer together are wanted there" in far.text
+    assert "measure points closer together there" in far.text
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def test_where_nothing_rests_the_known_one_does_and_is_no_surer_than_it_says(std
 
 
 def test_without_one_nothing_is_made_up() -> None:
-    with pytest.raises(NotMeasuredError, match="rests"):
+    with pytest.raises(NotMeasuredError, match="constant current"):
         found(restless())
 
 

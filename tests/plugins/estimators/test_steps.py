@@ -173,7 +173,7 @@ def test_currents_on_one_line_are_one_clear_line(tmp_path: Path) -> None:
 
 def test_without_steps_or_any_idea_of_the_resistance_no_map_is_made(tmp_path: Path) -> None:
     recording = recorded(bench(), tmp_path, seconds=0.02)
-    with pytest.raises(NotMeasuredError, match="rests"):
+    with pytest.raises(NotMeasuredError, match="constant current"):
         found(believing(recording, None, None))
     with pytest.raises(NotMeasuredError, match="no segment of stage steps"):
         found(believing(recording, 4.0, None).with_segments(()))

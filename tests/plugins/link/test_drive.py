@@ -308,7 +308,7 @@ def test_a_command_without_an_answer_is_named() -> None:
 def test_a_drive_that_has_restarted_is_lost() -> None:
     with armed() as b:
         b.device.ledger.issue()
-        with pytest.raises(DriveFault, match="does not know this session") as fault:
+        with pytest.raises(DriveFault, match="no longer knows this session") as fault:
             taken(b.drive, HOLD)
         assert fault.value.cause is FaultCause.LINK_LOST
         with pytest.raises(DriveFault, match="session"):

@@ -85,13 +85,13 @@ def clock_that_goes_back() -> Lie:
 @pytest.mark.parametrize(
     ("lie", "excitation", "cause", "message"),
     [
-        (too_much_current, HOLD, FaultCause.OVERCURRENT, r"reads 11 A, the limit is 4\.5 A, and it went on"),
-        (faults_beside_power, HOLD, FaultCause.WRONG_DATA, "is (running|holding), with faults: overtemperature"),
+        (too_much_current, HOLD, FaultCause.OVERCURRENT, r"measures 11 A, the limit is 4\.5 A, and it did not trip"),
+        (faults_beside_power, HOLD, FaultCause.WRONG_DATA, "(running|holding) despite faults: overtemperature"),
         (progress_that_goes_back(), LONG, FaultCause.WRONG_DATA, "goes back from capturing at row"),
         (more_rows_than_there_are, HOLD, FaultCause.WRONG_DATA, "1048576 rows of 2000"),
-        (clock_that_stands_still(), HOLD, FaultCause.WRONG_DATA, "before the end of what it has captured"),
+        (clock_that_stands_still(), HOLD, FaultCause.WRONG_DATA, "before the end of its capture"),
         (clock_that_goes_back(), HOLD, FaultCause.WRONG_DATA, "clock went back by"),
-        (clock_that_stands_still(), INJECTION, FaultCause.WRONG_DATA, "before the end of what it has captured"),
+        (clock_that_stands_still(), INJECTION, FaultCause.WRONG_DATA, "before the end of its capture"),
     ],
 )
 def test_each_lie_while_a_program_runs_is_named_and_the_way_out_is_taken(
@@ -111,7 +111,7 @@ def test_each_lie_while_a_program_runs_is_named_and_the_way_out_is_taken(
 @pytest.mark.parametrize(
     ("lie", "message"),
     [
-        (same_number_again, "two captures in a row the number 1"),
+        (same_number_again, "two successive captures of the drive have number 1"),
         (start_in_the_past, "starts .* s before the last one has ended"),
     ],
 )
@@ -133,20 +133,20 @@ def test_a_program_that_never_ends_is_given_up(monkeypatch: pytest.MonkeyPatch) 
         return message
 
     with armed(script=Script(lie=lie, speed=0.5)) as b:
-        with pytest.raises(DriveFault, match=r"hold: not at its end after 0\.2 s") as fault:
+        with pytest.raises(DriveFault, match=r"hold: not complete after 0\.2 s") as fault:
             taken(b.drive, LONG.model_copy(update={"settle_s": 0.0}))
         assert fault.value.cause is FaultCause.PROGRAM_TOO_LONG
 
 
 def test_a_memory_that_holds_no_row_is_no_drives() -> None:
-    with bench(script=Script(memory_bytes=0)) as b, pytest.raises(DriveFault, match="hold no row") as fault:
+    with bench(script=Script(memory_bytes=0)) as b, pytest.raises(DriveFault, match="less than a row") as fault:
         b.drive.connect()
     assert fault.value.cause is FaultCause.WRONG_DATA
 
 
 @pytest.mark.parametrize(
     ("rate", "expected"),
-    [(1.0, ""), (1.02, ""), (3.0, r"jumped by .* s in"), (0.0, r"went on by 0 s in"), (0.3, r"went on by")],
+    [(1.0, ""), (1.02, ""), (3.0, r"jumped by .* s in"), (0.0, r"advanced by only 0 s in"), (0.3, r"advanced by only")],
 )
 def test_a_clock_keeps_to_that_of_the_host_unless_it_is_a_simulation(
     rate: float, expected: str, monkeypatch: pytest.MonkeyPatch

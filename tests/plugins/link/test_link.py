@@ -114,7 +114,7 @@ def test_errors_of_python_can_and_pyserial_become_a_lost_link(port: FakePort) ->
 def test_a_link_that_takes_nothing_is_lost(port: FakePort) -> None:
     link = Link(port, 0.05)
     port.takes = False
-    with pytest.raises(DriveFault, match="takes nothing"):
+    with pytest.raises(DriveFault, match="accepts no data"):
         link.send(Tick(1, 1))
     link.close()
 

@@ -303,7 +303,7 @@ def test_any_request_is_answered_or_refused_with_blocks_of_the_capture(layout: B
     data = ROWS[:10_000]
     answer = CaptureSource.complete_with(1, data).answer(request, layout)
     if isinstance(answer, int):
-        assert request.capture != 1 or request.offset % layout.block or request.blocks > layout.most
+        assert request.capture != 1 or request.offset % layout.block or request.blocks > layout.max_blocks
         return
     sent = b"".join(payload[layout.header :] for payload in answer.payloads)
     there = data[request.offset : request.offset + request.blocks * layout.block]

@@ -181,7 +181,7 @@ def test_another_major_version_is_refused_and_nonsense_is_wrong_data() -> None:
         facts_of({**values, "max_current_a": float("nan")})
     with pytest.raises(DriveFault, match="watchdog_covers was not read"):
         capabilities_of({k: v for k, v in values.items() if k != "watchdog_covers"}, {}, None)
-    with pytest.raises(DriveFault, match="describe no drive") as caught:
+    with pytest.raises(DriveFault, match="registers are inconsistent") as caught:
         capabilities_of({**values, "max_current_a": 0.0}, {}, None)
     assert caught.value.cause is FaultCause.WRONG_DATA
     assert "\n" not in str(caught.value)

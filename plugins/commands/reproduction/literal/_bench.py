@@ -1,6 +1,6 @@
-"""The paper's sweeps on the simulated drive, straight into memory: no files, no clock. Evaluates nothing.
+"""The paper's sweeps on the simulated drive, captured in memory without files.
 
-One source of error after another can be switched on that way, in half a minute each.
+Single sources of error can be switched on, in half a minute each.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ def with_plant(procedure: Procedure, plant: Mapping[str, Any]) -> Procedure:
 
 
 def plant_of(procedure: Procedure) -> dict[str, Any]:
-    """The plant's options as the procedure has them."""
+    """The plant's options in a procedure."""
     return dict(procedure.drive.options.get("plant") or {})
 
 
 def truth_of(procedure: Procedure) -> TrueMagnetics:
-    """The magnetics behind a procedure's simulated drive."""
+    """The true magnetics of a procedure's simulated drive."""
     return true_flux(SimulatedOptions.model_validate(procedure.drive.options), procedure.motor)
 
 
@@ -45,7 +45,7 @@ def measured_by(procedure: Procedure, *, standing: bool = False) -> Iterator[Mea
     procedure : Procedure
         From `with_plant`.
     standing : bool
-        Whether the injected vector stands on d and then on q, half as long each, instead of turning.
+        Whether the injection is along d and then along q, for half the time each, instead of rotating.
     """
     options = SimulatedOptions.model_validate(procedure.drive.options)
     drive = SimulatedDrive(DriveSetup(motor=procedure.motor, options=options, seed=procedure.seed))
@@ -62,7 +62,7 @@ def measured_by(procedure: Procedure, *, standing: bool = False) -> Iterator[Mea
 
 
 def _standing(point: PlannedPoint) -> list[PlannedPoint]:
-    """The vector on the believed d axis; and again with that axis a quarter turn further, on which q was."""
+    """Two points with an injection along d and along q (in a believed frame rotated by 90 degrees)."""
     injection = point.excitation
     if not isinstance(injection, Injection):
         return [point]

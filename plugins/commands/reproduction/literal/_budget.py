@@ -1,6 +1,6 @@
-"""What makes the paper's errors: one source after another switched on, on the simulated plant. Prints nothing.
+"""The paper's error budget: single sources of error, switched on one after another on the simulated plant.
 
-Every figure is an experiment of its own, to the letter, evaluated as printed and as fluxbench does.
+Each is a complete experiment, evaluated as printed in the paper and by fluxbench.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ RULE, NOISE, ALL, IRON, IRON_ALL = "rule", "noise", "all", "hysteresis", "all an
 
 @dataclass(frozen=True)
 class Sources:
-    """What is switched on beside what the procedure's own plant has.
+    """Sources of error beside those of the procedure's plant.
 
     Attributes
     ----------
     compensated_v : float
-        What a compensation leaves of the dead time, in each phase.
+        Residual dead-time voltage after compensation, in each phase.
     hysteresis : mapping
-        The iron's options, as of `plant.effects.hysteresis`.
+        The iron's options, in the form of `plant.effects.hysteresis`.
     """
 
     compensated_v: float = 0.8
@@ -40,27 +40,27 @@ class Sources:
 
 @dataclass(frozen=True)
 class Row:
-    """One bench's errors.
+    """Errors of one bench.
 
     Attributes
     ----------
     name : str
-        What is switched on.
+        The source that is switched on.
     resistance_ohm : (float, float)
-        Least and largest v/i of the classical sweeps.
+        Smallest and largest v/i of the classical sweeps.
     classical, closed : Errors
-        By integration as printed, and with each sweep's drift taken out.
+        Integration as printed, and with each sweep's drift removed.
     literal, trapezoids : Errors
         The printed demodulator, its inductances summed by rectangles and by trapezoids.
     regression : Errors
         fluxbench's regression on the ripple, by trapezoids.
     graph : Errors
-        ... over the graph of all points: its map by injection.
+        As `regression`, over the graph of all points (fluxbench's map by injection).
     second_derivatives, first_derivatives : Errors
         The paper's polynomial energy fitted to the Hessians, and to the rectangles' flux.
     gap_percent : mapping of str to array, shape (2,)
-        By how much injection's flux differs from the classical sweeps' on the d and the q axis, by evaluation; where no
-        inverter keeps anything, for these run away else.
+        Difference of injection's flux from that of the classical sweeps on the d and q axis, by evaluation; only for
+        benches without inverter loss, with which the printed integration diverges.
     """
 
     name: str
@@ -78,18 +78,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Budget:
-    """All benches, judged.
+    """The errors of all benches.
 
     Attributes
     ----------
     rows : tuple of Row
         In the order of the page.
     standing : tuple of Errors
-        The procedure's bench with two vectors that stand: by rectangles, by trapezoids.
+        The procedure's bench with two fixed injection directions: by rectangles, by trapezoids.
     still : Literal
-        The bench with nothing switched on.
+        The bench without any source of error.
     iron : Literal
-        The one with hysteresis alone.
+        The bench with hysteresis alone.
     sources : Sources
     rated_wb : float
     """
@@ -102,19 +102,19 @@ class Budget:
     rated_wb: float
 
     def row(self, name: str) -> Row:
-        """A bench by its name."""
+        """The row of a bench."""
         return next(row for row in self.rows if row.name == name)
 
 
 def budget(procedure: Procedure, measured: Literal, sources: Sources | None = None) -> Budget:
-    """Run all benches beside the one that was measured.
+    """Run all benches and add the measured one.
 
     Parameters
     ----------
     procedure : Procedure
-        Of the run.
+        Procedure of the run.
     measured : Literal
-        The run itself, with all that its plant has.
+        Evaluation of the run, with all effects of its plant.
     sources : Sources, optional
     """
     sources = sources or Sources()
@@ -138,7 +138,7 @@ def budget(procedure: Procedure, measured: Literal, sources: Sources | None = No
 
 
 def plants(procedure: Procedure, sources: Sources) -> dict[str, dict[str, Any]]:
-    """The benches by name: the plant of the procedure with nothing, one source, and everything switched on."""
+    """Plants by bench: the procedure's with no, one and all sources switched on."""
     own = plant_of(procedure)
     effects = dict(own.get("effects") or {})
     quiet = {**own, "effects": {}, "sensors": {"noise_a": 0.0, "quantum_a": 0.0}}
@@ -151,7 +151,7 @@ def plants(procedure: Procedure, sources: Sources) -> dict[str, dict[str, Any]]:
 
 
 def errors_against(procedure: Procedure) -> tuple[Callable[[Sequence[FluxPath]], Errors], float]:
-    """What judges paths on this procedure's motor, and the rated flux [Wb]."""
+    """Function that gives the errors of paths on this procedure's motor, and the rated flux [Wb]."""
     truth = truth_of(procedure)
     ends = truth.flux(np.array([[0.0, procedure.motor.rated_current_a or 1.0], [0.0, 0.0]]))
     rated_wb = float(np.linalg.norm(ends[0] - ends[1]))
@@ -159,7 +159,7 @@ def errors_against(procedure: Procedure) -> tuple[Callable[[Sequence[FluxPath]],
 
 
 def row_of(name: str, evaluation: Literal, errors: Callable[[Sequence[FluxPath]], Errors]) -> Row:
-    """All evaluations of one bench, judged."""
+    """Errors of all evaluations of one bench."""
     literal, classical = evaluation.injection(), evaluation.classical()
     regression = evaluation.by_regression()
     current, psi = (np.concatenate([getattr(path, part) for path in literal]) for part in ("current", "psi"))
@@ -185,7 +185,7 @@ def _on(energy: PolynomialFit, current: Array) -> FluxPath:
 
 
 def gap_percent(injection: Sequence[FluxPath], classical: Sequence[FluxPath]) -> Array:
-    """By how much the first's flux is larger, along the d and the q axis, by least squares through zero, shape (2,)."""
+    """Relative excess of injection's flux along d and q by least squares through zero, shape (2,) [percent]."""
     larger = []
     for column in range(2):
         _, own, theirs = side_by_side(along(injection, column), along(classical, column), column)

@@ -1,13 +1,13 @@
-r"""The paper's demodulator as it is printed, its misprint corrected, on one capture of injection.
+r"""The paper's demodulator as printed, with its misprint corrected, on one capture of injection.
 
     i_(t) = W int_{t-1/W}^{t} i(s) ds,
     i~(t) =   int_{t-1/W}^{t} [i(s - 1/2W) - i_(s)] F(W s - 1/2) ds  /  int_{t-1/W}^{t} F(W s)^2 ds,
 
 W in Hz and F the zero-mean primitive of the 1-periodic wave f, a triangle for a square (Combes, Malrait, Martin,
 Rouchon, "Obtaining the current-flux relations of the saturated PMSM by signal injection", section "Data acquisition
-with signal injection"). Printed are F(W s) and another W before the fraction: i_ is the mean about s - 1/2W, so that
-the bracket is the ripple of that instant and F has to be taken there; half a period off, a square wave's F changes
-its sign. i~ is then the factor of F in the current, as the paper's text has it.
+with signal injection"). The paper prints F(W s) and another W before the fraction. But i_ is the mean about s - 1/2W,
+so that the bracket is the ripple at that instant, where F has to be taken; half a period later, a square wave's F
+changes its sign. i~ is then the factor of F in the current, as the paper's text states.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from protocols import Capture, NotMeasuredError, Segment
 
 @dataclass(frozen=True)
 class VirtualMeasurement:
-    """Mean current and ripple of one capture as signals in time, in the frame of an angle.
+    """Mean current and ripple of one capture as signals in time, in a given frame.
 
     Attributes
     ----------
     time_s : array, shape (n,)
-        Since the capture began; what the formulas give for the instant t tells of 1/W before it.
+        Time since the start of the capture; the value at t belongs to the instant t - 1/W.
     mean, ripple : array, shape (n, 2)
         i_ and i~ [A].
     swing : array, shape (n, 2)
-        The injected vector over W, u~ (cos, sin) / W [Vs]: i~ is the Hessian of the energy times it.
+        The injected vector over W, u~ (cos, sin) / W [Vs]; i~ is the energy's Hessian times this.
     """
 
     time_s: Array
@@ -48,10 +48,10 @@ def virtual_measurement(segment: Segment, capture: Capture, angle_rad: float) ->
     Parameters
     ----------
     segment : Segment
-        Of stage injection, a square wave.
+        Segment of stage injection with a square wave.
     capture : Capture
     angle_rad : float
-        Of the d axis in whose frame the result is; the injected vector is one in the frame of the segment's own.
+        Angle of the d axis of the result's frame; the injected vector refers to the segment's own angle.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def _window_sums(x: Array, period: int) -> Array:
 def hessian(measured: Sequence[VirtualMeasurement]) -> Array:
     """H_11, H_12, H_22 of one operating point by least squares, as a matrix, shape (2, 2) [A/Wb].
 
-    One capture of a turning vector, or several of vectors that stand.
+    From one capture of a rotating vector, or several of fixed vectors.
 
     Raises
     ------

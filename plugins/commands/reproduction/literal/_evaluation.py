@@ -1,6 +1,6 @@
-"""The whole experiment evaluated as the paper prints it, and its injection once more as fluxbench does, side by side.
+"""Evaluation of the whole experiment as printed in the paper, and of its injection by fluxbench too.
 
-Takes what was measured a sweep or an operating point at a time and keeps no waveforms.
+Sweeps and operating points are processed one at a time; no waveforms are kept.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ TrueFlux = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Errors:
-    """What disagrees.
+    """Inconsistencies and errors of flux paths.
 
     Attributes
     ----------
     crossings : array, shape (2,)
         Largest difference of psi_d and psi_q where two paths cross, in percent of the rated flux.
     relative : array, shape (2,)
-        The same in percent of the flux at each crossing, as far as that is not small.
+        The same in percent of the flux at each crossing, except at small flux.
     rms, worst : float
         Distance from the true flux over all points, in percent of the rated flux.
     """
@@ -44,25 +44,25 @@ class Errors:
 
 @dataclass(frozen=True)
 class Literal:
-    """The experiment, evaluated as printed.
+    """Evaluation of the experiment as printed.
 
     Attributes
     ----------
     sweeps : tuple of SweptPath
     closed : tuple of SweptPath
-        The same with each sweep's drift taken out.
+        The same with each sweep's drift removed.
     lines : tuple of Line
         Paths of the injection.
     current : array, shape (n, 2)
         Mean current of each operating point [A].
     hessian : array, shape (n, 2, 2)
-        By the printed demodulator [A/Wb].
+        Hessians by the printed demodulator [A/Wb].
     ripples : tuple of Ripple or None
-        The same points by the regression that fluxbench uses; None where the vector stood.
+        The same points by fluxbench's regression; None for fixed vectors.
     signal : VirtualMeasurement
-        Of the point whose ripple the Hessian follows worst.
+        Signal of the point with the largest residual of the Hessian's ripple.
     signal_hessian : array, shape (2, 2)
-        There.
+        Hessian of that point.
     """
 
     sweeps: tuple[SweptPath, ...]
@@ -81,12 +81,12 @@ class Literal:
 
     @property
     def resistance_ohm(self) -> tuple[float, float]:
-        """Least and largest v/i of the sweeps."""
+        """Smallest and largest v/i of the sweeps."""
         every = [sweep.resistance_ohm for sweep in self.sweeps]
         return min(every), max(every)
 
     def classical(self, *, closed: bool = False) -> list[FluxPath]:
-        """Flux along each sweep by integration of the voltage, as printed or with its drift taken out."""
+        """Flux along each sweep by integration of the voltage, as printed or with its drift removed."""
         return tied(self.closed if closed else self.sweeps)
 
     def injection(self, rule: Rule = Rule.RECTANGLE) -> list[FluxPath]:
@@ -94,12 +94,12 @@ class Literal:
         return summed(self.lines, self.current, self.inductance, rule)
 
     def by_regression(self) -> list[FluxPath]:
-        """Trapezoids over the inductances that the regression on the ripple gives, path by path."""
+        """Flux along each path by trapezoids over the inductances of the regression."""
         points = invert(list(self._regressed))
         return summed(self.lines, points.current, points.matrix, Rule.TRAPEZOID)
 
     def over_the_graph(self) -> FluxPath:
-        """Least squares over all neighbouring points, the slopes of the inductances used: one path of all points."""
+        """Flux of all points by least squares over neighbours with the inductances' slopes, as one path."""
         points = invert(list(self._regressed))
         return FluxPath(points.current, integrate(points, "injection").psi, np.zeros(2))
 
@@ -111,14 +111,14 @@ class Literal:
 
 
 def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
-    """Evaluate an experiment while it is handed in.
+    """Evaluate an experiment incrementally.
 
     Parameters
     ----------
     measured : iterable
         Classical sweeps and operating points of the injection, in order.
     regress : bool
-        Whether the ripple is regressed as well; not where the injected vector stands.
+        Whether to apply the regression too; not possible with fixed vectors.
 
     Raises
     ------
@@ -140,8 +140,8 @@ def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
         hessians.append(hessian(measurements))
         if regress:
             ripples.append(demodulate(capture, angle, where=segment.id))
-        if (left := _left(measurements[0], hessians[-1])) > worst:
-            signal, worst = (measurements[0], hessians[-1]), left
+        if (residual := _max_residual(measurements[0], hessians[-1])) > worst:
+            signal, worst = (measurements[0], hessians[-1]), residual
     lines = lines_of(np.array(targets)) if len(targets) > 2 else []
     if signal is None or not lines or not sweeps:
         raise NotMeasuredError(
@@ -159,20 +159,20 @@ def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
     )
 
 
-def _left(signal: VirtualMeasurement, matrix: Array) -> float:
-    """Largest ripple that the Hessian does not explain, once the switched-on wave's own offset has decayed [A]."""
+def _max_residual(signal: VirtualMeasurement, matrix: Array) -> float:
+    """Largest residual of the Hessian's ripple after the decay of the initial offset [A]."""
     settled = slice(len(signal.ripple) // 4, None)
     return float(np.abs(signal.ripple[settled] - signal.swing[settled] @ matrix).max())
 
 
 def measured_in(recording: RecordingReader) -> Iterator[Measured]:
-    """The sweeps of a recording, one after another."""
+    """The sweeps and operating points of a recording, in order."""
     for segment in recording.segments(SegmentStage.CLASSICAL, SegmentStage.INJECTION):
         yield [(segment, recording.load(segment))]
 
 
 def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *, small: float = 0.25) -> Errors:
-    """How far paths disagree where they cross, and from the truth.
+    """Differences of paths at crossings, and from the truth.
 
     Parameters
     ----------
@@ -182,22 +182,22 @@ def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *
         From currents to fluxes, shape (n, 2).
     rated_wb : float
     small : float
-        Of the rated flux: where a crossing has less, no difference is held against it.
+        Share of the rated flux below which crossings do not enter `relative`.
     """
     crossings = crossings_of(paths)
-    apart, size = np.abs(crossings.apart), np.abs(crossings.psi)
-    relative = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
+    difference, size = np.abs(crossings.apart), np.abs(crossings.psi)
+    relative = np.where(size > small * rated_wb, difference / np.maximum(size, small * rated_wb), 0.0)
     current, psi = (np.concatenate([getattr(path, name) for path in paths]) for name in ("current", "psi"))
-    off = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
+    error_wb = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
     share = 100.0 / rated_wb
     return Errors(
-        crossings=share * _largest(apart),
+        crossings=share * _largest(difference),
         relative=100.0 * _largest(relative),
-        rms=share * float(np.sqrt(np.mean(off**2))),
-        worst=share * float(off.max()),
+        rms=share * float(np.sqrt(np.mean(error_wb**2))),
+        worst=share * float(error_wb.max()),
     )
 
 
 def _largest(x: Array) -> Array:
-    """Of each column; NaN where there are no rows."""
+    """Largest value of each column; NaN without rows."""
     return np.asarray(x.max(axis=0)) if len(x) else np.full(2, np.nan)

@@ -1,4 +1,4 @@
-"""Pictures of the literal page. Computes nothing."""
+"""Pictures of the literal page."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def draw_all(measured: Literal, budget: Budget, folder: Path) -> None:
 
 
 def _signal(measured: Literal) -> Figure:
-    """Mean current and virtual measurement in time, with what the Hessian makes of the injected vector."""
+    """Mean current and virtual measurement in time, with the Hessian times the injected vector."""
     signal = measured.signal
     figure = empty_figure(9.4, 4.0)
     left, right = figure.subplots(1, 2)

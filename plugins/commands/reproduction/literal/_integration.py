@@ -1,8 +1,8 @@
-"""The classical method as the paper has it: R_s = v/i where the current rests, and the voltage integrated.
+"""The classical method as printed: R_s = v/i at constant current, and integration of the voltage.
 
     psi(t) = psi(0) + integral of (v - R_s i) dt
 
-over ten periods, all points of one current averaged; the inverter is not known. (Combes, Malrait, Martin, Rouchon,
+over ten periods, averaged over points of equal current, without an inverter model. (Combes, Malrait, Martin, Rouchon,
 section "Classical method".)
 """
 
@@ -27,9 +27,9 @@ class SweptPath:
     axis : {"d", "q", "dq"}
     held_a : float
     resistance_ohm : float
-        v/i over the rests of this sweep.
+        v/i over the dwells of this sweep.
     path : FluxPath
-        Zero at zero current along the sweep; along paths that do not pass zero current until `tied` moves them.
+        Flux, zero where the swept current is zero; `tied` shifts paths that do not pass zero current.
     """
 
     axis: str
@@ -41,23 +41,23 @@ class SweptPath:
 def swept_path(
     segment: Segment, capture: Capture, *, closed: bool = False, levels: int = 61, blocks: int = 20_000
 ) -> SweptPath:
-    """Evaluate one sweep, averaged at so many currents along it.
+    """Evaluate one sweep, averaged at `levels` currents along it.
 
     Parameters
     ----------
     segment : Segment
     capture : Capture
     closed : bool
-        Whether flux that does not come back after a whole number of periods is taken for drift, even in time, and
-        taken out; the paper does not speak of it.
+        Whether a flux difference after a whole number of periods is removed as drift, linear in time; the paper does
+        not mention this.
     levels : int
     blocks : int
-        To which the capture is averaged first; there have to be many in the time from one level to the next.
+        Number of blocks to which the capture is averaged first; several are needed per level.
 
     Raises
     ------
     NotMeasuredError
-        Where the current does not rest.
+        Without a dwell at constant current.
     """
     trace = trace_sweep(capture, segment.rotor_angle_rad, where=segment.id, blocks=blocks)
     if not trace.dwells:
@@ -79,7 +79,7 @@ def swept_path(
 
 
 def tied(sweeps: Sequence[SweptPath]) -> list[FluxPath]:
-    """All paths with zero flux at zero current: those beside it begin where they cross one that passes through it."""
+    """All paths with zero flux at zero current; other paths start at their crossing with one through zero."""
     through_zero = {one.axis: one.path for one in sweeps if one.held_a == 0.0}
     out = []
     for one in sweeps:

@@ -1,4 +1,4 @@
-"""The literal page: the paper's own evaluation beside fluxbench's, what makes its errors, and what differs from it."""
+"""The literal page: the paper's evaluation beside fluxbench's, its error budget, and the differences."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Flux along the current paths of the paper by its own sums, from zero flux at zero current outwards.
+"""Flux along the paper's current paths by its sums, outwards from zero flux at zero current.
 
     psi(k) - psi(k_0) = sum of L(i(z)) di(z),  z = k_0 + 1 .. k,     di(z) = i(z) - i(z - 1)
 
-(Combes, Malrait, Martin, Rouchon, section "Experimental results" of the proposed method). What the paper leaves open:
-a path that does not pass through zero current begins where it crosses the one along the other axis that does.
+(Combes, Malrait, Martin, Rouchon, section "Experimental results" of the proposed method). The paper does not state how
+other paths start; here they start at their crossing with the path along the other axis through zero current.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ AXES = ("d", "q", "dq")
 
 
 class Rule(Enum):
-    """How an integral is made of samples."""
+    """Quadrature rule of an integral over samples."""
 
     RECTANGLE = "rectangles"
-    """The paper's: the inductance at the end of each step."""
+    """The paper's rule: the inductance at the end of each step."""
     TRAPEZOID = "trapezoids"
 
 
@@ -37,9 +37,9 @@ class Line:
     Attributes
     ----------
     points : array of int
-        Which points lie on it, in order.
+        Indices of its points, in order.
     axis : {"d", "q", "dq"}
-        Along which the current moves.
+        Axis along which the current changes.
     held_a : float
         Current on the other axis; 0 on the diagonal.
     """
@@ -76,11 +76,11 @@ def summed(lines: Sequence[Line], current: Array, matrix: Array, rule: Rule) -> 
     Parameters
     ----------
     lines : sequence of Line
-        Those through zero current tie the others, of which those that cross none are left out.
+        Lines; one that neither passes through zero current nor crosses such a line is left out.
     current : array, shape (n, 2)
-        As it was reached [A].
+        Measured current [A].
     matrix : array, shape (n, 2, 2)
-        Inductances there [H].
+        Inductances at these currents [H].
     rule : Rule
     """
     through_zero: dict[str, FluxPath] = {}
@@ -101,7 +101,7 @@ def summed(lines: Sequence[Line], current: Array, matrix: Array, rule: Rule) -> 
 
 
 def _base(line: Line, through_zero: dict[str, FluxPath]) -> tuple[Array, Array] | None:
-    """Current and flux from which a path begins."""
+    """Current and flux at a path's start."""
     if line.held_a == 0.0:
         return np.zeros(2), np.zeros(2)
     other = through_zero.get("q" if line.axis == "d" else "d")
@@ -112,7 +112,7 @@ def _base(line: Line, through_zero: dict[str, FluxPath]) -> tuple[Array, Array] 
 
 
 def _outwards(current: Array, matrix: Array, start: int, rule: Rule) -> Array:
-    """Sums from `start` to both ends, shape (n, 2)."""
+    """Sums from `start` to both ends, shape (n, 2) [Wb]."""
     psi = np.zeros_like(current)
     for ahead in (range(start + 1, len(current)), range(start - 1, -1, -1)):
         before = start
@@ -126,7 +126,7 @@ def _outwards(current: Array, matrix: Array, start: int, rule: Rule) -> Array:
 def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Array:
     """Largest departure of matrix entries 11, 22 from even and of 12 from odd in i_q, shape (3,) [percent].
 
-    Of the mean of the diagonal. A path is compared with its mirror image, at equal currents along it.
+    Relative to the mean of the diagonal. A path is compared with its mirror image at equal currents along it.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Arr
     """
     columns = np.stack([entries[:, 0, 0], entries[:, 1, 1], entries[:, 0, 1]], axis=1)
     sign = np.array([1.0, 1.0, -1.0])
-    apart = []
+    departures = []
     for line in lines:
         held_a = -line.held_a if line.axis == "d" else line.held_a  # of the line with i_q reversed
         mirror = [one for one in lines if one.axis == line.axis and abs(one.held_a - held_a) < 1e-9]
@@ -147,6 +147,6 @@ def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Arr
         at = along if line.axis == "d" else -along
         inside = (at >= other.min()) & (at <= other.max())
         image = np.stack([np.interp(at, other[order], c[order]) for c in columns[mirror[0].points].T], axis=1)
-        apart.append(0.5 * (columns[line.points] - sign * image)[inside])
-    every = np.abs(np.concatenate(apart)).max(axis=0)
+        departures.append(0.5 * (columns[line.points] - sign * image)[inside])
+    every = np.abs(np.concatenate(departures)).max(axis=0)
     return np.asarray(100.0 * every / np.abs(columns[:, :2]).mean())

@@ -28,7 +28,7 @@ def test_names_and_sizes_are_read() -> None:
     ("words", "message"),
     [
         ("dead_tim", "did you mean dead_time"),
-        ("dead_time=much", "no number"),
+        ("dead_time=much", "not a number"),
         ("dead_time,dead_time", "twice"),
         (",", "nothing"),
     ],
@@ -76,11 +76,11 @@ def test_sizes_that_are_not_said_are_the_models() -> None:
 
 
 def test_nothing_stands_alone() -> None:
-    with pytest.raises(InputError, match="stands alone"):
+    with pytest.raises(InputError, match="cannot be combined"):
         read_guess("nothing,skin_effect")
 
 
-def test_an_angle_that_the_run_brought_about_is_right_and_not_missing() -> None:
+def test_an_angle_that_the_run_caused_effects_is_right_and_not_missing() -> None:
     brought = {"rotor_misalignment": {"angle_rad": 0.02}}
     named = judge(read_guess("dead_time,current_offset,rotor_misalignment=0.03"), HIDDEN, {}, brought)
     assert named.complete

@@ -12,7 +12,7 @@ import pytest
 from orchestrator.flux_maps import load_map
 from orchestrator.flux_maps.exporting import export_map
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, map_motor, true_flux
-from plugins.drives.simulated._map import FluxTable, fit_error, load_table, map_energy, misfit_in_words, usable_reach
+from plugins.drives.simulated._map import FluxTable, describe_misfit, fit_error, load_table, map_energy, usable_reach
 from protocols import DriveSetup, FluxMap
 from tests.support.cases import few
 from tests.support.close import assert_close
@@ -71,7 +71,7 @@ def test_a_magnet_off_the_axis_is_put_on_it(tmp_path: Path, degrees: float) -> N
     path = written(tmp_path / "turned.csv", FluxTable("turned", i_dq, truth.flux(i_dq @ turn.T) @ turn))
     table = load_table(None, path)
     assert np.degrees(table.turned_rad) == pytest.approx(degrees, abs=0.01)
-    assert f"turned by {-degrees:+.1f} degrees" in misfit_in_words(table, map_energy(table))
+    assert f"turned by {-degrees:+.1f} degrees" in describe_misfit(table, map_energy(table))
     inside_a = 0.8 * INSIDE_A
     assert_close(plant(file=str(path)).flux(inside_a), truth.flux(inside_a), 5e-3)
 
@@ -83,7 +83,7 @@ def test_a_quarter_of_a_plane_beside_zero_current_is_as_the_shipped_one_of_its_p
     own = load_table(None, path)
     assert own.turned_rad == 0.0
     magnetics = map_energy(own)
-    assert "which does not tell where the magnet lies: on d, as in the file" in misfit_in_words(own, magnetics)
+    assert "so the magnet is taken to lie on d, as in the file" in describe_misfit(own, magnetics)
     # Between the points and their mirror images no point says that the energy is convex: it has to be nevertheless.
     reach_a = usable_reach(table, map_energy(table), positive_d=False)
     assert usable_reach(own, magnetics, positive_d=False) == pytest.approx(reach_a)

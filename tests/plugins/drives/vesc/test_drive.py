@@ -111,7 +111,7 @@ def test_a_fault_of_the_board_trips_and_stays() -> None:
 def test_a_current_that_the_board_does_not_hold_is_a_fault() -> None:
     with on_a_line() as (firmware, port), armed(port) as drive:
         firmware.configuration["l-current-max-scale"] = 0.05
-        with pytest.raises(DriveFault, match="limits it"):
+        with pytest.raises(DriveFault, match="limits or has released it"):
             whole(drive, HOLD)
 
 
@@ -150,7 +150,7 @@ def test_gates_off_shows_what_the_sensors_show() -> None:
 @pytest.mark.parametrize(
     ("excitation", "message"),
     [
-        (HOLD.model_copy(update={"current_d_a": 0.02}), "lets go"),
+        (HOLD.model_copy(update={"current_d_a": 0.02}), "releases below"),
         (HOLD.model_copy(update={"duration_s": 1.0}), "longer"),
         (
             Injection(
@@ -163,7 +163,7 @@ def test_gates_off_shows_what_the_sensors_show() -> None:
                 rotation_hz=2.0,
                 waveform="sine",
             ),
-            "no turn",
+            "no whole turn",
         ),
     ],
 )
@@ -201,7 +201,7 @@ def test_the_frame_is_found_finer_than_its_octets(first_rad: float) -> None:
 
 
 def test_a_frame_that_stands_still_is_told() -> None:
-    with pytest.raises(DriveFault, match="does not turn"):
+    with pytest.raises(DriveFault, match="does not rotate"):
         turning_frame(_rows(np.full(1000, 3)), 20.0, 1.0 / 8000.0)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.drives.vesc._packets import MAX_PAYLOAD_BYTES, ROW, Decoder, Values, framed, numbers_in, rows_of
+from plugins.drives.vesc._packets import MAX_PAYLOAD_BYTES, ROW, Decoder, Values, encode_frame, numbers_in, rows_of
 from protocols import DriveFault
 from tests.plugins.drives.vesc.emulator import crc, packet
 
@@ -18,13 +18,13 @@ payloads = st.binary(min_size=1, max_size=MAX_PAYLOAD_BYTES)
 
 @given(payloads)
 def test_a_frame_is_what_the_firmware_writes(payload: bytes) -> None:
-    assert framed(payload) == packet(payload)
-    assert framed(payload)[-3:-1] == crc(payload).to_bytes(2)
+    assert encode_frame(payload) == packet(payload)
+    assert encode_frame(payload)[-3:-1] == crc(payload).to_bytes(2)
 
 
 @given(st.lists(payloads, max_size=4), st.integers(1, 40))
 def test_frames_come_out_however_they_are_cut(sent: list[bytes], piece: int) -> None:
-    line, decoder, found = b"".join(map(framed, sent)), Decoder(), list[bytes]()
+    line, decoder, found = b"".join(map(encode_frame, sent)), Decoder(), list[bytes]()
     for at in range(0, len(line), piece):
         found += decoder.feed(line[at : at + piece])
     assert found == sent
@@ -32,10 +32,10 @@ def test_frames_come_out_however_they_are_cut(sent: list[bytes], piece: int) -> 
 
 @given(payloads, st.binary(max_size=30), st.data())
 def test_nothing_damaged_comes_out_and_what_follows_does(payload: bytes, noise: bytes, data: st.DataObject) -> None:
-    frame = bytearray(framed(payload))
+    frame = bytearray(encode_frame(payload))
     place = data.draw(st.integers(len(frame) - len(payload) - 3, len(frame) - 4))
     frame[place] ^= data.draw(st.integers(1, 255))
-    after = framed(b"after")
+    after = encode_frame(b"after")
     found = Decoder().feed(noise + bytes(frame) + after * (2 * MAX_PAYLOAD_BYTES // len(after)))
     assert payload not in found
     assert b"after" in found

@@ -87,7 +87,7 @@ def test_an_ecu_that_is_gone_is_a_lost_link(ecu: Ecu) -> None:
 
 
 def test_an_ecu_that_is_driven_already_is_refused(ecu: Ecu) -> None:
-    with armed(ecu), pytest.raises(DriveRefused, match="somebody else drives it"):
+    with armed(ecu), pytest.raises(DriveRefused, match="another host controls it"):
         drive_for(ecu).connect()
 
 
