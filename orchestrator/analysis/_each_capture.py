@@ -16,7 +16,7 @@ def each_capture(
     recording: RecordingReader,
     segments: Sequence[Segment],
     evaluate: Callable[[Segment, Capture], T],
-    at_once: int = 4,
+    max_in_memory: int = 4,
 ) -> list[T]:
     """`evaluate` of each segment and its waveforms, in the order of the segments.
 
@@ -29,15 +29,15 @@ def each_capture(
     segments : sequence of Segment
     evaluate : callable
         Called in any order and from several threads; keeps nothing of the capture.
-    at_once : int
-        Most captures in memory.
+    max_in_memory : int
+        Maximum number of captures in memory.
     """
 
-    def one(segment: Segment) -> T:
+    def evaluate_segment(segment: Segment) -> T:
         return evaluate(segment, recording.load(segment))
 
-    threads = min(at_once, len(segments), len(os.sched_getaffinity(0)))
+    threads = min(max_in_memory, len(segments), len(os.sched_getaffinity(0)))
     if threads < 2:
-        return [one(segment) for segment in segments]
+        return [evaluate_segment(segment) for segment in segments]
     with ThreadPoolExecutor(threads, thread_name_prefix="pass") as pool:
-        return list(pool.map(one, segments))
+        return list(pool.map(evaluate_segment, segments))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from orchestrator.analysis import axes_apart_rad
+from orchestrator.analysis import axis_difference_rad
 from orchestrator.numerics.types import Array
 from protocols import Segment
 
@@ -62,4 +62,4 @@ def by_point(some: Sequence[OneWay], same_frequency: float) -> list[list[OneWay]
 
 def shows_both_axes(point: Sequence[OneWay], apart_rad: float = 0.3) -> bool:
     """Whether the waves at a point go along axes that are apart."""
-    return max(axes_apart_rad(one.axis_rad, point[0].axis_rad) for one in point) > apart_rad
+    return max(axis_difference_rad(one.axis_rad, point[0].axis_rad) for one in point) > apart_rad

@@ -15,8 +15,8 @@ import numpy as np
 
 from orchestrator.analysis import (
     STEP_KNOTS,
-    Beliefs,
     FluxPath,
+    Priors,
     StepsFit,
     StepTrace,
     check_map,
@@ -101,7 +101,7 @@ class StepsEstimator:
             raise NotMeasuredError(where, "segments", "no segment of stage steps")
         known = ResistanceEstimator().estimate(recording, context)
         std_ohm = float(np.hypot((known.high - known.low) / 3.92, self.resistance_std_ratio * known.value_ohm))
-        beliefs = Beliefs(known.value_ohm, std_ohm)
+        beliefs = Priors(known.value_ohm, std_ohm)
         drive = recording.manifest.drive
         fs, carrier_hz = drive.sampling_frequency_hz, drive.pwm_frequency_hz or 0.0
         rows = _Rows(1.0 / fs, exact=fs >= self.control_rows * carrier_hz)
@@ -134,18 +134,18 @@ class StepsEstimator:
         )
 
     def _fitted(
-        self, recording: RecordingReader, segments: Sequence[Segment], beliefs: Beliefs, rows: _Rows
+        self, recording: RecordingReader, segments: Sequence[Segment], beliefs: Priors, rows: _Rows
     ) -> tuple[list[StepTrace], StepsFit, float]:
         """Traces, what they say, and by how many samples the voltage acts later than the manifest says."""
         declared, late, later_s = voltage_delay(recording), 0.0, np.zeros(2)
         reach = each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max()))
         knots_a = STEP_KNOTS * max(reach)
-        most = max(1, 9000 // len(segments))
+        max_blocks = max(1, 9000 // len(segments))
 
         def traced(segment: Segment, capture: Capture) -> StepTrace:
             delay = declared + late
             angle = segment.rotor_angle_rad
-            trace = trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=most)
+            trace = trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, max_blocks=max_blocks)
             return replace(trace, charge=trace.charge + later_s * trace.i)
 
         for left in reversed(range(self.max_passes)):
@@ -238,7 +238,7 @@ def _doubted_path(path: FluxPath, doubt_h: Array) -> FluxPath:
     return replace(path, std=np.hypot(path.std, doubt_h * np.sqrt((apart**2).mean(axis=0))))
 
 
-def _off_the_known(fit: StepsFit, beliefs: Beliefs, doubtful: float = 3.0) -> list[Remark]:
+def _off_the_known(fit: StepsFit, beliefs: Priors, doubtful: float = 3.0) -> list[Remark]:
     """By how much the loops alone are off what was believed: they and it make the estimate together."""
     alone = fit.resistance_std_ohm**-2 - beliefs.resistance_std_ohm**-2
     moved = fit.resistance_ohm - beliefs.resistance_ohm

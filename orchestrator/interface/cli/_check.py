@@ -35,9 +35,9 @@ def check(
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     procedure = loaded.procedure
     if not as_json:
-        say_notes(loaded.readings)
+        say_notes(loaded.conversions)
     UsedPlugins(parse_stages(procedure))
-    with loaded.naming_its_places(), connected_drive(procedure, private=None) as (connected, capabilities):
+    with loaded.locating_errors(), connected_drive(procedure, private=None) as (connected, capabilities):
         plan = make_plan(procedure, capabilities)
         summary = check_plan(plan, capabilities)
         summary = summary.model_copy(update={"notes": (*summary.notes, *_heartbeat_notes(connected, capabilities))})

@@ -185,7 +185,7 @@ def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *
         Of the rated flux: where a crossing has less, no difference is held against it.
     """
     crossings = crossings_of(paths)
-    apart, size = np.abs(crossings.apart), np.abs(crossings.psi)
+    apart, size = np.abs(crossings.difference), np.abs(crossings.psi)
     relative = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
     current, psi = (np.concatenate([getattr(path, name) for path in paths]) for name in ("current", "psi"))
     off = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
