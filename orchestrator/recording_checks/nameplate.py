@@ -25,7 +25,7 @@ NAMEPLATE_SCALES: Sequence[tuple[float, str]] = (
     (10.0, "a decimal point"),
     (0.1, "a decimal point"),
 )
-"""True R and L per phase of the star over the written ones, and what the written ones are then."""
+"""True R and L per phase of the star over the stated ones, and the meaning of the stated ones."""
 MAX_NAMEPLATE_DEVIATION = 0.2
 """Relative difference to the nameplate's R and L that tolerance, temperature and saturation make."""
 MIN_RESISTIVE_SHARE = 0.3

@@ -1,4 +1,4 @@
-"""A campaign's file: procedures by motors by hidden effects by seeds. Measures nothing."""
+"""A campaign's file: procedures by motors by hidden effects by seeds."""
 
 from __future__ import annotations
 
