@@ -1,4 +1,4 @@
-"""The motor as its nameplate and data sheet describe it: what is believed before measuring."""
+"""The motor as its nameplate and data sheet describe it: the prior of a measurement."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Motor(Lenient):
 
 
 class ProcedureMotor(Motor, Strict):
-    """The same nameplate where a person writes it: an unknown key is an error."""
+    """The nameplate in a hand-written file: an unknown key is an error."""
 
     model_config = Strict.model_config
 

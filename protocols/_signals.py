@@ -1,4 +1,4 @@
-"""Signals: what an effect sees of one segment, and what it returns of them. No effect, and no check of a motor."""
+"""Signals: input and output of an effect for one segment."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class LossHistory:
 
 @dataclass(frozen=True)
 class Correction:
-    """What an effect changes of the signals, as new arrays of the same shape; None: unchanged."""
+    """Signals changed by an effect, as new arrays of the same shape; None: unchanged."""
 
     i_ab: RealArray | None = None
     v_ab: RealArray | None = None

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FleetStep = Literal["import", "estimate", "compare", "diagnose", "export"]
-"""What can be done with each recording, in this order."""
+"""Steps for each recording, in this order."""
 
 
 class FleetSetPoint(Lenient):
@@ -42,7 +42,7 @@ class FleetEffect(Lenient):
     high: Number
     """95 % interval."""
     probability: Number = None
-    """That it is there, beside all others that were found."""
+    """Probability that it is present, given all others in the model."""
     relative_size: Number = None
     """|first parameter| over its typical value."""
     material: bool | None = None
