@@ -194,9 +194,8 @@ class EnergyProblem:
         if self.points is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
         rows = slice(self.free - self.error_mode_count, self.free)
-        return self._error_modes @ solution.modes[rows], np.linalg.norm(
-            self._error_modes @ solution.root[rows], axis=-1
-        )
+        modes, root = solution.modes[rows], solution.root[rows]
+        return self._error_modes @ modes, np.linalg.norm(self._error_modes @ root, axis=-1)
 
     def inductances(self) -> tuple[Array, Array]:
         """Rows (n, 7, modes) and right-hand sides (n, 7) of the inductances and their slopes, in stated errors."""

@@ -51,14 +51,11 @@ def model_current(capture: Capture, angle_rad: float, delay: float, fit: Symmetr
 
 
 @njit(cache=True, nogil=True)
-def _recursion(transition: Array, drawn: Array, start: Array) -> Array:
+def _recursion(a: Array, drawn: Array, start: Array) -> Array:
     n = drawn.shape[1]
     out = np.empty((n, 2))
     d, q = start[0], start[1]
     for k in range(n):
         out[k, 0], out[k, 1] = d, q
-        d, q = (
-            transition[0, 0] * d + transition[0, 1] * q + drawn[0, k],
-            transition[1, 0] * d + transition[1, 1] * q + drawn[1, k],
-        )
+        d, q = (a[0, 0] * d + a[0, 1] * q + drawn[0, k], a[1, 0] * d + a[1, 1] * q + drawn[1, k])
     return out

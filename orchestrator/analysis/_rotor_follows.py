@@ -23,7 +23,6 @@ from orchestrator.analysis._rotor_direction import anisotropy, saliency_directio
 from orchestrator.numerics.frames import to_dq
 
 MIN_SIGMAS = 3.0
-"""Significance of a difference."""
 FOLLOWING_SHARE = 0.5
 """Decision threshold, halfway between a held rotor (1) and one that follows (0)."""
 

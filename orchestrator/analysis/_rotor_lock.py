@@ -97,11 +97,8 @@ def judge_lock(
     salient = [saliency_direction(r, p.zero_share, loss_v) for r, p in zip(ripples, rests, strict=True)]
     free = follows(first, torques, tolerance_rad)
     max_a = max(float(np.linalg.norm(ripple.mean_current_dq)) for ripple in torques)
-    if (
-        free is False
-        and max_a > NAMEPLATE_MARGIN * aligning_current_a
-        and abs(_twist_rad(first, torques)) > tolerance_rad
-    ):
+    is_twisted = abs(_twist_rad(first, torques)) > tolerance_rad
+    if free is False and max_a > NAMEPLATE_MARGIN * aligning_current_a and is_twisted:
         # Symmetry then hides the rotation under torque, and the current at rest returns the rotor.
         free = None if float(np.linalg.norm(first.mean_current_dq)) > 0.1 * max_a else free
     by_saliency = [direction for direction in salient if direction is not None]
@@ -139,11 +136,8 @@ def lock_duration_ratio(
         )
     except NotMeasuredError:
         return 1.0
-    saliency, saturation, gain = (
-        saliency_direction(ripple),
-        saturation_direction(ripple),
-        saliency_sensitivity([ripple]),
-    )
+    saliency, saturation = saliency_direction(ripple), saturation_direction(ripple)
+    gain = saliency_sensitivity([ripple])
     is_rotor_fixed = saliency is not None and _rotates_with_rotor(gain)
     direction = saliency if is_rotor_fixed else saturation or saliency
     if direction is None:

@@ -176,9 +176,8 @@ class _System:
         Steps to one level of one sign determine only the sum R_s i + e.
         """
         prior_std = self.priors.resistance_std_ohm
-        if prior_std < DEFAULT_RESISTANCE_STD_RATIO * abs(self.priors.resistance_ohm) or any(
-            _has_both_signs(t.i) for t in self.traces
-        ):
+        is_measured = prior_std < DEFAULT_RESISTANCE_STD_RATIO * abs(self.priors.resistance_ohm)
+        if is_measured or any(_has_both_signs(t.i) for t in self.traces):
             return True
         std = float(np.linalg.norm(solution.root[self.other_columns.start]))
         return (std**-2 - prior_std**-2) * prior_std**2 > self.target.size

@@ -83,10 +83,8 @@ class PointQueue:
 
     def injection_scale(self, index: int) -> float | None:
         """Injection of a stage over the planned one; None before its first measured point."""
-        every = (
-            measured_scale(point, self.done[point.id]) for point in self.plan.points_of(index) if point.id in self.done
-        )
-        return next((factor for factor in every if factor is not None), None)
+        scales = (measured_scale(p, self.done[p.id]) for p in self.plan.points_of(index) if p.id in self.done)
+        return next((scale for scale in scales if scale is not None), None)
 
     def passed(self, index: int) -> bool:
         """Whether the run passed this stage before it was resumed: its questions and results are in the journal."""

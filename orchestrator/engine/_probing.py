@@ -85,9 +85,8 @@ class RippleProbe:
         ):
             return 1.0
         try:
-            return min(
-                self._scale(e.model_copy(update={"amplitude_v": strongest.amplitude_v})) for e in _outermost(injections)
-            )
+            update = {"amplitude_v": strongest.amplitude_v}
+            return min(self._scale(e.model_copy(update=update)) for e in _outermost(injections))
         except DriveRefused:  # a drive that cannot probe gets the plan unchanged
             return 1.0
 

@@ -66,7 +66,7 @@ def deliver_model(
 def join_model(
     base: EstimationReport,
     maps: Mapping[str, FluxMap],
-    model_map: FluxMap,
+    flux_map: FluxMap,
     model: DeliveredModel,
     motor: Motor,
 ) -> tuple[EstimationReport, dict[str, FluxMap]]:
@@ -77,18 +77,17 @@ def join_model(
     base : EstimationReport
         Report of the estimators alone.
     """
-    map_report = MapReport(basis=model_map.basis, checks=MapChecks(), inductances=inductances_of(model_map))
+    map_report = MapReport(basis=flux_map.basis, checks=MapChecks(), inductances=inductances_of(flux_map))
     if model.objections:
-        report = base.model_copy(update={"maps": {**base.maps, model_map.method: map_report}})
+        report = base.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
         report = report.checked(unmet("model", model.objections))
     else:
-        report = with_nameplate_checks(
-            _recommended(base, model_map, map_report, model, motor), {model_map.method: model_map}, motor
-        )
+        report = _recommended(base, flux_map, map_report, model, motor)
+        report = with_nameplate_checks(report, {flux_map.method: flux_map}, motor)
     fields: dict[str, Any] = {"model": model}
     if base.maps or base.resistance:
         fields["estimators"] = EstimatorsReport(**_fields(base))
-    return report.model_copy(update=fields), {model_map.method: model_map, **maps}
+    return report.model_copy(update=fields), {flux_map.method: flux_map, **maps}
 
 
 def earlier_model(directory: Path, manifest: Manifest) -> tuple[FluxMap, DeliveredModel] | None:

@@ -102,9 +102,8 @@ def estimate_recording(
     maps = {estimate.map.method: estimate for _, estimate in results if isinstance(estimate, FluxMapEstimate)}
     resistances = {e.name: estimate for e, estimate in results if isinstance(estimate, ResistanceEstimate)}
     motor, stages = recording.manifest.motor, {segment.stage for segment in recording.segments()}
-    report = report_with_checks(
-        EstimatorResults(resistances, maps, tuple(missing), stages), motor, criteria or MapCriteria()
-    )
+    found = EstimatorResults(resistances, maps, tuple(missing), stages)
+    report = report_with_checks(found, motor, criteria or MapCriteria())
     by_method = {method: found.map for method, found in maps.items()}
     report = with_nameplate_checks(report, by_method, motor).checked(unmet("conventions", data_faults))
     earlier = earlier_model(out, recording.manifest)

@@ -99,12 +99,9 @@ def _preferred(maps: Mapping[str, FluxMapEstimate], motor: Motor, criteria: MapC
         if estimate.map.basis is not Basis.ENERGY:
             return False
         rated = reference_flux_wb(estimate.map, motor)
-        off = [
-            difference
-            for other in measured
-            if (difference := difference_percent(estimate.map, other, rated)) is not None
-        ]
-        return bool(off) and min(off) > criteria.energy_percent
+        off = [difference_percent(estimate.map, other, rated) for other in measured]
+        known = [x for x in off if x is not None]
+        return bool(known) and min(known) > criteria.energy_percent
 
     return dict(sorted(maps.items(), key=lambda item: fails(item[1])))
 

@@ -293,9 +293,7 @@ def _resistance_scatter(resistance: ResistanceEstimate, criteria: MapCriteria) -
 def _resistance_nameplate(resistance: ResistanceEstimate, motor: Motor, criteria: MapCriteria) -> UsabilityCheck:
     stated_ohm = motor.stator_resistance_ohm
     if not stated_ohm or resistance.value_ohm <= 0.0:
-        return _missing(
-            "resistance_nameplate", "the nameplate states no resistance to compare R_s with", required=False
-        )
+        return _missing("resistance_nameplate", "the nameplate states no resistance to compare with", required=False)
     ratio = resistance.value_ohm / stated_ohm
     factor, limit = max(ratio, 1.0 / ratio), criteria.resistance_factor
     text = "R_s is {ratio:.3g} times the nameplate's {nameplate_ohm:.4g} ohm"

@@ -40,8 +40,7 @@ class EffectColumns:
     shapes : tuple of EffectTerm
         The effect absent, in its typical shape and in others.
     amplitudes, forms, alternative_amplitudes : array of int
-        Indices of its amplitudes and its shape and refinement parameters in the typical shape, and of its amplitudes in
-        the alternative shapes.
+        Indices of its amplitudes and shape parameters in the typical shape; of its amplitudes in alternative shapes.
     """
 
     at_typical: EffectTerm

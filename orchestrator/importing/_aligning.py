@@ -186,9 +186,8 @@ def _delay(current: Track, voltage: Track, begins_s: Numbers, ohm: float, step_s
         first, end = np.searchsorted(v_s, [grid[0] - 3.0 * step_s, grid[-1] + 3.0 * step_s])
         if grid.size > 2 and end - first > 2:
             samples = _complex(np.column_stack([np.interp(grid, i_s, x) for x in i.T]))
-            delays.append(
-                (0.5 * (grid[0] + grid[-1]), _subsample_delay(samples, grid, v_s[first:end], v[first:end], ohm, step_s))
-            )
+            delay_s = _subsample_delay(samples, grid, v_s[first:end], v[first:end], ohm, step_s)
+            delays.append((0.5 * (grid[0] + grid[-1]), delay_s))
     if not delays:
         return 0.0, 0.0, 0.0
     times, late_s = np.array(delays).T
@@ -276,9 +275,8 @@ def _most_likely_lag(
     best, distance = float(mean.min()), 3 + max(reaches)
     if max(1.0 - float(np.min(residual)) for residual in residuals) < _CRITERIA.min_explained:
         return 0, 0.0
-    places, _ = find_peaks(
-        np.concatenate([[0.0], -mean, [0.0]]), height=-_CRITERIA.alternative * best, distance=distance
-    )
+    height = -_CRITERIA.alternative * best
+    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=height, distance=distance)
     lags = [int(place) - 1 - curvature_count - (samples - 1) for place in places]
     mean_residuals = np.array([_unexplained_by_means(current, voltage, lag) for lag in lags])
     depths = np.where(mean_residuals <= _CRITERIA.max_mean_ratio * mean_residuals.min(), mean[places - 1], 0.0)

@@ -73,8 +73,8 @@ def current_match(survey: Survey) -> Match | None:
     large = np.abs(set_points) >= MIN_CURRENT_FRACTION * np.abs(set_points).max()
     set_points, reached = set_points[large], reached[large]
 
-    def error(vector_map: VectorMap) -> float:
-        mapped = vector_map(set_points)
+    def error(m: VectorMap) -> float:
+        mapped = m(set_points)
         return float(np.linalg.norm(reached - mapped) / max(np.linalg.norm(mapped), 1e-3 * np.linalg.norm(set_points)))
 
     width = np.linalg.svd(np.stack([set_points.real, set_points.imag]), compute_uv=False).min()
@@ -101,17 +101,10 @@ def voltage_match(survey: Survey) -> Match | None:
     turn, squares = (np.array(x) for x in zip(*rows, strict=True))
     turning = bool(np.all(np.isfinite(squares)))
 
-    def error(vector_map: VectorMap) -> float:
+    def error(m: VectorMap) -> float:
         if not turning:
-            return float(abs(np.mean(np.sqrt(squares[:, 1].real)) / abs(vector_map.a) - 1.0))
-        expected = np.stack(
-            [
-                vector_map.a**2 * turn,
-                np.full_like(turn, 2.0 * vector_map.a * vector_map.b),
-                vector_map.b**2 * np.conj(turn),
-            ],
-            axis=1,
-        )
+            return float(abs(np.mean(np.sqrt(squares[:, 1].real)) / abs(m.a) - 1.0))
+        expected = np.stack([m.a**2 * turn, np.full_like(turn, 2.0 * m.a * m.b), m.b**2 * np.conj(turn)], axis=1)
         # Half: the relative error of a square is twice that of its root.
         return float(0.5 * np.linalg.norm(squares - expected) / np.linalg.norm(expected))
 
@@ -150,16 +143,16 @@ def against_set_points(responses: Responses) -> Convention | None:
         ("voltages", voltage_match(survey)),
     )
     for field, match in matches:
-        for vector_map, error in () if match is None else match.fitting:
-            if match is not None and _supported(responses, field, vector_map):
+        for m, error in () if match is None else match.fitting:
+            if match is not None and _supported(responses, field, m):
                 evidence = (
                     f"readings differ from their set-points by {100 * match.error_as_is:.0f} %, and by "
                     f"{100 * error:.1f} % after correction"
                 )
                 return vector_convention(
                     field,
-                    vector_map,
-                    evidence + (_nameplate_evidence(responses) if vector_map.kind == "scaled" else ""),
+                    m,
+                    evidence + (_nameplate_evidence(responses) if m.kind == "scaled" else ""),
                 )
     return rotor_angle(responses)
 
@@ -178,13 +171,11 @@ def without_set_points(responses: Responses) -> Convention | None:
     if len({m.what for m in fitting}) != 1:
         return None
     evidence = "the resistive voltage has the current's direction in every hold after correction, and not before"
-    return vector_convention(
-        field, fitting[0], evidence, alternative="" if currents_are_right else "or the voltages are"
-    )
+    return vector_convention(field, fitting[0], evidence, other="" if currents_are_right else "or the voltages are")
 
 
-def _fits_at_rest(steady: SteadyState, field: Field, vector_map: VectorMap) -> bool:
-    inverse = vector_map.inverse
+def _fits_at_rest(steady: SteadyState, field: Field, m: VectorMap) -> bool:
+    inverse = m.inverse
     if inverse is None:
         return False
     return resistive(steady.impedance(inverse) if field == "currents" else steady.impedance(v_map=inverse))
@@ -196,17 +187,17 @@ def resistive(law: tuple[complex, complex]) -> bool:
     return abs(b) < MAX_CONJUGATE_FRACTION_RIGHT * abs(a) and abs(cmath.phase(a)) < MAX_IMPEDANCE_ANGLE_RAD
 
 
-def _supported(responses: Responses, field: Field, vector_map: VectorMap) -> bool:
+def _supported(responses: Responses, field: Field, m: VectorMap) -> bool:
     """Whether currents and voltages themselves support it, as set-points can be in other units than the readings."""
     steady = responses.steady_state
-    if vector_map.factor is not None and vector_map.factor > 0.0:
-        gain = math.log(vector_map.factor) * (-1.0 if field == "currents" else 1.0)
+    if m.factor is not None and m.factor > 0.0:
+        gain = math.log(m.factor) * (-1.0 if field == "currents" else 1.0)
         # Saturation changes L widely; it serves only where R is not known.
         ratio = responses.resistance_ratio or responses.inductance_ratio
         return ratio is None or math.log(ratio) / gain > MIN_LOG_SCALE_FRACTION
-    if steady is None or not steady.whole_plane or vector_map.inverse is None:
+    if steady is None or not steady.whole_plane or m.inverse is None:
         return True
-    return _fits_at_rest(steady, field, vector_map) and not resistive(steady.impedance())
+    return _fits_at_rest(steady, field, m) and not resistive(steady.impedance())
 
 
 def _nameplate_evidence(responses: Responses) -> str:
@@ -216,11 +207,11 @@ def _nameplate_evidence(responses: Responses) -> str:
     return f"; R_s is {responses.resistance_ratio * ohm:.3g} ohm by the readings and {ohm:.3g} ohm on the nameplate"
 
 
-def vector_convention(field: Field, vector_map: VectorMap, evidence: str, alternative: str = "") -> Convention:
+def vector_convention(field: Field, m: VectorMap, evidence: str, other: str = "") -> Convention:
     """A wrong map of vectors as a convention, with the inverse map as its correction."""
-    what = f"the {field} look {vector_map.what}" + (f", {alternative}" if alternative else "")
-    inverse = vector_map.inverse
-    if inverse is None or vector_map.kind == "dead":
+    what = f"the {field} look {m.what}" + (f", {other}" if other else "")
+    inverse = m.inverse
+    if inverse is None or m.kind == "dead":
         text = f"the {field} are incomplete: measure again"
         return Convention(kind="dead_channel", what=what, evidence=evidence, correction=ManifestCorrection(text=text))
     if inverse.factor is not None:
@@ -232,7 +223,7 @@ def vector_convention(field: Field, vector_map: VectorMap, evidence: str, altern
             f"undo it in the mapping of the {field}: (alpha, beta) times [[{aa:.4g}, {ab:.4g}], [{ba:.4g}, {bb:.4g}]]"
         )
         correction = ManifestCorrection(text=text, field=field, matrix=((aa, ab), (ba, bb)))
-    return Convention(kind=f"{vector_map.kind}_{field}", what=what, evidence=evidence, correction=correction)
+    return Convention(kind=f"{m.kind}_{field}", what=what, evidence=evidence, correction=correction)
 
 
 def rotor_angle(responses: Responses) -> Convention | None:

@@ -56,9 +56,7 @@ class DriveCaptureChecks(DriveBench):
             off = abs(i_dq.mean() - target)
             assert off <= self.tolerance_a(session), f"holds {i_dq.mean():.3f} A instead of {target:.3f} A"
             halves = np.array_split(i_dq, 2)
-            assert abs(halves[1].mean() - halves[0].mean()) <= self.tolerance_a(session), (
-                "captured before it had settled"
-            )
+            assert abs(halves[1].mean() - halves[0].mean()) <= self.tolerance_a(session), "captured before settling"
             v, i = (complex(*x.mean(axis=0)) for x in (measured.v_ab, measured.i_ab))
             assert (v * i.conjugate()).real > 0.0, f"mean v.i is negative at {i:.3f} A: polarity is wrong"
             apart = angle_between(np.angle(v), np.angle(i))
@@ -169,9 +167,7 @@ class DriveCaptureChecks(DriveBench):
                 speed = float(np.polyfit(np.arange(len(theta)) / fs, theta, 1)[0])
                 assert math.isclose(speed, excitation.speed_rad_s, rel_tol=0.02), f"turns at {speed:.3f} rad/s"
                 i_dq = (measured.i_ab[:, 0] + 1j * measured.i_ab[:, 1]) * np.exp(-1j * theta)
-                assert abs(i_dq.mean()) <= self.tolerance_a(beating), (
-                    f"{abs(i_dq.mean()):.3f} A flow, none was commanded"
-                )
+                assert abs(i_dq.mean()) <= self.tolerance_a(beating), f"{abs(i_dq.mean()):.3f} A without a command"
                 ahead = (measured.v_ab[:, 0] + 1j * measured.v_ab[:, 1]) * np.exp(-1j * theta)
                 if (flux := self.setup().motor.pm_flux_wb or 0.0) > 0.0:
                     least = 0.5 * excitation.speed_rad_s * flux

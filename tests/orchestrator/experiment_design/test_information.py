@@ -37,11 +37,8 @@ def test_every_effect_has_columns_for_its_amplitudes_in_every_shape(known: Infor
     dead_time, bias = known.effects["dead_time"], known.effects["voltage_bias"]
     shapes = len(ALTERNATIVE_SHAPES)
     bends, edges = (len(effects(name)[0].Parameters.declared()) for name in ("dead_time", "voltage_bias"))
-    assert [len(dead_time.amplitudes), len(dead_time.forms), len(dead_time.alternative_amplitudes)] == [
-        1,
-        bends - 1,
-        shapes,
-    ]
+    dead_time_columns = (dead_time.amplitudes, dead_time.forms, dead_time.alternative_amplitudes)
+    assert [len(columns) for columns in dead_time_columns] == [1, bends - 1, shapes]
     assert [len(bias.amplitudes), len(bias.forms), len(bias.alternative_amplitudes)] == [2, edges - 2, 0]
     places = np.concatenate([effect.all for effect in known.effects.values()])
     assert sorted(places) == list(range(known.machine_columns, known.total.shape[0]))
