@@ -51,7 +51,7 @@ class ResistanceEstimate(Lenient):
     first_ohm: float
     last_ohm: float
     readings: tuple[ResistanceReading, ...] = ()
-    """In order of time."""
+    """Readings in order of time."""
     temperature_rise_k: Interval | None = None
     """Rise of a copper winding that started at 20 C, from the first reading to the last."""
     inverter: tuple[InverterLoss, ...] = ()

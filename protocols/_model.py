@@ -161,7 +161,7 @@ class MotorModel(Strict):
     timer: ModulatorTimer | None = None
     magnetics: CoEnergySpline
     effects: tuple[ModelEffect, ...]
-    """In the order in which they were added."""
+    """Effects in the order in which they were added."""
     ladder: Annotated[tuple[Rung, ...], Field(min_length=1)]
     """The last rung is this model's."""
 

@@ -45,7 +45,7 @@ class Motor(Lenient):
     """Of a phase of the equivalent star, along the magnet [H, not mH]: half of what a bridge reads between two
     terminals with the rotor there. With buried magnets the smaller of the two."""
     q_inductance_h: Positive | None = None
-    """The same across the magnet (electrical quadrature) [H, not mH]; with magnets on the surface as on the d axis."""
+    """Inductance across the magnet (electrical quadrature) [H, not mH]; equal to d with surface magnets."""
     pm_flux_wb: Annotated[float, Field(ge=0)] | None = None
     """Flux linkage of the magnet with a phase, peak, of electrical angle [Wb = V s]: peak phase voltage / (2 pi f).
     From line to line volts rms per 1000 rpm, K: sqrt(2/3) x K x 60 / (2 pi x 1000 x pole pairs)."""

@@ -40,7 +40,7 @@ class DriveChoice(Strict):
     model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
 
     name: str
-    """Of an installed drive plugin, as `fluxbench plugins` lists them."""
+    """Name of an installed drive plugin, as `fluxbench plugins` lists them."""
 
     @property
     def options(self) -> dict[str, Any]:

@@ -179,17 +179,17 @@ class DiagnosisReport(Remarked):
     verdict_record: VerdictRecord | None = None
     """What the verdict follows from; null with a convention, which ends a diagnosis before any fit."""
     effects: tuple[FoundEffect, ...]
-    """By share, largest first."""
+    """Sorted by share, largest first."""
     minor: tuple[FoundEffect, ...] = ()
-    """In the model and measured, but too small a part of the error to be named as causes."""
+    """Effects in the model whose share of the error is too small to name them as causes."""
     traces: tuple[str, ...]
-    """Names of the minor ones, then of what was seen but is not in the model."""
+    """Names of the minor effects, then of detected ones that are not in the model."""
     joint: tuple[JointEntry, ...]
     ladder: tuple[Rung, ...]
     unexplained: Unexplained
     next_experiment: NextExperiment | None
     convention: Convention | None = None
-    """With the verdict ``convention``: nothing was looked for beside it."""
+    """With the verdict ``convention``: no effects were searched for."""
     reproduces_current_percent: Number = None
     """rms error of the simulated current over the current's range, in percent."""
     map_error_percent: Number = None
@@ -211,7 +211,7 @@ class EffectBasis(Lenient):
     """Gain of the move that added it [nat]."""
     probability: Number
     share: Number
-    """Of the first model's error."""
+    """Share of the first model's error."""
     material: bool | None
     twins: tuple[str, ...]
     steps: tuple[int, ...]
@@ -341,7 +341,7 @@ class UsabilityCheck(Lenient):
     """One of the checks that decide whether a map can be relied on."""
 
     name: str
-    """In snake_case: ``parity``."""
+    """Name in snake_case: ``parity``."""
     outcome: CheckOutcome
     required: bool
     """Whether the map is not usable without it; one that is not required may be missing, but must not fail."""
@@ -387,11 +387,11 @@ class MapCriteria(Lenient):
     scatter_ratio: float = 2.0
     """Scatter of successive readings of R_s, in their own errors, beyond which it is no chance."""
     nameplate_apart: float = 0.2
-    """Of R_s and the inductances at the least current, relative to the nameplate: more is worth a remark."""
+    """Relative deviation of R_s and the unsaturated inductances from the nameplate that gives a remark."""
     nameplate_factor: float = 1.35
     """Ratio of theirs that no tolerance makes; all of them off the same way are a scale of the readings."""
     resistance_factor: float = 4.0
-    """Ratio of R_s alone that nothing makes: a delta's phase has 3 times its star's, and a tolerance 1.35 beside it."""
+    """Ratio of R_s that nothing explains: a delta's phase has 3 times its star's R, times a tolerance of 1.35."""
 
 
 class EstimatorsReport(Lenient):

@@ -28,7 +28,7 @@ def each_capture(
     recording : RecordingReader
     segments : sequence of Segment
     evaluate : callable
-        Called in any order and from several threads; keeps nothing of the capture.
+        Called in any order and from several threads; must not hold on to the capture.
     max_in_memory : int
         Maximum number of captures in memory.
     """

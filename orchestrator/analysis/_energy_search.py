@@ -45,7 +45,7 @@ class Criteria:
     min_sigmas : float
         Standard deviations from zero above which an angle or a stiffening is accepted.
     evidence : float
-        By how much twice the logarithm of the likelihood has to grow for dead time or a finer spline to be used: a
+        Required growth of twice the logarithm of the likelihood for dead time or a finer spline to be used: a
         factor of twenty in the likelihood, "strong" evidence (doi:10.1080/01621459.1995.10476572).
     max_rad, min_rad : float
         Electrical angle of the axis of symmetry: search limit, and the smallest that matters to a map.
@@ -199,7 +199,7 @@ def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) ->
 def _minimum(
     cost: Callable[[float], float], bounds: tuple[float, float], coarse: int, step: float
 ) -> tuple[float, float]:
-    """Minimiser of the cost, and the second derivative there."""
+    """Minimiser of the cost, and the second derivative at it."""
     from scipy.optimize import minimize_scalar
 
     # Two grid passes: far from the solution the likelihood may have several maxima.

@@ -43,7 +43,7 @@ class Candidate:
     current_a : (float, float)
         (i_d, i_q).
     capture_s, seconds : float
-        Of the capture alone, and of motor time, settling included.
+        Duration of the capture alone, and of motor time with settling.
     """
 
     current_a: tuple[float, float]

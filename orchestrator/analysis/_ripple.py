@@ -12,7 +12,7 @@ windows: with dead time the mean current moves as the ripple rotates. A first pa
 So neither R_s nor a voltage bias enters, any waveform will do, and the regression separates the curvature over a finite
 ripple from the Hessian. H3 is a by-product: it is the slope of the inductances, and half of it shifts the mean current
 away from the current at the mean flux.
-Where the voltage rotates at its own frequency, P and Q are a quarter of a period apart on both axes at once: Q then is
+Where the voltage rotates at its own frequency, P and Q differ by a quarter of a period on both axes at once: Q then is
 multiplied by a known resistance. Where R exceeds omega L, Q is computed from the current that the fit itself predicts:
 a noisy current would bias the inductance (errors in variables: K. Steiglitz, L. E. McBride, "A
 technique for the identification of linear systems", 1965).

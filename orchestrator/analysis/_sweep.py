@@ -194,7 +194,7 @@ def trace_sweep(
     where: str = "capture",
     blocks: int = 4000,
 ) -> SweepTrace:
-    """Average a capture down to about so many blocks, integrals included; parameters as of `evaluate_sweep`.
+    """A capture averaged to about `blocks` blocks, with integrals; parameters as of `evaluate_sweep`.
 
     With `knots_a`, shape (k,), knots of the inverter's error over the phase current [A], its unit integrals too.
     """

@@ -39,7 +39,7 @@ class PlannedPoint:
     settings: dict[str, Any]
     """The set-point, as the segment's settings."""
     spare: bool = False
-    """Measured only where those before it show that it is wanted: what the plan tells, it tells without."""
+    """Measured only if earlier points show that it is needed; the plan suffices without it."""
 
     def run_as(self, excitation: Excitation) -> PlannedPoint:
         """The point with another excitation of the same kind, and settings that state the set-point."""

@@ -14,7 +14,7 @@ from protocols import Capabilities, Capture, DriveFault, Excitation, FaultCause,
 MAX_LAG_ERROR_ROWS = 0.75
 """Tolerance: inverters and sensors delay by up to half a row, a shifted row is a whole one."""
 MIN_EXPLAINED_RATIO = 0.8
-"""Explained share of the current's steps, below which the check decides nothing."""
+"""Minimum explained share of the current's steps for a conclusive check."""
 CHECKED_ROWS = 8_000
 
 

@@ -17,7 +17,7 @@ from contextlib import suppress
 from pathlib import Path
 
 BEAT_HEADER = struct.Struct("<dH")
-"""Instant on the monotonic clock, and the length of what is to be written then."""
+"""Instant on the monotonic clock, and the length of the beat to write then."""
 REAL_TIME_PRIORITY = 10
 _LOCK_ALL_MEMORY = 3
 

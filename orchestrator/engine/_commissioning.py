@@ -58,7 +58,7 @@ ENDINGS: dict[Ending, Trigger] = {"finished": Trigger.FINISH, "faulted": Trigger
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended."""
+    """Outcome of a run."""
 
     ending: Ending
     reason: str

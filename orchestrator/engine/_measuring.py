@@ -1,4 +1,4 @@
-"""Measures one point: the drive executes, the samples are checked and written, the journal keeps it."""
+"""Measures one point: the drive executes, the samples are checked and written, the journal records it."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ T = TypeVar("T")
 DISARMED_TEXT = "current ramped down, drive disarmed"
 
 SHUTDOWN_TIMEOUT_S = 10.0
-"""How long ramping down, and disarming, may take before the drive is given up."""
+"""Longest ramp-down, and disarming, before the drive counts as lost."""
 
 
 class PowerStage:

@@ -105,7 +105,7 @@ def _set_point_evidence(currents: Match | None, voltages: Match | None) -> str:
 def _unlike_factors(r_ratio: float, l_ratio: float) -> Remark:
     text = (
         "R is {resistance_ratio:.3g} and L {inductance_ratio:.3g} times the nameplate's. A scale of the readings "
-        "changes both alike, so that one of the nameplate's values is wrong, or the sampling frequency. To decide, "
+        "changes both equally, so one of the nameplate's values or the sampling frequency is wrong. To decide, "
         "measure R between two terminals (twice that of a phase), and L with a bridge"
     )
     return Remark.of("nameplate_inconsistent", text, resistance_ratio=r_ratio, inductance_ratio=l_ratio)
