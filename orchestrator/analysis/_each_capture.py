@@ -16,7 +16,7 @@ def each_capture(
     recording: RecordingReader,
     segments: Sequence[Segment],
     evaluate: Callable[[Segment, Capture], T],
-    max_in_memory: int = 4,
+    at_once: int = 4,
 ) -> list[T]:
     """`evaluate` of each segment and its waveforms, in the order of the segments.
 
@@ -29,14 +29,14 @@ def each_capture(
     segments : sequence of Segment
     evaluate : callable
         Called in any order and from several threads; must not hold on to the capture.
-    max_in_memory : int
+    at_once : int
         Maximum number of captures in memory.
     """
 
     def evaluate_segment(segment: Segment) -> T:
         return evaluate(segment, recording.load(segment))
 
-    threads = min(max_in_memory, len(segments), len(os.sched_getaffinity(0)))
+    threads = min(at_once, len(segments), len(os.sched_getaffinity(0)))
     if threads < 2:
         return [evaluate_segment(segment) for segment in segments]
     with ThreadPoolExecutor(threads, thread_name_prefix="pass") as pool:
