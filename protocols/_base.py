@@ -49,7 +49,7 @@ def strict_numbers(schema: Any) -> Any:
 
 
 class _StrictNumbers(BaseModel):
-    """What all models of files have in common."""
+    """Base of all models of files."""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
@@ -63,7 +63,7 @@ class Strict(_StrictNumbers):
 
 
 class Lenient(_StrictNumbers):
-    """A frozen model for what other tools write: unknown keys are passed over."""
+    """A frozen model for files of other tools: unknown keys are ignored."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 

@@ -1,4 +1,4 @@
-"""What a diagnosis shows on its way: one step for each effect that was added, with what can be drawn of it."""
+"""Progress of a diagnosis: one step for each added effect, with data for plots."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class DiagnosisStep(ArrayModel):
 
 
 class Compared(Strict):
-    """The model held against the measurements."""
+    """The model compared with the measurements."""
 
     kind: Literal["compared"] = "compared"
     report: CompareReport
@@ -99,13 +99,13 @@ class Diagnosed(Strict):
 
     kind: Literal["diagnosed"] = "diagnosed"
     round: int
-    """0: of what the procedure measured; n: after the n-th proposed experiment."""
+    """0: with the procedure's measurements; n: after the n-th proposed experiment."""
     report: DiagnosisReport
     words: DiagnosisWords
 
 
 class ExperimentProposed(NextExperiment):
-    """The experiment that would tell two effects apart, and whether this run goes on to do it."""
+    """The experiment that would separate two effects, and whether this run performs it."""
 
     kind: Literal["experiment_proposed"] = "experiment_proposed"
     round: int

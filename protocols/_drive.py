@@ -23,7 +23,7 @@ from protocols._recording import Capture
 
 
 class Limits(Strict):
-    """What the experiment may do to motor and drive; the drive holds them as well."""
+    """Limits of the experiment; the drive enforces them as well."""
 
     current_a: Positive
     """Longest current vector [A peak]."""
@@ -36,7 +36,7 @@ class Limits(Strict):
 
 
 class Capabilities(Strict):
-    """What a drive says of itself when connected; plans are checked against it."""
+    """Capabilities that a connected drive states; plans are checked against them."""
 
     name: str
     sampling_frequency_hz: Positive
@@ -50,26 +50,26 @@ class Capabilities(Strict):
     longest_capture_s: Positive | None = None
     """None: only the host's disk limits it."""
     longest_excitation_s: Positive | None = None
-    """Settling and capture together, where a table is played; None: the drive makes it up as it goes."""
+    """Longest settling plus capture of a drive that plays a table; None: it computes the excitation as it runs."""
     frequency_step_hz: Positive | None = None
     """Injections are at whole multiples of it; None: at any frequency that fits the rows."""
     injection_waveforms: frozenset[Waveform] = frozenset(("square", "sine"))
-    """Those that it can play."""
+    """Waveforms that it can inject."""
     injects_at_zero_only: bool = False
-    """Whether its injection goes together with no current but zero."""
+    """Whether it can inject at zero current only."""
     longest_injection_s: Positive | None = None
-    """From where an injection begins to the capture's end, what is discarded included; None: as other captures."""
+    """Longest injection from its start to the capture's end, discarded time included; None: as other captures."""
     rotation_step_hz: Positive | None = None
     """Their direction rotates at whole multiples of it; None: at any frequency."""
     heeds_bandwidth: bool = True
-    """Whether the drive tunes its current control to the excitation's `CurrentControl`; else it keeps its own."""
+    """Whether the drive tunes its current control to the excitation's `CurrentControl`; otherwise it uses its own."""
     excitations: frozenset[ExcitationKind]
     watchdog_s: Positive | None
     """The drive goes to its safe state when no heartbeat came for this long; None: it has no dead man."""
     watchdog_covers: frozenset[ExcitationKind] = frozenset()
-    """The excitations during which the watchdog is at work."""
+    """The excitations during which the watchdog is active."""
     clock_is_simulated: bool = False
-    """True where its time is its own, as a simulation's: then nobody holds it against the host's clock."""
+    """Whether its time is independent of the host's clock, as a simulation's."""
     has_brake: bool = False
     """Whether `Drive.set_brake` moves a real brake."""
     motor_name: str | None = None
@@ -79,7 +79,7 @@ class Capabilities(Strict):
     simulated: bool = False
     """Whether nothing real is energised: the motor is computed, or a recording is played back."""
     notes: tuple[str, ...] = ()
-    """What a user should know of it beforehand, a line each; `check` prints them."""
+    """Notes for the user, a line each; `check` prints them."""
 
 
 class DriveState(StrEnum):
@@ -101,7 +101,7 @@ class Telemetry(Strict):
     v_dc_v: float
     temperature_c: float | None = None
     pwm_frequency_hz: Positive | None = None
-    """The one at work, by the drive's own word; None: it does not tell."""
+    """PWM frequency in use as the drive states it; None: not stated."""
     faults: tuple[str, ...] = ()
     open_interlocks: tuple[str, ...] = ()
     """Those of `Capabilities.interlocks` that forbid power now."""
@@ -122,7 +122,7 @@ class DriveSetup(BaseModel):
     """An instance of the plugin's own `Options`."""
     seed: int
     private_directory: Path | None = None
-    """Where the drive may keep what analysis must not see (a simulated plant's truth and state)."""
+    """Directory for data hidden from analysis (a simulated plant's truth and state)."""
 
 
 @runtime_checkable

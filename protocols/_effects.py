@@ -36,7 +36,7 @@ class EffectLayer(IntEnum):
 
 
 class Contrast(StrEnum):
-    """What a recording may hold beside the usual, by which effects that look alike part."""
+    """Additional content of a recording that separates similar effects."""
 
     GATES_OFF = "gates_off"
     """A reading of the sensors with all gates off."""
@@ -57,11 +57,11 @@ class Contrast(StrEnum):
     ANCHOR = "anchor"
     """One point measured twice, when the machine was colder and when it was warmer."""
     LONG_HOLD = "long_hold"
-    """A direct current held for so long that the winding warms up under it."""
+    """A direct current held long enough to warm the winding."""
 
 
 class ParameterRole(StrEnum):
-    """What a parameter does in its effect; the diagnosis frees them in this order."""
+    """Role of a parameter in its effect; the diagnosis frees them in this order."""
 
     AMPLITUDE = "amplitude"
     """Alone decides whether the effect is there: nothing happens while all amplitudes are neutral."""
@@ -72,9 +72,9 @@ class ParameterRole(StrEnum):
 
 
 SCALED_UNITS = ("A", "V", "ohm", "Wb", "H", "W", "Nm")
-"""Units of what is larger in a larger machine: the diagnosis scales a parameter by the nameplate."""
+"""Units of quantities that grow with the machine: the diagnosis scales such a parameter by the nameplate."""
 PLAIN_UNITS = ("1", "s", "Hz", "rad", "K")
-"""Units of what is the same in every machine."""
+"""Units of quantities that do not scale with the machine."""
 
 
 def unit_powers(unit: str) -> dict[str, int]:
@@ -123,7 +123,7 @@ class EffectParameter:
     """Of a refinement: the search tries it after all others, because it can imitate them."""
 
     def problem(self) -> str | None:
-        """What would make no sense to a fit, in a few words; None where all is well."""
+        """Reason why a declaration cannot be fitted, in a few words; None where it can."""
         for name in ("low", "high", "neutral", "typical", "prior_width"):
             if not math.isfinite(getattr(self, name)):
                 return f"{name} is {getattr(self, name)}"
@@ -237,14 +237,14 @@ class Effect(Protocol):
 
     name: ClassVar[str]
     summary: ClassVar[str]
-    """One sentence: what it is."""
+    """One sentence that describes the effect."""
     signature: ClassVar[str]
-    """One sentence: what it does to the residual."""
+    """One sentence on its pattern in the residual."""
     layer: ClassVar[EffectLayer]
     needs: ClassVar[tuple[Contrast, ...]]
     """Contrasts that separate it from another effect which needs the same one; mostly none."""
     gauge: ClassVar[str]
-    """What no measurement of this kind can show; each report that names the effect prints it. Empty: nothing."""
+    """Ambiguity that no measurement of this kind resolves; reports that name the effect print it. Empty: none."""
 
     @property
     def Parameters(self) -> type[EffectParameters]:
@@ -252,7 +252,7 @@ class Effect(Protocol):
         ...
 
     def correct(self, signals: Signals, parameters: Any, /) -> Correction:
-        """What becomes of the signals when this effect is accounted for.
+        """Change of the signals when this effect is accounted for.
 
         Asked only where the effect is there: where an amplitude is not neutral and, beyond the current sensors, the
         bridge is on. The nearer to neutral, the less is changed. The signals are not to be written to.

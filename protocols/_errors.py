@@ -27,9 +27,9 @@ class InputError(FluxbenchError):
     field : str
         The field, column or key in it.
     problem : str
-        What was found and what was expected.
+        Actual and expected value.
     choices : sequence of str
-        What could be meant instead; a terminal lists them below the line.
+        Suggestions; a terminal lists them below the line.
     """
 
     def __init__(self, where: str, field: str, problem: str, choices: Sequence[str] = ()) -> None:
@@ -64,7 +64,7 @@ class DriveError(FluxbenchError):
 
 
 class FaultCause(StrEnum):
-    """Why a drive went to its safe state by itself."""
+    """Cause of a drive's transition to its safe state."""
 
     OVERCURRENT = "overcurrent"
     OVERTEMPERATURE = "overtemperature"
@@ -93,7 +93,7 @@ class DriveRefused(DriveError):
 
 
 class StorageError(FluxbenchError):
-    """What was measured can no longer be written (full disk, directory gone)."""
+    """Measurements cannot be written any more (full disk, directory gone)."""
 
     exit_code: ClassVar[int] = 3
 

@@ -1,4 +1,4 @@
-"""Estimators: what they declare, and the typed products that they hand back. Orders and judges nothing."""
+"""Estimators: what they declare, and their typed results."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ class ResistanceReading(Strict):
 
 
 class InverterLoss(Lenient):
-    """What an inverter keeps from each phase once its current is well away from zero: dead time and device drops."""
+    """Inverter voltage error per phase at currents well away from zero: dead time and device drops."""
 
     pwm_frequency_hz: float
-    """0 where nobody knows it."""
+    """0 where unknown."""
     phase_v: float
     std_v: float
 
@@ -51,23 +51,23 @@ class ResistanceEstimate(Lenient):
     first_ohm: float
     last_ohm: float
     readings: tuple[ResistanceReading, ...] = ()
-    """In order of time."""
+    """Readings in order of time."""
     temperature_rise_k: Interval | None = None
-    """Of a copper winding that started at 20 C, from the first reading to the last."""
+    """Rise of a copper winding that started at 20 C, from the first reading to the last."""
     inverter: tuple[InverterLoss, ...] = ()
-    """Taken out of the voltage, one for each PWM frequency; empty where nothing tells it."""
+    """Inverter errors removed from the voltage, one for each PWM frequency; empty where not determined."""
     remarks: Remarks = ()
 
 
 class Basis(StrEnum):
-    """What a flux map rests on."""
+    """Kind of data behind a flux map."""
 
     INTEGRATION = "integration"
     """The voltage of swept currents, integrated over time; R_s and the inverter enter."""
     INJECTION = "injection"
     """Inductances by demodulated ripple, integrated over currents; R_s does not enter."""
     ENERGY = "energy"
-    """One energy, fitted to either or both: parity and reciprocity hold by construction, and check nothing."""
+    """One energy, fitted to either or both: parity and reciprocity hold by construction, so they check nothing."""
 
 
 class FluxMap(ArrayModel):
@@ -78,7 +78,7 @@ class FluxMap(ArrayModel):
 
     method: str
     basis: Basis | None = None
-    """None: something else, or nobody knows."""
+    """None: other, or unknown."""
     i_d: AxisD
     """[A], increasing, shape (d,)."""
     i_q: AxisQ
@@ -106,7 +106,7 @@ class FluxPoints(ArrayModel):
 
 
 class IncrementalInductances(ArrayModel):
-    """What a small ripple of one frequency and size sees at the points where it was injected."""
+    """Inductances at a small ripple of one frequency and size, at the injected points."""
 
     frequency_hz: float
     amplitude_v: float
@@ -152,15 +152,15 @@ class ClosedForm(Strict):
 
 
 class FluxMapEstimate(ArrayModel):
-    """A flux map, where it comes from, and how far it agrees with itself."""
+    """A flux map with its origin and its consistency checks."""
 
     map: FluxMap
     points: FluxPoints
     checks: MapChecks
     form: ClosedForm | None = None
-    """Where the map is one of a few numbers' rather than a table."""
+    """Parametric form of the map, where it has one."""
     incremental: tuple[IncrementalInductances, ...] = ()
-    """Where it rests on injection: one entry for each frequency and size of the ripple, by frequency."""
+    """Of maps by injection: one entry for each frequency and size of the ripple, by frequency."""
     remarks: Remarks = ()
 
 
@@ -172,7 +172,7 @@ Product = TypeVar("Product", bound=ResistanceEstimate | FluxMapEstimate)
 
 @dataclass(frozen=True)
 class EstimationContext:
-    """What earlier estimators of the same pass found, in their order."""
+    """Results of earlier estimators of the same pass, in order."""
 
     estimates: tuple[Estimate, ...] = ()
 
@@ -208,7 +208,7 @@ class Estimator(Protocol):
     integration's 10; 0 claims nothing. Of resistances the one with the narrowest interval is taken."""
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
-        """Estimate from what the recording holds.
+        """Estimate from the recording.
 
         Raises `NotMeasuredError` where the recording lacks what this estimator needs.
         """

@@ -1,4 +1,4 @@
-"""What the engine says while it works: the validated messages that journal and streams receive."""
+"""Messages of the engine: validated, for journal and streams."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ class RunStarted(Strict):
     name: str
     motor: Motor
     about: About = About()
-    """What the run is of; older journals do not say."""
+    """Description of the run; missing in older journals."""
     limits: Limits
     drive: str
     stages: int
     points: int
     points_done: int
     seconds: float
-    """Planned time on the drive's clock of what is still to be done."""
+    """Planned remaining time on the drive's clock."""
 
 
 class StateChanged(Strict):
@@ -48,12 +48,12 @@ class StageStarted(Strict):
     """Place of the stage in the procedure."""
     stage: str
     title: str = ""
-    """What people call it; runs of old have none."""
+    """Title; missing in older runs."""
     points: int
 
 
 class StagesAppended(Strict):
-    """Stages more than the procedure has: from here on the run goes on with them after its last one.
+    """Stages appended after the procedure's last one.
 
     The journal alone holds them; the procedure in `run.json` stays what it was.
     """
@@ -65,7 +65,7 @@ class StagesAppended(Strict):
 
 
 class StageSufficed(Strict):
-    """What a stage has measured is enough: the rest of its plan is not measured, in a resumed run neither."""
+    """A stage ended early: the rest of its plan is not measured, nor in a resumed run."""
 
     kind: Literal["stage_sufficed"] = "stage_sufficed"
     index: int
@@ -120,7 +120,7 @@ class OperatorAnswered(Strict):
     through: str = ""
     """What the operator sat at, where that was no terminal: "page"."""
     words: str = ""
-    """By which the procedure's answer was let count on a real drive, spelled out by whoever started the run."""
+    """Statement by which the procedure's answer counts on a real drive, given at the start of the run."""
 
 
 class LockChecked(Strict):
@@ -128,7 +128,7 @@ class LockChecked(Strict):
 
     kind: Literal["lock_checked"] = "lock_checked"
     locked: bool | None
-    """None: not known; the rotation cannot be seen well enough to tell."""
+    """None: unknown; the rotation is too uncertain."""
     confidence: float
     """Probability that the lasting rotation is within the tolerance."""
     moved_rad: float
@@ -156,12 +156,12 @@ class Note(Strict):
 
 
 class UnderWay(Strict):
-    """What the computer is at work on, for whoever waits; the journal does not keep it."""
+    """Progress of a computation; not stored in the journal."""
 
     kind: Literal["under_way"] = "under_way"
     text: str
     is_result: bool = False
-    """Whether it says what was found so far, and not what is being done."""
+    """Whether it states an interim result rather than the present activity."""
 
 
 class RunEnded(Strict):
@@ -171,7 +171,7 @@ class RunEnded(Strict):
     run: str
     """Name of the run directory, which may have been moved since."""
     estimates: Annotated[EstimationReport | None, BeforeValidator(lambda report: report or None)] = None
-    """None where nothing was estimated; older journals have an empty object there."""
+    """None without estimates; an empty object in older journals."""
 
 
 _Journalled = (
@@ -194,6 +194,6 @@ _Journalled = (
 )
 
 JournalledMessage = Annotated[_Journalled, Field(discriminator="kind")]
-"""The messages without arrays, as the journal keeps them."""
+"""The messages without arrays, as stored in the journal."""
 
 Message = _Journalled | SamplesCaptured | MapEstimated | DiagnosisStep | UnderWay

@@ -26,7 +26,7 @@ class CurrentControl(Strict):
 
 
 class _Excitation(Strict):
-    """What all excitations share."""
+    """Base of all excitations."""
 
     rotor_angle_rad: float = 0.0
     """Electrical angle of the believed d axis in the stator frame."""
@@ -37,16 +37,16 @@ class _Excitation(Strict):
     @property
     @abstractmethod
     def captured_s(self) -> float:
-        """How much of it is captured [s]."""
+        """Captured duration [s]."""
 
     @property
     def settling_s(self) -> float:
-        """What passes before anything is captured [s]."""
+        """Duration before the capture begins [s]."""
         return 0.0
 
     @property
     def start_dq_a(self) -> tuple[float, float]:
-        """Where the current control goes first (i_d, i_q) [A]; a trapezoid ends there as well."""
+        """First set-point of the current control (i_d, i_q) [A]; a trapezoid ends there as well."""
         return (0.0, 0.0)
 
     @property

@@ -1,6 +1,6 @@
 """`model.json`: a motor's model, whole, so that it can be evaluated, refitted, exported or simulated from the file.
 
-SI units, peak-valued vectors; docs/model.md says how the spline is evaluated. Nothing is computed here.
+SI units, peak-valued vectors; docs/model.md says how the spline is evaluated.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from protocols._remarks import Number
 from protocols._reports import Rung
 
 SPLINE_DEGREE = 5
-"""Of the co-energy's B-splines: inductances are then three times differentiable."""
+"""Degree of the co-energy's B-splines: inductances are then three times differentiable."""
 
 MapStep = Literal["saturation", "cross_saturation"]
 
@@ -42,11 +42,11 @@ class Saturated(Strict):
 
 
 class GivenMap(Strict):
-    """Somebody's own map, kept as it is: only R_s and effects are fitted."""
+    """A given map, kept unchanged: only R_s and effects are fitted."""
 
     kind: Literal["map"] = "map"
     method: str
-    """What the map calls itself."""
+    """Name of the map."""
 
     @property
     def title(self) -> str:
@@ -108,12 +108,12 @@ class ModelEffect(Strict):
 
 
 class ModelNoise(Strict):
-    """What is noise to a model beside the readings' own."""
+    """Noise beyond that of the readings."""
 
     offset_scatter_a: Annotated[float, Field(ge=0)] = 0.0
-    """By how much the current readings' zero differs from segment to segment (rms)."""
+    """Variation of the current readings' zero between segments (rms)."""
     voltage_scatter_v: Annotated[float, Field(ge=0)] = 0.0
-    """By how much held voltages are off, each its own way, on either axis (rms), at the drive's own PWM frequency."""
+    """Independent error of each held voltage per axis (rms), at the drive's own PWM frequency."""
     dithered: bool = False
     """Whether what trembles in a held voltage takes of that, as it does of the steps of a modulator's timer."""
 
@@ -130,7 +130,7 @@ class ModelNoise(Strict):
 
 
 class TimerPhases(Strict):
-    """Where the steps of a modulator's timer lie at one PWM frequency."""
+    """Phases of a modulator's timer steps at one PWM frequency."""
 
     pwm_frequency_hz: Positive
     rise: Annotated[float, Field(ge=0, lt=1)]
@@ -139,7 +139,7 @@ class TimerPhases(Strict):
 
 
 class ModulatorTimer(Strict):
-    """What rounds a modulator's edges, as a recording shows it."""
+    """Timer that rounds a modulator's edges, estimated from a recording."""
 
     step_s: Positive
     """The timer's; it moves a leg's mean voltage by 2 step_s f_pwm V_dc where both edges of a pulse move."""
@@ -165,7 +165,7 @@ class MotorModel(Strict):
     timer: ModulatorTimer | None = None
     magnetics: CoEnergySpline
     effects: tuple[ModelEffect, ...]
-    """In the order in which they were added."""
+    """Effects in the order in which they were added."""
     ladder: Annotated[tuple[Rung, ...], Field(min_length=1)]
     """The last rung is this model's."""
 

@@ -1,4 +1,4 @@
-"""The motor as its nameplate and data sheet describe it: what is believed before measuring."""
+"""The motor as its nameplate and data sheet describe it: the prior of a measurement."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Motor(Lenient):
     """Of a phase of the equivalent star, along the magnet [H, not mH]: half of what a bridge reads between two
     terminals with the rotor there. With buried magnets the smaller of the two."""
     q_inductance_h: Positive | None = None
-    """The same across the magnet (electrical quadrature) [H, not mH]; with magnets on the surface as on the d axis."""
+    """Inductance across the magnet (electrical quadrature) [H, not mH]; equal to d with surface magnets."""
     pm_flux_wb: Annotated[float, Field(ge=0)] | None = None
     """Flux linkage of the magnet with a phase, peak, of electrical angle [Wb = V s]: peak phase voltage / (2 pi f).
     From line to line volts rms per 1000 rpm, K: sqrt(2/3) x K x 60 / (2 pi x 1000 x pole pairs)."""
@@ -57,7 +57,7 @@ class Motor(Lenient):
 
 
 class ProcedureMotor(Motor, Strict):
-    """The same nameplate where a person writes it: an unknown key is an error."""
+    """The nameplate in a hand-written file: an unknown key is an error."""
 
     model_config = Strict.model_config
 

@@ -26,7 +26,7 @@ NoWatchdogSentence = Literal["I stand beside the drive and can cut its power"]
 
 
 class StageEntry(Strict):
-    """Which stage plugin, and the settings that it defines itself."""
+    """Name of a stage plugin, and its settings."""
 
     model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
 
@@ -34,26 +34,26 @@ class StageEntry(Strict):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What was written beside the kind, for the stage itself to validate."""
+        """Settings beside the kind, validated by the stage."""
         return dict(self.model_extra or {})
 
 
 class DriveChoice(Strict):
-    """Which drive plugin, and the options that it defines itself."""
+    """Name of a drive plugin, and its options."""
 
     model_config = ConfigDict(extra="allow", frozen=True, use_attribute_docstrings=True)
 
     name: str
-    """Of an installed drive plugin, as `fluxbench plugins` lists them."""
+    """Name of an installed drive plugin, as `fluxbench plugins` lists them."""
 
     @property
     def options(self) -> dict[str, Any]:
-        """What was written beside the name, for the plugin's own `Options` to validate."""
+        """Options beside the name, validated by the plugin's `Options`."""
         return dict(self.model_extra or {})
 
 
 class About(Strict):
-    """What a run is of, for whoever looks for it later; nothing is computed from it."""
+    """Description of a run, to find it later; not used in computations."""
 
     serial: str = ""
     """Of the motor."""
@@ -61,7 +61,7 @@ class About(Strict):
     ambient_c: Annotated[float, Field(ge=-80.0, le=200.0)] | None = None
     """Of the room, as it was read when the run began."""
     instruments: tuple[str, ...] = ()
-    """What measured beside the drive, with serial number and calibration."""
+    """Instruments beside the drive, with serial number and calibration."""
     tags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

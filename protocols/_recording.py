@@ -20,7 +20,7 @@ SegmentId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_le
 
 
 class SegmentStage(StrEnum):
-    """What a segment was recorded for."""
+    """Purpose of a segment."""
 
     GATES_OFF = "gates_off"
     ALIGNMENT = "alignment"
@@ -58,7 +58,7 @@ class Capture(ArrayModel):
     theta_rad: Samples | None = None
     """Electrical angle of the believed d axis at each row, where the rotor turns and its angle is logged."""
     clipped_rows: int = 0
-    """Rows in which a reading or a voltage stood at the end of its scale, as far as the drive can tell."""
+    """Rows with a reading or voltage at the end of its scale, as far as the drive detects it."""
 
     def __len__(self) -> int:
         return int(self.i_ab.shape[0])
@@ -72,7 +72,7 @@ class DriveRecord(Lenient):
     pwm_frequency_hz: Positive | None = None
     dc_bus_voltage_v: Positive
     voltage_delay_samples: Annotated[float, Field(ge=0, le=1000)] | None = None
-    """n says that v[k] acts from t_k + n Ts."""
+    """n, where v[k] acts from t_k + n Ts."""
 
 
 class Segment(Lenient):
@@ -88,7 +88,7 @@ class Segment(Lenient):
     """The set-points, never the values that were reached."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
     clipped_rows: Annotated[int, Field(ge=0)] = 0
-    """Rows in which a reading or a voltage stood at the end of its scale: there was more than it says."""
+    """Rows with a reading or voltage at the end of its scale (clipped)."""
 
     @property
     def is_anchor(self) -> bool:
@@ -118,7 +118,7 @@ class Manifest(Lenient):
 
 
 class RecordingReader(Protocol):
-    """What estimators and effects see of a recording: the manifest, and waveforms on demand."""
+    """A recording for estimators and effects: the manifest, and waveforms on demand."""
 
     @property
     def manifest(self) -> Manifest:

@@ -1,4 +1,4 @@
-"""What a result says beside its numbers: a code for programs, the values behind it, a sentence for people."""
+"""Remarks on a result: a code for programs, the values, and a sentence."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Remark(Lenient):
         return cls(code=code, values=values, text=text.format_map(values))
 
     def by(self, source: str) -> Remark:
-        """The same, with who says it before code and text."""
+        """The remark with its source before code and text."""
         return Remark(code=f"{source}.{self.code}", values=self.values, text=f"{source}: {self.text}")
 
 

@@ -52,7 +52,7 @@ class Remarked(Lenient):
 
 
 class NoiseFloor(Lenient):
-    """What the residual would be if only the sensors' noise were left."""
+    """Expected residual of sensor noise alone."""
 
     rms_v: Number
     heldout_rms_v: Number = None
@@ -83,7 +83,7 @@ class FoundEffect(Lenient):
     """|first parameter| over its typical value (inverted where small is strong)."""
     log_evidence: Number
     probability: Number = None
-    """That it is there, beside all others that were found."""
+    """Probability that it is present, given all others in the model."""
     share: Number = None
     """Of the first model's error, rms; the largest over holds, sweeps, the means under injection and the ripple."""
     material: bool | None = None
@@ -136,7 +136,7 @@ class Unexplained(Lenient):
 
 
 class NextExperiment(Lenient):
-    """What to measure to tell two effects apart, as a procedure's stage."""
+    """The stage of a procedure that separates two effects."""
 
     stage: dict[str, Any]
     separates: tuple[str, str]
@@ -144,7 +144,7 @@ class NextExperiment(Lenient):
 
 
 class ManifestCorrection(Lenient):
-    """What to change in manifest or mapping; a program can apply it where `field` is given."""
+    """Correction of manifest or mapping; a program can apply it where `field` is given."""
 
     text: str
     field: (
@@ -153,18 +153,18 @@ class ManifestCorrection(Lenient):
     ) = None
     """What is to be corrected; ``axes``: the rotor's angle, with set-points and nameplate that are in its frame."""
     factor: float | None = None
-    """By which its values are to be multiplied."""
+    """Factor on its values."""
     matrix: tuple[tuple[float, float], tuple[float, float]] | None = None
-    """By which (alpha, beta) are to be multiplied, rows first."""
+    """Matrix on (alpha, beta), row by row."""
     add: float | None = None
-    """What is to be added to its value."""
+    """Term to add to its value."""
 
 
 class Convention(Lenient):
     """Something that manifest or logger have another way than it is: named before any physics is."""
 
     kind: str
-    """What it is about, in snake_case: ``scaled_currents``."""
+    """Kind in snake_case: ``scaled_currents``."""
     what: str
     evidence: str
     correction: ManifestCorrection
@@ -181,17 +181,17 @@ class DiagnosisReport(Remarked):
     verdict_record: VerdictRecord | None = None
     """What the verdict follows from; null with a convention, which ends a diagnosis before any fit."""
     effects: tuple[FoundEffect, ...]
-    """By share, largest first."""
+    """Sorted by share, largest first."""
     minor: tuple[FoundEffect, ...] = ()
-    """In the model and measured, but too small a part of the error to be named as causes."""
+    """Effects in the model whose share of the error is too small to name them as causes."""
     traces: tuple[str, ...]
-    """Names of the minor ones, then of what was seen but is not in the model."""
+    """Names of the minor effects, then of detected ones that are not in the model."""
     joint: tuple[JointEntry, ...]
     ladder: tuple[Rung, ...]
     unexplained: Unexplained
     next_experiment: NextExperiment | None
     convention: Convention | None = None
-    """With the verdict ``convention``: nothing was looked for beside it."""
+    """With the verdict ``convention``: no effects were searched for."""
     reproduces_current_percent: Number = None
     """rms error of the simulated current over the current's range, in percent."""
     map_error_percent: Number = None
@@ -205,7 +205,7 @@ class DiagnosisReport(Remarked):
 
 
 class EffectBasis(Lenient):
-    """What a named effect rests on."""
+    """Evidence for a named effect."""
 
     name: str
     relative_size: Number
@@ -213,7 +213,7 @@ class EffectBasis(Lenient):
     """Gain of the move that added it [nat]."""
     probability: Number
     share: Number
-    """Of the first model's error."""
+    """Share of the first model's error."""
     material: bool | None
     twins: tuple[str, ...]
     steps: tuple[int, ...]
@@ -221,7 +221,7 @@ class EffectBasis(Lenient):
 
 
 class Explanation(Lenient):
-    """`fluxbench explain --json`: why a diagnosis says what it says."""
+    """`fluxbench explain --json`: the evidence behind a diagnosis."""
 
     recording: str
     verdict: Verdict
@@ -295,7 +295,7 @@ class InductanceRange(Lenient):
 
 
 class MapReport(Lenient):
-    """Facts of one flux map beside its file."""
+    """Summary of one flux map's file."""
 
     basis: Basis | None = None
     checks: MapChecks
@@ -333,7 +333,7 @@ class SeenByInjection(Lenient):
 
 
 class CheckOutcome(StrEnum):
-    """How a check of a map ended."""
+    """Outcome of a map's check."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -345,7 +345,7 @@ class UsabilityCheck(Lenient):
     """One of the checks that decide whether a map can be relied on."""
 
     name: str
-    """In snake_case: ``parity``."""
+    """Name in snake_case: ``parity``."""
     outcome: CheckOutcome
     required: bool
     """Whether the map is not usable without it; one that is not required may be missing, but must not fail."""
@@ -355,7 +355,7 @@ class UsabilityCheck(Lenient):
     """Largest `value` that passes."""
     unit: str = ""
     remark: Remark
-    """What was found, or what is missing."""
+    """Finding, or missing data."""
 
     @property
     def is_met(self) -> bool:
@@ -365,7 +365,7 @@ class UsabilityCheck(Lenient):
 
 
 class MapCriteria(Lenient):
-    """What a flux map has to keep to be relied on; per cent of the rated flux unless a line says otherwise."""
+    """Requirements on a usable flux map; per cent of the rated flux unless stated otherwise."""
 
     accuracy_percent: float = 1.0
     """What a usable map promises of its flux, rms; independent maps that differ by more cannot show it."""
@@ -382,7 +382,7 @@ class MapCriteria(Lenient):
     least_flux_ratio: float = 0.01
     """Injection's flux is so much larger or smaller than integration's, as a ratio less 1, where that is worth one."""
     flux_ratio_stds: float = 2.0
-    """And by so many standard deviations of the ratio."""
+    """Minimum deviation in standard deviations of the ratio."""
     frequency_ratio: float = 1.5
     """Two injections are independent where their frequencies are so many times apart: delay, filter and eddy currents
     act with the frequency."""
@@ -391,11 +391,11 @@ class MapCriteria(Lenient):
     scatter_ratio: float = 2.0
     """Scatter of successive readings of R_s, in their own errors, beyond which it is no chance."""
     nameplate_apart: float = 0.2
-    """Of R_s and the inductances at the least current, relative to the nameplate: more is worth a remark."""
+    """Relative deviation of R_s and the unsaturated inductances from the nameplate that gives a remark."""
     nameplate_factor: float = 1.35
     """Ratio of theirs that no tolerance makes; all of them off the same way are a scale of the readings."""
     resistance_factor: float = 4.0
-    """Ratio of R_s alone that nothing makes: a delta's phase has 3 times its star's, and a tolerance 1.35 beside it."""
+    """Ratio of R_s that nothing explains: a delta's phase has 3 times its star's R, times a tolerance of 1.35."""
 
 
 class EstimatorsReport(Lenient):
@@ -417,13 +417,13 @@ class EstimatorsReport(Lenient):
     checks: tuple[UsabilityCheck, ...] = ()
     """All checks of the recommended map and of R_s, with what each found; files of older versions have none."""
     remarks: Remarks = ()
-    """What speaks against it, and what could not be estimated and why."""
+    """Objections to the map, and reasons for missing estimates."""
     maps: dict[str, MapReport] = Field(default_factory=dict)
     """Every map that was made, by method, the best first."""
     seen_by_injection: tuple[SeenByInjection, ...] = ()
     """By frequency; empty where nothing was injected, or no map rests on sweeps."""
     criteria: MapCriteria = MapCriteria()
-    """By which the maps were judged."""
+    """Thresholds of the maps' checks."""
     files: dict[str, str] = Field(default_factory=dict)
     """The file of each result, by its name, in the folder where this report is."""
 
@@ -434,7 +434,7 @@ class EstimatorsReport(Lenient):
         return tuple(remark.text for remark in self.remarks)
 
     def with_resistance(self, resistance: ResistanceEstimate | None) -> Self:
-        """The same with another R_s."""
+        """The report with another R_s."""
         return self.model_copy(update={"resistance": resistance})
 
     def checked(self, checks: Sequence[UsabilityCheck]) -> Self:
@@ -473,16 +473,16 @@ class DeliveredModel(Lenient):
     """Digest of the recording's segments: a model of other segments is an old one."""
     resistance: ResistanceEstimate
     objections: tuple[Remark, ...] = ()
-    """What makes its map no better than those of the estimators."""
+    """Objections to its map."""
 
 
 class EstimationReport(EstimatorsReport):
-    """`estimates.json`: what the estimators found, and the model of a diagnosis."""
+    """`estimates.json`: results of the estimators, and the model of a diagnosis."""
 
     model: DeliveredModel | None = None
     """The diagnosed model that has joined the estimators' maps; None before a diagnosis."""
     estimators: EstimatorsReport | None = None
-    """What the estimators alone say, where a diagnosed model's map and R_s have joined them."""
+    """The estimators' own report, where a diagnosed model was added."""
 
     @property
     def model_method(self) -> str | None:

@@ -1,4 +1,4 @@
-"""What the search of a diagnosis tried, in order."""
+"""Moves that the search of a diagnosis tried, in order."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class SearchEvent(Lenient):
     measure: SearchMeasure | None = None
     score: Number = None
     threshold: Number = None
-    """What the score was compared with, in the same measure."""
+    """Threshold of the score, in the same measure."""
     chi2_before: Number = None
     """Per degree of freedom."""
     chi2_after: Number = None

@@ -1,4 +1,4 @@
-"""Signals: what an effect sees of one segment, and what it returns of them. No effect, and no check of a motor."""
+"""Signals: input and output of an effect for one segment."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class LossHistory:
 
 @dataclass(frozen=True)
 class Correction:
-    """What an effect changes of the signals, as new arrays of the same shape; None: unchanged."""
+    """Signals changed by an effect, as new arrays of the same shape; None: unchanged."""
 
     i_ab: RealArray | None = None
     v_ab: RealArray | None = None
@@ -55,7 +55,7 @@ class Correction:
 
     @property
     def arrays(self) -> dict[str, RealArray]:
-        """What is changed, by its name."""
+        """The changed signals, by name."""
         return {name: array for name, array in vars(self).items() if array is not None}
 
 
@@ -106,7 +106,7 @@ class Signals:
     clarke_of_three: bool | None = None
     """Whether the vector was made of three readings (else of a and b); None where the recording does not tell."""
     temperature_c: Samples | None = None
-    """As logged, where the drive has a thermometer."""
+    """Logged temperature, where the drive has a thermometer."""
     start_temperature_c: float | None = None
     """The first one that was logged in the experiment."""
     came_from_ab: Points | None = None

@@ -1,4 +1,4 @@
-"""The stage: what a procedure's entry measures, how the nameplate fills it in, and what it judges when that is done.
+"""The stage: the points of a procedure's entry, its defaults from the nameplate, and its evaluation.
 
 A stage plugin is a frozen model of its settings, a subclass of `Stage`; its entry point in the group
 ``fluxbench.stages`` is the word that a procedure writes as the entry's `kind`. The engine, the state machine and
@@ -25,9 +25,9 @@ class StageState(NamedTuple):
     """A state of the run that belongs to a stage; two stages may share one that they declare alike."""
 
     name: str
-    """What the run is doing: ``sweeping_injection``."""
+    """Name of the state: ``sweeping_injection``."""
     trigger: str
-    """What leads there: ``sweep_injection``."""
+    """Trigger of the transition to it: ``sweep_injection``."""
     after: str | None = None
     """The one state that it may follow. None: whatever is at rest."""
 
@@ -44,7 +44,7 @@ class PluginUse(NamedTuple):
 
 @dataclass(frozen=True)
 class StagePoint:
-    """One excitation, and what the recording should say of it beside the excitation's own numbers."""
+    """One excitation, and settings for the recording beside the excitation's own."""
 
     excitation: Excitation
     """Its `rotor_angle_rad` is put in by whoever plans: the run's believed angle."""
@@ -82,11 +82,11 @@ class Stage(Strict):
     name: ClassVar[str]
     """The `kind` of its entries, and the beginning of its points' ids."""
     title: ClassVar[str]
-    """What people call it: ``signal injection``."""
+    """Title: ``signal injection``."""
     measuring: ClassVar[StageState | None] = None
     """The state in which its points are measured, the drive armed. None: it has no points."""
     records_as: ClassVar[SegmentStage | None] = None
-    """What kind of measurement its segments are, for whoever reads the recording."""
+    """Kind of measurement of its segments in the recording."""
     working: ClassVar[tuple[StageState, ...]] = ()
     """The states that `work` and `as_run` enter, the drive disarmed."""
     looks_ahead: ClassVar[bool] = False
@@ -99,7 +99,7 @@ class Stage(Strict):
         return self
 
     def points(self) -> Iterable[StagePoint]:
-        """What a filled stage measures, in order."""
+        """The points of a filled stage, in order."""
         return ()
 
     def as_run(self, run: StageRun, planned: Sequence[Excitation]) -> Iterator[Excitation]:
@@ -123,12 +123,12 @@ class Stage(Strict):
 
     @property
     def believed_angle_rad(self) -> float | None:
-        """The rotor's angle from this stage on. None: it stays what it was."""
+        """The rotor's angle from this stage on. None: unchanged."""
         return None
 
     @property
     def leaves_brake(self) -> Literal["engage", "release"] | None:
-        """What becomes of the brake. None: it stays what it was."""
+        """State of the brake after it. None: unchanged."""
         return None
 
     @property
@@ -173,12 +173,12 @@ class StageRun(Protocol):
 
     @property
     def segments(self) -> Sequence[Segment]:
-        """What this stage has measured so far, in order."""
+        """Segments of this stage so far, in order."""
         ...
 
     @property
     def appended(self) -> int:
-        """How many times stages were appended to the run."""
+        """Number of times that stages were appended to the run."""
         ...
 
     def recording(self) -> RecordingReader:
@@ -186,7 +186,7 @@ class StageRun(Protocol):
         ...
 
     def plugins(self, kind: Literal["estimators", "effects"]) -> Sequence[Any]:
-        """Instances of what the run's stages use of a kind, by name."""
+        """Plugins of a kind that the run's stages use, by name."""
         ...
 
     def telemetry(self) -> Telemetry:
@@ -198,7 +198,7 @@ class StageRun(Protocol):
         ...
 
     def publish(self, message: Message, *, durable: bool = False) -> None:
-        """Tell journal and streams; `durable` returns when it is on the disk."""
+        """Publish to journal and streams; `durable` returns when it is on the disk."""
         ...
 
     def ask(self, prompt: str, *, answered: bool) -> None:

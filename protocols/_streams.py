@@ -1,4 +1,4 @@
-"""Streams: whoever listens to a run. They get validated messages and know nothing else.
+"""Streams: consumers of a run's validated messages.
 
 Each stream has its own thread and a bounded queue that drops the oldest, so that a slow or
 broken one costs the run nothing; what was dropped is counted. Entry point group

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FleetStep = Literal["import", "estimate", "compare", "diagnose", "export"]
-"""What can be done with each recording, in this order."""
+"""Steps for each recording, in this order."""
 
 
 class FleetSetPoint(Lenient):
@@ -42,7 +42,7 @@ class FleetEffect(Lenient):
     high: Number
     """95 % interval."""
     probability: Number = None
-    """That it is there, beside all others that were found."""
+    """Probability that it is present, given all others in the model."""
     relative_size: Number = None
     """|first parameter| over its typical value."""
     material: bool | None = None
@@ -60,7 +60,7 @@ class HiddenEffect(Lenient):
 
 
 class FleetVersions(Lenient):
-    """What computed the row."""
+    """Software that computed the row."""
 
     fluxbench: str
     python: str
@@ -73,10 +73,10 @@ class FleetRow(Lenient):
     key: str
     """Hash of the recording's content, the requested steps and fluxbench's version; unique in a table."""
     source: str
-    """Where it is: a path or URL."""
+    """Location: a path or URL."""
     name: str | None = None
     serial: str | None = None
-    """Of the motor, as its run says it."""
+    """Serial number of the motor, from its run."""
     motor: str | None = None
     """The nameplate's name."""
     batch: str | None = None
@@ -119,7 +119,7 @@ class FleetRow(Lenient):
     """Why there is no result, in one line."""
     attempts: Annotated[int, Field(ge=1)] = 1
     seconds: float = 0.0
-    """Of the last attempt, on its worker."""
+    """Duration of the last attempt on its worker."""
     peak_mb: float = 0.0
     """Largest memory of the worker's process so far."""
     versions: FleetVersions | None = None

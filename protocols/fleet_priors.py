@@ -1,4 +1,4 @@
-"""What a fleet's motors have in common, as a file for the next one's diagnosis. Nothing is computed here."""
+"""Population priors of a fleet, as a file for the next motor's diagnosis."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from protocols._base import Strict
 
 
 class NormalPrior(Strict):
-    """Where the next motor's value is to be expected."""
+    """Expected distribution of the next motor's value."""
 
     mean: float
     std: Annotated[float, Field(gt=0)]
@@ -21,7 +21,7 @@ class NormalPrior(Strict):
 
 
 class EffectPrior(Strict):
-    """How often an effect is there, and how large."""
+    """Frequency of an effect, and its size."""
 
     probability: Annotated[float, Field(gt=0, lt=1)]
     found: Annotated[int, Field(ge=0)]

@@ -32,7 +32,7 @@ class FleetLimit(Strict):
 
 
 class FleetLimits(Strict):
-    """A file of limits: what a motor has to keep."""
+    """A file of limits for a motor's quantities."""
 
     quantities: dict[str, FleetLimit] = Field(default_factory=dict)
     """By the table's names (``R_s_ohm``), and EFFECT.PARAMETER (``dead_time.voltage_v``)."""
@@ -62,7 +62,7 @@ class Quantile(Lenient):
 
 
 class Histogram(Lenient):
-    """How often values lie where; what is further out is counted at the ends."""
+    """Histogram of the values; outliers are counted in the end bins."""
 
     edges: tuple[float, ...]
     counts: tuple[int, ...]
@@ -81,7 +81,7 @@ class Drift(Lenient):
 
 
 class BatchShift(Lenient):
-    """By how much a batch lies above all others, with its 95 % interval."""
+    """Difference of a batch from all others, with its 95 % interval."""
 
     batch: str
     count: int
@@ -220,7 +220,7 @@ class FleetJudgement(Lenient):
     unsure: int
     not_measured: int
     others: tuple[NotPassed, ...]
-    """What did not pass."""
+    """Failed limits."""
 
 
 class PairChange(Lenient):
@@ -267,14 +267,14 @@ class FleetPairs(Lenient):
 
 
 class CountOf(Lenient):
-    """How often."""
+    """Count."""
 
     what: str
     count: int
 
 
 class FleetReport(Lenient):
-    """What a fleet's table tells; the page shows what is here, and no more."""
+    """Statistics of a fleet's table; the page shows exactly these."""
 
     table: str
     recordings: int

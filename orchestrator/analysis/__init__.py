@@ -11,18 +11,18 @@ from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
 from orchestrator.analysis._energy_search import fit_energy
-from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
+from orchestrator.analysis._integration import Inductances, IntegratedFlux, flux_steps, integrate, invert
 from orchestrator.analysis._next_point import Candidate, KnownMap, injected_points, known_map
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._resistance import (
     COPPER_PER_K,
-    UNSTATED,
+    DEFAULT_RESISTANCE_STD_RATIO,
     KnownResistance,
     known_resistance,
     temperature_rise,
 )
-from orchestrator.analysis._ripple import Ripple, axes_apart_rad, demodulate, injection_frequency, one_way_rad
-from orchestrator.analysis._ripple_regression import ONE_AXIS
+from orchestrator.analysis._ripple import Ripple, axis_difference_rad, demodulate, fixed_axis_rad, injection_frequency
+from orchestrator.analysis._ripple_regression import ONE_AXIS_ERROR
 from orchestrator.analysis._rotor_lock import judge_lock, lock_duration_ratio
 from orchestrator.analysis._row_decay import decay_weight, exact_inductance
 from orchestrator.analysis._spin import (
@@ -31,20 +31,20 @@ from orchestrator.analysis._spin import (
     fit_spin,
     flux_by_emf,
     magnet_axis,
-    require_emf_turns_with,
+    require_emf_follows_angle,
+    rotor_angles_rad,
     spun_points,
-    theta_of,
 )
-from orchestrator.analysis._steady_currents import Dwell, dwell
-from orchestrator.analysis._step_trace import STEP_KNOTS, StepTrace, trace_steps, turns_of
-from orchestrator.analysis._steps import Beliefs, StepsFit, fit_steps
+from orchestrator.analysis._steady_currents import Dwell, mean_over_dwell
+from orchestrator.analysis._step_trace import STEP_KNOTS, StepTrace, count_reversals, trace_steps
+from orchestrator.analysis._steps import Priors, StepsFit, fit_steps
 from orchestrator.analysis._sweep import (
     FluxPath,
     Sweep,
     SweepTrace,
     evaluate_sweep,
     find_dwells,
-    flux_by_rests,
+    flux_from_dwells,
     sweep_of,
     trace_sweep,
 )
@@ -52,12 +52,11 @@ from orchestrator.analysis._voltage_losses import KNOTS, VoltageLosses, close_lo
 
 __all__ = [
     "COPPER_PER_K",
+    "DEFAULT_RESISTANCE_STD_RATIO",
     "KNOTS",
     "NO_LOSS",
-    "ONE_AXIS",
+    "ONE_AXIS_ERROR",
     "STEP_KNOTS",
-    "UNSTATED",
-    "Beliefs",
     "Candidate",
     "Dwell",
     "EnergyFit",
@@ -69,6 +68,7 @@ __all__ = [
     "Network",
     "PhaseLoss",
     "PolynomialFit",
+    "Priors",
     "Ripple",
     "SpinFit",
     "SpunPoints",
@@ -77,15 +77,14 @@ __all__ = [
     "Sweep",
     "SweepTrace",
     "VoltageLosses",
-    "along",
-    "axes_apart_rad",
+    "axis_difference_rad",
     "check_map",
     "close_loops",
+    "count_reversals",
     "crossings_of",
     "decay_weight",
     "demodulate",
     "difference_percent",
-    "dwell",
     "each_capture",
     "evaluate_sweep",
     "exact_inductance",
@@ -94,9 +93,11 @@ __all__ = [
     "fit_polynomial",
     "fit_spin",
     "fit_steps",
+    "fixed_axis_rad",
     "flux_at",
     "flux_by_emf",
-    "flux_by_rests",
+    "flux_from_dwells",
+    "flux_steps",
     "injected_points",
     "injection_frequency",
     "integrate",
@@ -107,16 +108,15 @@ __all__ = [
     "known_resistance",
     "lock_duration_ratio",
     "magnet_axis",
-    "one_way_rad",
+    "mean_over_dwell",
     "rated_flux_wb",
     "reference_flux_wb",
-    "require_emf_turns_with",
+    "require_emf_follows_angle",
+    "rotor_angles_rad",
     "spun_points",
     "steep_steps",
     "sweep_of",
     "temperature_rise",
-    "theta_of",
     "trace_steps",
     "trace_sweep",
-    "turns_of",
 ]

@@ -1,4 +1,4 @@
-"""Find steps between neighbouring injection points over which an inductance changes too much."""
+"""Steps between neighbouring injection points over which an inductance changes too much."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def steep_steps(
     diagonal = np.abs(np.einsum("nii->ni", inductance))  # a faulty point may have any sign
     ratio = np.exp(np.abs(np.log(diagonal[end] / diagonal[start])).max(axis=1))
     step = current[end] - current[start]
-    taken_wb = np.linalg.norm(0.5 * (diagonal[start] + diagonal[end]) * step, axis=1)
-    steep = np.flatnonzero((ratio > steepest) & (taken_wb > narrowest_wb))
+    flux_step_wb = np.linalg.norm(0.5 * (diagonal[start] + diagonal[end]) * step, axis=1)
+    steep = np.flatnonzero((ratio > steepest) & (flux_step_wb > narrowest_wb))
     middle = 0.5 * (current[start] + current[end])
     return [(float(ratio[n]), (float(middle[n, 0]), float(middle[n, 1]))) for n in steep[np.argsort(-ratio[steep])]]
 

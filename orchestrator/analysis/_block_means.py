@@ -25,7 +25,7 @@ def block_means(
     delay : float
         v[k] acts from t_k + `delay` Ts on; before anything has acted, the first command stands for it.
     block : int
-        Samples; what does not fill a last block is left out.
+        Samples per block; an incomplete last block is dropped.
     """
     i, v = for_kernels(i_ab, v_ab)
     whole = math.floor(delay)

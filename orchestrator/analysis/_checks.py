@@ -26,7 +26,7 @@ def rated_flux_wb(flux_map: FluxMap, rated_current_a: float | None) -> float | N
 def edge_flux_wb(flux_map: FluxMap) -> float | None:
     """Largest |psi(i) - psi(0, 0)| at i_d = 0, or in the whole map where that has no such line [Wb].
 
-    None where a map does not know zero current, or has no other.
+    None where a map lacks zero current, or has only that.
     """
     zero = flux_at(flux_map)(np.zeros((1, 2)))[0]
     away = np.hypot(flux_map.psi_d - zero[0], flux_map.psi_q - zero[1])
@@ -121,12 +121,12 @@ def flux_ratio(one: FluxMap, other: FluxMap) -> tuple[float, float] | None:
     The errors of a map count as fully correlated over it. None where the maps do not overlap.
     """
     a, b = _flux_of_both(one, other)
-    there = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-    size = float((b[there] ** 2).sum())
+    valid = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    size = float((b[valid] ** 2).sum())
     if size == 0.0:
         return None
     spread = [float(np.nanmean(m.psi_d_std**2 + m.psi_q_std**2)) for m in (one, other)]
-    return float((a[there] * b[there]).sum()) / size, float(np.sqrt(sum(spread) * there.sum() / size))
+    return float((a[valid] * b[valid]).sum()) / size, float(np.sqrt(sum(spread) * valid.sum() / size))
 
 
 def _flux_of_both(one: FluxMap, other: FluxMap) -> tuple[Array, Array]:

@@ -38,45 +38,45 @@ class Crossings:
     ----------
     pairs : tuple of (int, int)
         Indices of the two paths.
-    apart, psi : array, shape (c, 2)
-        psi of the first less psi of the second, and the mean of both [Wb].
+    difference, psi : array, shape (c, 2)
+        Flux of the first path less that of the second, and their mean [Wb].
     """
 
     pairs: tuple[tuple[int, int], ...]
-    apart: Array
+    difference: Array
     psi: Array
 
 
 def join_paths(paths: list[FluxPath]) -> Network:
     """Fit one constant a path to the flux differences at all crossings, least squares."""
     crossings = crossings_of(paths)
-    pairs, rises = crossings.pairs, crossings.apart
+    pairs, differences = crossings.pairs, crossings.difference
     members = _largest_component(len(paths), list(pairs))
     place = {m: k for k, m in enumerate(members)}
-    kept = [n for n, (a, _) in enumerate(pairs) if a in place]
-    if not kept:
+    used = [n for n, (a, _) in enumerate(pairs) if a in place]
+    if not used:
         return Network((paths[members[0]],), tuple(members[:1]), None)
-    design = np.zeros((len(kept), len(members)))
-    for row, n in enumerate(kept):
+    design = np.zeros((len(used), len(members)))
+    for row, n in enumerate(used):
         design[row, place[pairs[n][0]]], design[row, place[pairs[n][1]]] = -1.0, 1.0
-    rise = rises[kept]
+    rise = differences[used]
     constants = np.linalg.lstsq(design, rise, rcond=None)[0]
     moved = tuple(FluxPath(paths[m].current, paths[m].psi + constants[k], paths[m].std) for m, k in place.items())
-    overdetermined = len(kept) >= len(members)
+    overdetermined = len(used) >= len(members)
     return Network(moved, tuple(members), rise - design @ constants if overdetermined else None)
 
 
 def crossings_of(paths: Sequence[FluxPath]) -> Crossings:
     """Crossings of any two paths with their flux differences; leaves the paths' constants unchanged."""
-    pairs, apart, psi = [], [], []
+    pairs, difference, psi = [], [], []
     for a in range(len(paths)):
         for b in range(a + 1, len(paths)):
-            at = _flux_at_crossing(paths[a], paths[b])
-            if at is not None:
+            fluxes = _flux_at_crossing(paths[a], paths[b])
+            if fluxes is not None:
                 pairs.append((a, b))
-                apart.append(at[0] - at[1])
-                psi.append(0.5 * (at[0] + at[1]))
-    return Crossings(tuple(pairs), np.reshape(apart, (-1, 2)), np.reshape(psi, (-1, 2)))
+                difference.append(fluxes[0] - fluxes[1])
+                psi.append(0.5 * (fluxes[0] + fluxes[1]))
+    return Crossings(tuple(pairs), np.reshape(difference, (-1, 2)), np.reshape(psi, (-1, 2)))
 
 
 def _flux_at_crossing(a: FluxPath, b: FluxPath) -> tuple[Array, Array] | None:
@@ -89,7 +89,7 @@ def _flux_at_crossing(a: FluxPath, b: FluxPath) -> tuple[Array, Array] | None:
     gap = q - p
     t = (gap[..., 0] * s[..., 1] - gap[..., 1] * s[..., 0]) / safe
     u = (gap[..., 0] * r[..., 1] - gap[..., 1] * r[..., 0]) / safe
-    # Paths that end on one another miss by the control error; the tolerance is a hundredth of their length.
+    # Paths that end on one another miss by the control error: tolerance of a hundredth of their length.
     slack_t, slack_u = (0.01 * np.linalg.norm(np.ptp(x.current, axis=0)) for x in (a, b))
     beyond_t = np.maximum(np.abs(t - 0.5) - 0.5, 0.0) * np.linalg.norm(r, axis=-1)
     beyond_u = np.maximum(np.abs(u - 0.5) - 0.5, 0.0) * np.linalg.norm(s, axis=-1)
@@ -97,9 +97,9 @@ def _flux_at_crossing(a: FluxPath, b: FluxPath) -> tuple[Array, Array] | None:
     if not hit.any():
         return None
     m, n = np.unravel_index(np.argmin(np.where(hit, beyond_t + beyond_u, np.inf)), hit.shape)
-    at_a = a.psi[m] + t[m, n] * (a.psi[m + 1] - a.psi[m])
-    at_b = b.psi[n] + u[m, n] * (b.psi[n + 1] - b.psi[n])
-    return np.asarray(at_a), np.asarray(at_b)
+    psi_a = a.psi[m] + t[m, n] * (a.psi[m + 1] - a.psi[m])
+    psi_b = b.psi[n] + u[m, n] * (b.psi[n + 1] - b.psi[n])
+    return np.asarray(psi_a), np.asarray(psi_b)
 
 
 def _largest_component(n: int, pairs: list[tuple[int, int]]) -> list[int]:

@@ -28,16 +28,16 @@ def each_capture(
     recording : RecordingReader
     segments : sequence of Segment
     evaluate : callable
-        Called in any order and from several threads; keeps nothing of the capture.
+        Called in any order and from several threads; must not hold on to the capture.
     at_once : int
-        Most captures in memory.
+        Maximum number of captures in memory.
     """
 
-    def one(segment: Segment) -> T:
+    def evaluate_segment(segment: Segment) -> T:
         return evaluate(segment, recording.load(segment))
 
     threads = min(at_once, len(segments), len(os.sched_getaffinity(0)))
     if threads < 2:
-        return [one(segment) for segment in segments]
+        return [evaluate_segment(segment) for segment in segments]
     with ThreadPoolExecutor(threads, thread_name_prefix="pass") as pool:
-        return list(pool.map(one, segments))
+        return list(pool.map(evaluate_segment, segments))

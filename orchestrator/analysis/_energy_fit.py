@@ -1,6 +1,6 @@
 """Fit one co-energy to all measurements: psi = grad W(i), L = Hess W(i), so flux and inductances are consistent.
 
-W is a tensor spline, even in i_q in the rotor's frame, which may be turned by a small angle from the believed one.
+W is a tensor spline, even in i_q in the rotor's frame, at a small angle from the believed one.
 Inductances with their slopes and the flux along swept paths are fitted together, each weighted by its own errors,
 whose sizes are estimated as well; outlying points and paths get a lower weight. Restricted maximum likelihood gives the
 smoothness of W (see `numerics.reml`), so the posterior covariance includes the error of interpolation.
@@ -35,7 +35,7 @@ class EnergyFit:
     ----------
     spline : EvenSpline
     angle_rad : float
-        Of the axis about which W is even, from the believed d axis.
+        Angle of the axis about which W is even, from the believed d axis.
     coefficients : array, shape (k,)
     covariance : array, shape (k, k)
     scales : array, shape (4,)
@@ -47,9 +47,9 @@ class EnergyFit:
         Correlation of neighbouring inductances' residuals; near zero for an adequate model.
     inverter_step : float
         Relative effect of dead time on inductances where a phase current passes zero; removed from the energy.
-    taken_out : array, shape (n, 7)
+    correction : array, shape (n, 7)
         Correction of the inductances and their slopes for a common gain and dead time.
-    taken_out_std : array, shape (n, 7)
+    correction_std : array, shape (n, 7)
         Its standard deviation.
     trust : array, shape (n,)
         Weight of each point's information; less than one for outliers.
@@ -63,8 +63,8 @@ class EnergyFit:
     stiffening_per_h: float = 0.0
     correlation: float = 0.0
     inverter_step: float = 0.0
-    taken_out: Array = field(default_factory=lambda: np.zeros((0, 7)))
-    taken_out_std: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    correction: Array = field(default_factory=lambda: np.zeros((0, 7)))
+    correction_std: Array = field(default_factory=lambda: np.zeros((0, 7)))
     trust: Array = field(default_factory=lambda: np.ones(0))
 
     def flux(self, at: Array) -> tuple[Array, Array]:
@@ -87,7 +87,7 @@ def energy_rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Arra
     """All derivatives of one order in the believed frame, in falling order of d; shape (n, order + 1, size)."""
     c, s = np.cos(angle), np.sin(angle)
     at = to_dq(at, angle)
-    own = np.stack([spline.rows(at, order - k, k) for k in range(order + 1)], axis=1)
+    derivatives = np.stack([spline.rows(at, order - k, k) for k in range(order + 1)], axis=1)
     mixing = np.zeros((order + 1, order + 1))
     for k in range(order + 1):
         # d/di_d = c d/dx - s d/dy and d/di_q = s d/dx + c d/dy, multiplied out
@@ -95,7 +95,7 @@ def energy_rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Arra
         for factor in [(c, -s)] * (order - k) + [(s, c)] * k:
             form = np.convolve(form, factor)
         mixing[k] = form
-    out: Array = np.einsum("kj,njs->nks", mixing, own)
+    out: Array = np.einsum("kj,njs->nks", mixing, derivatives)
     return out
 
 
@@ -145,8 +145,8 @@ class EnergyProblem:
     @cached_property
     def modes(self) -> Array:
         """Coefficients of each mode's spline, shape (size, modes); zero for measurement-error modes."""
-        own = self.spline.modes[:, 2:]
-        return np.insert(own, [self.free - self.error_mode_count] * self.error_mode_count, 0.0, axis=1)
+        energy_modes = self.spline.modes[:, 2:]
+        return np.insert(energy_modes, [self.free - self.error_mode_count] * self.error_mode_count, 0.0, axis=1)
 
     @cached_property
     def _error_modes(self) -> Array:
@@ -167,9 +167,9 @@ class EnergyProblem:
         """Cosine waves of each mode's flux, along each path's direction and across, shape (p, 2, waves, modes)."""
         each = [
             np.einsum(
-                "wm,mck,xc->xwk", waves(len(path.psi)), energy_rows(self.spline, path.current, self.angle_rad, 1), way
+                "wm,mck,xc->xwk", waves(len(path.psi)), energy_rows(self.spline, path.current, self.angle_rad, 1), axis
             )
-            for path, way in zip(self.paths, directions(self.paths), strict=True)
+            for path, axis in zip(self.paths, directions(self.paths), strict=True)
         ]
         return np.stack(each) @ self.modes
 
@@ -183,18 +183,19 @@ class EnergyProblem:
             angle_rad=self.angle_rad if angle_rad is None else angle_rad,
             stiffening_per_h=self.stiffening_per_h if stiffening_per_h is None else stiffening_per_h,
         )
-        kept = ["error_mode_count", "modes", "_error_modes"]
+        unchanged = ["error_mode_count", "modes", "_error_modes"]
         if other.angle_rad == self.angle_rad:
-            kept += ["_inductance_rows", "_path_rows"]
-        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+            unchanged += ["_inductance_rows", "_path_rows"]
+        other.__dict__.update({name: self.__dict__[name] for name in unchanged if name in self.__dict__})
         return other
 
-    def taken_out(self, solution: Solution) -> tuple[Array, Array]:
+    def correction(self, solution: Solution) -> tuple[Array, Array]:
         """Fitted measurement errors of inductances and slopes, and their std, shape (n, 7) each."""
         if self.points is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
-        own = slice(self.free - self.error_mode_count, self.free)
-        return self._error_modes @ solution.modes[own], np.linalg.norm(self._error_modes @ solution.root[own], axis=-1)
+        rows = slice(self.free - self.error_mode_count, self.free)
+        modes, root = solution.modes[rows], solution.root[rows]
+        return self._error_modes @ modes, np.linalg.norm(self._error_modes @ root, axis=-1)
 
     def inductances(self) -> tuple[Array, Array]:
         """Rows (n, 7, modes) and right-hand sides (n, 7) of the inductances and their slopes, in stated errors."""
@@ -210,9 +211,9 @@ class EnergyProblem:
         grown = np.repeat(self.errors.scales[:2], (3, 4))
         covariance = self.points.covariance * np.outer(grown, grown)
         # Undetermined slopes carry no information instead of perfect information; no error is below 1e-4.
-        least = 1e-4 * float(np.abs(m).mean()) * np.repeat([1.0, 10.0 / float(np.ptp(self.points.current))], (3, 4))
-        own = np.where(np.einsum("nii->ni", covariance) > 0.0, least**2, 1e12)
-        root = np.linalg.cholesky(covariance + own[:, :, None] * np.eye(7))
+        floor = 1e-4 * float(np.abs(m).mean()) * np.repeat([1.0, 10.0 / float(np.ptp(self.points.current))], (3, 4))
+        floor_variance = np.where(np.einsum("nii->ni", covariance) > 0.0, floor**2, 1e12)
+        root = np.linalg.cholesky(covariance + floor_variance[:, :, None] * np.eye(7))
         white = np.linalg.inv(root)
         return white @ self._inductance_rows, np.einsum("nij,nj->ni", white, target)
 
@@ -223,8 +224,8 @@ class EnergyProblem:
         """
         if not self.paths:
             return np.zeros((0, 2 * WAVES, self.modes.shape[1])), np.zeros((0, 2 * WAVES))
-        ways = directions(self.paths)
-        psi = np.stack([way @ (waves(len(p.psi)) @ p.psi).T for p, way in zip(self.paths, ways, strict=True)])
+        axes = directions(self.paths)
+        psi = np.stack([axis @ (waves(len(p.psi)) @ p.psi).T for p, axis in zip(self.paths, axes, strict=True)])
         size = sizes(self.paths) * np.array(self.errors.scales[2:])[:, None]
         count = len(self.paths)
         return (self._path_rows / size[..., None]).reshape(count, 2 * WAVES, -1), (psi / size).reshape(count, -1)
@@ -251,16 +252,16 @@ class EnergyProblem:
 
 def smoothed(problem: EnergyProblem) -> Solution:
     """Least squares at the most likely smoothness."""
-    (points, observed, sure), (paths, flux, known) = problem.blocks()
-    paths, flux = paths * known[:, None, None], flux * known[:, None]
+    (points, observed, weights), (paths, flux, path_weights) = problem.blocks()
+    paths, flux = paths * path_weights[:, None, None], flux * path_weights[:, None]
     if len(paths):
-        along, apart = slice(0, WAVES), whitening(problem.paths)
-        paths[:, along], flux[:, along] = np.tensordot(apart, paths[:, along], (1, 0)), apart @ flux[:, along]
+        along, whitener = slice(0, WAVES), whitening(problem.paths)
+        paths[:, along], flux[:, along] = np.tensordot(whitener, paths[:, along], (1, 0)), whitener @ flux[:, along]
     prior, size = problem.prior()
     rows = np.concatenate(
-        [(points * sure[:, None, None]).reshape(-1, points.shape[2]), paths.reshape(-1, points.shape[2]), prior]
+        [(points * weights[:, None, None]).reshape(-1, points.shape[2]), paths.reshape(-1, points.shape[2]), prior]
     )
-    target = np.concatenate([(observed * sure[:, None]).ravel(), flux.ravel(), np.zeros(len(prior))])
+    target = np.concatenate([(observed * weights[:, None]).ravel(), flux.ravel(), np.zeros(len(prior))])
     solution = most_likely(rows, target, problem.free)
     return replace(solution, cost=solution.cost + size)
 
@@ -287,18 +288,18 @@ def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tu
     """Iterated error sizes from the residuals' scatter, to a relative `change`, and the solution with them."""
     solution = smoothed(problem)
     for _ in range(rounds):
-        before = np.array(problem.errors.scales)
+        previous = np.array(problem.errors.scales)
         problem = problem.varied(errors=_errors_by_scatter(problem, solution))
         solution = smoothed(problem)
-        if np.allclose(problem.errors.scales, before, rtol=change, atol=0.0):
+        if np.allclose(problem.errors.scales, previous, rtol=change, atol=0.0):
             break
     return problem, solution
 
 
-def _errors_by_scatter(problem: EnergyProblem, solution: Solution, stated: float = 20.0) -> Errors:
+def _errors_by_scatter(problem: EnergyProblem, solution: Solution, prior_count: float = 20.0) -> Errors:
     """Errors that match the scatter of each kind's residuals, with reduced weights for outliers.
 
-    The prior of their sizes counts as `stated` data.
+    The prior of their sizes counts as `prior_count` data.
     """
     weights: list[Array] = []
     growth: list[float] = []
@@ -315,7 +316,7 @@ def _errors_by_scatter(problem: EnergyProblem, solution: Solution, stated: float
             squares = float(np.square(off[:, kind] * root[:, None]).sum())
             count = float(off[:, kind].size)
             free = max(count - float((leverage[:, kind] * root[:, None] ** 2).sum()), 0.2 * count)
-            growth.append((stated + squares) / (stated + free))
+            growth.append((prior_count + squares) / (prior_count + free))
         size = np.square(off).sum(axis=1)
         weights.append(np.minimum(1.0, _limit(off.shape[1]) / np.maximum(size, 1e-300)))
     a, b, c, d = (max(float(s * np.sqrt(g)), 1.0) for s, g in zip(problem.errors.scales, growth, strict=True))
@@ -330,12 +331,12 @@ def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
         rows, target, weights = problem.blocks()[0]
         off = (target[:, :3] - rows[:, :3] @ solution.modes) * weights[:, None]
         correlation = neighbour_correlation(problem.points.current, off)
-    sure = np.clip(correlation - 2.0 / np.sqrt(max(3 * count, 1)), 0.0, 0.95)
+    significant = np.clip(correlation - 2.0 / np.sqrt(max(3 * count, 1)), 0.0, 0.95)
     modes = problem.modes
     root = modes @ solution.root
     weight = problem.errors.points
-    widened = float(np.sqrt((1.0 + sure) / (1.0 - sure)))
-    taken_out, taken_out_std = problem.taken_out(solution)
+    widened = float(np.sqrt((1.0 + significant) / (1.0 - significant)))
+    correction, correction_std = problem.correction(solution)
     return EnergyFit(
         spline=problem.spline,
         angle_rad=problem.angle_rad,
@@ -345,8 +346,8 @@ def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
         stiffening_per_h=problem.stiffening_per_h,
         correlation=correlation,
         inverter_step=problem.errors.inverter_step,
-        taken_out=taken_out,
-        taken_out_std=widened * taken_out_std,
+        correction=correction,
+        correction_std=widened * correction_std,
         trust=np.ones(count) if weight is None else weight,
     )
 

@@ -3,9 +3,9 @@
     H(x, y) = x^2 / 2 L_d + y^2 / 2 L_q + sum of alpha_mn x^m y^n,    x = psi_d - psi_M, y = psi_q, n even,
 
 with alpha_30, alpha_12, alpha_40, alpha_22, alpha_04 (A. K. Jebai, P. Combes, F. Malrait, P. Martin, P. Rouchon,
-"Energy-based modeling of electric motors", CDC 2014, doi:10.1109/CDC.2014.7040330), or more or fewer: the degree is
-that of the best Bayesian information criterion among those whose H is convex wherever it was measured. The flux at a
-current is found by Newton's method, at all of them; where that fails the degree is not used.
+"Energy-based modeling of electric motors", CDC 2014, doi:10.1109/CDC.2014.7040330) or another degree: that of the best
+Bayesian information criterion among those whose H is convex over the measured currents. Newton's method gives the flux
+at each current; a degree for which it fails is not used.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class PolynomialFit:
         Of x^m y^n [A / Wb^(m + n - 1)]; the first two are 1/2L_d and 1/2L_q.
     covariance : array, shape (k, k)
     angle_rad : float
-        Of the axis about which H is even, from the believed d axis.
+        Angle of the axis about which H is even, from the believed d axis.
     misfit_percent : float
         Residual of the inductances, rms, relative to their mean.
     misfit_wb : float
@@ -110,7 +110,7 @@ def _spread(rows: Array, covariance: Array) -> Array:
 
 
 def _powers(terms: Sequence[Term], psi: Array, order: int) -> Array:
-    """Derivatives of one order of all terms, those of more x first, shape (n, order + 1, k)."""
+    """Derivatives of one order of all terms, in falling order of x, shape (n, order + 1, k)."""
     out = np.zeros((len(psi), order + 1, len(terms)))
     x, y = _powers_of(psi, max(map(max, terms)))
     for t, (m, n) in enumerate(terms):
@@ -135,7 +135,7 @@ class _Derivatives:
     def __init__(self, terms: Sequence[Term], coefficients: Array) -> None:
         self._highest = max(map(max, terms))
         side = self._highest + 1
-        # Of x^i y^j in H_x, H_y, H_xx, H_xy, H_yy.
+        # Coefficients of x^i y^j in H_x, H_y, H_xx, H_xy, H_yy.
         self._of_powers = np.zeros((5, side, side))
         for (m, n), coefficient in zip(terms, coefficients.tolist(), strict=True):
             for table, (a, b) in zip(self._of_powers, ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)), strict=True):
@@ -158,7 +158,7 @@ class _Derivatives:
 
 @np.errstate(over="ignore", invalid="ignore")  # a later check finds values that diverge
 def _inverted(
-    terms: Sequence[Term], coefficients: Array, current: Array, most_steps: int = 60, close: float = 1e-10
+    terms: Sequence[Term], coefficients: Array, current: Array, max_steps: int = 60, close: float = 1e-10
 ) -> Array:
     """psi with grad H(psi) = i, by Newton's method with its step halved as needed; NaN where there is none.
 
@@ -166,30 +166,30 @@ def _inverted(
     """
     size = float(np.abs(current).max())
     unsaturated = 2.0 * coefficients[:2]
-    of = _Derivatives(terms, coefficients)
+    derivatives = _Derivatives(terms, coefficients)
     psi = current / unsaturated
-    off = current - of.gradient(psi)
-    for _ in range(most_steps):
+    off = current - derivatives.gradient(psi)
+    for _ in range(max_steps):
         if np.abs(off).max() < close * size:
             break
-        xx, xy, yy = of.hessian(psi).T
+        xx, xy, yy = derivatives.hessian(psi).T
         # Away from the solution H may be non-convex; the step is then that of the unsaturated motor.
         convex = (xx > 0.0) & (xx * yy > xy * xy)
         xx, xy, yy = np.where(convex, (xx, xy, yy), np.array([unsaturated[0], 0.0, unsaturated[1]])[:, None])
         step = np.stack([yy * off[:, 0] - xy * off[:, 1], xx * off[:, 1] - xy * off[:, 0]], axis=1)
         step /= (xx * yy - xy * xy)[:, None]
         share, far = np.ones((len(psi), 1)), np.linalg.norm(off, axis=1)
-        left = current - of.gradient(psi + step)
+        new_off = current - derivatives.gradient(psi + step)
         for _ in range(8):
-            worse = np.linalg.norm(left, axis=1) > far
+            worse = np.linalg.norm(new_off, axis=1) > far
             if not worse.any():
                 break
             share[worse] *= 0.5
-            left = current - of.gradient(psi + share * step)
-        psi, off = psi + share * step, left
-    xx, xy, yy = of.hessian(psi).T
-    lost = ~(np.linalg.norm(off, axis=1) <= 1e-6 * size) | (xx * yy <= xy * xy) | (xx <= 0.0)
-    psi[lost] = np.nan
+            new_off = current - derivatives.gradient(psi + share * step)
+        psi, off = psi + share * step, new_off
+    xx, xy, yy = derivatives.hessian(psi).T
+    failed = ~(np.linalg.norm(off, axis=1) <= 1e-6 * size) | (xx * yy <= xy * xy) | (xx <= 0.0)
+    psi[failed] = np.nan
     return psi
 
 
@@ -199,8 +199,8 @@ def _model(terms: Sequence[Term], coefficients: Array, current: Array) -> _Model
     second = _powers(terms, psi, 2)
     hessian = (second @ coefficients)[:, PAIRS]
     matrix = np.full_like(hessian, np.nan)
-    there = np.isfinite(psi).all(axis=1)
-    matrix[there] = np.linalg.inv(hessian[there])
+    valid = np.isfinite(psi).all(axis=1)
+    matrix[valid] = np.linalg.inv(hessian[valid])
     psi_by = -matrix @ _powers(terms, psi, 1)
     third = (_powers(terms, psi, 3) @ coefficients)[:, TRIPLES]
     hessian_by = second[:, PAIRS] + third @ psi_by[:, None]
@@ -212,7 +212,7 @@ def _model(terms: Sequence[Term], coefficients: Array, current: Array) -> _Model
 def fit_polynomial(
     points: Inductances | None, paths: Sequence[FluxPath], energy: EnergyFit, where: str
 ) -> PolynomialFit:
-    """Fit the polynomial; a flexible energy of the same data gives the start, the axis and what hysteresis did.
+    """Fit the polynomial; a spline energy of the same data gives the start, the axis and the effect of hysteresis.
 
     Parameters
     ----------
@@ -228,14 +228,14 @@ def fit_polynomial(
         Where no polynomial is convex over the measured currents.
     """
     data = _Data.of(points, paths, energy)
-    found = [fit for degree in DEGREES if (fit := _fitted(data, terms_of(degree), energy)) is not None]
-    if not found:
+    candidates = [fit for degree in DEGREES if (fit := _fitted(data, terms_of(degree), energy)) is not None]
+    if not candidates:
         raise NotMeasuredError(where, "segments", "no polynomial energy is convex over the measured currents")
-    criteria = {fit.degree: criterion for fit, criterion in found}
-    best = min(found, key=lambda one: one[1])
+    criteria = {fit.degree: criterion for fit, criterion in candidates}
+    best = min(candidates, key=lambda candidate: candidate[1])
     significant = np.abs(best[0].coefficients) > 2.0 * best[0].std
     # The paper's terms up to degree four always stay, so that fits are comparable; others stay above two sigma.
-    terms = tuple(t for t, sure in zip(best[0].terms, significant, strict=True) if sure or sum(t) <= 4)
+    terms = tuple(t for t, clear in zip(best[0].terms, significant, strict=True) if clear or sum(t) <= 4)
     fewer = _fitted(data, terms, energy) if len(terms) < len(significant) else None
     if fewer is not None and fewer[1] < best[1]:
         best = fewer
@@ -257,28 +257,28 @@ class _Data:
     @staticmethod
     def of(points: Inductances | None, paths: Sequence[FluxPath], energy: EnergyFit) -> _Data:
         turn = rotation(energy.angle_rad)
-        own = tuple(FluxPath(p.current @ turn, p.psi @ turn, np.sqrt(turn.T**2 @ p.std**2)) for p in paths)
-        every = np.concatenate([*([] if points is None else [points.current @ turn]), *(p.current for p in own)])
-        region = every[:: max(1, len(every) // 400)]  # four hundred places show whether H is convex
+        rotated = tuple(FluxPath(p.current @ turn, p.psi @ turn, np.sqrt(turn.T**2 @ p.std**2)) for p in paths)
+        currents = np.concatenate([*([] if points is None else [points.current @ turn]), *(p.current for p in rotated)])
+        region = currents[:: max(1, len(currents) // 400)]  # 400 points suffice to check convexity
         if points is None:
-            return _Data(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), own, region)
-        measured = points.matrix - energy.taken_out[:, PAIRS]
+            return _Data(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), rotated, region)
+        measured = points.matrix - energy.correction[:, PAIRS]
         softened = np.linalg.inv(np.linalg.inv(measured) - energy.stiffening_per_h * np.eye(2))
         matrix = turn.T @ softened @ turn
         mixing = _entries(np.einsum("ax,nxyk,yb->nabk", turn.T, _units(len(matrix)), turn))
         covariance = mixing @ points.covariance[:, :3, :3] @ mixing.transpose(0, 2, 1)
         # Polynomials describe iron to a thousandth at best.
-        least = (1e-3 * float(np.einsum("nii->n", matrix).mean()) / 2.0) ** 2
-        root = np.linalg.cholesky(covariance + least * np.eye(3))
+        floor = (1e-3 * float(np.einsum("nii->n", matrix).mean()) / 2.0) ** 2
+        root = np.linalg.cholesky(covariance + floor * np.eye(3))
         white = np.linalg.inv(root) * np.sqrt(energy.trust)[:, None, None]
-        return _Data(points.current @ turn, _entries(matrix), white, own, region)
+        return _Data(points.current @ turn, _entries(matrix), white, rotated, region)
 
     @cached_property
     def _waves(self) -> list[Array]:
         return [waves(len(path.psi)) for path in self.paths]
 
     @cached_property
-    def _ways(self) -> Array:
+    def _directions(self) -> Array:
         return directions(self.paths)
 
     @cached_property
@@ -286,7 +286,7 @@ class _Data:
         return sizes(self.paths)
 
     @cached_property
-    def _apart(self) -> Array:
+    def _whitener(self) -> Array:
         return whitening(self.paths)
 
     def residual(self, terms: Sequence[Term], coefficients: Array) -> _State | None:
@@ -299,16 +299,16 @@ class _Data:
         rows = self.white @ _entries(model.inductance_by[:n])
         if not self.paths:
             return off, rows, np.zeros((0, 1)), np.zeros((0, 1, k))
-        size, apart = self._size, self._apart
-        left, by, start = [], [], n
-        for path, take, way in zip(self.paths, self._waves, self._ways, strict=True):
-            here = slice(start, start := start + len(path.psi))
-            left.append(way @ (take @ (path.psi - model.psi[here])).T)
-            by.append(np.tensordot(way, np.tensordot(take, model.psi_by[here], (1, 0)), (1, 1)))
-        flux = np.stack(left) / size
+        size, whitener = self._size, self._whitener
+        residuals, by, start = [], [], n
+        for path, take, direction in zip(self.paths, self._waves, self._directions, strict=True):
+            rows_of_path = slice(start, start := start + len(path.psi))
+            residuals.append(direction @ (take @ (path.psi - model.psi[rows_of_path])).T)
+            by.append(np.tensordot(direction, np.tensordot(take, model.psi_by[rows_of_path], (1, 0)), (1, 1)))
+        flux = np.stack(residuals) / size
         effect = np.stack(by) / size[..., None]
         for values in (flux, effect):
-            values[:, 0] = np.tensordot(apart, values[:, 0], (1, 0))
+            values[:, 0] = np.tensordot(whitener, values[:, 0], (1, 0))
         return off, rows, flux.reshape(len(self.paths), -1), effect.reshape(len(self.paths), -1, k)
 
 
@@ -345,23 +345,23 @@ def _descended(
     coefficients: Array,
     state: _State,
     weights: tuple[float, float],
-    most_steps: int = 25,
-    little: float = 1e-6,
+    max_steps: int = 25,
+    min_reduction: float = 1e-6,
 ) -> tuple[Array, _State]:
     """Gauss-Newton iteration with step halving, until the sum of squares hardly falls."""
-    for _ in range(most_steps):
+    for _ in range(max_steps):
         rows, off = _weighted(state, weights)
         size, squares = np.linalg.norm(rows, axis=0), float(off @ off)
         step = np.linalg.lstsq(rows / size, off, rcond=1e-13)[0] / size
         for share in 0.5 ** np.arange(8):
-            tried = coefficients + share * step
-            found = data.residual(terms, tried) if (tried[:2] > 0.0).all() else None
-            if found is not None and float(np.square(_weighted(found, weights)[1]).sum()) < squares:
-                coefficients, state = tried, found
+            trial = coefficients + share * step
+            trial_state = data.residual(terms, trial) if (trial[:2] > 0.0).all() else None
+            if trial_state is not None and float(np.square(_weighted(trial_state, weights)[1]).sum()) < squares:
+                coefficients, state = trial, trial_state
                 break
         else:
             break
-        if squares - float(np.square(_weighted(state, weights)[1]).sum()) < little * squares:
+        if squares - float(np.square(_weighted(state, weights)[1]).sum()) < min_reduction * squares:
             break
     return coefficients, state
 
@@ -406,13 +406,13 @@ def _described(
         misfit = 100.0 * float(np.sqrt((off**2).mean())) / mean
         correlation = neighbour_correlation(data.current, np.einsum("nij,nj->ni", data.white, off))
     if data.paths:
-        apart = []
+        residuals = []
         for path in data.paths:
-            left = path.psi - _model(terms, coefficients, path.current).psi
-            apart.append(left - left.mean(axis=0))
-        flux_misfit = float(np.sqrt((np.concatenate(apart) ** 2).sum(axis=1).mean()))
-    sure = np.clip(correlation - 2.0 / np.sqrt(max(3 * len(data.current), 4)), 0.0, 0.95)
+            off_wb = path.psi - _model(terms, coefficients, path.current).psi
+            residuals.append(off_wb - off_wb.mean(axis=0))
+        flux_misfit = float(np.sqrt((np.concatenate(residuals) ** 2).sum(axis=1).mean()))
+    significant = np.clip(correlation - 2.0 / np.sqrt(max(3 * len(data.current), 4)), 0.0, 0.95)
     # A gain common to all inductances is a gain of the flux.
     gain = GAIN_STD * coefficients * np.array([m + n - 1.0 for m, n in terms])
-    widened = covariance * ((1.0 + sure) / (1.0 - sure)) + np.outer(gain, gain)
+    widened = covariance * ((1.0 + significant) / (1.0 - significant)) + np.outer(gain, gain)
     return PolynomialFit(terms, coefficients, widened, energy.angle_rad, misfit, flux_misfit, {})

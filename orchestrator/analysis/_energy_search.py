@@ -1,10 +1,10 @@
 """Search the nonlinear parameters of the energy fit: axis of symmetry, hysteresis, dead time, spline intervals.
 
-A rotor that is not where it is believed breaks the evenness in i_q; the angle that restores it is the one of the
-largest likelihood. With hysteresis a small ripple moves the flux reversibly, by less than a sweep does: i = grad H(psi)
-and stop operators of psi (A. Visintin, "Differential Models of Hysteresis", Springer 1994), whose slopes, the same in
-all directions, add to the Hessian that the ripple sees. How much, the sweeps tell. Both are used only where the data
-leave no doubt. Dead time's share in the ripple and the number of intervals are those of the largest likelihood.
+An error of the believed rotor angle breaks the evenness in i_q; the maximum-likelihood angle restores it. With
+hysteresis a small ripple moves the flux reversibly, by less than a sweep does: i = grad H(psi) plus stop operators of
+psi (A. Visintin, "Differential Models of Hysteresis", Springer 1994), whose slopes, the same in all directions, add to
+the Hessian that the ripple measures. The sweeps determine that addition. Both are used only where they are significant.
+Dead time's share in the ripple and the number of intervals are those of the largest likelihood.
 """
 
 from __future__ import annotations
@@ -42,35 +42,34 @@ class Criteria:
     ----------
     points : int
         Number of injection points for the search; more points only take longer.
-    sure : float
+    min_sigmas : float
         Standard deviations from zero above which an angle or a stiffening is accepted.
     evidence : float
-        By how much twice the logarithm of the likelihood has to grow for dead time or a finer spline to be used: a
+        Required growth of twice the logarithm of the likelihood for dead time or a finer spline to be used: a
         factor of twenty in the likelihood, "strong" evidence (doi:10.1080/01621459.1995.10476572).
-    furthest_rad, least_rad : float
-        Electrical angle of the axis of symmetry: the largest that is looked for, and the least
-        that matters to a map.
-    stiffest, least_stiffening : float
-        By how much hysteresis stiffens the ripple's Hessian, relative to the least Hessian: the most that is looked
-        for, and the least that matters.
-    stiffening_doubt : float
-        Share of it by which it may differ from ripple to ripple and from current to current.
-    reconciled : float
-        Factor that sweeps' and ripples' errors may grow by when hysteresis puts both together.
-    finest : int
-        Most intervals of a spline along an axis.
+    max_rad, min_rad : float
+        Electrical angle of the axis of symmetry: search limit, and the smallest that matters to a map.
+    max_stiffening, min_stiffening : float
+        Addition of hysteresis to the ripple's Hessian, relative to the smallest Hessian: search limit, and the smallest
+        that matters.
+    stiffening_std : float
+        Relative variation of the stiffening over ripples and currents.
+    max_error_growth : float
+        Largest factor on the errors of sweeps and ripples in the joint fit with hysteresis.
+    max_intervals : int
+        Largest number of a spline's intervals along an axis.
     """
 
     points: int = 120
-    sure: float = 4.0
+    min_sigmas: float = 4.0
     evidence: float = 6.0
-    furthest_rad: float = 0.12
-    least_rad: float = 0.002
-    stiffest: float = 0.3
-    least_stiffening: float = 0.01
-    stiffening_doubt: float = 0.15
-    reconciled: float = 2.0
-    finest: int = 32
+    max_rad: float = 0.12
+    min_rad: float = 0.002
+    max_stiffening: float = 0.3
+    min_stiffening: float = 0.01
+    stiffening_std: float = 0.15
+    max_error_growth: float = 2.0
+    max_intervals: int = 32
 
 
 CRITERIA = Criteria()
@@ -87,7 +86,7 @@ def fit_energy(
     paths : sequence of FluxPath
         Each known up to a constant.
     rotor_angle_rad : float, or array of shape (n,)
-        Of the believed d axis from phase a's, of all or of each of the points: dead time acts along the phases.
+        Angle of the believed d axis from phase a, for all or each of the points: dead time acts along the phases.
     """
     few = _subset(points)
     angle, std = _angle(few, paths)
@@ -98,8 +97,8 @@ def fit_energy(
     if angle:
         fit = _widened(fit, problem, problem.varied(angle_rad=angle + std))
     if stiffening:
-        # How far the stop operators' slopes are the same at all ripples and currents is not known better than this.
-        fit = _widened(fit, problem, problem.varied(stiffening_per_h=(1.0 - CRITERIA.stiffening_doubt) * stiffening))
+        # The stop operators' slopes may vary by this much over ripples and currents.
+        fit = _widened(fit, problem, problem.varied(stiffening_per_h=(1.0 - CRITERIA.stiffening_std) * stiffening))
     return fit
 
 
@@ -127,8 +126,10 @@ def _finest(coarse: Settled) -> Settled:
         for finer in _finer(cells):
             start = best[0]
             posed = pose(start.points, start.paths, start.rotor_angle_rad, finer)
-            same = posed.varied(errors=start.errors, angle_rad=start.angle_rad, stiffening_per_h=start.stiffening_per_h)
-            tried = settled(same)
+            trial = posed.varied(
+                errors=start.errors, angle_rad=start.angle_rad, stiffening_per_h=start.stiffening_per_h
+            )
+            tried = settled(trial)
             if evidence(*tried) < evidence(*best) - CRITERIA.evidence:
                 best, cells, grows = tried, finer, True
     return best
@@ -137,7 +138,7 @@ def _finest(coarse: Settled) -> Settled:
 def _finer(cells: tuple[int, int]) -> Iterator[tuple[int, int]]:
     d, q = cells
     for finer in ((d, 4 * q // 3), (4 * d // 3, q)):
-        if max(finer) <= CRITERIA.finest:
+        if max(finer) <= CRITERIA.max_intervals:
             yield finer
 
 
@@ -149,56 +150,56 @@ def _subset(points: Inductances | None) -> Inductances | None:
 
 
 def _angle(points: Inductances | None, paths: Sequence[FluxPath]) -> tuple[float, float]:
-    """Angle of the axis of symmetry, zero where it may be that, and its standard deviation."""
+    """Angle of the axis of symmetry, zero where not significant, and its standard deviation [rad]."""
     problem = pose(points, paths)
-    # Either kind shows it alone; together they might disagree about other things.
+    # Either kind of data determines it alone; both together may disagree for other reasons.
     problem = replace(problem, paths=()) if points is not None else problem
 
     def cost(angle: float) -> float:
         return smoothed(problem.varied(angle_rad=angle)).cost
 
-    angle, curvature = _least(cost, (-CRITERIA.furthest_rad, CRITERIA.furthest_rad), 9, 1e-4)
-    turned = settled(problem.varied(angle_rad=angle))
-    std = float(max(turned[0].errors.scales) * np.sqrt(2.0 / max(curvature, 1e-300)))
-    if abs(angle) <= max(CRITERIA.sure * std, CRITERIA.least_rad):
+    angle, curvature = _minimum(cost, (-CRITERIA.max_rad, CRITERIA.max_rad), 9, 1e-4)
+    at_angle = settled(problem.varied(angle_rad=angle))
+    std = float(max(at_angle[0].errors.scales) * np.sqrt(2.0 / max(curvature, 1e-300)))
+    if abs(angle) <= max(CRITERIA.min_sigmas * std, CRITERIA.min_rad):
         return 0.0, std
     # The final angle uses the estimated sizes of the errors.
-    return (angle, std) if evidence(*turned) < evidence(*settled(problem)) - CRITERIA.sure**2 else (0.0, std)
+    return (angle, std) if evidence(*at_angle) < evidence(*settled(problem)) - CRITERIA.min_sigmas**2 else (0.0, std)
 
 
 def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) -> float:
-    few = _subset(points)
-    both = pose(few, paths).varied(angle_rad=angle)
-    ripple, _ = settled(replace(both, paths=()))
-    swept, _ = settled(replace(both, points=None))
+    subset = _subset(points)
+    joint = pose(subset, paths).varied(angle_rad=angle)
+    ripple, _ = settled(replace(joint, paths=()))
+    swept, _ = settled(replace(joint, points=None))
     scales = (*ripple.errors.scales[:2], *swept.errors.scales[2:])
     errors = Errors(scales, ripple.errors.points, swept.errors.paths)
     softest = 1.0 / float(np.linalg.eigvalsh(points.matrix).max())
-    both.blocks()  # computes once the rows that all trials share
+    joint.blocks()  # computes once the rows that all trials share
     ripple.blocks()
 
-    def tried(share: float) -> EnergyProblem:
-        return both.varied(errors=errors, stiffening_per_h=share * softest)
+    def trial(share: float) -> EnergyProblem:
+        return joint.varied(errors=errors, stiffening_per_h=share * softest)
 
     def cost(share: float) -> float:
-        # A ripple that dead time bends is no Hessian, and would have any stiffening that makes it one: what counts is
-        # what the sweeps say after it.
+        # A ripple distorted by dead time is no Hessian and fits any stiffening that makes it one: only the sweeps' part
+        # of the cost counts.
         alone = ripple.varied(stiffening_per_h=share * softest)
-        return smoothed(tried(share)).cost - smoothed(alone).cost
+        return smoothed(trial(share)).cost - smoothed(alone).cost
 
-    share, curvature = _least(cost, (-0.1, CRITERIA.stiffest), 5, 1e-3)
+    share, curvature = _minimum(cost, (-0.1, CRITERIA.max_stiffening), 5, 1e-3)
     std = np.sqrt(2.0 / max(curvature, 1e-300))
     # With hysteresis a ripple moves the flux by less than a sweep, and the correction reconciles both.
-    if share <= max(CRITERIA.sure * std, CRITERIA.least_stiffening):
+    if share <= max(CRITERIA.min_sigmas * std, CRITERIA.min_stiffening):
         return 0.0
-    reconciled, _ = settled(tried(share))
-    return share * softest if max(np.divide(reconciled.errors.scales, scales)) < CRITERIA.reconciled else 0.0
+    reconciled, _ = settled(trial(share))
+    return share * softest if max(np.divide(reconciled.errors.scales, scales)) < CRITERIA.max_error_growth else 0.0
 
 
-def _least(
+def _minimum(
     cost: Callable[[float], float], bounds: tuple[float, float], coarse: int, step: float
 ) -> tuple[float, float]:
-    """Minimiser of the cost, and the second derivative there."""
+    """Minimiser of the cost, and the second derivative at it."""
     from scipy.optimize import minimize_scalar
 
     # Two grid passes: far from the solution the likelihood may have several maxima.
@@ -208,7 +209,7 @@ def _least(
         costs = [cost(float(x)) for x in places]
         best, width = int(np.argmin(costs)), float(places[1] - places[0])
         low, high = max(float(places[best]) - width, bounds[0]), min(float(places[best]) + width, bounds[1])
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": step})
-    x, least = min((float(found.x), float(found.fun)), (float(places[best]), costs[best]), key=lambda one: one[1])
-    aside = 10.0 * step
-    return x, max(cost(x - aside) + cost(x + aside) - 2.0 * least, 0.0) / aside**2
+    result = minimize_scalar(cost, bounds=(low, high), method="bounded", options={"xatol": step})
+    x, lowest = min((float(result.x), float(result.fun)), (float(places[best]), costs[best]), key=lambda pair: pair[1])
+    offset = 10.0 * step
+    return x, max(cost(x - offset) + cost(x + offset) - 2.0 * lowest, 0.0) / offset**2

@@ -1,7 +1,7 @@
 """Error model of a flux integrated along a path: a random walk, partly common to paths of one direction.
 
-Along a path it is a sum of independent waves cos(k pi s), the k-th falling as 1/k. Along the direction that is swept,
-heat makes paths err together, for R_s moves within each sweep as within the next.
+Along a path it is a sum of independent waves cos(k pi s), the k-th falling as 1/k. Along the swept direction the errors
+of parallel paths are correlated, since heat changes R_s in each sweep in the same way.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def directions(paths: Sequence[FluxPath]) -> Array:
 
 
 def waves(count: int) -> Array:
-    """What takes the amplitudes of cos(k pi s), k = 1, 2, .. from values along a path, shape (waves, count)."""
+    """Matrix from values along a path to the amplitudes of cos(k pi s), k = 1, 2, .., shape (waves, count)."""
     place = (np.arange(count) + 0.5) / count
     return np.asarray(2.0 / count * np.cos(np.pi * np.outer(np.arange(1, WAVES + 1), place)))
 
@@ -53,9 +53,9 @@ def whitening(paths: Sequence[FluxPath]) -> Array:
     Their common variance equals each path's own.
     """
     out = np.zeros((len(paths), len(paths)))
-    way = directions(paths)[:, 0]
-    alike = np.abs(way @ way.T) > 0.99
-    for group in np.unique(alike, axis=0):
+    direction = directions(paths)[:, 0]
+    is_parallel = np.abs(direction @ direction.T) > 0.99
+    for group in np.unique(is_parallel, axis=0):
         members = np.flatnonzero(group)
         mean = np.full((len(members), len(members)), 1.0 / len(members))
         out[np.ix_(members, members)] = np.eye(len(members)) - mean + mean / np.sqrt(1.0 + len(members))

@@ -1,4 +1,4 @@
-"""A recording that caches its waveforms within a memory limit. Computes nothing."""
+"""A recording that caches its waveforms within a memory limit."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from protocols import Capture, Manifest, RecordingReader, Segment, SegmentStage
 
 
 class HeldCaptures:
-    """A `protocols.RecordingReader` for those that read a recording several times.
+    """A `protocols.RecordingReader` for repeated reading of a recording.
 
     Parameters
     ----------
     recording : RecordingReader
-    most_samples : int
-        Of all segments that are kept together, the first that are read; others are read again each time. Two million
-        samples take some 50 MB.
+    max_samples : int
+        Total of the cached segments, which are the first that are read. Two million samples take some 50 MB.
     """
 
-    def __init__(self, recording: RecordingReader, most_samples: int = 2_000_000) -> None:
-        self._recording, self._room = recording, most_samples
+    def __init__(self, recording: RecordingReader, max_samples: int = 2_000_000) -> None:
+        self._recording, self._room = recording, max_samples
         self._held: dict[str, Capture] = {}
 
     @property

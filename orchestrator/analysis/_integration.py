@@ -4,8 +4,8 @@ d psi = L(i) di along the edge between two neighbouring points, by the trapezoid
 
     psi_b - psi_a = 1/2 (L_a + L_b) di + 1/12 (L'_a - L'_b)[di, di],
 
-where L' is known because the ripple's curvature was measured. All edges together overdetermine the flux; how far
-they disagree says how good it is. Nothing here knows about waveforms.
+where L' follows from the ripple's measured curvature. The edges overdetermine the flux; their closure error
+measures its accuracy.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class Inductances:
-    """Inductance matrices at the points reached, with slopes and covariances.
+    """Inductance matrices at the measured points, with slopes and covariances.
 
     Attributes
     ----------
@@ -33,10 +33,10 @@ class Inductances:
     slope : array, shape (n, 2, 2, 2)
         dL/di, symmetric in all indices [H/A].
     covariance : array, shape (n, 7, 7)
-        Of (L_dd, L_dq, L_qq, L_ddd, L_ddq, L_dqq, L_qqq), from the noise of the current.
+        Covariance of (L_dd, L_dq, L_qq, L_ddd, L_ddq, L_dqq, L_qqq), from the noise of the current.
     misfit : array, shape (n, 7), or None
-        Standard deviations of the same by what the regression on the ripple misses and noise does not explain, such
-        as a dead time where a phase current changes its sign. Neighbouring points err alike. None where unknown.
+        Standard deviations of the same due to model error of the regression beyond noise, such as dead time where a
+        phase current changes sign. Correlated between neighbouring points. None where unknown.
     """
 
     current: Array
@@ -48,7 +48,7 @@ class Inductances:
 
 PAIRS = np.array([[0, 1], [1, 2]])
 TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
-"""Places of a symmetric tensor's entries among its distinct ones, in falling order of d."""
+"""Indices of a symmetric tensor's entries among its distinct ones, in falling order of d."""
 
 
 def invert(ripples: list[Ripple]) -> Inductances:
@@ -74,22 +74,22 @@ def invert(ripples: list[Ripple]) -> Inductances:
     return Inductances(np.stack([r.current_dq for r in ripples]), matrix, slope, covariance, misfit)
 
 
-def _misfit_covariance(ripples: list[Ripple], quiet: float = 0.25, sure: float = 3.0, worth: float = 45.0) -> Array:
-    """Covariance of the derivatives by what the regression misses at some of the points, shape (n, 7, 7).
+def _misfit_covariance(ripples: list[Ripple], quiet: float = 0.25, sigmas: float = 3.0, worth: float = 45.0) -> Array:
+    """Covariance of the derivatives due to the regression's model error at some of the points, shape (n, 7, 7).
 
-    The noise is the same at all points, so a variance above the usual one is something that the regression does not
-    know. Unlike noise it does not average out over the samples. How many of them it is worth was found on simulated
-    motors: over dead times of 0 to 11 V, errors of 45^-1/2 times the share of the residual that is in excess.
+    The noise is the same at all points, so a variance above the typical one is model error. Unlike noise it does not
+    average out over the samples. Its effective number of samples comes from simulated motors: over dead times of 0 to
+    11 V, errors of 45^-1/2 times the excess share of the residual.
 
     Parameters
     ----------
     ripples : list of Ripple
     quiet : float
-        Share of the points whose residual is taken to be noise alone.
-    sure : float
-        Standard deviations of a residual's variance by which it has to be above theirs.
+        Share of the points whose residual counts as noise alone.
+    sigmas : float
+        Excess of a residual's variance over theirs, in standard deviations, that counts as model error.
     worth : float
-        Samples that a misfit is worth, which repeats from period to period however long it is watched.
+        Effective number of independent samples of a model error, which repeats from period to period at any duration.
     """
     samples = np.array([r.samples for r in ripples], dtype=np.float64)[:, None]
     covariance = np.stack([r.covariance for r in ripples])
@@ -97,8 +97,8 @@ def _misfit_covariance(ripples: list[Ripple], quiet: float = 0.25, sure: float =
     order = np.array([2, 2, 2, 4, 4, 4, 4])
     size = np.array([r.flux_rms_wb for r in ripples])[:, None] ** order
     variance = np.einsum("nii->ni", covariance) * samples * size
-    usual = np.quantile(variance, quiet, axis=0) * (1.0 + sure / np.sqrt(samples))
-    share = np.maximum(variance - usual, 0.0) / np.maximum(variance, 1e-300)
+    typical = np.quantile(variance, quiet, axis=0) * (1.0 + sigmas / np.sqrt(samples))
+    share = np.maximum(variance - typical, 0.0) / np.maximum(variance, 1e-300)
     scale = np.sqrt(samples / worth * share)
     out: Array = scale[:, :, None] * covariance * scale[:, None, :]
     return out
@@ -113,9 +113,9 @@ class IntegratedFlux:
     psi, std : array, shape (n, 2)
         [Wb].
     closure_rms_wb : float
-        By how much the edges disagree with it.
+        rms closure error of the edges.
     anchored : bool
-        Whether zero current lies within the points; else it was reached by extrapolation from the nearest.
+        Whether zero current lies within the points; else it was extrapolated from the nearest.
     """
 
     psi: Array
@@ -124,7 +124,7 @@ class IntegratedFlux:
     anchored: bool
 
 
-def along(step: Array, start: tuple[Array, Array], end: tuple[Array, Array]) -> Array:
+def flux_steps(step: Array, start: tuple[Array, Array], end: tuple[Array, Array]) -> Array:
     """Flux difference over straight steps of current, from L and dL/di at both ends; shapes (e, 2) -> (e, 2)."""
     mean = 0.5 * (start[0] + end[0])
     bend = np.einsum("eijk,ej,ek->ei", start[1] - end[1], step, step)
@@ -145,22 +145,22 @@ def integrate(points: Inductances, where: str) -> IntegratedFlux:
     edges = _edges(points.current / scale, where)
     a, b = edges.T
     step = points.current[b] - points.current[a]
-    rise = along(step, (points.matrix[a], points.slope[a]), (points.matrix[b], points.slope[b]))
-    # The rule's own error grows with a high power of the step: short edges carry the flux.
+    differences = flux_steps(step, (points.matrix[a], points.slope[a]), (points.matrix[b], points.slope[b]))
+    # The rule's error grows with a high power of the step: short edges get the weight.
     length = np.linalg.norm(step / scale, axis=1)
     weight = np.maximum(length, 0.1 * np.median(length)) ** -4
     n = len(points.current)
     incidence = np.zeros((len(edges), n))
     incidence[np.arange(len(edges)), b], incidence[np.arange(len(edges)), a] = 1.0, -1.0
     weights_of_zero, offset, anchored = _origin(points, where)
-    # Solved with the first point at zero, then moved so that zero current has zero flux.
+    # Solved with the first point at zero, then shifted so that zero current has zero flux.
     normal = (incidence.T * weight) @ incidence
     solver = np.zeros((n, len(edges)))
     solver[1:] = np.linalg.solve(normal[1:, 1:], (incidence.T * weight)[1:])
     # psi(0) = sum over three corners of their weights * (psi + Taylor terms)
     solver -= weights_of_zero @ solver
-    psi = solver @ rise - offset
-    misfit = rise - incidence @ psi
+    psi = solver @ differences - offset
+    misfit = differences - incidence @ psi
     freedom = max(len(edges) - (n - 1), 1)
     closure = np.sqrt((weight[:, None] * misfit**2).sum(axis=0) / freedom)
     noise = _noise(points, edges, step, solver)
@@ -172,16 +172,14 @@ def _edges(points: Array, where: str) -> NDArray[np.int64]:
     """Gabriel neighbours: no third point inside the circle over the edge, so none of the long edges along the hull."""
     triangles = triangulate(points, where)
     corners = triangles.simplices.astype(np.int64)
-    edges, seen_under_obtuse = [], []
+    edges, obtuse_flags = [], []
     for k in range(3):
         a, b, opposite = corners[:, k], corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]
         edges.append(np.sort(np.stack([a, b], axis=1), axis=1))
-        seen_under_obtuse.append(
-            np.einsum("ni,ni->n", points[a] - points[opposite], points[b] - points[opposite]) < -1e-12
-        )
-    every, obtuse = np.concatenate(edges), np.concatenate(seen_under_obtuse)
+        obtuse_flags.append(np.einsum("ni,ni->n", points[a] - points[opposite], points[b] - points[opposite]) < -1e-12)
+    every, obtuse = np.concatenate(edges), np.concatenate(obtuse_flags)
     neighbours = set(map(tuple, every)) - set(map(tuple, every[obtuse]))
-    # Of points that coincide all but one are corners of no triangle.
+    # Of coincident points only one is a corner of the triangulation; the others join it by an edge.
     neighbours |= {(min(point, at), max(point, at)) for point, _, at in triangles.coplanar.tolist()}
     return np.array(sorted(neighbours), dtype=np.int64)
 
@@ -203,7 +201,7 @@ def _origin(points: Inductances, where: str) -> tuple[Array, Array, bool]:
 
 
 def _noise(points: Inductances, edges: NDArray[np.int64], step: Array, solver: Array) -> Array:
-    """Variance of the flux from the inductances' errors, shape (n, 2): noise apart at each point, misfit alike."""
+    """Variance of the flux from the inductances' errors, shape (n, 2): noise independent, misfit fully correlated."""
     from scipy.sparse import csr_array
 
     a, b = edges.T

@@ -11,12 +11,12 @@ from orchestrator.numerics.types import Array
 
 @dataclass(frozen=True)
 class PhaseLoss:
-    """The shape; zero at no current, constant beyond the last knot.
+    """The error over the phase current: zero at zero, constant beyond the last knot.
 
     Attributes
     ----------
     knots_a, error_v : array, shape (k,)
-        What each phase loses at these phase currents [V]; increasing and positive currents.
+        Voltage error of a phase [V] at these phase currents, increasing and positive.
     """
 
     knots_a: Array
@@ -24,7 +24,7 @@ class PhaseLoss:
 
     @property
     def areas(self) -> Array:
-        """Integral of the shape from zero to each knot [VA], shape (k,)."""
+        """Integral of the error from zero to each knot [VA], shape (k,)."""
         ends, volts = np.append(0.0, self.knots_a), np.append(0.0, self.error_v)
         return np.asarray(np.cumsum(0.5 * (volts[1:] + volts[:-1]) * np.diff(ends)))
 

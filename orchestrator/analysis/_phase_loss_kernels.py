@@ -1,7 +1,7 @@
-"""Inverter voltage error per phase over waveforms: integrals of its shape, and the remaining voltage.
+"""Inverter voltage error per phase over waveforms: its integrals per unit, and the voltage less the error.
 
-The shape is odd, straight between knots and constant beyond the last, so whatever dead times, drops and the clamping
-at zero current make of it, it is linear in the values at the knots. Nothing is fitted here.
+The error is an odd function of the phase current, linear between knots and constant beyond the last; it covers dead
+times, drops and the clamping at zero current, and is linear in the values at the knots.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def shape_integrals(i_ab: Samples, knots_a: Array, sampling_s: float, block: int
     i_ab : array, shape (n, 2)
         Measured current [A].
     knots_a : array, shape (k,)
-        Phase currents at which the shape is known [A], increasing and positive.
+        Knots of the error over the phase current [A], increasing and positive.
     """
     (i,) = for_kernels(i_ab)
     return _integrate(i, knots_a, sampling_s, block, blocks)
@@ -64,25 +64,25 @@ def _integrate(i_ab: Samples, knots: Array, sampling_s: float, block: int, block
 def take_out(
     i_ab: Samples, start: int, frame: tuple[float, float], knots: Array, volts: Array, areas: Array, v: Array
 ) -> None:
-    """Take from v, rows d and q, what each phase loses while its current runs straight from sample to sample.
+    """Subtract the inverter's error from v, rows d and q, with each phase current linear between samples.
 
-    The mean of the shape from one current to the next is the difference of its integrals over theirs: a current that
-    passes zero within a sample loses neither the one sign's voltage nor the other's.
+    The mean error from one current to the next is the difference of the error's integrals over the current step, so a
+    zero crossing within a sample is weighted correctly.
     """
     cos, sin = frame
     last = i_ab.shape[0] - 1
-    before, area = np.zeros(3), np.zeros(3)
+    previous, area = np.zeros(3), np.zeros(3)
     loss = np.zeros(3)
     for k in range(-1, v.shape[1]):
         row = min(start + k + 1, last)
         currents = phases_of(np.float64(i_ab[row, 0]), np.float64(i_ab[row, 1]))
         for phase in range(3):
-            now = _area(abs(currents[phase]), knots, volts, areas)
-            step = currents[phase] - before[phase]
-            # A current that stands still keeps what it lost before: its step is no divisor.
+            new_area = _area(abs(currents[phase]), knots, volts, areas)
+            step = currents[phase] - previous[phase]
+            # A constant current keeps its previous error: the step would be a zero divisor.
             if abs(step) > 1e-6 * knots[0]:
-                loss[phase] = (now - area[phase]) / step
-            before[phase], area[phase] = currents[phase], now
+                loss[phase] = (new_area - area[phase]) / step
+            previous[phase], area[phase] = currents[phase], new_area
         if k < 0:
             loss[0], loss[1], loss[2] = 0.0, 0.0, 0.0
             continue
@@ -94,7 +94,7 @@ def take_out(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _area(size: float, knots: Array, volts: Array, areas: Array) -> float:
-    """Integral of the shape from zero to a current."""
+    """Integral of the error from zero to a current [VA]."""
     n = len(knots)
     if size >= knots[n - 1]:
         return float(areas[n - 1] + volts[n - 1] * (size - knots[n - 1]))

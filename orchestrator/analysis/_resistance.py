@@ -1,4 +1,4 @@
-"""The stator resistance: its prior from the nameplate, and what its drift says of the winding's temperature."""
+"""Prior of the stator resistance from the nameplate, and the winding's temperature rise from its drift."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from protocols import Interval, Motor, ResistanceReading
 
-UNSTATED = 0.1
-"""Relative standard deviation of a nameplate without one: copper 25 K from the data sheet's temperature."""
+DEFAULT_RESISTANCE_STD_RATIO = 0.1
+"""Assumed std of a nameplate's R_s over its value: copper 25 K off the data sheet's temperature."""
 COPPER_PER_K = 0.00393
 """Temperature coefficient of resistance of annealed copper at 20 C [1/K] (IEC 60028, International Annealed Copper
 Standard)."""
@@ -22,7 +22,7 @@ class KnownResistance:
     ----------
     value_ohm, std_ohm : float
     is_measured : bool
-        Whether its standard deviation was stated: a nameplate's alone is no measurement, and weighs nothing beside one.
+        Whether its standard deviation was stated; a nameplate without one is no measurement.
     """
 
     value_ohm: float
@@ -44,17 +44,17 @@ def known_resistance(motor: Motor) -> KnownResistance | None:
     """The nameplate's resistance; None where it states none."""
     if motor.stator_resistance_ohm is None:
         return None
-    stated = motor.stator_resistance_std_ohm
-    std = UNSTATED * motor.stator_resistance_ohm if stated is None else stated
-    return KnownResistance(motor.stator_resistance_ohm, std, stated is not None)
+    stated_std = motor.stator_resistance_std_ohm
+    std = DEFAULT_RESISTANCE_STD_RATIO * motor.stator_resistance_ohm if stated_std is None else stated_std
+    return KnownResistance(motor.stator_resistance_ohm, std, stated_std is not None)
 
 
 def temperature_rise(readings: Sequence[ResistanceReading]) -> Interval | None:
     """Rise of the winding's temperature from the first reading to the last [K], with its 95 % interval.
 
     dT = (R_last / R_first - 1) / alpha, for a winding of copper that started at 20 C; at another temperature T it is
-    1 + alpha (T - 20 C) times that. What both readings err alike is counted as if they erred apart, so the interval is
-    rather too wide than too narrow.
+    1 + alpha (T - 20 C) times that. Errors common to both readings count as independent, so the interval is rather too
+    wide than too narrow.
 
     Parameters
     ----------
@@ -64,8 +64,7 @@ def temperature_rise(readings: Sequence[ResistanceReading]) -> Interval | None:
     Returns
     -------
     Interval or None
-        None with fewer than two readings, for nothing drifted that was seen once, and where the first or last is no
-        resistance.
+        None with fewer than two readings, and where the first or last is not positive.
     """
     if len(readings) < 2:
         return None

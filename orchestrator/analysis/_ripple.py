@@ -7,14 +7,14 @@ While the rotor stands still, dpsi/dt = v - R_s i and i = grad H(psi). Around th
 with P the zero-mean primitive of the voltage (F(Omega t) of Combes, Malrait, Martin, Rouchon, "Obtaining the
 current-flux relations of the saturated PMSM by signal injection") and Q that of the current. The ripple is
 regressed on P, on Q and on the products of psi~, over windows of whole injection periods, in each of which a
-constant and a ramp are free. R in the products is what the coefficient of Q says, and they are taken about the mean
-flux of all windows: behind dead time the mean current moves as the ripple turns. Both are found in a first pass where
-they matter. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
-the regression separates the curvature over a finite ripple from the Hessian. H3 is a by-product: it is the
-slope of the inductances, and half of it shifts the mean current away from the current at the mean flux.
-Where the voltage rotates at its own frequency, P and Q are a quarter of a period apart on both axes at once: Q then is
-multiplied by a resistance that is known. Where R exceeds omega L, Q is made of the current that the fit itself
-predicts: that of a noisy current would bias the inductance (errors in variables: K. Steiglitz, L. E. McBride, "A
+constant and a ramp are free. R in the products is the coefficient of Q, and they are taken about the mean flux of all
+windows: with dead time the mean current moves as the ripple rotates. A first pass determines both where they matter.
+So neither R_s nor a voltage bias enters, any waveform will do, and the regression separates the curvature over a finite
+ripple from the Hessian. H3 is a by-product: it is the slope of the inductances, and half of it shifts the mean current
+away from the current at the mean flux.
+Where the voltage rotates at its own frequency, P and Q differ by a quarter of a period on both axes at once: Q then is
+multiplied by a known resistance. Where R exceeds omega L, Q is computed from the current that the fit itself predicts:
+a noisy current would bias the inductance (errors in variables: K. Steiglitz, L. E. McBride, "A
 technique for the identification of linear systems", 1965).
 """
 
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple_model import model_current
-from orchestrator.analysis._ripple_regression import ONE_AXIS, SymmetricFit, symmetric_regression
+from orchestrator.analysis._ripple_regression import ONE_AXIS_ERROR, SymmetricFit, symmetric_regression
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
 
@@ -39,17 +39,16 @@ if TYPE_CHECKING:
     from orchestrator.analysis._ripple_moments import Moments
 
 MODEL_PASSES = 5
-"""Of the regression on the model's own current: the second is within 1 % already, from 20 % off."""
+"""Passes of the regression on the model's own current: two suffice for 1 %, from an error of 20 %."""
 MIN_POWER_RATIO = 0.05
-"""Power of a ripple across its axis over that along it, below which it shows nothing there; an eighth of a turn makes
-0.05."""
+"""Minimum power of a ripple across its axis over that along it; a rotation by an eighth of a turn gives 0.05."""
 MAX_CROSS_AXIS_RATIO = 0.3
-"""The same, that a current controller's answer may make of a wave along one axis where one axis hears the other:
-0.13 at most on simulated machines."""
+"""Maximum of this ratio for a wave along one axis: a current controller's response with cross-coupling gives up to 0.13
+on simulated machines."""
 MIN_TURN_RAD = 0.2
-"""From the first third of a capture to its last, by which a wave turns that is none along one axis."""
+"""Rotation from a capture's first third to its last above which a wave has no fixed axis."""
 MIN_LINE_POWER_RATIO = 0.01
-"""Power of the weaker of a wave's two lines over the stronger's, below which there is but one: the vector rotates."""
+"""Power of the weaker of a wave's two lines over the stronger's below which the vector rotates (a single line)."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,7 @@ class Ripple:
     Attributes
     ----------
     current_dq : array, shape (2,)
-        Current at the centre of the flux ripple [A]: where the derivatives belong.
+        Current at the centre of the flux ripple [A], where the derivatives are taken.
     mean_current_dq : array, shape (2,)
         Mean of the measured current [A].
     hessian : array, shape (2, 2)
@@ -67,15 +66,15 @@ class Ripple:
     third : array, shape (4,)
         Third derivatives H_111, H_112, H_122, H_222 [A/Wb^2].
     covariance : array, shape (7, 7)
-        Of (H_11, H_12, H_22, H_111, H_112, H_122, H_222), from the scatter of the residual.
+        Covariance of (H_11, H_12, H_22, H_111, H_112, H_122, H_222), from the scatter of the residual.
     flux_rms_wb : float
-        Size of the flux ripple.
+        rms of the flux ripple.
     frequency_hz, amplitude_v : float
-        Of the injection, as found in the voltage.
+        Frequency and amplitude of the injection, measured in the voltage.
     decay_per_s : float
-        Slowest rate at which a transient decays, R_s / L [1/s], as found in the ripple.
+        Slowest decay rate of a transient, R_s / L [1/s], fitted to the ripple.
     samples : int
-        How many were used.
+        Number of samples used.
     """
 
     current_dq: Array
@@ -90,22 +89,22 @@ class Ripple:
     samples: int
 
 
-def one_way_rad(v_ab: NDArray[np.floating]) -> float | None:
-    """The angle of the axis along which a voltage ripples, in the frame that it is in; None where it turns."""
+def fixed_axis_rad(v_ab: NDArray[np.floating]) -> float | None:
+    """Angle of the axis of a voltage ripple, in the frame of `v_ab` of shape (n, 2); None where it rotates."""
     third = len(v_ab) // 3
-    parts = [_axis_of(part) for part in (v_ab[:third], v_ab[-third:], v_ab)] if third > 1 else []
-    if not parts or parts[-1][1] > MAX_CROSS_AXIS_RATIO:
+    thirds = [_axis_of(section) for section in (v_ab[:third], v_ab[-third:], v_ab)] if third > 1 else []
+    if not thirds or thirds[-1][1] > MAX_CROSS_AXIS_RATIO:
         return None
-    return None if axes_apart_rad(parts[0][0], parts[1][0]) > MIN_TURN_RAD else parts[-1][0]
+    return None if axis_difference_rad(thirds[0][0], thirds[1][0]) > MIN_TURN_RAD else thirds[-1][0]
 
 
-def axes_apart_rad(one_rad: float, other_rad: float) -> float:
-    """Angle between two axes, which have no direction: 0 to pi / 2."""
-    return abs((one_rad - other_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+def axis_difference_rad(first_rad: float, second_rad: float) -> float:
+    """Angle between two axes (without direction), 0 to pi / 2 [rad]."""
+    return abs((first_rad - second_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
 
 
 def _axis_of(v_ab: NDArray[np.floating]) -> tuple[float, float]:
-    """Angle of a ripple's axis, and its power across that over the power along it."""
+    """Angle of a ripple's principal axis, and its power across that axis over the power along it."""
     (across, along), vectors = np.linalg.eigh(np.cov(np.asarray(v_ab, dtype=np.float64).T))
     return math.atan2(vectors[1, 1], vectors[0, 1]), across / along if along > 0.0 else 1.0
 
@@ -114,15 +113,14 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
     """Frequency of a (rotating) periodic wave on a constant voltage [Hz].
 
     A wave of frequency f whose axis rotates at r has its strongest lines at +f + r and -f + r in the
-    spectrum of v_alpha + j v_beta, so half their distance is f whatever the rotation. A vector that rotates at f itself
-    has but one of them.
+    spectrum of v_alpha + j v_beta, so half their distance is f at any r. A vector that rotates at f has only one line.
 
     Raises
     ------
     NotMeasuredError
-        Where no such wave is there.
+        Where the voltage has no such wave.
     """
-    v_ab = v_ab[:16_384]  # a power of two, and enough: the line is then as sharp as the ripple's own window
+    v_ab = v_ab[:16_384]  # a power of two that resolves the line as sharply as the ripple's own window
     vectors = np.ascontiguousarray(v_ab, dtype=np.float64).view(np.complex128)[:, 0]
     n = len(vectors)
     if n < 16:
@@ -141,14 +139,14 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
 
 @lru_cache(maxsize=4)
 def _hann(n: int) -> Array:
-    """The window for n samples, made once for all captures of one length."""
+    """Hann window of n samples, cached for all captures of one length."""
     window = np.hanning(n)
     window.flags.writeable = False
     return window
 
 
 def _peak(spectrum: Array) -> tuple[float, float]:
-    """Place of the highest line, between bins (parabola through the logarithms), and its power."""
+    """Frequency of the highest line in bins (parabola through the logarithms), and its power."""
     k = int(np.argmax(spectrum))
     if not 0 < k < len(spectrum) - 1:
         return float(k), float(spectrum[k])
@@ -164,7 +162,7 @@ def demodulate(
     discard_s: float | None = None,
     time_constant_s: float | None = None,
     loss: PhaseLoss = NO_LOSS,
-    beside: Sequence[Capture] = (),
+    more_captures: Sequence[Capture] = (),
     resistance_ohm: float | None = None,
     where: str = "capture",
 ) -> Ripple:
@@ -181,12 +179,12 @@ def demodulate(
         Time left out at the start, where the switched-on wave leaves a decaying offset. By default five
         time constants, at most a third of the capture.
     time_constant_s : float, optional
-        L / R_s, for that default. Without it the ripple itself tells.
+        L / R_s, for that default. Without it, it is estimated from the ripple.
     loss : PhaseLoss
-        What the inverter is known to keep. It follows the ripple where a phase current passes zero, and the inductance
+        Known voltage error of the inverter. It follows the ripple where a phase current passes zero, and the inductance
         then looks too large along that phase's axis.
-    beside : sequence of Capture
-        Of the same point and injected frequency, along other axes: a wave that does not turn shows but its own.
+    more_captures : sequence of Capture
+        Same point and frequency, injected along other axes: a wave with a fixed axis shows only that axis.
     resistance_ohm : float, optional
         Known resistance; required where the voltage rotates at its own frequency, as resistance and inductances are
         then not separable.
@@ -196,9 +194,9 @@ def demodulate(
     Raises
     ------
     NotMeasuredError
-        Where no injection is found, or its axis does not turn, or it lasts for too few periods.
+        Where no injection is found, its axis does not rotate, or it lasts for too few periods.
     """
-    captures = (capture, *beside)
+    captures = (capture, *more_captures)
     frequency = injection_frequency(capture.v_ab, capture.sampling_frequency_hz, where)
     if discard_s is None and time_constant_s is None:
         whole = _demodulated(
@@ -227,10 +225,10 @@ def _demodulated(
 
     rate = captures[0].sampling_frequency_hz
     first = max(skip, math.ceil(delay))
-    there = min(len(one) for one in captures) - first
-    width = _window(rate / frequency, there)
-    if there < width:
-        problem = f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {there} are there"
+    available = min(len(capture) for capture in captures) - first
+    width = _window(rate / frequency, available)
+    if available < width:
+        problem = f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {available} are there"
         raise NotMeasuredError(where, "samples", problem)
     decaying: list[Array | None] = [None] * len(captures)
 
@@ -238,8 +236,8 @@ def _demodulated(
         moments = pooled(
             [
                 ripple_moments(
-                    one.i_ab,
-                    one.v_ab,
+                    capture.i_ab,
+                    capture.v_ab,
                     sampling_s=1.0 / rate,
                     angle_rad=angle,
                     delay=delay,
@@ -251,12 +249,12 @@ def _demodulated(
                     loss=loss,
                     decaying_i_ab=model_i_ab,
                 )
-                for one, model_i_ab in zip(captures, decaying, strict=True)
+                for capture, model_i_ab in zip(captures, decaying, strict=True)
             ]
         )
         across, along = np.linalg.eigvalsh(moments.normal[:2, :2])
         if across < MIN_POWER_RATIO * along:
-            raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
+            raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS_ERROR)
         freedom = moments.samples - 2 * moments.windows
         fit = symmetric_regression(moments.normal, freedom, 1.0 / rate, where, resistance_ohm)
         if not np.linalg.matrix_rank(fit.hessian, hermitian=True) == 2:
@@ -267,11 +265,11 @@ def _demodulated(
     for _ in range(2):
         moments, fit = regress(drop_ohm, centre, inductance)
         ripple_wb = math.sqrt((moments.normal[0, 0] + moments.normal[1, 1]) / moments.samples)
-        # Where little decays over a period, R Q is too little of the ripple to matter in its products ...
+        # With a slow decay R Q is negligible in the products of the ripple ...
         slow = np.linalg.norm(fit.decay_per_s, 2) < 0.3 * frequency
         inductance = np.linalg.inv(fit.hessian).astype(np.float64)
-        # ... and where the mean moves by little of the ripple, as it turns, so does its place.
-        still = np.linalg.norm(inductance @ moments.moved_i) < 0.05 * ripple_wb
+        # ... and with a nearly constant mean current so is the centre's movement.
+        still = np.linalg.norm(inductance @ moments.mean_i_rms) < 0.05 * ripple_wb
         if slow and still:
             break
         drop_ohm = np.zeros((2, 2)) if slow else inductance @ fit.decay_per_s
@@ -280,13 +278,13 @@ def _demodulated(
         # R exceeds omega L: Q is nearly P / R, and the small difference is buried in its noise.
         measured, model = (moments, fit), fit
         for _ in range(MODEL_PASSES):
-            if np.linalg.eigvals(model.decay_per_s).real.min() <= 0.0:  # a voltage of other rows: no winding's current
+            if np.linalg.eigvals(model.decay_per_s).real.min() <= 0.0:  # the voltage is of other rows than the current
                 moments, fit = measured
                 break
-            decaying = [model_current(one, angle, delay, model, loss) for one in captures]
+            decaying = [model_current(capture, angle, delay, model, loss) for capture in captures]
             moments, fit = regress(inductance @ fit.decay_per_s, centre, inductance)
             inductance = np.linalg.inv(fit.hessian).astype(np.float64)
-            # Half of each step: whole ones swing from side to side.
+            # Half of each step: full steps oscillate.
             hessian, decay_per_s = fit.hessian + model.hessian, fit.decay_per_s + model.decay_per_s
             model = replace(fit, hessian=0.5 * hessian, decay_per_s=0.5 * decay_per_s)
     s, t = moments.mean_squares, fit.third
@@ -305,12 +303,12 @@ def _demodulated(
     )
 
 
-def _window(period: float, most: int, fewest: int = 4) -> int:
+def _window(period: float, max_samples: int, min_periods: int = 4) -> int:
     """Samples of the shortest window of at least four periods that holds a whole number of them, or nearly so.
 
-    In four a ramp is nearly orthogonal to the ripple. Of those with at most `most` samples, where there are such.
+    In four a ramp is nearly orthogonal to the ripple. At most `max_samples`, where possible.
     """
-    longest = min(10 * fewest, math.floor(most / period))
-    periods = np.arange(fewest, max(longest, fewest) + 1)
-    off = np.abs(periods * period - np.round(periods * period)) / periods
-    return round(float(periods[int(np.argmax(off <= max(1e-3, off.min())))] * period))
+    max_periods = min(10 * min_periods, math.floor(max_samples / period))
+    periods = np.arange(min_periods, max(max_periods, min_periods) + 1)
+    misalignment = np.abs(periods * period - np.round(periods * period)) / periods
+    return round(float(periods[int(np.argmax(misalignment <= max(1e-3, misalignment.min())))] * period))

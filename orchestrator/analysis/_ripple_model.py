@@ -26,12 +26,12 @@ def model_current(capture: Capture, angle_rad: float, delay: float, fit: Symmetr
     ----------
     capture : Capture
     angle_rad : float
-        Of the dq frame of the fit.
+        Angle of the dq frame of the fit.
     delay : float
         n, where v[k] acts from t_k + n Ts.
     fit : SymmetricFit
     loss : PhaseLoss
-        What the inverter is known to keep.
+        Known voltage error of the inverter.
     """
     whole = math.floor(delay)
     part = delay - whole
@@ -45,17 +45,17 @@ def model_current(capture: Capture, angle_rad: float, delay: float, fit: Symmetr
     rates, vectors = np.linalg.eig(fit.decay_per_s.astype(np.complex128))
     inverse = np.linalg.inv(vectors)
     x = rates / capture.sampling_frequency_hz
-    kept = ((vectors * np.exp(-x)) @ inverse).real
+    transition = ((vectors * np.exp(-x)) @ inverse).real
     drawn = ((vectors * (-np.expm1(-x) / rates)) @ inverse).real @ fit.hessian
-    return to_ab(_recursion(kept, drawn @ v, to_dq(capture.i_ab[:1], angle_rad)[0]), angle_rad)
+    return to_ab(_recursion(transition, drawn @ v, to_dq(capture.i_ab[:1], angle_rad)[0]), angle_rad)
 
 
 @njit(cache=True, nogil=True)
-def _recursion(kept: Array, drawn: Array, start: Array) -> Array:
+def _recursion(a: Array, drawn: Array, start: Array) -> Array:
     n = drawn.shape[1]
     out = np.empty((n, 2))
     d, q = start[0], start[1]
     for k in range(n):
         out[k, 0], out[k, 1] = d, q
-        d, q = kept[0, 0] * d + kept[0, 1] * q + drawn[0, k], kept[1, 0] * d + kept[1, 1] * q + drawn[1, k]
+        d, q = (a[0, 0] * d + a[0, 1] * q + drawn[0, k], a[1, 0] * d + a[1, 1] * q + drawn[1, k])
     return out

@@ -1,6 +1,6 @@
-"""The one pass over the waveforms that demodulation needs: moments of ripple features, window by window.
+"""One pass over the waveforms for demodulation: moments of ripple features, window by window.
 
-Knows nothing of what the moments mean; `_ripple_regression` solves for that.
+`_ripple_regression` fits the derivatives of the energy to them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Moments:
         Means of x_d^2, x_d x_q, x_q^2 of the flux x = P - R Q from the centre.
     mean_i, mean_v2 : array of shape (2,), float
         Mean current; mean square of the voltage's ripple.
-    moved_i : array, shape (2,)
+    mean_i_rms : array, shape (2,)
         rms of the windows' mean currents about the mean of all.
     samples, windows : int
     """
@@ -41,25 +41,25 @@ class Moments:
     mean_squares: Array
     mean_i: Array
     mean_v2: float
-    moved_i: Array
+    mean_i_rms: Array
     samples: int
     windows: int
 
 
-def pooled(some: Sequence[Moments]) -> Moments:
+def pooled(captures: Sequence[Moments]) -> Moments:
     """The moments of several captures of one operating point as of one."""
-    samples, windows = sum(m.samples for m in some), sum(m.windows for m in some)
+    samples, windows = sum(m.samples for m in captures), sum(m.windows for m in captures)
 
     def mean(values: Sequence[Array]) -> Array:
-        return np.asarray(sum(m.windows / windows * x for m, x in zip(some, values, strict=True)))
+        return np.asarray(sum(m.windows / windows * x for m, x in zip(captures, values, strict=True)))
 
-    mean_i = mean([m.mean_i for m in some])
+    mean_i = mean([m.mean_i for m in captures])
     return Moments(
-        normal=np.sum([m.normal for m in some], axis=0),
-        mean_squares=mean([m.mean_squares for m in some]),
+        normal=np.sum([m.normal for m in captures], axis=0),
+        mean_squares=mean([m.mean_squares for m in captures]),
         mean_i=mean_i,
-        mean_v2=float(mean([np.array(m.mean_v2) for m in some])),
-        moved_i=np.sqrt(mean([m.moved_i**2 + (m.mean_i - mean_i) ** 2 for m in some])),
+        mean_v2=float(mean([np.array(m.mean_v2) for m in captures])),
+        mean_i_rms=np.sqrt(mean([m.mean_i_rms**2 + (m.mean_i - mean_i) ** 2 for m in captures])),
         samples=samples,
         windows=windows,
     )
@@ -84,8 +84,8 @@ def ripple_moments(
 
     v[k] acts from t_k + delay Ts on; `first` must not be less than `delay`. `drop_ohm`, shape (2, 2), is R of the
     flux ripple whose products are taken. These are of the flux from its value at the current `centre_i`, which in a
-    window is the ripple and `inductance_h`, shape (2, 2), times what the window's mean current is off. `loss` is taken
-    out of the voltage first. Q is the primitive of `decaying_i_ab`, by default of the current as measured.
+    window is the ripple plus `inductance_h`, shape (2, 2), times the deviation of the window's mean current. `loss` is
+    subtracted from the voltage first. Q is the primitive of `decaying_i_ab`, by default of the current as measured.
     """
     whole = math.floor(delay)
     windows = (len(i_ab) - first) // width
@@ -200,7 +200,7 @@ def _fill_features(
         q_q += sampling_s * decaying[1, k]
     for row in range(4):
         _take_out_mean(z, row)
-    # The voltage has done its work: its rows hold the flux from the centre from here on.
+    # From here on the rows of v hold the flux from the centre.
     for k in range(v.shape[1]):
         v[0, k] = place[0] + z[0, k] - drop_ohm[0, 0] * z[2, k] - drop_ohm[0, 1] * z[3, k]
         v[1, k] = place[1] + z[1, k] - drop_ohm[1, 0] * z[2, k] - drop_ohm[1, 1] * z[3, k]
@@ -212,7 +212,7 @@ def _fill_features(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _take_out_mean(x: Array, row: int) -> float:
-    """Makes a row's mean zero; what it was. A loop: numba takes seconds to compile what it says in numpy's words."""
+    """Subtract a row's mean, which is returned; a loop, since numba takes seconds to compile the numpy call."""
     total = 0.0
     for k in range(x.shape[1]):
         total += x[row, k]
@@ -224,7 +224,7 @@ def _take_out_mean(x: Array, row: int) -> float:
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _times(x: Array, a: int, y: Array, b: int, z: Array, out: int) -> float:
-    """Row `out` of z becomes the product of two others, whose sum is returned; one by one they go four at a time."""
+    """Row `out` of z becomes the product of two others, whose sum is returned; the plain loop is vectorised."""
     total = 0.0
     for k in range(x.shape[1]):
         product = x[a, k] * y[b, k]
@@ -235,7 +235,7 @@ def _times(x: Array, a: int, y: Array, b: int, z: Array, out: int) -> float:
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _multiply(z: Array, product: Array) -> None:
-    """Lower triangle of z z^T, two rows by two at a time: what is loaded is used twice."""
+    """Lower triangle of z z^T, two rows by two at a time, so that each load is used twice."""
     for a in range(0, z.shape[0], 2):
         for b in range(0, a + 1, 2):
             s00, s01, s10, s11 = 0.0, 0.0, 0.0, 0.0

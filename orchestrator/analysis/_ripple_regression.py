@@ -1,6 +1,6 @@
 """Least squares for the derivatives of an energy, whose symmetry ties the two current components together.
 
-Works on a normal matrix; where that comes from is `_ripple`'s business.
+The input is a normal matrix from `_ripple_moments`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _P, _Q = slice(0, 2), slice(2, 4)
 _FEATURES_OF_ORDER = {1: 4, 2: 7, 3: 11}
 _UNKNOWNS_OF_ORDER = {1: [0, 1, 2, 7, 8, 9, 10], 2: list(range(11)), 3: list(range(16))}
 MIN_UNEXPLAINED_SHARE = 0.05
-"""Part of Q that P does not explain, below which both tell the same: 0.24 and more where a wave's axis turns, 0.003 at
-most of a vector that rotates at the wave's own frequency."""
+"""Minimum share of Q unexplained by P for a fitted R_s: 0.24 and more where a wave's axis rotates, 0.003 at most for a
+vector that rotates at the wave's own frequency."""
 DEPENDENT = "both currents are the same signal: the readings cover one axis only"
-ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
+ONE_AXIS_ERROR = "the injected voltage excites one axis only: its direction has to rotate"
 NO_RESISTANCE = "the voltage rotates at its own frequency: inductances need a known R_s, and none is known"
 
 
@@ -66,7 +66,7 @@ def symmetric_regression(
     normal : array, shape (13, 13)
         Sums of products of the eleven features (P, Q, squares and cubes of P) and the two currents.
     freedom : int
-        Samples less what has been fitted already.
+        Samples less the parameters fitted before.
     sampling_s : float
         Time between the samples, whose trapezoids make Q.
     resistance_ohm : float, optional
@@ -79,7 +79,7 @@ def symmetric_regression(
         currents depend on each other.
     """
     known_ohm = None
-    if not _are_apart(normal):
+    if not _separable(normal):
         if resistance_ohm is None:
             raise NotMeasuredError(where, "v_alpha, v_beta", NO_RESISTANCE)
         known_ohm = resistance_ohm
@@ -98,24 +98,24 @@ def symmetric_regression(
         scaled = normal[np.ix_(features, features)] / np.outer(scale, scale)
         if np.linalg.eigvalsh(scaled)[0] > 1e-6:
             try:
-                found = _solved(normal, features, scale, scaled, freedom, unknowns)
+                fit = _solved(normal, features, scale, scaled, freedom, unknowns)
                 if known_ohm is not None:
-                    found = replace(found, decay_per_s=known_ohm * found.hessian)
-                return _between_samples(found, sampling_s)
+                    fit = replace(fit, decay_per_s=known_ohm * fit.hessian)
+                return _between_samples(fit, sampling_s)
             except np.linalg.LinAlgError:
                 # Currents that are an exact multiple of each other leave a residual of rank one.
                 raise NotMeasuredError(where, "i_alpha, i_beta", DEPENDENT) from None
-    raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
+    raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS_ERROR)
 
 
-def _are_apart(normal: Array) -> bool:
+def _separable(normal: Array) -> bool:
     """Whether Q adds information to P, so that a resistance is determined besides inductances."""
-    own, across, other = normal[_P, _P], normal[_P, _Q], normal[_Q, _Q]
-    size = np.sqrt(np.diag(other))
-    if not (size > 0.0).all() or np.linalg.matrix_rank(own, hermitian=True) < 2:
+    p_products, across, q_products = normal[_P, _P], normal[_P, _Q], normal[_Q, _Q]
+    size = np.sqrt(np.diag(q_products))
+    if not (size > 0.0).all() or np.linalg.matrix_rank(p_products, hermitian=True) < 2:
         return True
-    left = other - across.T @ np.linalg.solve(own, across)
-    return bool(np.linalg.eigvalsh(left / np.outer(size, size))[0] > MIN_UNEXPLAINED_SHARE)
+    unexplained = q_products - across.T @ np.linalg.solve(p_products, across)
+    return bool(np.linalg.eigvalsh(unexplained / np.outer(size, size))[0] > MIN_UNEXPLAINED_SHARE)
 
 
 def _solved(
@@ -146,14 +146,14 @@ def _solved(
 
 
 def _between_samples(fit: SymmetricFit, sampling_s: float) -> SymmetricFit:
-    """Undo what trapezoids make of a current that decays between two samples.
+    """The fit corrected for trapezoids over a current that decays between two samples.
 
     With x = A h / 2 the sampled current obeys di = (tanh x / x) H v h - (2/h) tanh x Q' exactly, Q' being the
     trapezoid: so A = (2/h) artanh(B h / 2) of the matrix B found, and H = (A / B) times the matrix found.
     """
     rates, vectors = np.linalg.eig(fit.decay_per_s.astype(np.complex128))
     x = 0.5 * sampling_s * rates
-    # What is faster than the samples is noise: nothing to be undone.
+    # A rate faster than the samples is noise: no correction.
     x = np.where((np.abs(x) > 1e-6) & (np.abs(x) < 0.9), x, 1e-6)
     ratio = (vectors * (np.arctanh(x) / x)) @ np.linalg.inv(vectors)
     hessian = (ratio @ fit.hessian).real

@@ -7,8 +7,8 @@ d axis lay along the current to within the tolerance as well. By the symmetry of
     c H n = 0,    |(H_cc - H_nn) - (H_cc - H_nn at rest)| <= increase of the trace,
 
 c the direction of the current and n across it: more current along d saturates both axes, and the saliency changes by no
-more than the two together. A rotor that shows anything else was held. What shows just that may still be a rotor that
-is held and saturates: then the slope of the inductances tells, whose part by the magnet stays where the rotor is.
+more than the two together. Any other result means that the rotor was held. This result may still come from a held
+rotor that saturates: then the slope of the inductances decides, since the magnet's share of it stays with the rotor.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from orchestrator.numerics.frames import to_dq
 
 MIN_SIGMAS = 3.0
 FOLLOWING_SHARE = 0.5
-"""Between what a held rotor shows and what one shows that follows."""
+"""Decision threshold, halfway between a held rotor (1) and one that follows (0)."""
 
 
 def follows(rest: Ripple, torques: Sequence[Ripple], tolerance_rad: float) -> bool | None:
@@ -41,15 +41,15 @@ def follows(rest: Ripple, torques: Sequence[Ripple], tolerance_rad: float) -> bo
     suspects = [ripple for ripple in torques if _may_lie_on_current(rest, ripple, tolerance_rad)]
     if not suspects:
         return False
-    kept = [_magnet_share(rest, ripple) for ripple in suspects]
-    seen = [share for share in kept if share is not None]
+    shares_at_3_sigma = [_magnet_share(rest, ripple) for ripple in suspects]
+    known_shares = [share for share in shares_at_3_sigma if share is not None]
     eighth = math.sqrt(0.5)  # cosine of an eighth of a turn
-    if seen and len(seen) == len(suspects) and min(low for low, _ in seen) > eighth:
+    if known_shares and len(known_shares) == len(suspects) and min(low for low, _ in known_shares) > eighth:
         return False
-    most_a = max(float(np.linalg.norm(ripple.current_dq)) for ripple in suspects)
-    carries_current = float(np.linalg.norm(rest.current_dq)) > 0.1 * most_a
-    # Beside a current at rest the magnet's share is an extrapolation: good enough to acquit, not to convict.
-    if not carries_current and seen and max(high for _, high in seen) < FOLLOWING_SHARE * eighth:
+    max_a = max(float(np.linalg.norm(ripple.current_dq)) for ripple in suspects)
+    carries_current = float(np.linalg.norm(rest.current_dq)) > 0.1 * max_a
+    # With a current at rest the magnet's share is an extrapolation: it may show a held rotor, but no free one.
+    if not carries_current and known_shares and max(high for _, high in known_shares) < FOLLOWING_SHARE * eighth:
         return True
     return True if any(_falls(rest, ripple) for ripple in suspects) else None
 
@@ -60,7 +60,7 @@ def _may_lie_on_current(rest: Ripple, ripple: Ripple, tolerance_rad: float) -> b
     now, scatter = anisotropy(ripple)
     # (H_cc - H_nn, 2 H_cn) by the anisotropy in the believed frame
     along, across = (float(x) for x in to_dq(now[None], 2.0 * _angle(ripple))[0])
-    # What is across at rest, where the d axis is known to lie, is the sensors' unequal gain or the brake's turn.
+    # Anisotropy across the known d axis at rest comes from unequal sensor gains or a rotation of the brake.
     unknown = abs(float(before[1])) + MIN_SIGMAS * math.sqrt(float(np.linalg.eigvalsh(scatter + scatter_before)[-1]))
     if abs(across) > unknown + 2.0 * tolerance_rad * float(np.linalg.norm(now)):
         return False
@@ -74,10 +74,10 @@ def _angle(ripple: Ripple) -> float:
 
 
 def _magnet_share(rest: Ripple, ripple: Ripple) -> tuple[float, float] | None:
-    """Least and most of the magnet's slope that is left across the current, at 3 sigma; None where it is not seen.
+    """Bounds (3 sigma) of the magnet's slope across the current over that at rest; None where it is not significant.
 
-    In a rotor that is held the slope is g + k i, the magnet's share and the current's; k is what the torque current
-    has added. In a rotor whose d axis lies along the current there is no slope across it.
+    In a held rotor the slope is g + k i, the magnet's and the current's; k follows from the torque current's effect.
+    A rotor whose d axis lies along the current has no slope across it.
     """
     if saturation_direction(rest) is None:
         return None
@@ -96,7 +96,7 @@ def _magnet_share(rest: Ripple, ripple: Ripple) -> tuple[float, float] | None:
 
 
 def _falls(rest: Ripple, ripple: Ripple) -> bool:
-    """Whether H falls on an axis by half of what a rotor makes that turns: saturation by more current raises it."""
+    """Whether H falls on an axis by half of what a rotation causes; saturation by more current raises H."""
     if saliency_direction(rest) is None:
         return False
     saliency = abs(float(anisotropy(rest)[0][0]))

@@ -1,9 +1,9 @@
 """Check that the rotor is locked, by the angle of its saliency at rest and under torque.
 
-The principal axes of the Hessian turn with the rotor. Injection at rest, under positive torque, at rest, under negative
-torque and at rest shows by how much the rotor has turned between the rests (it slipped in its brake, or was never
-locked) and how far it seems to give while the torque acts: cross-saturation turns the axes as well. Half a turn of the
-axes' angle looks like none; a rotor that follows the current vector turns by as much as that.
+The principal axes of the Hessian rotate with the rotor. Injections at rest, under positive torque, at rest, under
+negative torque and at rest measure the rotor's lasting rotation between the rests (a slipping brake, or no lock) and an
+apparent twist while the torque acts, since cross-saturation rotates the axes as well. The axes' angle is known modulo
+half a turn; the axes of a rotor that follows the current vector rotate by that much.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from orchestrator.analysis._ripple import Ripple, demodulate
 from orchestrator.analysis._rotor_direction import (
     Direction,
     OperatingPoint,
-    at_current,
+    corrected_to_current,
     inverter_loss_v,
     rotation,
     saliency_direction,
-    saliency_gain,
+    saliency_sensitivity,
     saturation_direction,
-    saturation_gain,
+    saturation_sensitivity,
     zero_share,
 )
 from orchestrator.analysis._rotor_follows import follows
@@ -32,13 +32,13 @@ from orchestrator.numerics.frames import to_dq
 from protocols import Capture, LockChecked, NotMeasuredError, Segment
 
 MIN_LOCK_PROBABILITY = 0.95
-"""Probability of a rotation within the tolerance from which on a rotor counts as locked."""
-NAMEPLATE_SHARE = 0.9
-"""Of a current that follows from the nameplate's flux and inductances, which hold to some percent."""
+"""Minimum probability of a rotation within the tolerance for a rotor that counts as locked."""
+NAMEPLATE_MARGIN = 0.9
+"""Margin on a current computed from the nameplate's flux and inductances, which are accurate to some percent."""
 MOVEMENT_SIGMAS = 3.0
-"""Standard deviations of a rotation beyond the tolerance from which on the rotor counts as moved."""
+"""A rotation beyond the tolerance counts as movement above this many of its standard deviations."""
 DECIDING_SIGMAS = 4.5
-"""Standard deviations in the tolerance with which a rotor that is held is found locked 99 times of 100."""
+"""Tolerance over the rotation's standard deviation at which a held rotor is found locked 99 times of 100."""
 
 
 def judge_lock(
@@ -54,14 +54,14 @@ def judge_lock(
     Parameters
     ----------
     captures : sequence of (Segment, Capture)
-        In order of time, with currents of zero, plus, zero, minus, zero on the believed q axis, and one current (or
-        none) on its d axis. Which are which is found from the waveforms.
+        In order of time, with currents of zero, plus, zero, minus, zero on the believed q axis, and a constant current
+        (or none) on the d axis. The waveforms show which capture is which.
     tolerance_rad : float
         Largest lasting rotation (electrical) that counts as locked.
     voltage_delay_samples, time_constant_s : float
         As in `demodulate`.
     aligning_current_a : float
-        From there on L_q - L_d outweighs the magnet, and a free rotor does not rest with its d axis on the current [A].
+        Current above which reluctance outweighs the magnet, so a free rotor does not align its d axis with it [A].
 
     Raises
     ------
@@ -70,9 +70,8 @@ def judge_lock(
 
     Notes
     -----
-    `locked` is None where the rotation is not known well enough, or where the rotor is back at each rest, and under
-    torque the inductances are what a rotor would show that follows the current, and what saturation by that current
-    would show as well.
+    `locked` is None where the rotation is too uncertain, or where the rotor is back at each rest and both explanations
+    of the inductances under torque remain: a rotor that follows the current, and saturation by that current.
     """
     points = []
     for segment, capture in captures:
@@ -94,35 +93,34 @@ def judge_lock(
     if len(rests) < 2 or not loaded:
         raise NotMeasuredError("lock_check", "segments", "needs injection at rest before and after one under torque")
     first, torques, loss_v = rests[0].ripple, [point.ripple for point in loaded], inverter_loss_v(rests, loaded)
-    ripples = [at_current(point.ripple, first.current_dq) for point in rests]
+    ripples = [corrected_to_current(point.ripple, first.current_dq) for point in rests]
     salient = [saliency_direction(r, p.zero_share, loss_v) for r, p in zip(ripples, rests, strict=True)]
     free = follows(first, torques, tolerance_rad)
-    most_a = max(float(np.linalg.norm(ripple.mean_current_dq)) for ripple in torques)
-    if free is False and most_a > NAMEPLATE_SHARE * aligning_current_a and abs(_lean(first, torques)) > tolerance_rad:
-        # Symmetry then hides the rotation, and a rotor that the current at rest brings back shows no other sign.
-        free = None if float(np.linalg.norm(first.mean_current_dq)) > 0.1 * most_a else free
+    max_a = max(float(np.linalg.norm(ripple.mean_current_dq)) for ripple in torques)
+    is_twisted = abs(_twist_rad(first, torques)) > tolerance_rad
+    if free is False and max_a > NAMEPLATE_MARGIN * aligning_current_a and is_twisted:
+        # Symmetry then hides the rotation under torque, and the current at rest returns the rotor.
+        free = None if float(np.linalg.norm(first.mean_current_dq)) > 0.1 * max_a else free
     by_saliency = [direction for direction in salient if direction is not None]
-    if len(by_saliency) == len(rests) and _turns_with_rotor(gain := saliency_gain(ripples)):
+    if len(by_saliency) == len(rests) and _rotates_with_rotor(gain := saliency_sensitivity(ripples)):
         inverter = _Inverter(loss_v, first.amplitude_v, max(point.zero_share for point in rests))
-        return _verdict(by_saliency, gain, free, tolerance_rad, inverter, _Twist(_lean(first, torques)))
+        return _verdict(by_saliency, gain, free, tolerance_rad, inverter, _Twist(_twist_rad(first, torques)))
     by_saturation = [direction for direction in map(saturation_direction, ripples) if direction is not None]
-    if len(by_saturation) == len(rests) and _turns_with_rotor(gain := saturation_gain(first, torques)):
+    if len(by_saturation) == len(rests) and _rotates_with_rotor(gain := saturation_sensitivity(first, torques)):
         return _verdict(by_saturation, gain, free, tolerance_rad)
-    reason = (
-        "the motor shows no saliency at rest, neither in its inductances nor in their saturation, that turns with it"
-    )
-    return _unknown(tolerance_rad, f"{reason}, so a rotation is invisible")
+    reason = "at rest neither the inductances nor their saturation show a saliency that rotates with the rotor"
+    return _unknown(tolerance_rad, f"{reason}, so a rotation cannot be measured")
 
 
 def lock_duration_ratio(
     segment: Segment, capture: Capture, tolerance_rad: float, *, voltage_delay_samples: float = 0.0
 ) -> float:
-    """How many times as long as this capture those of a lock check have to be for its noise to leave no doubt.
+    """Required duration of a lock check's captures over this one's, for noise small enough to decide.
 
     Parameters
     ----------
     segment, capture : Segment, Capture
-        Injection at rest, before any torque: noise of the rest that later ones are compared with cannot be made up for.
+        Injection at rest, before any torque: later rests are compared with it, so its noise cannot be averaged later.
     tolerance_rad : float
         Largest lasting rotation (electrical) that counts as locked.
     voltage_delay_samples : float
@@ -130,8 +128,7 @@ def lock_duration_ratio(
 
     Notes
     -----
-    Noise falls with the root of the time. Below 1 where this capture is longer than it need be; 1 where it shows no
-    direction, so that nobody knows what a longer one would show.
+    Noise falls with the root of the time. Below 1 where a shorter capture suffices; 1 where this shows no direction.
     """
     try:
         ripple = demodulate(
@@ -139,23 +136,24 @@ def lock_duration_ratio(
         )
     except NotMeasuredError:
         return 1.0
-    saliency, saturation, gain = saliency_direction(ripple), saturation_direction(ripple), saliency_gain([ripple])
-    turns = saliency is not None and _turns_with_rotor(gain)
-    direction = saliency if turns else saturation or saliency
+    saliency, saturation = saliency_direction(ripple), saturation_direction(ripple)
+    gain = saliency_sensitivity([ripple])
+    is_rotor_fixed = saliency is not None and _rotates_with_rotor(gain)
+    direction = saliency if is_rotor_fixed else saturation or saliency
     if direction is None:
         return 1.0
-    std = math.sqrt(2.0) * direction.std  # between two rests
-    return _duration_ratio(std / abs(gain[0]) if turns else std, tolerance_rad)
+    std = math.sqrt(2.0) * direction.std  # difference of two rests
+    return _duration_ratio(std / abs(gain[0]) if is_rotor_fixed else std, tolerance_rad)
 
 
 def _duration_ratio(std_rad: float, tolerance_rad: float) -> float:
-    """How many times as long a capture has to be for a rotation of this standard deviation to be decided."""
+    """Required duration over the present one for a rotation of this standard deviation to be decided."""
     return (DECIDING_SIGMAS * std_rad / tolerance_rad) ** 2
 
 
-def _turns_with_rotor(gain: tuple[float, float]) -> bool:
-    """Whether a direction is the rotor's, and not that of the current which saturates the iron."""
-    return abs(gain[0]) > MOVEMENT_SIGMAS * gain[1]
+def _rotates_with_rotor(sensitivity: tuple[float, float]) -> bool:
+    """Whether a direction rotates with the rotor and not with the current that saturates the iron."""
+    return abs(sensitivity[0]) > MOVEMENT_SIGMAS * sensitivity[1]
 
 
 def _off_target(segment: Segment, capture: Capture) -> str:
@@ -174,20 +172,20 @@ def _off_target(segment: Segment, capture: Capture) -> str:
 
 
 def _unknown(tolerance_rad: float, reason: str) -> LockChecked:
-    # An angle that cannot be seen may be anything: all that is known is how much of a quarter turn is tolerated.
+    # Without a measured angle the prior is uniform over +-a quarter turn.
     return LockChecked(
         locked=None,
         confidence=min(tolerance_rad / (0.5 * math.pi), 1.0),
         moved_rad=0.0,
         moved_std_rad=0.5 * math.pi / math.sqrt(3.0),
         twist_rad=0.0,
-        summary=f"cannot tell: {reason}; nothing speaks against the lock, the brake has to be trusted",
+        summary=f"cannot tell: {reason}; no sign of movement, so the lock rests on the brake alone",
     )
 
 
 @dataclass(frozen=True)
 class _Inverter:
-    """What the inverter loses while phase currents pass zero at rest."""
+    """Voltage error of the inverter while phase currents pass zero at rest."""
 
     loss_v: float
     injected_v: float
@@ -204,82 +202,82 @@ class _Inverter:
 
 @dataclass(frozen=True)
 class _Twist:
-    """By how much the saliency at rest would have to turn for the coupling that is seen under torque [rad]."""
+    """Rotation of the saliency at rest that would explain the coupling under torque [rad]."""
 
-    lean: float
+    angle_rad: float
 
     def describe(self, tolerance_rad: float) -> str:
-        # A turn changes the coupling by half the saliency at most: what leans more is no turn.
-        if abs(self.lean) > 0.5:
+        # A rotation changes the coupling by half the saliency at most: more is cross-saturation.
+        if abs(self.angle_rad) > 0.5:
             return "cross-saturation under torque hides any twist"
-        size = f"twist under torque {math.degrees(self.lean):+.2f} deg el."
-        return size if abs(self.lean) <= tolerance_rad else f"apparent {size}: cross-saturation looks like it"
+        size = f"twist under torque {math.degrees(self.angle_rad):+.2f} deg el."
+        return size if abs(self.angle_rad) <= tolerance_rad else f"apparent {size}: cross-saturation looks like it"
 
 
 def _verdict(
     rests: Sequence[Direction],
-    gain: tuple[float, float],
+    sensitivity: tuple[float, float],
     free: bool | None,
     tolerance_rad: float,
     inverter: _Inverter | None = None,
     twist: _Twist | None = None,
 ) -> LockChecked:
-    turns = [rotation(rest, rests[0], gain) for rest in rests[1:]]
-    moved, std, by_inverter = max(turns, key=lambda turn: abs(turn[0]))
-    confidence = min(_within(turn, sigma, tolerance_rad) for turn, sigma, _ in turns)
-    has_moved = any(abs(turn) > max(tolerance_rad, MOVEMENT_SIGMAS * sigma) for turn, sigma, _ in turns)
+    rotations = [rotation(rest, rests[0], sensitivity) for rest in rests[1:]]
+    moved, std, inverter_std = max(rotations, key=lambda angle: abs(angle[0]))
+    confidence = min(_within(angle, sigma, tolerance_rad) for angle, sigma, _ in rotations)
+    has_moved = any(abs(angle) > max(tolerance_rad, MOVEMENT_SIGMAS * sigma) for angle, sigma, _ in rotations)
     locked: bool | None = confidence >= MIN_LOCK_PROBABILITY
-    words = "locked"
+    finding = "locked"
     if free:
-        words = "the saliency follows the current vector: the rotor is free"
+        finding = "the saliency follows the current vector: the rotor is free"
         locked, confidence = False, min(confidence, 1e-6)
     elif has_moved:
-        words, locked = "the rotor moved", False
+        finding, locked = "the rotor moved", False
     elif not locked:
-        words, locked = "cannot tell: the rotation is not known to within the tolerance", None
-        if by_inverter > 0.5 * std and inverter is not None:
-            words += f": {inverter.describe(by_inverter)}"
+        finding, locked = "cannot tell: the rotation is not known to within the tolerance", None
+        if inverter_std > 0.5 * std and inverter is not None:
+            finding += f": {inverter.describe(inverter_std)}"
         else:
             longer = max(2.0, _duration_ratio(std, tolerance_rad))
-            words += f": a duration_s {longer:.2g} times as long would tell"
+            finding += f": a duration_s {longer:.2g} times as long would tell"
     elif free is None:
-        words = (
+        finding = (
             "cannot tell: under torque this saliency is that of a rotor that follows the current and comes back, "
             "or of one that is held and saturates; a smaller torque_current_a may tell"
         )
         locked = None
     size = f"lasting rotation {math.degrees(moved):+.2f} +- {math.degrees(2 * std):.2f} deg el. (95 %)"
-    seen = (
+    source = (
         twist.describe(tolerance_rad)
         if twist is not None
-        else "seen by the direction of saturation, as the motor shows no saliency"
+        else "measured by the direction of saturation, as the motor shows no saliency"
     )
     return LockChecked(
         locked=locked,
         confidence=confidence,
         moved_rad=moved,
         moved_std_rad=std,
-        twist_rad=twist.lean if twist is not None else 0.0,
-        summary=f"{words}; {size}, tolerance {math.degrees(tolerance_rad):.2f} deg; {seen}",
+        twist_rad=twist.angle_rad if twist is not None else 0.0,
+        summary=f"{finding}; {size}, tolerance {math.degrees(tolerance_rad):.2f} deg; {source}",
     )
 
 
-def _lean(rest: Ripple, torques: Sequence[Ripple]) -> float:
-    """How far the saliency leans under torque [rad].
+def _twist_rad(rest: Ripple, torques: Sequence[Ripple]) -> float:
+    """Apparent twist under torque [rad].
 
-    The angle is the one by which the saliency at rest would have to turn to give the coupling H_12 seen under torque,
-    half the difference between both signs; the principal axes themselves do not serve, since saturation can make the
-    motor round, or salient the other way, at full current.
+    The rotation of the saliency at rest that gives the coupling H_12 measured under torque: half the difference between
+    both signs of torque. The principal axes themselves are unsuitable, since at full current saturation can remove or
+    reverse the saliency.
     """
     _, axes = np.linalg.eigh(rest.hessian)
     along, across = axes.T if abs(axes[0, 0]) > abs(axes[0, 1]) else axes.T[::-1]
     saliency = float(along @ rest.hessian @ along - across @ rest.hessian @ across)
-    turns: dict[bool, list[float]] = {True: [], False: []}
+    angles: dict[bool, list[float]] = {True: [], False: []}
     for ripple in torques:
         positive = bool(ripple.mean_current_dq @ across * np.sign(across[1]) > 0)
-        turns[positive].append(float(ripple.hessian[0, 1] - rest.hessian[0, 1]) / saliency)
-    plus, minus = (float(np.mean(turns[way])) if turns[way] else 0.0 for way in (True, False))
-    return 0.5 * (plus - minus) if turns[True] and turns[False] else plus - minus
+        angles[positive].append(float(ripple.hessian[0, 1] - rest.hessian[0, 1]) / saliency)
+    plus, minus = (float(np.mean(angles[sign])) if angles[sign] else 0.0 for sign in (True, False))
+    return 0.5 * (plus - minus) if angles[True] and angles[False] else plus - minus
 
 
 def _within(value: float, std: float, tolerance: float) -> float:

@@ -1,4 +1,4 @@
-"""Procedures from words to a checked plan: read, scaled to the motor, laid out in points, held against limits."""
+"""Procedures to a checked plan: read, scaled to the motor, laid out in points, checked against limits."""
 
 from orchestrator.config._checking import PlanSummary, StageRow, check_plan, check_point
 from orchestrator.config._loading import LoadedProcedure, MotorFile, load_motor, load_procedure, read_procedure

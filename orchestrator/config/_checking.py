@@ -1,4 +1,4 @@
-"""The dry run: a plan's points, time and loads, held against the limits and what the drive says of itself."""
+"""The dry run: a plan's points, time and loads, checked against limits and capabilities of the drive."""
 
 from __future__ import annotations
 
@@ -13,17 +13,19 @@ from orchestrator.formatting.quantities import quantity
 from orchestrator.stages import NOMINAL_SAMPLING_HZ
 from protocols import Capabilities, CapabilityError, Motor, Point, Strict
 
-_COPPER = 3 / 2
-_OVERLOAD = 1.25
+_POWER_FACTOR_PEAK_DQ = 3 / 2
+"""Power over (v i) of peak-valued dq vectors."""
+_MAX_RMS_RATIO = 1.25
+"""rms current over the rated one above which a note is given."""
 _ROUNDING = 0.02
-"""By which rounded numbers that are the same may differ."""
+"""Relative difference of equal numbers after rounding."""
 LONGEST_RUN_S = 7 * 86_400.0
 _BYTES_PER_ROW = 11.0
-"""Of a capture with a sensor's noise in it: measured 8 to 14."""
+"""Compressed row of a capture with sensor noise: measured 8 to 14."""
 
 
 class StageRow(Strict):
-    """What one stage comes to."""
+    """Totals of one stage."""
 
     index: int
     stage: str
@@ -36,7 +38,7 @@ class StageRow(Strict):
 
 
 class PlanSummary(Strict):
-    """What a procedure would do. None: the nameplate has no R_s."""
+    """Totals of a procedure. None: the nameplate has no R_s."""
 
     points: int
     duration_s: float
@@ -45,11 +47,11 @@ class PlanSummary(Strict):
     rows: int | None
     """None: the sampling frequency is not known without the drive."""
     bytes: int | None
-    """About, on disk."""
+    """Approximate size on disk."""
     peak_current_a: float
     """The longest set-point and the injection's ripple on it."""
     peak_voltage_v: float | None
-    """R_s i, injection, ramps, and the current control's way from point to point, within the limit."""
+    """R_s i, injection, ramps, and the current control's steps from point to point, within the limit."""
     energy_j: float | None
     """Copper loss at the nameplate's R_s, settling included."""
     rms_current_a: float
@@ -59,18 +61,18 @@ class PlanSummary(Strict):
 
 
 def check_plan(plan: Plan, capabilities: Capabilities | None) -> PlanSummary:
-    """Hold a plan against its limits and the drive, and add up what it comes to; nothing is energised.
+    """Check a plan against its limits and the drive, and return its totals; nothing is energised.
 
     Parameters
     ----------
     plan : Plan
     capabilities : Capabilities, optional
-        What the drive states of itself; without it only the procedure's own limits are checked.
+        The drive's capabilities; without them only the procedure's own limits are checked.
 
     Raises
     ------
     CapabilityError
-        In one line: the stage and the field that ask for more than limits or drive allow.
+        Names the stage and field that exceed a limit or the drive.
     """
     loads = _loads(plan, capabilities)
     requirements = Requirements(plan, capabilities)
@@ -83,24 +85,24 @@ def check_plan(plan: Plan, capabilities: Capabilities | None) -> PlanSummary:
 
 
 def check_point(plan: Plan, point: PlannedPoint, capabilities: Capabilities | None) -> None:
-    """Hold one point that differs from the plan's against limits and drive; raises `CapabilityError`."""
-    load = load_of(point, (0.0, 0.0), plan.procedure.motor, _late_s(capabilities))
+    """Check one changed point against limits and drive; raises `CapabilityError`."""
+    load = load_of(point, (0.0, 0.0), plan.procedure.motor, _reversal_delay_s(capabilities))
     Requirements(plan, capabilities).check_point(point, load)
 
 
-def _late_s(capabilities: Capabilities | None) -> float:
-    """How long after a current has passed a limit a voltage that is turned for it acts."""
+def _reversal_delay_s(capabilities: Capabilities | None) -> float:
+    """Delay from a current's limit crossing to the effect of the reversed voltage [s]."""
     if capabilities is None:
         return 1.0 / NOMINAL_SAMPLING_HZ
     return (1.0 + capabilities.voltage_delay_samples) / capabilities.sampling_frequency_hz
 
 
 def _loads(plan: Plan, capabilities: Capabilities | None) -> list[Load]:
-    loads, late_s = [], _late_s(capabilities)
-    before: Point = (0.0, 0.0)
+    loads, delay_s = [], _reversal_delay_s(capabilities)
+    previous: Point = (0.0, 0.0)
     for point in plan.points:
-        loads.append(load_of(point, before, plan.procedure.motor, late_s))
-        before = point.excitation.start_dq_a
+        loads.append(load_of(point, previous, plan.procedure.motor, delay_s))
+        previous = point.excitation.start_dq_a
     return loads
 
 
@@ -133,26 +135,26 @@ def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | Non
 
 
 def _row(plan: Plan, index: int, loads: Sequence[Load]) -> StageRow:
-    here = [(point, load) for point, load in zip(plan.points, loads, strict=True) if point.stage_index == index]
+    points = [(point, load) for point, load in zip(plan.points, loads, strict=True) if point.stage_index == index]
     resistance = plan.procedure.motor.stator_resistance_ohm
-    squared = sum(load.current_square_a2_s for _, load in here)
+    squared = sum(load.current_square_a2_s for _, load in points)
     limit = plan.procedure.limits.voltage_v
     return StageRow(
         index=index,
         stage=plan.stages[index].name,
-        points=len(here),
-        duration_s=sum(point.seconds for point, _ in here),
-        captured_s=sum(point.captured_s for point, _ in here),
-        peak_current_a=max(load.peak_current_a for _, load in here),
-        peak_voltage_v=_greatest([_peak_voltage(load, limit) for _, load in here]),
-        energy_j=None if resistance is None else _COPPER * resistance * squared,
+        points=len(points),
+        duration_s=sum(point.seconds for point, _ in points),
+        captured_s=sum(point.captured_s for point, _ in points),
+        peak_current_a=max(load.peak_current_a for _, load in points),
+        peak_voltage_v=_greatest([_peak_voltage(load, limit) for _, load in points]),
+        energy_j=None if resistance is None else _POWER_FACTOR_PEAK_DQ * resistance * squared,
     )
 
 
 def _peak_voltage(load: Load, limit: float) -> float | None:
     if load.steady_voltage_v is None or load.control_voltage_v is None:
         return None
-    # The control's step saturates at the limit and does no harm there.
+    # The control's step saturates at the limit.
     return max(load.steady_voltage_v, min(load.control_voltage_v, limit))
 
 
@@ -160,7 +162,7 @@ def _check_totals(plan: Plan, summary: PlanSummary) -> None:
     limits, name = plan.procedure.limits, plan.procedure.name
     if summary.duration_s > LONGEST_RUN_S:
         longest = max(summary.stages, key=lambda row: row.duration_s)
-        days = f"the plan takes {summary.duration_s / 86_400:.3g} days, more than anybody waits for"
+        days = f"the plan takes {summary.duration_s / 86_400:.3g} days; the limit is {LONGEST_RUN_S / 86_400:g}"
         raise CapabilityError(name, f"stages.{longest.index}", f"{days}; most of it is this stage ({longest.stage})")
     if limits.duration_s is not None and summary.duration_s > limits.duration_s:
         longest = max(summary.stages, key=lambda row: row.duration_s)
@@ -185,23 +187,23 @@ def _check_totals(plan: Plan, summary: PlanSummary) -> None:
 
 
 def _measurable_notes(motor: Motor) -> list[str]:
-    """What is measured between two terminals if R and L are right: no other number of a nameplate shows that they are.
+    """Expected readings between two terminals: no other nameplate value shows whether R and L are of a phase.
 
-    Data sheets often state them so, twice those of a phase of the star.
+    Data sheets often state terminal values, twice those of a phase of the star.
     """
     ohm, henry = motor.stator_resistance_ohm, motor.d_inductance_h
-    read = [
+    expected = [
         *([] if ohm is None else [f"an ohmmeter should read {quantity(2.0 * ohm, 'Ω')}"]),
         *([] if henry is None else [f"a bridge {quantity(2.0 * henry, 'H')} with the magnet along them"]),
     ]
-    if not read:
+    if not expected:
         return []
-    between = f"motor: R and L are of a phase, so that between two terminals {' and '.join(read)}"
+    between = f"motor: R and L are taken as of a phase: between two terminals {' and '.join(expected)}"
     return [f"{between}; if the data sheet states that, halve it"]
 
 
 def _limit_notes(plan: Plan) -> list[str]:
-    """A current limit that ends below the rated current, as a peak."""
+    """Note where the current limit is below the rated current's peak."""
     rated, limit = plan.procedure.motor.rated_current_a, plan.procedure.limits.current_a
     if rated is None or limit >= (1.0 - _ROUNDING) * rated:
         return []
@@ -212,7 +214,7 @@ def _limit_notes(plan: Plan) -> list[str]:
 
 def _heat_notes(plan: Plan, rms: float) -> list[str]:
     rated = plan.procedure.motor.rated_current_a
-    if rated is None or rms <= _OVERLOAD * rated:
+    if rated is None or rms <= _MAX_RMS_RATIO * rated:
         return []
     return [f"the rms current is {rms / rated:.2f} times the rated one: the winding gets hotter than it is rated for"]
 

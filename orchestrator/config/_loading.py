@@ -1,4 +1,4 @@
-"""From words to a `Procedure`: a shipped name or a file, a motor laid over it, overrides; nothing is planned here."""
+"""Reads a `Procedure`: a shipped name or a file, a motor file laid over it, overrides."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from protocols import (
 
 
 class MotorFile(Strict):
-    """A file for `--motor`: what goes in the place of a procedure's own sections."""
+    """A file for `--motor`: sections that replace the procedure's."""
 
     motor: ProcedureMotor
     limits: Limits | None = None
@@ -44,18 +44,18 @@ class MotorFile(Strict):
 
 @dataclass(frozen=True)
 class LoadedProcedure:
-    """A procedure, and where each of its settings was written."""
+    """A procedure, and the file and line of each of its settings."""
 
     procedure: Procedure
     document: Document
-    readings: tuple[str, ...] = ()
-    """How quantities with a unit were read, a sentence each."""
+    conversions: tuple[str, ...] = ()
+    """Conversions of quantities with a unit, a sentence each."""
 
     @contextmanager
-    def naming_its_places(self) -> Iterator[None]:
-        """Errors that know the procedure by its name alone are raised with file and line of their subject.
+    def locating_errors(self) -> Iterator[None]:
+        """Context in which errors of the procedure get file and line of their subject.
 
-        A plan is scaled by the nameplate: a likely slip there is named beside what is refused.
+        A plan is scaled by the nameplate, so questions about the nameplate are appended to the error.
         """
         try:
             yield
@@ -71,14 +71,14 @@ class LoadedProcedure:
 def load_procedure(
     source: str, *, overrides: Sequence[str] = (), drive: str | None = None, motor: Path | None = None
 ) -> Procedure:
-    """The procedure alone of `read_procedure`, which see."""
+    """Same as `read_procedure(...).procedure`."""
     return read_procedure(source, overrides=overrides, drive=drive, motor=motor).procedure
 
 
 def read_procedure(
     source: str, *, overrides: Sequence[str] = (), drive: str | None = None, motor: Path | None = None
 ) -> LoadedProcedure:
-    """Read a procedure and everything that is laid over it, in this order: motor, drive, overrides.
+    """Read a procedure and what replaces parts of it, in this order: motor, drive, overrides.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def read_procedure(
     drive : str, optional
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
-        YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` go whole instead of the
-        procedure's; limits that need not be given (energy, duration) stay where the file has none.
+        YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` replace the procedure's as a
+        whole; optional limits of the procedure (energy, duration) stay where the file has none.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def read_procedure(
         _choose_drive(document, drive)
     for override in overrides:
         apply_override(document, override)
-    readings = read_quantities(document)
+    conversions = read_quantities(document)
     procedure = _validated(document)
     try:
         stages = parse_stages(procedure)
@@ -113,7 +113,7 @@ def read_procedure(
     _check_plugins(document, procedure.drive.name, stages)
     for path, problem in implausible(procedure, stages):
         raise ProcedureError(document.place(path), ".".join(map(str, path)), problem)
-    return LoadedProcedure(procedure, document, tuple(readings))
+    return LoadedProcedure(procedure, document, tuple(conversions))
 
 
 def load_motor(path: str | PathLike[str]) -> Motor:
@@ -122,7 +122,7 @@ def load_motor(path: str | PathLike[str]) -> Motor:
     Raises
     ------
     ProcedureError
-        Where there is none, or it is wrong; in one line.
+        Where the section is missing or invalid.
     """
     document = read_document(Path(path), ProcedureError)
     read_quantities(document)
@@ -168,13 +168,13 @@ def _lay_over(document: Document, overlay: Document) -> None:
 
 
 def _with_kept_limits(document: Document, section: Any, places: dict[KeyPath, str]) -> tuple[Any, dict[KeyPath, str]]:
-    """A motor file's limits, and those of the procedure that may be left out: nobody has taken them back."""
-    before = document.data.get("limits")
-    if not isinstance(section, dict) or not isinstance(before, dict):
+    """A motor file's limits; optional limits of the procedure stay in force."""
+    own_limits = document.data.get("limits")
+    if not isinstance(section, dict) or not isinstance(own_limits, dict):
         return section, places
     optional = {name for name, field in Limits.model_fields.items() if not field.is_required()}
-    kept = [name for name in before if name in optional and name not in section]
-    section = section | {name: before[name] for name in kept}
+    kept = [name for name in own_limits if name in optional and name not in section]
+    section = section | {name: own_limits[name] for name in kept}
     return section, places | {("limits", name): document.place(("limits", name)) for name in kept}
 
 

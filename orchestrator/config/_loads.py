@@ -1,8 +1,8 @@
-"""What one excitation asks of motor and drive by the nameplate: current, voltage, copper loss. No limit is known here.
+"""Load of one excitation by the nameplate: current, voltage, copper loss; limits are checked elsewhere.
 
 Copper loss is 3/2 R_s |i|^2 (peak-valued, amplitude-invariant vectors). The trapezoid's mean
 square is 2/3 of its amplitude's: half the period at the amplitude, half on ramps (1/3). Voltage steps
-overshoot where they are turned, by U T / L in the time T until the drive sees and does it.
+overshoot their limits by U T / L, T being the drive's delay in reversing the voltage.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ _TRIANGLE_MEAN_SQUARE = 1 / 3
 
 @dataclass(frozen=True)
 class Load:
-    """What one point asks for; what would need a nameplate value that is not there is None."""
+    """Load of one point; None where the nameplate lacks a value for it."""
 
     longest_current_a: float
     """Longest current vector of the set-points [A]."""
     ripple_a: float
-    """Peak of the injection's ripple on top of it, or by how much steps overshoot; 0 where no inductance is known."""
+    """Peak of the injection's ripple on top of it, or the overshoot of steps; 0 where no inductance is known."""
     current_square_a2_s: float
     """Time integral of |i|^2, settling included."""
     steady_voltage_v: float | None
-    """Longest voltage that the point cannot do without: R_s i, ramps, injection."""
+    """Voltage required by the point: R_s i, ramps, injection."""
     control_voltage_v: float | None
-    """Longest voltage while the current control goes there from the point before, if nothing limits it."""
+    """Unlimited voltage of the current control's step from the previous point."""
 
     @property
     def peak_current_a(self) -> float:
@@ -39,44 +39,44 @@ class Load:
         return self.longest_current_a + self.ripple_a
 
 
-def load_of(point: PlannedPoint, before: Point, motor: Motor, late_s: float = 0.0) -> Load:
-    """The load of a point that is approached from the current `before` (i_d, i_q).
+def load_of(point: PlannedPoint, previous: Point, motor: Motor, delay_s: float = 0.0) -> Load:
+    """The load of a point that is approached from the current `previous` (i_d, i_q).
 
     Parameters
     ----------
-    late_s : float
-        How long after a current has passed a limit a voltage that is turned for it acts.
+    delay_s : float
+        Delay from a current's limit crossing to the effect of the reversed voltage.
     """
     excitation = point.excitation
-    longest = excitation.longest_current_a
-    ripple = nominal_ripple_a(excitation, motor, late_s)
+    current_a = excitation.longest_current_a
+    ripple = nominal_ripple_a(excitation, motor, delay_s)
     resistance = motor.stator_resistance_ohm
     steady = control = None
     if isinstance(excitation, VoltageSteps):
         steady = control = excitation.voltage_v
     elif resistance is not None:
-        steady = resistance * longest + _driving_voltage(excitation, motor)
-        control = resistance * longest + _proportional_gain(excitation, motor) * math.dist(
-            excitation.start_dq_a, before
+        steady = resistance * current_a + _driving_voltage(excitation, motor)
+        control = resistance * current_a + _proportional_gain(excitation, motor) * math.dist(
+            excitation.start_dq_a, previous
         )
     squared = _current_square(excitation, point) + _TRIANGLE_MEAN_SQUARE * _square(ripple) * point.captured_s
-    return Load(longest, ripple, squared, steady, control)
+    return Load(current_a, ripple, squared, steady, control)
 
 
-def nominal_ripple_a(excitation: Excitation, motor: Motor, late_s: float = 0.0) -> float:
-    """Peak of an injection's ripple on the axis of the nameplate's smaller inductance, or by how much steps overshoot.
+def nominal_ripple_a(excitation: Excitation, motor: Motor, delay_s: float = 0.0) -> float:
+    """Peak of an injection's ripple on the axis of the nameplate's smaller inductance, or the overshoot of steps.
 
-    In ampere; 0 where no inductance is known. `late_s` as of `load_of`.
+    In ampere; 0 where no inductance is known. `delay_s` as of `load_of`.
     """
     if isinstance(excitation, VoltageSteps):
-        return ripple_a(excitation.voltage_v * late_s, motor)
+        return ripple_a(excitation.voltage_v * delay_s, motor)
     if not isinstance(excitation, Injection):
         return 0.0
     return ripple_a(flux_swing_wb(excitation.amplitude_v, excitation.frequency_hz, excitation.waveform), motor)
 
 
 def _driving_voltage(excitation: Excitation, motor: Motor) -> float:
-    """What is needed on top of R_s i: the injection's amplitude, or L di/dt on a ramp."""
+    """Voltage on top of R_s i: the injection's amplitude, or L di/dt on a ramp [V]."""
     if isinstance(excitation, Injection):
         return excitation.amplitude_v
     if isinstance(excitation, Trapezoid):
@@ -88,7 +88,7 @@ def _driving_voltage(excitation: Excitation, motor: Motor) -> float:
 
 
 def _proportional_gain(excitation: Excitation, motor: Motor) -> float:
-    """Of the PI control of an R-L axis with the required bandwidth and damping [V/A]."""
+    """Proportional gain of the PI control of an R-L axis with the required bandwidth and damping [V/A]."""
     control = excitation.control
     gain = 2 * control.damping * 2 * math.pi * control.bandwidth_hz * _inductance(motor)
     return max(0.0, gain - (motor.stator_resistance_ohm or 0.0))
@@ -104,7 +104,7 @@ def _current_square(excitation: Excitation, point: PlannedPoint) -> float:
 
 
 def _square(x: float) -> float:
-    """x^2, infinite where a power would raise: it is above every limit, and refused as that."""
+    """x^2; infinite on overflow, where ** would raise, so that limits refuse it."""
     return x * x
 
 

@@ -1,9 +1,9 @@
-"""A nameplate held against itself: which of its numbers contradict each other, and which slips would explain that.
+"""Consistency of a nameplate: relations between its values, and its likelihood.
 
 With p pole pairs, omega = 2 pi f, I and V the rated current and phase voltage (peak) of a star:
 n = 60 f / p, P = 2 pi n T / 60 = 3/2 V I times power factor and efficiency,
-T = 3/2 p (psi i_q + (L_d - L_q) i_d i_q) at most over all angles of I, and what omega psi, R I and omega L I come to
-is V. Bounds are wide where motors differ.
+T = 3/2 p (psi i_q + (L_d - L_q) i_d i_q) at most over all angles of I, and omega psi, R I and omega L I
+add up to V. Bounds are wide where motors differ.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ _NOT_EXACT = {
     *("rated_voltage_rms_v", "rated_current_rms_a", "rated_power_w", "stator_resistance_ohm"),
     *("d_inductance_h", "q_inductance_h", "pm_flux_wb"),
 }
-"""Speed, frequency and torque follow from other ratings: what is off there is a contradiction."""
+"""Fields with a tolerance. Speed, frequency and torque follow from other ratings: a deviation is a contradiction."""
 
 
 @dataclass(frozen=True)
 class Ratio:
-    """A relation's left side over its right side, over motors.
+    """Distribution of a relation's left side over its right side, over motors.
 
     Attributes
     ----------
     low, high : float
-        As far as motors go.
+        Range over motors.
     usual : float
-        Of most motors.
+        Typical ratio.
     spread : float
-        Standard deviation of its natural logarithm, over motors whose values are exact; infinite: no measure.
+        Standard deviation of its natural logarithm for exact values; infinite: not used in the likelihood.
     steeper_below : float
-        So many times narrower motors are spread below the usual ratio than above it.
+        Spread above the usual ratio over that below it.
     """
 
     low: float
@@ -57,16 +57,16 @@ class Relation:
     Attributes
     ----------
     words : str
-        How its left side is written; fields in braces are put in.
+        Text of the left side; field names in braces are filled in.
     given : tuple of str
-        The fields that it needs.
+        Required fields.
     computed : callable
-        Its left side, of the values.
+        Left side from the values.
     unit : str
     reference : callable
-        Its right side.
+        Right side from the values.
     reference_words : str
-        How that is written.
+        Text of the right side.
     ratio : Ratio
     """
 
@@ -79,23 +79,23 @@ class Relation:
     ratio: Ratio
 
     def holds(self, values: Values) -> bool:
-        """Also where a value is missing."""
+        """Whether the ratio is within the range; True where a value is missing."""
         return not self._applies(values) or self.ratio.low <= self._value(values) <= self.ratio.high
 
     def counts(self, values: Values) -> bool:
-        """Whether its distance from the usual is a measure, and its values are there."""
+        """Whether it is used in the likelihood and all its values are known."""
         return math.isfinite(self.ratio.spread) and self._applies(values)
 
     def off_usual(self, values: Values) -> float:
-        """Natural logarithm of its ratio over the usual one, stretched below that until both sides spread alike."""
+        """Natural logarithm of its ratio over the usual one, scaled below that to the same spread."""
         off = math.log(max(self._value(values), 1e-12) / self.ratio.usual)
         return off if off > 0.0 else self.ratio.steeper_below * off
 
     def describe(self, values: Values, derived: Collection[str] = ()) -> str:
-        """The numbers of both sides; a field that was `derived` from others is marked so."""
+        """Text with the numbers of both sides; fields `derived` from others are marked."""
         stated = self.reference_words
         for name in derived:
-            stated = stated.replace(f"{name} is ", f"{name} by the others is ")
+            stated = stated.replace(f"{name} is ", f"{name} from the others is ")
         written = {name: f"{value:.4g}" for name, value in values.items()}
         left, right = (text.format_map(written) for text in (self.words, stated))
         return f"{left} = {self.computed(values):.4g}{self.unit and ' ' + self.unit}, and {right}"
@@ -120,7 +120,7 @@ def _phase_peak_v(values: Values) -> float:
 
 
 def _best_current(values: Values) -> tuple[float, float]:
-    """i_d and i_q of the rated current where it makes the most torque [A].
+    """i_d and i_q of the rated current at maximum torque [A].
 
     With D = L_d - L_q the derivative of (psi + D i_d) i_q along the circle vanishes where 2 D i_d^2 + psi i_d = D I^2.
     """
@@ -132,7 +132,7 @@ def _best_current(values: Values) -> tuple[float, float]:
 
 
 def _largest_torque(values: Values) -> float:
-    """Over all angles of the rated current [Nm]."""
+    """Maximum torque over all angles of the rated current [Nm]."""
     i_d, i_q = _best_current(values)
     l_d, l_q = _inductances(values)
     return 1.5 * values["pole_pairs"] * (values["pm_flux_wb"] + (l_d - l_q) * i_d) * i_q
@@ -143,8 +143,8 @@ def _inductances(values: Values) -> tuple[float, float]:
     return l_d, values.get("q_inductance_h", l_d)
 
 
-def _needed_voltage(values: Values) -> float:
-    """Phase voltage (peak) for the rated current at the rated frequency, where it makes the most torque."""
+def _required_voltage(values: Values) -> float:
+    """Phase voltage (peak) for the rated current at maximum torque and rated frequency [V]."""
     d, q = _best_current(values)
     (l_d, l_q), omega = _inductances(values), _omega(values)
     r_s = values["stator_resistance_ohm"]
@@ -152,12 +152,12 @@ def _needed_voltage(values: Values) -> float:
 
 
 def _usual_copper_loss(values: Values) -> float:
-    """What machines lose in copper at the rated point [W]: 20 % of 100 W, and the less of it the larger they are."""
+    """Typical copper loss at the rated point [W]: 20 % of 100 W, a smaller share of larger powers."""
     power = values["rated_power_w"]
     return 0.2 * power * float((power / 100.0) ** -0.3)
 
 
-def _beside_voltage(words: str, given: tuple[str, ...], computed: Callable[[Values], float], ratio: Ratio) -> Relation:
+def _voltage_share(words: str, given: tuple[str, ...], computed: Callable[[Values], float], ratio: Ratio) -> Relation:
     stated = "rated_voltage_rms_v is {rated_voltage_rms_v}, {phase_peak_v} V peak in a phase"
     fields = (*given, "rated_voltage_rms_v")
     return Relation(words, fields, computed, "V", _phase_peak_v, stated, ratio)
@@ -165,7 +165,7 @@ def _beside_voltage(words: str, given: tuple[str, ...], computed: Callable[[Valu
 
 def _reactance_drop(axis: str, ratio: Ratio) -> Relation:
     field = f"{axis}_inductance_h"
-    return _beside_voltage(
+    return _voltage_share(
         f"2 pi f {{{field}}} H x the peak current",
         ("rated_frequency_hz", field, "rated_current_rms_a"),
         lambda v: _omega(v) * v[field] * _peak_a(v),
@@ -210,19 +210,19 @@ RELATIONS = (
         "power factor times efficiency are 0.35 to 1",
         Ratio(0.35, 1.2, usual=0.7, spread=0.2),
     ),
-    _beside_voltage(
+    _voltage_share(
         "2 pi {rated_frequency_hz} Hz x {pm_flux_wb} Wb",
         ("rated_frequency_hz", "pm_flux_wb"),
         lambda v: _omega(v) * v["pm_flux_wb"],
         Ratio(0.15, 1.3, usual=0.65, spread=0.8),
     ),
-    _beside_voltage(
+    _voltage_share(
         "the voltage of {pm_flux_wb} Wb, R_s and L with {rated_current_rms_a} A rms at {rated_frequency_hz} Hz",
         ("rated_frequency_hz", "pm_flux_wb", "rated_current_rms_a", "stator_resistance_ohm", "pole_pairs"),
-        _needed_voltage,
+        _required_voltage,
         Ratio(0.3, 2.0, usual=0.9, spread=0.17),
     ),
-    _beside_voltage(
+    _voltage_share(
         "{stator_resistance_ohm} ohm x {rated_current_rms_a} A rms x 1.414",
         ("stator_resistance_ohm", "rated_current_rms_a"),
         lambda v: v["stator_resistance_ohm"] * _peak_a(v),
@@ -238,7 +238,7 @@ RELATIONS = (
         Ratio(0.05, 5.0, usual=0.8, spread=0.7),
     ),
     _reactance_drop("d", Ratio(0.005, 5.0, usual=0.25, spread=1.5)),
-    # How q's spreads goes with d's: the next relation has what it does beside it.
+    # Without a spread: q correlates with d, and the next relation models their ratio.
     _reactance_drop("q", Ratio(0.005, 5.0, usual=0.35, spread=math.inf)),
     Relation(
         "q_inductance_h / d_inductance_h = {q_inductance_h} H / {d_inductance_h} H",
@@ -262,7 +262,7 @@ RELATIONS = (
 
 
 def stated_values(motor: Motor) -> dict[str, float]:
-    """The nameplate's numbers that are there, by field."""
+    """The nameplate's positive numbers, by field."""
     return {
         name: float(value)
         for name, value in motor.model_dump().items()
@@ -271,7 +271,7 @@ def stated_values(motor: Motor) -> dict[str, float]:
 
 
 def completed(values: Values) -> dict[str, float]:
-    """The values, with those that follow from others where they are not stated."""
+    """The values, completed by those that follow from others."""
     full = dict(values)
     if {"rated_speed_rpm", "pole_pairs"} <= full.keys():
         full.setdefault("rated_frequency_hz", full["rated_speed_rpm"] * full["pole_pairs"] / 60.0)
@@ -290,35 +290,35 @@ def completed(values: Values) -> dict[str, float]:
 
 
 def broken_relations(values: Values) -> list[str]:
-    """The relations that do not hold, each with both of its numbers."""
+    """Texts of the relations that do not hold, each with the numbers of both sides."""
     full = completed(values)
     return [relation.describe(full, full.keys() - values.keys()) for relation in RELATIONS if not relation.holds(full)]
 
 
 def mismatch(values: Values) -> float:
-    """Twice the negative logarithm of the likelihood of a nameplate, but for a constant.
+    """Twice the negative logarithm of the likelihood of a nameplate, up to a constant.
 
-    The relations' logarithms x are normal about what is usual. Their covariance is that of motors, and what each value
-    may be off: C = diag(s^2) + t^2 J J', J = dx / d ln(value). A voltage that is rated generously moves all that
-    is held beside it, and is no five contradictions.
+    The relations' logarithms x are normal about their usual values. Their covariance is the spread of motors plus the
+    error of each value: C = diag(s^2) + t^2 J J', J = dx / d ln(value). So one generously rated voltage, which moves
+    all relations that contain it, does not count as five contradictions.
 
         x' C^-1 x + ln det C
     """
     full = completed(values)
-    held = [relation for relation in RELATIONS if relation.counts(full)]
-    if not held:
+    used = [relation for relation in RELATIONS if relation.counts(full)]
+    if not used:
         return 0.0
-    x = np.array([relation.off_usual(full) for relation in held])
+    x = np.array([relation.off_usual(full) for relation in used])
     step, slopes = 0.01, []
     for name in _NOT_EXACT & values.keys():
-        moved = completed({**values, name: values[name] * math.exp(step)})
-        slopes.append((np.array([relation.off_usual(moved) for relation in held]) - x) / step)
-    jacobian = np.array(slopes).reshape(len(slopes), len(held))
-    covariance = np.diag([relation.ratio.spread**2 for relation in held]) + VALUE_STD**2 * jacobian.T @ jacobian
+        shifted = completed({**values, name: values[name] * math.exp(step)})
+        slopes.append((np.array([relation.off_usual(shifted) for relation in used]) - x) / step)
+    jacobian = np.array(slopes).reshape(len(slopes), len(used))
+    covariance = np.diag([relation.ratio.spread**2 for relation in used]) + VALUE_STD**2 * jacobian.T @ jacobian
     return float(x @ np.linalg.solve(covariance, x) + np.linalg.slogdet(covariance)[1])
 
 
 def contradictions(motor: Motor) -> Iterator[str]:
-    """Each relation that does not hold, as a sentence."""
+    """Each violated relation, as a sentence."""
     for relation in broken_relations(stated_values(motor)):
-        yield f"motor: {relation}: these do not go together"
+        yield f"motor: {relation}: these values contradict each other"

@@ -1,4 +1,4 @@
-"""A procedure laid out: every point with its id, excitation and settings, in order. Nothing is judged here."""
+"""A procedure laid out: every point with its id, excitation and settings, in order; unchecked."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from orchestrator.config._fitting import Fitting
+from orchestrator.config._adapting import PlanAdapter
 from orchestrator.stages import NOMINAL_SAMPLING_HZ, parse_stages
 from protocols import (
     Capabilities,
@@ -29,7 +29,7 @@ from protocols import (
 
 @dataclass(frozen=True)
 class PlannedPoint:
-    """One excitation of a plan, and what the recording will say of it."""
+    """One excitation of a plan, with the id, stage and settings of its segment in the recording."""
 
     id: str
     """``<stage>-<number>``, counted over the whole procedure: the segment's id."""
@@ -39,7 +39,7 @@ class PlannedPoint:
     settings: dict[str, Any]
     """The set-point, as the segment's settings."""
     spare: bool = False
-    """Measured only where those before it show that it is wanted: what the plan tells, it tells without."""
+    """Measured only if earlier points show that it is needed; the plan suffices without it."""
 
     def run_as(self, excitation: Excitation) -> PlannedPoint:
         """The point with another excitation of the same kind, and settings that state the set-point."""
@@ -55,18 +55,18 @@ class PlannedPoint:
 
     @property
     def seconds(self) -> float:
-        """What it takes on the drive's clock [s]."""
+        """Duration on the drive's clock, settling included [s]."""
         return self.captured_s + self.excitation.settling_s
 
     @property
     def captured_s(self) -> float:
-        """How much of it is captured [s]."""
+        """Captured duration [s]."""
         return self.excitation.captured_s
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A procedure with nothing left open."""
+    """A procedure with all settings and points filled in."""
 
     procedure: Procedure
     """With the stages that were appended to it."""
@@ -75,51 +75,51 @@ class Plan:
     points: tuple[PlannedPoint, ...]
     """In the order in which they are measured."""
     notes: tuple[str, ...] = ()
-    """What a person should know of how it was filled in."""
+    """Notes to the user on derived settings and adaptations."""
 
     def points_of(self, stage_index: int) -> tuple[PlannedPoint, ...]:
-        """The points of one stage, by its place in the procedure."""
+        """The points of one stage, by its index in the procedure."""
         return tuple(point for point in self.points if point.stage_index == stage_index)
 
 
 def make_plan(procedure: Procedure, capabilities: Capabilities | None, appended: Sequence[StageEntry] = ()) -> Plan:
-    """Fill in what the procedure leaves out, lay out its points, and fit them to the drive.
+    """Fill in what the procedure leaves out, lay out its points, and adapt them to the drive.
 
-    The same procedure and capabilities give the same plan, so that a resumed run finds its points; stages appended
-    to it change nothing of what is before them.
+    The same procedure and capabilities give the same plan, so that a resumed run finds its points; appended
+    stages do not change earlier ones.
 
     Parameters
     ----------
     procedure : Procedure
     capabilities : Capabilities, optional
-        What the drive states of itself; without it the sampling frequency is taken to be 10 kHz.
+        The drive's capabilities; without them the sampling frequency is taken to be 10 kHz.
     appended : sequence of StageEntry
-        What a run goes on with after the procedure's last stage.
+        Stages of a run after the procedure's last one.
 
     Raises
     ------
     ProcedureError
-        A stage that is not installed or has a wrong setting, or a nameplate that lacks a value that a setting left
-        out is derived from.
+        A stage that is not installed or has a wrong setting, or a nameplate without a value from which a missing
+        setting is derived.
     """
     sampling_hz = capabilities.sampling_frequency_hz if capabilities else NOMINAL_SAMPLING_HZ
     notes: list[str] = []
-    own = len(procedure.stages)
+    own_count = len(procedure.stages)
     written = parse_stages(procedure, appended)
     stages = [
-        *_filled(procedure, written[:own], 0, sampling_hz, notes),
-        *_filled(procedure, written[own:], own, sampling_hz, notes),
+        *_filled(procedure, written[:own_count], 0, sampling_hz, notes),
+        *_filled(procedure, written[own_count:], own_count, sampling_hz, notes),
     ]
-    fitting = Fitting(capabilities)
-    points = _points(procedure.name, stages, capabilities.pwm_frequency_hz if capabilities else None, fitting)
+    adapter = PlanAdapter(capabilities)
+    points = _points(procedure.name, stages, capabilities.pwm_frequency_hz if capabilities else None, adapter)
     whole = procedure.model_copy(update={"stages": (*procedure.stages, *appended)})
-    return Plan(whole, tuple(stages), tuple(points), (*notes, *fitting.notes))
+    return Plan(whole, tuple(stages), tuple(points), (*notes, *adapter.notes))
 
 
 def _filled(
     procedure: Procedure, written: Sequence[Stage], first: int, sampling_hz: float, notes: list[str]
 ) -> list[Stage]:
-    """Stages with nothing left out; those that look ahead come after the others."""
+    """Stages with all settings; those that look ahead are filled in last."""
     stages = list(written)
     for ahead in (False, True):
         for k, stage in enumerate(stages):
@@ -129,33 +129,33 @@ def _filled(
     return stages
 
 
-def _points(procedure: str, stages: Sequence[Stage], own_pwm_hz: float | None, fitting: Fitting) -> list[PlannedPoint]:
+def _points(procedure: str, stages: Sequence[Stage], pwm_hz: float | None, adapter: PlanAdapter) -> list[PlannedPoint]:
     counter: Counter[str] = Counter()
     points: list[PlannedPoint] = []
     angle = 0.0
     for index, stage in enumerate(stages):
         if stage.believed_angle_rad is not None:
             angle = stage.believed_angle_rad
-        before = len(points)
+        first = len(points)
         for point in stage.points():
             assert stage.records_as is not None
-            turned = point.excitation.model_copy(update={"rotor_angle_rad": angle})
-            for excitation in fitting.of(turned, stage, index):
-                settings = {**_set_point(excitation, own_pwm_hz), **point.settings}
+            rotated = point.excitation.model_copy(update={"rotor_angle_rad": angle})
+            for excitation in adapter.adapt(rotated, stage, index):
+                settings = {**_set_point(excitation, pwm_hz), **point.settings}
                 identifier = f"{stage.name}-{counter[stage.name]:03d}"
                 counter[stage.name] += 1
                 points.append(PlannedPoint(identifier, index, stage.records_as, excitation, settings, point.spare))
-        if stage.measuring is not None and len(points) == before:
+        if stage.measuring is not None and len(points) == first:
             raise ProcedureError(procedure, f"stages.{index}", f"{stage.name} without a point to measure")
     return points
 
 
-def _set_point(excitation: Excitation, own_pwm_hz: float | None) -> dict[str, Any]:
-    """An excitation's numbers as the recording format has them in a segment's settings."""
+def _set_point(excitation: Excitation, drive_pwm_hz: float | None) -> dict[str, Any]:
+    """An excitation's set-point in the recording format of a segment's settings."""
     settings = excitation.model_dump(include=_SET_POINT_FIELDS[excitation.kind])
     if isinstance(excitation, Trapezoid) and excitation.swept_axis == "dq":
         del settings["held_a"]
-    if excitation.pwm_frequency_hz not in (None, own_pwm_hz):
+    if excitation.pwm_frequency_hz not in (None, drive_pwm_hz):
         settings["pwm_frequency_hz"] = excitation.pwm_frequency_hz
     return settings
 

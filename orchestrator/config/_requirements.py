@@ -1,4 +1,4 @@
-"""What the limits and the drive allow, rule by rule; the first broken rule is reported with its stage and field."""
+"""Checks a plan against limits and drive, rule by rule; the first violation is reported with stage and field."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from orchestrator.config._fitting import longest_capture_s, on_grid
+from orchestrator.config._adapting import longest_capture_s, on_grid
 from orchestrator.config._loads import Load
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.stages import parse_stages
@@ -26,35 +26,35 @@ from protocols import (
 
 @dataclass(frozen=True)
 class _Rules:
-    """How much of what a plan has to have."""
+    """Thresholds of the rules."""
 
     inverter_error: float = 0.02
-    """Of the bus voltage: what dead time and drops may take away from what is commanded."""
-    of_an_offset: float = 0.1
-    """Part of a free rotor's current that may be on its q axis: what sensors read without a current is no torque."""
-    least_samples: int = 10
-    """Of a capture that is averaged."""
-    least_per_period: int = 4
+    """Share of the bus voltage lost to dead time and device drops."""
+    max_q_share: float = 0.1
+    """Share of a free rotor's current allowed on its q axis: sensor offsets are no torque."""
+    min_samples: int = 10
+    """Samples of a capture that is averaged."""
+    min_per_period: int = 4
     """Samples of an injection's period."""
-    fastest_rotation: float = 0.2
-    """Of the injection's frequency: a period has nearly one direction then."""
-    least_per_trapezoid: int = 1000
+    max_rotation_ratio: float = 0.2
+    """Rotation over the injection's frequency: a period then has nearly one direction."""
+    min_per_trapezoid: int = 1000
     """Samples of a trapezoid's period."""
-    least_per_control_period: int = 20
+    min_per_control_period: int = 20
     """Samples over which current control acts, at its bandwidth."""
-    least_per_swing: int = 8
-    """Rows of a voltage step's way from limit to limit."""
-    least_per_turn: int = 20
+    min_per_swing: int = 8
+    """Rows of a voltage step from limit to limit."""
+    min_per_turn: int = 20
     """Samples of an electrical turn."""
-    over_ohmic: float = 1.5
-    """Of R_s i where steps are turned: less, and the current gets there late or never."""
+    min_voltage_ratio: float = 1.5
+    """Step voltage over R_s i at the limit: with less the current reaches it late or never."""
 
 
 _RULES = _Rules()
 
 
 class Requirements:
-    """The rules that a plan has to keep.
+    """The rules for a plan.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class Requirements:
             return
         if isinstance(point.excitation, Trapezoid | Injection | VoltageSteps):
             raise self._at(point, "", "with the brake released; put a stage with brake: engage before it")
-        if point.target is not None and abs(point.target[1]) > _RULES.of_an_offset * math.hypot(*point.target):
+        if point.target is not None and abs(point.target[1]) > _RULES.max_q_share * math.hypot(*point.target):
             raise self._at(point, self._written(point).current_field, "torque current while the brake is released")
 
     def _check_watchdog(self, drive: Capabilities) -> None:
@@ -148,28 +148,28 @@ class Requirements:
         raise self._at(point, self._written(point).current_field, problem)
 
     def _check_voltage(self, point: PlannedPoint, load: Load) -> None:
-        needed = load.steady_voltage_v
-        if needed is None:
-            needed = point.excitation.amplitude_v if isinstance(point.excitation, Injection) else 0.0
-        if needed > self._limits.voltage_v:
+        required_v = load.steady_voltage_v
+        if required_v is None:
+            required_v = point.excitation.amplitude_v if isinstance(point.excitation, Injection) else 0.0
+        if required_v > self._limits.voltage_v:
             field = self._written(point).voltage_field
-            raise self._at(point, field, f"needs {needed:.4g} V, limits.voltage_v is {self._limits.voltage_v:g} V")
+            raise self._at(point, field, f"needs {required_v:.4g} V, limits.voltage_v is {self._limits.voltage_v:g} V")
         if self._drive is None:
             return
         bus = self._drive.dc_bus_voltage_v
         available = bus / math.sqrt(3) - _RULES.inverter_error * bus
-        if needed > available:
-            problem = f"needs {needed:.4g} V, a bus of {bus:g} V gives {available:.4g} V in every direction"
+        if required_v > available:
+            problem = f"needs {required_v:.4g} V, a bus of {bus:g} V gives {available:.4g} V in every direction"
             raise self._at(point, self._written(point).voltage_field, problem)
 
     def _check_turns(self, point: PlannedPoint, e: VoltageSteps) -> None:
         resistance = self._procedure.motor.stator_resistance_ohm or 0.0
         for volts, turn_a in ((e.voltage_d_v, e.turn_d_a), (e.voltage_q_v, e.turn_q_a)):
-            if volts < _RULES.over_ohmic * resistance * turn_a:
+            if volts < _RULES.min_voltage_ratio * resistance * turn_a:
                 ohmic = f"{turn_a:.4g} A through R_s of {resistance:g} ohm"
-                problem = f"{volts:.4g} V do not reach {ohmic} soon enough: at least"
+                problem = f"{volts:.4g} V do not drive {ohmic} in time: at least"
                 field = self._written(point).voltage_field
-                raise self._at(point, field, f"{problem} {_RULES.over_ohmic * resistance * turn_a:.3g} V")
+                raise self._at(point, field, f"{problem} {_RULES.min_voltage_ratio * resistance * turn_a:.3g} V")
 
     def _check_offered(self, point: PlannedPoint, drive: Capabilities) -> None:
         self._check_excitations([point], drive)
@@ -190,21 +190,19 @@ class Requirements:
                 raise self._at(point, "points_a", problem)
             for name, step in (("frequency_hz", drive.frequency_step_hz), ("rotation_hz", drive.rotation_step_hz)):
                 if not on_grid(getattr(e, name), step):
-                    problem = (
-                        f"{getattr(e, name):g} Hz: no multiple of the drive's {step:g} Hz is near that fits its rows"
-                    )
+                    problem = f"{getattr(e, name):g} Hz: no nearby multiple of the drive's {step:g} Hz fits its rows"
                     raise self._at(point, name, problem)
 
     def _check_sampling(self, point: PlannedPoint, sampling_hz: float) -> None:
         e = point.excitation
-        if point.captured_s * sampling_hz < _RULES.least_samples:
+        if point.captured_s * sampling_hz < _RULES.min_samples:
             field = "period_s" if isinstance(e, Trapezoid) else "duration_s"
-            least_s = _RULES.least_samples / sampling_hz
-            problem = f"captures {point.captured_s:g} s, too little to average: at least {least_s:g} s"
+            min_s = _RULES.min_samples / sampling_hz
+            problem = f"captures {point.captured_s:g} s, too little to average: at least {min_s:g} s"
             raise self._at(point, field, problem)
         if isinstance(e, GatesOff):
             return
-        bandwidth, highest = e.control.bandwidth_hz, sampling_hz / _RULES.least_per_control_period
+        bandwidth, highest = e.control.bandwidth_hz, sampling_hz / _RULES.min_per_control_period
         if bandwidth > highest and (self._drive is None or self._drive.heeds_bandwidth):
             problem = f"{bandwidth:g} Hz is too fast at {sampling_hz:g} Hz sampling: at most {highest:g} Hz"
             raise self._at(point, "control.bandwidth_hz", problem)
@@ -214,8 +212,8 @@ class Requirements:
             self._check_swings(point, e, sampling_hz)
         if isinstance(e, Spin):
             self._check_spin(point, e, sampling_hz)
-        if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _RULES.least_per_trapezoid:
-            shortest = _RULES.least_per_trapezoid / sampling_hz
+        if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _RULES.min_per_trapezoid:
+            shortest = _RULES.min_per_trapezoid / sampling_hz
             problem = f"{e.period_s:g} s is too short at {sampling_hz:g} Hz sampling: at least {shortest:g} s"
             raise self._at(point, "period_s", problem)
 
@@ -228,15 +226,15 @@ class Requirements:
             if volts == 0.0 or inductance is None:
                 continue
             rows = 2.0 * turn_a * inductance / volts * sampling_hz
-            if rows < _RULES.least_per_swing:
-                most = volts * rows / _RULES.least_per_swing
+            if rows < _RULES.min_per_swing:
+                max_v = volts * rows / _RULES.min_per_swing
                 problem = f"{volts:.4g} V give {rows:.2g} rows from one turn to the next at {sampling_hz:g} Hz"
                 field = self._written(point).voltage_field
-                raise self._at(point, field, f"{problem}: at most {most:.3g} V, for {_RULES.least_per_swing} rows")
+                raise self._at(point, field, f"{problem}: at most {max_v:.3g} V, for {_RULES.min_per_swing} rows")
 
     def _check_spin(self, point: PlannedPoint, e: Spin, sampling_hz: float) -> None:
         speed, flux = abs(e.speed_rad_s), self._procedure.motor.pm_flux_wb or 0.0
-        fastest = 2.0 * math.pi * sampling_hz / _RULES.least_per_turn
+        fastest = 2.0 * math.pi * sampling_hz / _RULES.min_per_turn
         if speed > fastest:
             problem = f"{speed:.4g} rad/s (electrical) is too fast at {sampling_hz:g} Hz sampling: at most"
             raise self._at(point, "speeds_rpm", f"{problem} {fastest:.4g}")
@@ -249,17 +247,17 @@ class Requirements:
             raise self._at(point, "speeds_rpm", problem)
 
     def _check_injection(self, point: PlannedPoint, injection: Injection, sampling_hz: float) -> None:
-        # A square wave with an odd number of samples a period has a mean, and drives a direct current.
+        # A square wave with an odd number of samples per period has a mean, which drives a direct current.
         unit = 2 if injection.waveform == "square" else 1
         per_period = sampling_hz / injection.frequency_hz
-        fitting = max(_RULES.least_per_period, unit * round(per_period / unit))
-        if abs(per_period - fitting) > 1e-6 * fitting:
+        nearest_rows = max(_RULES.min_per_period, unit * round(per_period / unit))
+        if abs(per_period - nearest_rows) > 1e-6 * nearest_rows:
             kind = "an even number" if unit == 2 else "a whole number"
-            found = f"{injection.frequency_hz:g} Hz gives {per_period:.4g} samples a period at {sampling_hz:g} Hz"
-            needed = f"{kind} of at least {_RULES.least_per_period} is needed"
-            nearest = f"the nearest is {sampling_hz / fitting:.10g} Hz"
-            raise self._at(point, "frequency_hz", f"{found}; {needed}: {nearest}")
-        fastest = _RULES.fastest_rotation * injection.frequency_hz
+            frequency = f"{injection.frequency_hz:g} Hz gives {per_period:.4g} samples a period at {sampling_hz:g} Hz"
+            requirement = f"{kind} of at least {_RULES.min_per_period} is needed"
+            nearest = f"the nearest is {sampling_hz / nearest_rows:.10g} Hz"
+            raise self._at(point, "frequency_hz", f"{frequency}; {requirement}: {nearest}")
+        fastest = _RULES.max_rotation_ratio * injection.frequency_hz
         if injection.rotation_hz > fastest:
             problem = f"{injection.rotation_hz:g} Hz is too fast for an injection at {injection.frequency_hz:g} Hz"
             raise self._at(point, "rotation_hz", f"{problem}: at most {fastest:g} Hz")
@@ -269,19 +267,19 @@ class Requirements:
 
     def _at(self, point: PlannedPoint, field: str, problem: str) -> CapabilityError:
         stage = self._plan.stages[point.stage_index]
-        # A stage of somebody else's may have other settings than its excitations have.
-        known = field if field.partition(".")[0] in type(stage).model_fields else ""
-        return self._error(f"stages.{point.stage_index}.{known}".rstrip("."), f"{stage.name} {problem}")
+        # A third party's stage may lack settings that its excitations have.
+        setting = field if field.partition(".")[0] in type(stage).model_fields else ""
+        return self._error(f"stages.{point.stage_index}.{setting}".rstrip("."), f"{stage.name} {problem}")
 
     def _error(self, field: str, problem: str) -> CapabilityError:
         return CapabilityError(self._procedure.name, field, problem)
 
 
 def _stages_with_brake(plan: Plan, state: Literal["engage", "release"]) -> set[int]:
-    """Those for which the procedure says that the brake is so."""
-    last, found = None, set()
+    """Indices of the stages with the brake in this state."""
+    last, indices = None, set()
     for index, stage in enumerate(plan.stages):
         last = stage.leaves_brake or last
         if last == state:
-            found.add(index)
-    return found
+            indices.add(index)
+    return indices

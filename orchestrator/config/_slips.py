@@ -1,7 +1,7 @@
-"""What a nameplate may be written in instead of its fields' own units and conventions, ranked by what fits.
+"""Nameplate values written in another unit or convention than their fields', ranked by their probability.
 
-A slip is one more hypothesis beside the numbers as written. With the mismatch X (a sum of squares, twice a negative
-logarithm of the likelihood) and its prior probability P, it is more likely than "as written" where
+A slip is a hypothesis that competes with the numbers as written. With the mismatch X (twice the negative logarithm of
+the likelihood) and its prior probability P, it is more likely than "as written" where
 X_written - X_slip > 2 ln 1/P (Bayes' theorem; D. MacKay, Information Theory, Inference, and Learning Algorithms,
 Cambridge 2003, ch. 28).
 """
@@ -16,40 +16,40 @@ from orchestrator.config._nameplate import Values, broken_relations, contradicti
 from protocols import Motor
 
 HABIT, COMMON, RARE = 0.04, 0.01, 0.001
-"""Probability of a slip, over nameplates: another convention, as data sheets have it; a wrong unit or decimal point;
-and what hardly occurs. Where values are up to a quarter off, one in thirty is then questioned without a slip."""
-BESIDE_THE_BEST = 2.0 * math.log(100.0)
-"""How much more mismatch, prior included, a slip may leave than the best one and still be named: odds of 1 to 100."""
-MOST_NAMED = 2
+"""Prior probability of a slip per nameplate: another convention of data sheets; a wrong unit or decimal point; rare
+slips. With correct values of up to 25 % error, one nameplate in thirty is then questioned."""
+MAX_EXCESS_MISMATCH = 2.0 * math.log(100.0)
+"""A named slip is within odds of 1 to 100 of the best: its mismatch plus prior exceeds the best's by at most this."""
+MAX_NAMED = 2
 
 
 @dataclass(frozen=True)
 class Slip:
-    """Numbers written in another way than their fields have them.
+    """Values written in another unit or convention than their fields'.
 
     Attributes
     ----------
     fields : tuple of str
-        Those that are concerned.
+        Fields concerned.
     words : str
-        Behind "is what is written ...?"
-    mended : callable
-        The right numbers of these fields, of all values.
+        End of the question "is the stated value ...?"
+    corrected : callable
+        Corrected values of these fields, from all values.
     probability : float
-        Over nameplates.
+        Prior probability per nameplate.
     needed : tuple of str
-        Other fields without which nothing speaks for or against it.
+        Other fields without which the slip cannot be judged.
     """
 
     fields: tuple[str, ...]
     words: str
-    mended: Callable[[Values], Mapping[str, float]]
+    corrected: Callable[[Values], Mapping[str, float]]
     probability: float = COMMON
     needed: tuple[str, ...] = ()
 
     def applied(self, values: Values) -> dict[str, float]:
-        """All values, put right."""
-        return {**values, **self.mended(values)}
+        """All values, corrected."""
+        return {**values, **self.corrected(values)}
 
 
 def _times(fields: tuple[str, ...], factor: float, words: str, probability: float = COMMON) -> Slip:
@@ -92,7 +92,7 @@ SLIPS = (
 
 
 def nameplate_doubts(motor: Motor) -> Iterator[str]:
-    """What a nameplate says against itself, a sentence each; none where it agrees or says too little.
+    """Contradictions of a nameplate and likely slips, a sentence each; none where it is consistent or too incomplete.
 
     Parameters
     ----------
@@ -101,39 +101,39 @@ def nameplate_doubts(motor: Motor) -> Iterator[str]:
     Yields
     ------
     str
-        Both numbers of each relation that does not hold, and the slips that would put all of it right, the likeliest
-        first. Where all hold, a slip is named that is likelier than none.
+        Both numbers of each violated relation, then the slips that would correct all of them, the likeliest first.
+        Where all relations hold, a slip that is more likely than none.
     """
     yield from contradictions(motor)
     yield from nameplate_questions(motor)
 
 
 def nameplate_questions(motor: Motor) -> Iterator[str]:
-    """The slips alone of `nameplate_doubts`, each with the numbers that would be right."""
+    """The slips alone of `nameplate_doubts`, each with the corrected values."""
     values = stated_values(motor)
     for slip in likely_slips(values):
-        right = ", ".join(f"{value:.4g}" for value in slip.mended(values).values())
+        right = ", ".join(f"{value:.4g}" for value in slip.corrected(values).values())
         fields = " and ".join(f"motor.{name}" for name in slip.fields)
-        yield f"{fields}: {right} would fit: is what is written {slip.words}?"
+        yield f"{fields}: {right} would fit: is the stated value {slip.words}?"
 
 
 def likely_slips(values: Values) -> list[Slip]:
-    """The slips that are likelier than what is written, the likeliest first; at most two.
+    """The slips that are more likely than the values as written, the likeliest first; at most two.
 
-    Only such that break no relation, or fewer than are broken without them.
+    Only those that violate no relation, or fewer than are violated without them.
     """
     written, broken = mismatch(values), len(broken_relations(values))
     scores: list[tuple[float, Slip]] = []
     for slip in SLIPS:
         if not all(name in values for name in (*slip.fields, *slip.needed)):
             continue
-        mended = slip.applied(values)
-        if mended == values or (_PAIRS in slip.fields and mended[_PAIRS] % 1.0):
+        corrected = slip.applied(values)
+        if corrected == values or (_PAIRS in slip.fields and corrected[_PAIRS] % 1.0):
             continue
-        if len(broken_relations(mended)) > max(broken - 1, 0):
+        if len(broken_relations(corrected)) > max(broken - 1, 0):
             continue
-        score = mismatch(mended) + 2.0 * math.log(1.0 / slip.probability)
+        score = mismatch(corrected) + 2.0 * math.log(1.0 / slip.probability)
         if score < written:
             scores.append((score, slip))
     scores.sort(key=lambda pair: pair[0])
-    return [slip for score, slip in scores[:MOST_NAMED] if score <= scores[0][0] + BESIDE_THE_BEST]
+    return [slip for score, slip in scores[:MAX_NAMED] if score <= scores[0][0] + MAX_EXCESS_MISMATCH]

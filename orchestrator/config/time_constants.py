@@ -1,9 +1,8 @@
-"""Says where a winding is too fast for its samples, or where its resistance hides its inductance.
+"""Notes where a winding is too fast for its samples, or where its resistance dominates its reactance.
 
-Two numbers decide how well an inductance is known from sampled current. Between two rows a current decays by
-exp(-h R / L), and a straight line between them is wrong by x^2 / 3 with x = h R / 2 L. In a ripple of angular frequency
-omega, R takes R / (omega L) of what L takes, and a relative error of the voltage, or an error of its phase [rad], comes
-back as that many times as large an error of L.
+Two numbers limit the accuracy of an inductance from sampled current. Between two rows a current decays by
+exp(-h R / L), and linear interpolation has an error of x^2 / 3 with x = h R / 2 L. In a ripple of angular frequency
+omega, the error of L is R / (omega L) times the relative error of the voltage, or the error of its phase [rad].
 """
 
 from __future__ import annotations
@@ -16,22 +15,22 @@ from orchestrator.registry.plugins import PluginKind, load_plugin
 from protocols import Capabilities, Injection, Manifest, Motor, NoOptions
 
 LINE_ERROR = 0.01
-"""Of a straight line between two rows, from which on it is spoken of."""
+"""Error of linear interpolation between rows above which a note is given."""
 ROWS_PER_TIME_CONSTANT = 3.0
 """Rows in L / R with which that error is below 1 %."""
 RESISTANCE_OVER_REACTANCE = 1.0
-"""Of a ripple, from which on the voltage's error is larger in the inductance than in the voltage."""
+"""R / (omega L) above which the inductance's relative error exceeds the voltage's."""
 
 
 def time_constant_notes(
     motor: Motor, sampling_frequency_hz: float, injection_hz: Iterable[float] = ()
 ) -> tuple[str, ...]:
-    """One line for each of the two that is in the way; none where R or L is not known.
+    """One line for each of the two limits that is exceeded; none where R or L is not known.
 
     Parameters
     ----------
     motor : Motor
-        Nameplate, or what was found.
+        Nameplate, or estimates.
     sampling_frequency_hz : float
     injection_hz : iterable of float
         Frequencies of injected voltages.
@@ -44,11 +43,11 @@ def time_constant_notes(
     rows = inductance / ohm * sampling_frequency_hz
     notes = []
     if (0.5 / rows) ** 2 / 3.0 > LINE_ERROR:
-        tau_s, kept = inductance / ohm, math.exp(-1.0 / rows)
+        tau_s, remainder = inductance / ohm, math.exp(-1.0 / rows)
         enough_hz = float(f"{ROWS_PER_TIME_CONSTANT * sampling_frequency_hz / rows:.3g}")
         notes.append(
             f"L / R is {rows:.2g} of a sample ({tau_s:.2g} s at {sampling_frequency_hz:g} Hz): between rows a current "
-            f"decays to {kept:.0%}, so slopes and flux loops tell little of L; sample at {enough_hz:.0f} Hz or more, "
+            f"decays to {remainder:.0%}, so slopes and flux loops hardly show L; sample at {enough_hz:.0f} Hz or more, "
             "or log the control's own rows"
         )
     slowest = min(injection_hz, default=None)
@@ -63,7 +62,7 @@ def time_constant_notes(
 
 
 def plan_notes(plan: Plan, capabilities: Capabilities) -> tuple[str, ...]:
-    """The same of a plan, by its nameplate, each with the setting that ends it where the procedure has one."""
+    """The notes on a plan, by its nameplate, each with the setting that remedies it where the procedure has one."""
     motor, sampling_hz = plan.procedure.motor, capabilities.sampling_frequency_hz
     injected = {p.excitation.frequency_hz: p.stage_index for p in plan.points if isinstance(p.excitation, Injection)}
     by_sampling = time_constant_notes(motor, sampling_hz)
@@ -91,7 +90,7 @@ def _faster_hz(motor: Motor, sampling_hz: float) -> float:
 
 
 def recording_notes(manifest: Manifest) -> tuple[str, ...]:
-    """The same of a recording, by its nameplate."""
+    """The notes on a recording, by its nameplate."""
     frequencies = [segment.settings.get("frequency_hz") for segment in manifest.segments]
-    injected = {float(one) for one in frequencies if isinstance(one, int | float) and one > 0.0}
+    injected = {float(value) for value in frequencies if isinstance(value, int | float) and value > 0.0}
     return time_constant_notes(manifest.motor, manifest.drive.sampling_frequency_hz, injected)

@@ -1,10 +1,10 @@
-"""What all drives do alike: arming within limits, refusing, giving up, the ways out. Energises nothing by itself.
+"""Base class of drives: arming within limits, refusing excitations, aborting them, shutting down.
 
-`DriveShell` leaves to a drive what only it can do: `open`, `start`, `ramp`, `telemetry`. A class that keeps the
-contract of `protocols.Drive` without it is a drive as well.
+A drive that subclasses `DriveShell` adds the hardware access: `open`, `start`, `ramp`, `telemetry`. A class that keeps
+the contract of `protocols.Drive` without it is a drive as well.
 """
 
-# ruff: noqa: B027 - a hook that does nothing is an answer, not a gap
+# ruff: noqa: B027 - empty hooks are valid defaults
 
 from __future__ import annotations
 
@@ -35,38 +35,38 @@ from protocols import (
 )
 
 SINGLE_PRECISION_RATIO = 1.0 + 1e-6
-"""A number that went over a wire as a single may be off by its rounding (6e-8); it counts as the same."""
+"""Tolerance for numbers rounded to single precision (6e-8) by a link."""
 
 
 class DriveShell(ABC):
-    """A drive but for what is its own; implements `Drive` together with it.
+    """Base class of a drive; a subclass adds the hardware access.
 
-    A drive gives `open`, `start`, `ramp` and `telemetry`, and where there is something to do `energise`, `switch_off`,
-    `check_link`, `forget_fault`, `release`, `heartbeat` and `set_brake`. A drive that trips raises what `trip` returns.
+    Required: `open`, `start`, `ramp`, `telemetry`. Optional: `energise`, `switch_off`, `check_link`, `forget_fault`,
+    `release`, `heartbeat`, `set_brake`. A drive that trips raises what `trip` returns.
 
     Attributes
     ----------
     setup : DriveSetup
-        All that it got from outside.
+        Motor, options, seed and private directory.
     limits : Limits or None
-        What it was armed with; None while it is disarmed.
+        Limits it was armed with; None while disarmed.
     """
 
     name: ClassVar[str]
     Options: ClassVar[type[BaseModel]] = NoOptions
     sealed_options: ClassVar[frozenset[str]] = frozenset()
     why_not: ClassVar[Mapping[ExcitationKind, str]] = {}
-    """What keeps it from excitations that it does not claim."""
+    """Reasons, by excitation kind, why the drive does not offer it."""
 
     def __init__(self, setup: DriveSetup) -> None:
         self.setup = setup
         self.limits: Limits | None = None
         self.latched: list[DriveFault] = []
         self._own: Capabilities | None = None
-        self._turn = 0
-        self._under_way: Iterator[Capture] | None = None
+        self._excitation_number = 0
+        self._excitation_blocks: Iterator[Capture] | None = None
 
-    # What a drive gives
+    # To override
 
     @abstractmethod
     def open(self) -> Capabilities:
@@ -76,7 +76,7 @@ class DriveShell(ABC):
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Begin an excitation that fits limits and capabilities, and hand out its blocks (see `Drive.execute`).
 
-        The iterator is not drawn from any more once the excitation was given up; a generator is closed then.
+        After an abort the iterator is not advanced any more; a generator is closed.
         """
 
     @abstractmethod
@@ -98,7 +98,7 @@ class DriveShell(ABC):
         """Raise `DriveFault` where the link is lost or the drive has tripped; arming and executing begin with it."""
 
     attend = check_link
-    """Its former name, which sub-classes may go on overriding."""
+    """The former name, which subclasses may still override."""
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -106,19 +106,19 @@ class DriveShell(ABC):
             cls.check_link = vars(cls)["attend"]  # type: ignore[method-assign]  # the former name stands in
 
     def forget_fault(self) -> None:
-        """Clear the fault that the drive itself keeps."""
+        """Clear the fault latched in the drive itself."""
 
     def release(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
 
     def heartbeat(self) -> None:
-        """Nothing: a drive without a dead man."""
+        """Does nothing by default: a drive without a watchdog."""
 
     def set_brake(self, engaged: bool) -> None:
-        """Refused: there is none."""
+        """Refused by default: the drive has no brake."""
         raise DriveRefused("this drive has no brake to move")
 
-    # What a drive can ask for
+    # Helpers for subclasses
 
     @property
     def own(self) -> Capabilities:
@@ -129,7 +129,7 @@ class DriveShell(ABC):
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Latched faults in words."""
+        """Texts of the latched faults."""
         return tuple(fault.cause.value for fault in self.latched)
 
     @property
@@ -146,8 +146,8 @@ class DriveShell(ABC):
         return fault
 
     def latch(self, fault: DriveFault) -> None:
-        """Keep a fault, once for each cause; what runs is given up."""
-        self._turn += 1
+        """Latch a fault, once for each cause, and abort the running excitation."""
+        self._excitation_number += 1
         if all(fault.cause is not other.cause for other in self.latched):
             self.latched.append(fault)
 
@@ -168,7 +168,7 @@ class DriveShell(ABC):
         if self.faults:
             raise DriveRefused(f"a fault is latched ({', '.join(self.faults)}); clear it first")
         refuse_limits(limits, own)
-        self.limits = limits  # before anything is energised: from here on there is something to switch off
+        self.limits = limits  # set first, so that a failure in `energise` is switched off
         try:
             self.energise(limits)
         except DriveRefused:
@@ -185,19 +185,19 @@ class DriveShell(ABC):
         if excitation.kind not in own.excitations and excitation.kind in self.why_not:
             raise DriveRefused(f"this drive has no {excitation.kind}: {self.why_not[excitation.kind]}")
         refuse_excitation(excitation, self.limits, own, self.setup.motor.stator_resistance_ohm or 0.0)
-        self._give_up()
-        self._under_way = blocks = self.start(excitation)
-        return self._drawn(blocks, self._turn)
+        self._abort_excitation()
+        self._excitation_blocks = blocks = self.start(excitation)
+        return self._drawn(blocks, self._excitation_number)
 
     def ramp_down(self) -> None:
         """Current to zero, then held there; nothing to do where the power stage is off."""
-        self._give_up()
+        self._abort_excitation()
         if self.state is DriveState.ARMED:
             self.ramp()
 
     def disarm(self) -> None:
         """PWM off."""
-        self._give_up()
+        self._abort_excitation()
         self._power_off()
 
     def clear_fault(self) -> None:
@@ -209,17 +209,17 @@ class DriveShell(ABC):
             self.limits = None
 
     def close(self) -> None:
-        """Let go of the link."""
-        self._give_up()
+        """Close the link."""
+        self._abort_excitation()
         self._own = self.limits = None
         self.release()
 
-    # What they share
+    # Private
 
-    def _drawn(self, blocks: Iterator[Capture], turn: int) -> Generator[Capture]:
+    def _drawn(self, blocks: Iterator[Capture], generation: int) -> Generator[Capture]:
         try:
             while True:
-                if self._turn != turn:
+                if self._excitation_number != generation:
                     raise DriveRefused("the excitation was given up")
                 block = next(blocks, None)
                 if block is None:
@@ -228,10 +228,10 @@ class DriveShell(ABC):
         finally:
             _close(blocks)
 
-    def _give_up(self) -> None:
-        """End the excitation that is under way: it moves nothing any more, whoever still holds its iterator."""
-        self._turn += 1
-        blocks, self._under_way = self._under_way, None
+    def _abort_excitation(self) -> None:
+        """Abort the running excitation; its iterator then raises `DriveRefused`."""
+        self._excitation_number += 1
+        blocks, self._excitation_blocks = self._excitation_blocks, None
         _close(blocks)
 
     def _power_off(self) -> None:
@@ -242,16 +242,16 @@ class DriveShell(ABC):
 
 def refuse_limits(limits: Limits, own: Capabilities) -> None:
     """Raise `DriveRefused` where a limit is above the drive's own."""
-    for quantity, unit, wanted, most in (
+    for quantity, unit, value, maximum in (
         ("current", "A", limits.current_a, own.max_current_a),
         ("voltage", "V", limits.voltage_v, own.max_voltage_v),
     ):
-        if not wanted <= most * SINGLE_PRECISION_RATIO:
-            raise DriveRefused(f"{quantity} limit {wanted:g} {unit} is above the drive's own {most:g} {unit}")
+        if not value <= maximum * SINGLE_PRECISION_RATIO:
+            raise DriveRefused(f"{quantity} limit {value:g} {unit} is above the drive's own {maximum:g} {unit}")
 
 
 def refuse_excitation(excitation: Excitation, limits: Limits, own: Capabilities, resistance_ohm: float) -> None:
-    """Raise `DriveRefused` for what the limits, or the drive by its own words, do not allow.
+    """Raise `DriveRefused` for an excitation beyond the limits or the drive's capabilities.
 
     Parameters
     ----------
@@ -284,7 +284,7 @@ def refuse_excitation(excitation: Excitation, limits: Limits, own: Capabilities,
         raise DriveRefused(f"steps of {excitation.voltage_v:.4g} V are above the limit of {limits.voltage_v:g} V")
     if isinstance(excitation, Injection):
         _refuse_injection(excitation, own)
-        # on open loop: current control saturates by itself
+        # Only injected voltage needs this check: current control saturates at the limit.
         voltage_v = excitation.amplitude_v + resistance_ohm * current_a
         if voltage_v > limits.voltage_v * SINGLE_PRECISION_RATIO:
             raise DriveRefused(
@@ -314,7 +314,7 @@ def in_blocks(capture: Capture, longest_s: float = 0.25, rows: int | None = None
 
 
 def keepalive(time_s: float, sampling_frequency_hz: float) -> Capture:
-    """A block without rows, from a drive that has nothing to hand out yet."""
+    """A block without rows, while a drive has no samples yet."""
     none = np.zeros((0, 2))
     fields = {"i_ab": none, "v_ab": none, "v_dc": np.zeros(0)}
     return Capture(start_s=time_s, sampling_frequency_hz=sampling_frequency_hz, **fields)

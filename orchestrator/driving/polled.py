@@ -1,6 +1,6 @@
-"""What drives share whose board is polled: the experiment's clock by the host, a held current vector, keepalives.
+"""Base class of drives with a polled board: clock of the experiment by the host, held current vector, keepalives.
 
-`PolledDrive` leaves the board to its sub-class: `board` and `board_fault`, beside what a `DriveShell` needs.
+A subclass of `PolledDrive` sets `board` and gives `board_fault`, beside what `DriveShell` requires.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Board(Protocol):
         ...
 
     def close(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
         ...
 
 
@@ -63,13 +63,13 @@ class PolledDrive(DriveShell, Generic[BoardT]):
         return self.board
 
     def release(self) -> None:
-        """Let go of the link."""
+        """Close the link."""
         board, self.board = self.board, None
         if board is not None:
             board.close()
 
     def board_fault(self) -> DriveFault | None:
-        """The fault that the armed board has now; None where it is sound."""
+        """The present fault of the armed board; None without one."""
         return None
 
     @property
@@ -102,8 +102,8 @@ class PolledDrive(DriveShell, Generic[BoardT]):
     def waiting(self, wait_s: float) -> Generator[Capture]:
         """Wait, with keepalives."""
         until_s = time.monotonic() + wait_s
-        while (left_s := until_s - time.monotonic()) > 0.0:
-            time.sleep(min(left_s, self.keepalive_period_s))
+        while (remaining_s := until_s - time.monotonic()) > 0.0:
+            time.sleep(min(remaining_s, self.keepalive_period_s))
             yield self.keepalive()
 
     def await_zero_current(self, flows: Callable[[], bool], timeout_s: float) -> None:
@@ -145,7 +145,7 @@ class PolledDrive(DriveShell, Generic[BoardT]):
         return time.monotonic() - self.origin_s
 
     def checkpoint(self, point_id: str) -> None:
-        """Nothing to keep: the motor remembers by itself."""
+        """Does nothing: real hardware needs no saved state."""
 
     def restore(self, point_id: str, start_s: float) -> None:
         """Let the experiment's clock go on from `start_s`."""

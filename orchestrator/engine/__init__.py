@@ -1,7 +1,7 @@
 """The engine: the state machine, the stages, and every way out of them."""
 
 from orchestrator.engine._commissioning import Commissioning, Outcome
-from orchestrator.engine._heartbeat import HeartbeatKeeper, host_gap
+from orchestrator.engine._heartbeat import HeartbeatKeeper, host_latency
 from orchestrator.engine._interrupts import Interrupts, handling_signals
 from orchestrator.engine._operator import SAFE_BENCH_WORDS, AbsentOperator, Operator, TerminalOperator
 from orchestrator.engine._plugins import UsedPlugins
@@ -41,7 +41,7 @@ __all__ = [
     "connected_drive",
     "extend_run",
     "handling_signals",
-    "host_gap",
+    "host_latency",
     "mermaid",
     "resume_run",
     "start_run",

@@ -1,9 +1,9 @@
-"""The process that beats: writes to a link what it is handed, when it is due. Started by its path, without the project.
+"""The heartbeat process: writes the beats it was handed to a link when they are due. Started by its path.
 
-It imports nothing but the standard library and holds nothing that a busy main process could be late with: no lock of
-its interpreter, no memory that is swapped out, and a higher priority where the system allows it. What it was not handed
-it cannot say: a main process that is gone falls silent at once, one that is stopped too, and one that hangs with the
-end of its lease. Arguments: the link's descriptor, or ``measure SECONDS`` to tell this host's worst gap.
+It imports only the standard library and is independent of a busy main process: it has its own interpreter lock, memory
+locked against swapping, and a higher priority where the system allows it. It sends only the beats it was handed: none
+after the main process ends or is stopped, and none beyond the lease of one that hangs. Arguments: the link's
+descriptor, or ``measure SECONDS`` to print this host's worst gap.
 """
 
 import ctypes
@@ -17,14 +17,14 @@ from contextlib import suppress
 from pathlib import Path
 
 BEAT_HEADER = struct.Struct("<dH")
-"""Instant on the monotonic clock, and the length of what is to be written then."""
+"""Instant on the monotonic clock, and the length of the beat to write then."""
 REAL_TIME_PRIORITY = 10
 _LOCK_ALL_MEMORY = 3
 
 
 def with_priority() -> bytes:
-    """Ask for what the system gives: b"r" real time, b"n" a better nice value, b"p" plain."""
-    with suppress(OSError, AttributeError):  # then it may be swapped out
+    """Raise the priority as far as the system allows: b"r" real time, b"n" a better nice value, b"p" plain."""
+    with suppress(OSError, AttributeError):  # without it, it may be swapped out
         ctypes.CDLL(None).mlockall(_LOCK_ALL_MEMORY)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
@@ -39,7 +39,7 @@ def with_priority() -> bytes:
 
 
 def is_stopped(process: int) -> bool:
-    """Whether somebody has stopped it (SIGSTOP, Ctrl-Z, a debugger); False where the system does not tell."""
+    """Whether a process is stopped (SIGSTOP, Ctrl-Z, a debugger); False where unknown."""
     try:
         status = Path(f"/proc/{process}/stat").read_bytes()
         return status.rpartition(b")")[2].split()[0] in (b"T", b"t")
@@ -48,7 +48,7 @@ def is_stopped(process: int) -> bool:
 
 
 def beat(link: int) -> None:
-    """Until the main process closes its end."""
+    """Send beats until the main process closes its end of the pipe."""
     parent, handed = os.getppid(), b""
     due: deque[tuple[float, bytes]] = deque()
     os.write(1, with_priority())
@@ -72,7 +72,7 @@ def beat(link: int) -> None:
             try:
                 os.write(link, latest)
             except BlockingIOError:
-                pass  # the next one is for it
+                pass  # the next beat follows soon
             except OSError:
                 return
 

@@ -1,7 +1,7 @@
 """Takes a run from its first stage to its end: which stage, which state, which point comes next.
 
-One thread does everything here. Whatever happens on the way, the run ends through one door:
-the drive stands down, the reason is in the journal, and what was measured is a valid recording.
+One thread does everything here. Every path ends in `_shutdown`: the drive is disarmed, the reason is in the journal,
+and the measured points are a valid recording.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._point_queue import PointQueue
 from orchestrator.engine._power import DISARMED_TEXT, PowerStage, as_drive_errors
 from orchestrator.engine._probing import RippleProbe, weakened
-from orchestrator.engine._stage_run import Engine, StageAtWork
+from orchestrator.engine._stage_run import Engine, EngineContext
 from orchestrator.engine._states import StateMachine, Trigger, table_of
 from orchestrator.engine._thermometer import Thermometer
 from orchestrator.recording import open_recording
@@ -58,30 +58,30 @@ ENDINGS: dict[Ending, Trigger] = {"finished": Trigger.FINISH, "faulted": Trigger
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended."""
+    """Outcome of a run."""
 
     ending: Ending
     reason: str
     error: BaseException | None
-    """What ended it before its time."""
+    """Cause of a premature end."""
     estimates: EstimationReport | None = None
     """As `RunEnded` has it."""
 
 
 class Commissioning:
-    """One run (or what is left of one) on a connected drive.
+    """One run (or the rest of one) on a connected drive.
 
     Parameters
     ----------
     run : RunDirectory
-        Open and locked; points that its journal holds are not measured again.
+        Open and locked; points in its journal are not measured again.
     plan : Plan
         Checked against limits and capabilities.
     drive : Drive
         Connected, disarmed.
     capabilities : Capabilities
     plugins : UsedPlugins
-        What the plan's stages use.
+        Plugins of the plan's stages.
     operator : Operator
     interrupts : Interrupts
     log : RunLog
@@ -120,7 +120,7 @@ class Commissioning:
             interrupts,
             plugins,
         )
-        self._tripped_at: PlannedPoint | None = None
+        self._current_point: PlannedPoint | None = None
         self._summary: EstimationReport | None = None
         self._unwritten: StorageError | None = None
 
@@ -129,11 +129,11 @@ class Commissioning:
         return self._machine.state
 
     def execute(self) -> Outcome:
-        """Run every stage that is left; never raises, and never leaves the drive energised."""
+        """Run the remaining stages; never raises, and never leaves the drive energised."""
         try:
             self._begin()
             index = 0
-            while index < len(self._queue.stages):  # one at work may append to them
+            while index < len(self._queue.stages):  # a stage may append more
                 index = self._enter(index)
             outcome = Outcome("finished", "every stage is done", None)
         except (RunInterrupted, RunAborted) as error:
@@ -143,7 +143,7 @@ class Commissioning:
         except SystemExit as error:
             plugin_error = PluginError("plugins", "", f"one of them called exit({error.code}) in the middle of the run")
             outcome = Outcome("faulted", str(plugin_error), plugin_error)
-        except BaseException as error:  # a defect: the drive comes first, the traceback after
+        except BaseException as error:  # a defect: the drive first, then the traceback
             outcome = Outcome("faulted", f"{type(error).__name__}: {error}", error)
         return self._shutdown(outcome)
 
@@ -163,8 +163,8 @@ class Commissioning:
                 seconds=self._queue.seconds_left,
             )
         )
-        for doubt in nameplate_doubts(procedure.motor):
-            self._log.publish(Note(level="warning", text=doubt))
+        for warning in nameplate_doubts(procedure.motor):
+            self._log.publish(Note(level="warning", text=warning))
         self._machine.fire(Trigger.CONNECT)
         self._power.verify_at_rest()
         last = max(self._queue.done.values(), key=lambda segment: segment.start_s, default=None)
@@ -173,47 +173,47 @@ class Commissioning:
                 self._drive.restore(last.id, self._run.end_s())
 
     def _enter(self, index: int) -> int:
-        """Measure what is left of a stage, and let it work on that; returns the stage that is next."""
+        """Measure the remaining points of a stage and let it evaluate them; returns the next stage's index."""
         self._interrupts.check()
         stage = self._queue.stages[index]
-        at_work = StageAtWork(index, self._engine, self._keep_estimates)
-        left = self._queue.points_left(index)
-        if left and stage.measuring is not None:
-            self._log.publish(StageStarted(index=index, stage=stage.name, title=stage.title, points=len(left)))
+        context = EngineContext(index, self._engine, self._keep_estimates)
+        remaining = self._queue.points_left(index)
+        if remaining and stage.measuring is not None:
+            self._log.publish(StageStarted(index=index, stage=stage.name, title=stage.title, points=len(remaining)))
             self._machine.fire(stage.measuring.trigger)
             self._power.arm()
             try:
-                self._measure_points(index, stage.measuring, at_work, self._within_limits(index, left))
+                self._measure_points(index, stage.measuring, context, self._within_limits(index, remaining))
             except DriveRefused as refusal:
                 return self._skipped(index, refusal)
         if self._queue.has_work(index):
-            if not left:
+            if not remaining:
                 self._log.publish(StageStarted(index=index, stage=stage.name, title=stage.title, points=0))
-            stage.work(at_work)
+            stage.work(context)
         return index + 1
 
     def _measure_points(
-        self, index: int, measuring: StageState, at_work: StageAtWork, points: list[PlannedPoint]
+        self, index: int, measuring: StageState, context: EngineContext, points: list[PlannedPoint]
     ) -> None:
         stage = self._queue.stages[index]
-        excitations = stage.as_run(at_work, [point.excitation for point in points])
+        excitations = stage.as_run(context, [point.excitation for point in points])
         for point in points:
             if self._interrupts.pause_wanted:
                 self._pause(measuring)
             excitation = next(excitations, None)
             if excitation is None:
-                self._log.publish(self._queue.suffice(index), durable=True)
+                self._log.publish(self._queue.finish_early(index), durable=True)
                 return
-            point_as_run = self._queue.allowed(point, excitation)
+            point_as_run = self._queue.validated(point, excitation)
             if self._machine.state != measuring.name:  # it stood down to compute
                 self._machine.fire(measuring.trigger)
             self._power.arm()
-            self._measure_point(point, point_as_run, partial(stage.after_point, at_work))
+            self._measure_point(point, point_as_run, partial(stage.after_point, context))
 
     def _skipped(self, index: int, refusal: DriveRefused) -> int:
-        """Nobody has written an experiment that this program proposed: where the drive refuses it, the run is complete.
+        """Index after a proposed stage that the drive refuses; a refused stage of the procedure raises the refusal.
 
-        What was appended with it, to work on what it would have measured, is passed over too.
+        Stages appended together with it are skipped too, since they evaluate its points.
         """
         end = self._queue.end_of_appended(index)
         if end is None:
@@ -222,17 +222,17 @@ class Commissioning:
         self._log.publish(Note(level="warning", text=message))
         return end
 
-    def _within_limits(self, index: int, left: list[PlannedPoint]) -> list[PlannedPoint]:
-        """The points with their injection as weak as the ripple at the rim makes necessary."""
-        factor = self._queue.factor(index)
+    def _within_limits(self, index: int, remaining: list[PlannedPoint]) -> list[PlannedPoint]:
+        """The points with their injection scaled down to the ripple measured at the largest currents."""
+        factor = self._queue.injection_scale(index)
         if factor is None:
-            factor = self._probe.factor(left)
+            factor = self._probe.factor(remaining)
             if factor < 1.0:
                 message = (
-                    f"the ripple at the rim is stronger than the nameplate says: injection at {factor:.0%} of the plan"
+                    f"the ripple at the largest current exceeds the nameplate's: injection at {factor:.0%} of the plan"
                 )
                 self._log.publish(Note(level="info", text=message))
-        return [weakened(point, factor) for point in left]
+        return [weakened(point, factor) for point in remaining]
 
     def _measure_point(self, planned: PlannedPoint, point: PlannedPoint, after: Callable[[Segment], None]) -> None:
         target_d_a, target_q_a = point.target if point.target is not None else (None, None)
@@ -245,10 +245,10 @@ class Commissioning:
                 seconds=point.seconds,
             )
         )
-        self._tripped_at = point
+        self._current_point = point
         segment, (achieved_d_a, achieved_q_a) = self._measurement.measure(point)
-        self._tripped_at = None
-        after(segment)  # a kill in between has the point measured again, and nothing of it lost
+        self._current_point = None
+        after(segment)  # if the process dies here, the point is repeated on resume
         if isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
                 self._drive.checkpoint(point.id)
@@ -279,12 +279,12 @@ class Commissioning:
         self._power.arm()
 
     def _shutdown(self, outcome: Outcome) -> Outcome:
-        """Stop, whatever has happened; the reason names what can no longer be written."""
+        """Stop in any state; the reason includes what could not be written."""
         trouble: list[str] = []
         try:
-            if self._machine.may(Trigger.STOP):  # else it was on its way when something failed
+            if self._machine.may(Trigger.STOP):  # else it was already stopping
                 trouble.append(self._attempt(lambda: self._machine.fire(Trigger.STOP, outcome.reason)))
-        finally:  # a defect comes after the drive
+        finally:  # even after a defect the drive is disarmed
             stood_down = self._power.stand_down()
         if stood_down:
             level: Literal["info", "error"] = "info" if stood_down == DISARMED_TEXT else "error"
@@ -303,13 +303,13 @@ class Commissioning:
         return Outcome(self._ending(outcome), reason, outcome.error or self._unwritten, self._summary)
 
     def _explained(self, outcome: Outcome) -> Outcome:
-        """The outcome with what brought the current to its trip, where a point ended by that."""
-        fault, point = outcome.error, self._tripped_at
+        """The outcome with the likely cause of an overcurrent trip added."""
+        fault, point = outcome.error, self._current_point
         if not isinstance(fault, DriveFault) or fault.cause is not FaultCause.OVERCURRENT or point is None:
             return outcome
         procedure, noise, ripple = self._queue.plan.procedure, None, None
         if self._queue.done:
-            with suppress(FluxbenchError, OSError):  # what cannot be read explains nothing
+            with suppress(FluxbenchError, OSError):  # without a readable recording the hint has less detail
                 recording = open_recording(self._run.path)
                 noise = sensor_noise(recording)
                 ripple = ripple_ratio(recording, procedure.motor, noise)
@@ -320,17 +320,17 @@ class Commissioning:
         return replace(outcome, reason=str(explained), error=explained)
 
     def _ending(self, outcome: Outcome) -> Ending:
-        """A run of which something could not be written has not finished, though every stage is done."""
+        """The ending; a run with an unwritten result is faulted, even if every stage is done."""
         return "faulted" if outcome.error is None and self._unwritten is not None else outcome.ending
 
     def _keep_manifest(self) -> None:
         try:
             self._run.write_manifest()
-        except RecordingError as error:  # what this run itself has written cannot be read: that is the disk's fault
+        except RecordingError as error:  # the run's own files cannot be read: a fault of the disk
             raise StorageError(str(error)) from error
 
     def _attempt(self, call: Callable[[], object]) -> str:
-        """Do one thing of the way out; a disk that is full must not keep the next from being done."""
+        """One step of the shutdown; its error text, so that a full disk does not prevent the next step."""
         try:
             call()
         except StorageError as error:

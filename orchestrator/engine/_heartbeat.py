@@ -1,9 +1,8 @@
-"""The heartbeat: tells the drive that the host is alive, and only while it really is.
+"""The heartbeat to the drive, sent only while the run's thread is alive.
 
-It comes on a lease that the run's thread has to renew: a host that hangs stops beating, and the drive's dead man makes
-the motor safe. Where the link is a descriptor that two processes may write to, a process of its own beats (`_beater`),
-which a busy interpreter cannot hold up; it is handed a few seconds of beats at a time, never beyond the lease. On other
-links a thread beats.
+The run's thread has to renew a lease: if it hangs, the heartbeat stops and the drive's watchdog makes the motor safe.
+On a link whose descriptor two processes may write to, a separate process (`_beater`) sends it, which a busy interpreter
+cannot delay; it gets a few seconds of beats at a time, never beyond the lease. On other links a thread sends it.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from orchestrator.engine._beater import BEAT_HEADER, worst_gap
 from protocols import Drive, RelayedDrive
 
 LEASE_S = 5.0
-"""How long the run's thread may be busy (writing a capture to a slow disk) before beating stops."""
+"""Time that the run's thread may be busy (writing to a slow disk) before the heartbeat stops."""
 BEATS_AHEAD_S = 3.0
-"""Beats that are handed over at a time: longer than a busy host keeps this process waiting, within any lease."""
+"""Beats handed over at a time: longer than a busy host delays this process, shorter than a lease."""
 BEATS_PER_WATCHDOG = 4
 _BEATER = str(Path(__file__).with_name("_beater.py"))
 _BEATER_COMMAND = (sys.executable, "-I", "-S", _BEATER)
-"""Without site-packages it is there in some hundredths of a second."""
+"""Without site-packages it starts in some hundredths of a second."""
 
 
 class HeartbeatKeeper:
@@ -39,10 +38,10 @@ class HeartbeatKeeper:
     Parameters
     ----------
     drive : Drive
-        Its `heartbeat` is called from the keeper's thread, or what a `RelayedDrive` says is written by another process.
+        Its `heartbeat` is called from the keeper's thread; a `RelayedDrive`'s is written by another process.
     watchdog_s : float or None
-        The drive's dead man; a beat comes every quarter of it. None: the drive has none, and
-        there is nothing to keep.
+        The drive's watchdog; a beat comes every quarter of it. None: the drive has none, and no
+        beat is sent.
     """
 
     def __init__(self, drive: Drive, watchdog_s: float | None) -> None:
@@ -54,7 +53,7 @@ class HeartbeatKeeper:
         self._relay = None if watchdog_s is None else _Relay.of(drive)
 
     def renew(self, seconds: float = 0.0) -> None:
-        """Promise to be back within the lease, and `seconds` more where the drive will be quiet for so long."""
+        """Renew the lease, extended by `seconds` where the drive will be quiet for so long."""
         self._expiry = time.monotonic() + LEASE_S + seconds
 
     def __enter__(self) -> Self:
@@ -92,36 +91,36 @@ class HeartbeatKeeper:
             while handed_s + self._period_s < min(now + BEATS_AHEAD_S, self._expiry):
                 handed_s += self._period_s
                 if not self._relay.hand(handed_s):
-                    self._relay = None  # it has died: this thread goes on
+                    self._relay = None  # it has died: this thread takes over
                     break
 
 
 class _Relay:
-    """The process that beats, and this end of its pipe."""
+    """The process that sends the heartbeat, and this end of its pipe."""
 
     ready_s: ClassVar[float] = 2.0
 
-    def __init__(self, drive: RelayedDrive, outlet: int) -> None:
+    def __init__(self, drive: RelayedDrive, heartbeat_fd: int) -> None:
         self._drive = drive
         self._process = subprocess.Popen(
-            [*_BEATER_COMMAND, str(outlet)],
+            [*_BEATER_COMMAND, str(heartbeat_fd)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
-            pass_fds=(outlet,),
+            pass_fds=(heartbeat_fd,),
             start_new_session=True,  # a terminal's Ctrl-C and Ctrl-Z are for the run
             bufsize=0,
         )
 
     @classmethod
     def of(cls, drive: Drive) -> _Relay | None:
-        """For a drive that allows it, once the process is there; else None."""
-        outlet = drive.heartbeat_outlet() if isinstance(drive, RelayedDrive) else None
-        if outlet is None or os.name != "posix":
+        """The relay, once its process is ready; None for a drive without a shared descriptor."""
+        heartbeat_fd = drive.heartbeat_outlet() if isinstance(drive, RelayedDrive) else None
+        if heartbeat_fd is None or os.name != "posix":
             return None
         assert isinstance(drive, RelayedDrive)
         try:
-            relay = cls(drive, outlet)
+            relay = cls(drive, heartbeat_fd)
         except OSError:
             return None
         if relay.is_ready():
@@ -135,7 +134,7 @@ class _Relay:
         return bool(readable and self._process.stdout.read(1))
 
     def hand(self, at_s: float) -> bool:
-        """Have a beat written at this instant; False where nobody is there to do it."""
+        """Schedule a beat at this instant; False where the process is gone."""
         assert self._process.stdin is not None
         beat = self._drive.heartbeat_at(at_s)
         try:
@@ -145,7 +144,7 @@ class _Relay:
         return True
 
     def close(self) -> None:
-        """End it: it says nothing more once its pipe is closed."""
+        """End the process: it sends nothing once its pipe is closed."""
         for pipe in (self._process.stdin, self._process.stdout):
             assert pipe is not None
             pipe.close()
@@ -157,31 +156,31 @@ class _Relay:
 
 
 @dataclass(frozen=True)
-class HostGap:
-    """How late this host is with what is due."""
+class HostLatency:
+    """Latency of this host in sending a due heartbeat."""
 
     worst_s: float
-    who: str
-    """Who beats, and was looked at."""
+    sender: str
+    """Name of the process or thread that sends it."""
     shortest_s: ClassVar[float] = 0.01
-    """No shorter watchdog is promised by a look of a second."""
+    """Lower bound of `shortest_watchdog_s`, as one second of measurement proves no less."""
 
     @property
-    def keeps_s(self) -> float:
-        """The shortest watchdog that a beat every quarter of it keeps through such a gap, doubled to be sure."""
+    def shortest_watchdog_s(self) -> float:
+        """Shortest watchdog that a beat every quarter of it keeps alive through such a gap, with a factor of two."""
         return max(2.0 * self.worst_s * BEATS_PER_WATCHDOG / (BEATS_PER_WATCHDOG - 1), self.shortest_s)
 
 
-def host_gap(drive: Drive, seconds: float = 1.0) -> HostGap:
-    """What whoever beats for this drive would have met now, in so many seconds."""
+def host_latency(drive: Drive, seconds: float = 1.0) -> HostLatency:
+    """Latency of this drive's heartbeat sender, measured for `seconds`."""
     relayed = isinstance(drive, RelayedDrive) and drive.heartbeat_outlet() is not None and os.name == "posix"
     if relayed:
         with suppress(OSError, subprocess.SubprocessError, ValueError):
             command = [*_BEATER_COMMAND, "measure", str(seconds)]
             output = subprocess.run(command, capture_output=True, text=True, timeout=seconds + 10.0, check=True).stdout
             priority, worst = output.split()
-            return HostGap(float(worst), f"a process of {_PRIORITIES[priority]} priority")
-    return HostGap(worst_gap(seconds), "a thread, for this link cannot be shared,")
+            return HostLatency(float(worst), f"a process of {_PRIORITIES[priority]} priority")
+    return HostLatency(worst_gap(seconds), "a thread (this link cannot be shared)")
 
 
 _PRIORITIES = {"r": "real-time", "n": "raised", "p": "plain"}

@@ -1,4 +1,4 @@
-"""Requests to stop or to pause, from signals or from another thread, heeded where it is safe.
+"""Requests to stop or to pause, from signals or from another thread, handled where it is safe.
 
 A request only sets a flag; the engine looks at it between blocks of samples and between points.
 Handlers are installed by `handling_signals` alone, for as long as a run lasts.
@@ -85,11 +85,11 @@ class Interrupts:
 
 @contextmanager
 def handling_signals() -> Iterator[Interrupts]:
-    """Turn signals into requests while the block lasts; the handlers before are put back.
+    """Context that turns signals into requests; restores the previous handlers.
 
     SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the run; SIGALRM ends a `deadline`; SIGTSTP (Ctrl-Z)
     pauses: the drive is disarmed first, then the process really stops, and SIGCONT (``fg``) lets
-    it go on. A second stop signal changes nothing: the way out is already under way.
+    it go on. A second stop signal has no effect: the shutdown is already running.
     """
     interrupts = Interrupts(suspend=lambda: os.kill(os.getpid(), signal.SIGSTOP))
 
@@ -103,10 +103,10 @@ def handling_signals() -> Iterator[Interrupts]:
         raise DriveFault(FaultCause.NO_ANSWER, "the drive neither sends samples nor returns")
 
     handlers = dict.fromkeys(STOP_SIGNALS, stop) | {signal.SIGTSTP: pause, signal.SIGALRM: overdue}
-    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     interrupts._has_alarm = True
     try:
         yield interrupts
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)

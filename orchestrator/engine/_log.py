@@ -1,4 +1,4 @@
-"""What a run says goes to two places: the journal, which must hold it, and the streams, which may."""
+"""Publishes a run's messages to the journal, which must store them, and to the streams, which may miss some."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class RunLog:
     def publish(self, message: Message, *, durable: bool = False) -> None:
         """Publish; `durable` returns only when the journal is on the disk.
 
-        Raises `StorageError` where the journal can no longer be written; the streams have the
-        message all the same.
+        Raises `StorageError` where the journal can no longer be written; the streams get the
+        message nevertheless.
         """
         self._dispatcher.publish(message)
         if not isinstance(message, SamplesCaptured | MapEstimated | DiagnosisStep | UnderWay):

@@ -1,4 +1,4 @@
-"""Measures one point: the drive executes, the samples are checked and written, the journal keeps it."""
+"""Measures one point: the drive executes, the samples are checked and written, the journal records it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from orchestrator.runs import RunDirectory
 from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, Note, SamplesCaptured, Segment
 
 MAX_CURRENT_RATIO = 1.5
-"""Current of a sample over the limit, at which the drive should have tripped long before."""
+"""Current of a sample over the limit above which the drive has failed to trip."""
 
 
 class MeanCurrent:
@@ -79,7 +79,7 @@ class Measurement:
         Raises
         ------
         DriveFault
-            The drive tripped, was lost, or sent what cannot be.
+            The drive tripped, was lost, or sent invalid data.
         StorageError
             The disk does not take it.
         RunInterrupted
@@ -93,7 +93,7 @@ class Measurement:
         with SegmentWriter(self._run.path, point.id) as writer, closing(blocks):
             for capture in blocks:
                 self._interrupts.check()
-                if len(capture) == 0:  # a sign of life while the drive settles
+                if len(capture) == 0:  # a keepalive while the drive settles
                     continue
                 capture = temperature.put_into(capture)
                 writer.append(capture)
@@ -118,14 +118,14 @@ class Measurement:
         )
         if mean.clipped_rows:
             rows = f"{mean.clipped_rows} of {mean.samples} rows"
-            message = f"{point.id}: {rows} stand at the end of the drive's scale: clipped"
+            message = f"{point.id}: {rows} are at the end of the drive's scale (clipped)"
             self._log.publish(Note(level="warning", text=message))
         return segment, mean.dq()
 
     def _temperature(self, segment: str) -> LoggedTemperature:
         temperature = LoggedTemperature(self._thermometer)
         if temperature.missing and not self._missed:
-            message = "the thermometer says nothing, or nothing new: without it until it does"
+            message = "no new reading of the thermometer: no temperature is recorded until there is one"
             self._log.publish(Note(level="warning", text=f"{segment}: {message}"))
         self._missed = temperature.missing
         return temperature

@@ -1,4 +1,4 @@
-"""Whoever answers when a run needs a deed done by hand."""
+"""The operator, who confirms manual steps of a run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from orchestrator.formatting.sentences import cut, visible
 from protocols import InputError, OperatorAnswered, OperatorAsked, RunAborted
 
 SAFE_BENCH_WORDS = "I have made the bench safe"
-"""By which a procedure's own answers count on a real drive; kept in the journal."""
+"""Statement with which a procedure's own answers count on a real drive; kept in the journal."""
 
 
 class Operator(Protocol):
@@ -25,7 +25,7 @@ class Operator(Protocol):
 
 
 class AbsentOperator:
-    """Nobody is there: every question that the procedure does not answer ends the run.
+    """No operator: every question that the procedure does not answer ends the run.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class TerminalOperator:
 
 
 class Questions:
-    """Puts questions to the operator, and keeps them and their answers in the journal.
+    """Asks the operator, and keeps questions and answers in the journal.
 
     On a real drive a procedure answers for a person only where the run was started with `SAFE_BENCH_WORDS`.
     """
@@ -81,12 +81,12 @@ class Questions:
         self._canned_counts = simulated or self._words is not None
 
     def put(self, prompt: str, *, answered: bool) -> None:
-        """Have a question answered with yes, by the procedure where that has `answered` it and its answer counts.
+        """Require the answer yes, from the procedure where it has `answered` and its answer counts.
 
         Raises
         ------
         RunAborted
-            The answer is no, or nobody is there.
+            The answer is no, or no operator is present.
         """
         self._log.publish(OperatorAsked(prompt=prompt))
         if answered and self._canned_counts:

@@ -1,8 +1,8 @@
-"""Names what brought a current to its trip: set-point, noise, ripple, a wrong inductance, or the current control.
+"""Likely cause of an overcurrent trip: set-point, noise, ripple, a wrong inductance, or the current control.
 
-The set-point and the nameplate's ripple are the plan's; noise and offset are what the sensors read with the gates off;
-how far the ripple is from the nameplate's shows in the last injection that was measured. A trip acts at
-limits.current_a or above, so what stays below that limit did not reach it.
+The plan gives the set-point and the nameplate's ripple; readings with the gates off give noise and offset; measured
+injections give the ripple over the nameplate's. A trip acts at limits.current_a or above, so a sum below that limit
+does not explain it.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from orchestrator.stages import flux_swing_wb, ripple_a
 from protocols import GatesOff, Injection, Limits, Motor, RecordingReader, Segment, SegmentStage
 
 MAX_RIPPLE_RATIO = 2.0
-"""Measured over the nameplate's ripple from which on the inductance is the cause: iron saturates by 20 to 60 %."""
+"""Measured ripple over the nameplate's above which the inductance is the cause: iron saturates by 20 to 60 %."""
 MAX_INJECTIONS_READ = 5
-"""A lock check's: at rest and under torque."""
+"""Those of a lock check: at rest and under torque."""
 MIN_CURRENT_RATIO = 0.3
-"""Of the set-point: less is no measurement of this motor, and other sensors are wanted."""
+"""Smallest useful current over the set-point; below it better sensors are needed."""
 _PEAK_OVER_RMS = {"square": math.sqrt(3.0), "sine": math.sqrt(2.0)}
-"""Of the current ripple that the injected waveform makes."""
+"""Peak over rms of the current ripple, by injected waveform."""
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class SensorNoise:
     """Readings with the gates off: their mean's length, and the standard deviations of the vector [A]."""
 
     offset_a: float
-    longest_a: float
-    """Along the axis on which it is largest."""
+    max_std_a: float
+    """Standard deviation along the axis on which it is largest."""
     mean_square_a2: float
-    """Of both axes together."""
+    """Variance, both axes together."""
 
     def peak_a(self, rows: int) -> float:
-        """Length that the noise reaches once in so many rows: P(|n| > x) = exp(-x^2 / 2 sigma^2) a row."""
-        return self.longest_a * math.sqrt(2.0 * math.log(max(rows, 2)))
+        """Length that the noise reaches once in `rows` rows: P(|n| > x) = exp(-x^2 / 2 sigma^2) per row [A]."""
+        return self.max_std_a * math.sqrt(2.0 * math.log(max(rows, 2)))
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class RippleRatio:
 
 
 def sensor_noise(recording: RecordingReader) -> SensorNoise | None:
-    """Of the latest reading with the gates off; None where there is none."""
+    """Noise of the latest segment with the gates off; None without one."""
     segments = recording.segments(SegmentStage.GATES_OFF)
     if not segments:
         return None
@@ -60,20 +60,20 @@ def sensor_noise(recording: RecordingReader) -> SensorNoise | None:
     covariance = np.cov(readings.T)
     return SensorNoise(
         offset_a=float(np.linalg.norm(readings.mean(axis=0))),
-        longest_a=math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])),
+        max_std_a=math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])),
         mean_square_a2=float(np.trace(covariance)),
     )
 
 
 def ripple_ratio(recording: RecordingReader, motor: Motor, noise: SensorNoise | None) -> RippleRatio | None:
-    """The least of the first injections that were measured: where iron saturates least, the nameplate has to hold.
+    """Smallest ratio of the first injections: where iron saturates least, the nameplate has to hold.
 
-    None where there is none, or no inductance to compare with.
+    None without an injection or without a nameplate inductance.
     """
     stages = (SegmentStage.LOCK_CHECK, SegmentStage.INJECTION)
     segments = [segment for segment in recording.segments() if segment.stage in stages]
     ratios = (_ripple_ratio(recording, segment, motor, noise) for segment in segments[:MAX_INJECTIONS_READ])
-    return min((one for one in ratios if one is not None), key=lambda one: one.ratio, default=None)
+    return min((ratio for ratio in ratios if ratio is not None), key=lambda ratio: ratio.ratio, default=None)
 
 
 def _ripple_ratio(
@@ -100,21 +100,21 @@ def explain_overcurrent(
     noise: SensorNoise | None = None,
     ripple: RippleRatio | None = None,
 ) -> str:
-    """Say in one line what reached the trip, with its numbers, and what ends it.
+    """One line on the cause of the trip, with its numbers and the remedy.
 
     Parameters
     ----------
     point : PlannedPoint
-        At which the drive tripped.
+        Point at which the drive tripped.
     motor : Motor
         The nameplate.
     limits : Limits
     sampling_frequency_hz : float
-        How often the drive compares its readings.
+        Rate at which the drive checks its readings.
     noise : SensorNoise, optional
-        As measured before.
+        Measured before.
     ripple : RippleRatio, optional
-        Of an injection measured before.
+        From an injection measured before.
     """
     excitation, limit_a = point.excitation, limits.current_a
     set_point_a, nominal_a = excitation.longest_current_a, nominal_ripple_a(excitation, motor)
@@ -123,7 +123,7 @@ def explain_overcurrent(
     rows = round((excitation.settling_s + excitation.captured_s) * sampling_frequency_hz)
     noise_a = noise.peak_a(rows) + noise.offset_a if noise is not None else 0.0
     swing_a = nominal_a * (max(ripple.ratio, 1.0) if ripple is not None else 1.0)
-    budget = f"{set_point_a:.3g} A were commanded{_noise_words(noise, noise_a, rows)}"
+    budget = f"{set_point_a:.3g} A were commanded{_noise_text(noise, noise_a, rows)}"
     if nominal_a > 0.0:
         budget += f", the nameplate's ripple is {nominal_a:.2g} A"
     wrong = ripple is not None and ripple.ratio > MAX_RIPPLE_RATIO
@@ -131,17 +131,17 @@ def explain_overcurrent(
         return f"{budget}; {_wrong_inductance(ripple, motor)}"
     if set_point_a + noise_a + swing_a < limit_a:
         return (
-            f"{budget}: together less than limits.current_a of {limit_a:g} A; {_unseen(point, motor, limit_a, noise_a)}"
+            f"{budget}: together less than limits.current_a of {limit_a:g} A; {_causes(point, motor, limit_a, noise_a)}"
         )
     if noise_a >= swing_a:
         return f"{budget}: {_too_noisy(point, limit_a, noise_a, swing_a)}"
     return f"{budget}: the ripple reaches the trip; {_weaker(point, limit_a - set_point_a - noise_a, swing_a)}"
 
 
-def _noise_words(noise: SensorNoise | None, noise_a: float, rows: int) -> str:
+def _noise_text(noise: SensorNoise | None, noise_a: float, rows: int) -> str:
     if noise is None:
         return ""
-    return f", noise and offset reach {noise_a:.2g} A ({noise.longest_a:.2g} A rms with the gates off, {rows} rows)"
+    return f", noise and offset reach {noise_a:.2g} A ({noise.max_std_a:.2g} A rms with the gates off, {rows} rows)"
 
 
 def _wrong_inductance(ripple: RippleRatio, motor: Motor) -> str:
@@ -173,8 +173,8 @@ def _weaker(point: PlannedPoint, room_a: float, swing_a: float) -> str:
     return f"an injection of {_down(excitation.amplitude_v * room_a / swing_a):g} V ends that"
 
 
-def _unseen(point: PlannedPoint, motor: Motor, limit_a: float, noise_a: float) -> str:
-    """What may have taken the current further than everything that is known."""
+def _causes(point: PlannedPoint, motor: Motor, limit_a: float, noise_a: float) -> str:
+    """Possible causes where the known contributions do not reach the trip."""
     excitation = point.excitation
     nominal_a = nominal_ripple_a(excitation, motor)
     ohm = motor.stator_resistance_ohm
@@ -194,12 +194,12 @@ def _unseen(point: PlannedPoint, motor: Motor, limit_a: float, noise_a: float) -
 
 
 def _up(value: float) -> float:
-    """Two digits, rounded up."""
+    """Value rounded up to two digits."""
     return -_down(-value)
 
 
 def _down(value: float) -> float:
-    """Two digits, rounded down."""
+    """Value rounded down to two digits."""
     if value == 0.0:
         return 0.0
     unit = 10.0 ** (math.floor(math.log10(abs(value))) - 1)

@@ -1,4 +1,4 @@
-"""The plugins that a run's stages work with: loaded before anything is energised, each once."""
+"""The plugins of a run's stages, each loaded once before energising."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from protocols import Stage
 
 
 class UsedPlugins:
-    """Instances of what stages say that they use.
+    """Instances of the plugins that stages use.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ class UsedPlugins:
             named = {use.name for use in uses if use.kind == kind}
             if None in named:
                 named |= {info.name for info in installed.plugins}
-            for name in named - {None} - {loaded for of, loaded in self._loaded if of == kind}:
+            for name in named - {None} - {loaded for loaded_kind, loaded in self._loaded if loaded_kind == kind}:
                 self._loaded[kind, str(name)] = installed.load(str(name))()
 
     def of(self, kind: str) -> list[Any]:
-        """Those of a kind, in order of their names."""
+        """Plugins of a kind, sorted by name."""
         return [self._loaded[key] for key in sorted(self._loaded) if key[0] == kind]

@@ -1,26 +1,26 @@
-"""What a run is to do and how far it is: plan, appended stages, points measured. Measures nothing itself."""
+"""Plan and progress of a run: stages, appended stages, measured points."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from orchestrator.config import Plan, PlannedPoint, check_plan, check_point, make_plan
-from orchestrator.engine._probing import factor_of
+from orchestrator.engine._probing import measured_scale
 from orchestrator.runs import RunDirectory
 from protocols import Capabilities, Excitation, PluginError, Segment, Stage, StageEntry, StagesAppended, StageSufficed
 
 
 class PointQueue:
-    """The stages of one run, in order, and how far it is with them.
+    """The stages of one run, in order, and their progress.
 
     Attributes
     ----------
     plan : Plan
         Grows when stages are appended.
     done : dict of str to Segment
-        The points that are measured, by id.
+        Measured points, by id.
     appended : int
-        How many times stages were appended.
+        Number of times that stages were appended.
     """
 
     def __init__(self, run: RunDirectory, plan: Plan, capabilities: Capabilities) -> None:
@@ -31,11 +31,11 @@ class PointQueue:
         self._sufficed = set(run.sufficed())
         self._resumed_at = self._first_not_passed()
         self._spared = sum(p.stage_index in self._sufficed and p.id not in self.done for p in plan.points)
-        self._left_s = self._planned_s()
+        self._remaining_s = self._planned_s()
 
     @property
     def stages(self) -> Sequence[Stage]:
-        """Filled."""
+        """The plan's stages, with all settings."""
         return self.plan.stages
 
     @property
@@ -44,25 +44,25 @@ class PointQueue:
 
     @property
     def points(self) -> int:
-        """How many there are, without those that turned out not to be needed."""
+        """Number of points, without those that turned out not to be needed."""
         return len(self.plan.points) - self._spared
 
     @property
     def seconds_left(self) -> float:
-        """Planned time of what is not done yet, on the drive's clock."""
-        return max(0.0, self._left_s)
+        """Planned time of the remaining points on the drive's clock [s]."""
+        return max(0.0, self._remaining_s)
 
     def mark_done(self, point: PlannedPoint, segment: Segment) -> None:
-        """A point of the plan is done."""
+        """Record a measured point."""
         self.done[point.id] = segment
-        self._left_s -= point.seconds
+        self._remaining_s -= point.seconds
 
     def points_left(self, index: int) -> list[PlannedPoint]:
         """The points of a stage that are not done and may be needed."""
-        return [point for point in self.plan.points_of(index) if self._is_left(point)]
+        return [point for point in self.plan.points_of(index) if self._remains(point)]
 
-    def allowed(self, point: PlannedPoint, excitation: Excitation) -> PlannedPoint:
-        """The point as a stage wants it run; `InputError` where that is more than plan, limits or drive allow."""
+    def validated(self, point: PlannedPoint, excitation: Excitation) -> PlannedPoint:
+        """The point with a stage's changed excitation; `InputError` where it exceeds plan, limits or drive."""
         if excitation == point.excitation:
             return point
         changed = point.run_as(excitation)
@@ -72,19 +72,19 @@ class PointQueue:
         check_point(self.plan, changed, self._capabilities)
         return changed
 
-    def suffice(self, index: int) -> StageSufficed:
-        """What a stage has measured is enough."""
+    def finish_early(self, index: int) -> StageSufficed:
+        """End a stage early: its remaining points are not needed."""
         spared = self.points_left(index)
         self._sufficed.add(index)
         seconds = sum(point.seconds for point in spared)
         self._spared += len(spared)
-        self._left_s -= seconds
+        self._remaining_s -= seconds
         return StageSufficed(index=index, points_spared=len(spared), seconds_spared=seconds)
 
-    def factor(self, index: int) -> float | None:
-        """By how much the injection of a stage is weaker than planned; None where nothing of it is measured yet."""
-        every = (factor_of(point, self.done[point.id]) for point in self.plan.points_of(index) if point.id in self.done)
-        return next((factor for factor in every if factor is not None), None)
+    def injection_scale(self, index: int) -> float | None:
+        """Injection of a stage over the planned one; None before its first measured point."""
+        scales = (measured_scale(p, self.done[p.id]) for p in self.plan.points_of(index) if p.id in self.done)
+        return next((scale for scale in scales if scale is not None), None)
 
     def passed(self, index: int) -> bool:
         """Whether the run passed this stage before it was resumed: its questions and results are in the journal."""
@@ -93,14 +93,14 @@ class PointQueue:
         )
 
     def has_work(self, index: int) -> bool:
-        """Whether a stage has to work on what is measured, and did not in an earlier life where the journal has it."""
+        """Whether a stage still has to evaluate its points: not if the journal already holds the result."""
         stage = self.stages[index]
         if not self.passed(index):
             return True
         return not stage.journalled and not any(type(later) is type(stage) for later in self.stages[index + 1 :])
 
     def end_of_appended(self, index: int) -> int | None:
-        """The stage after those that were appended together with this one; None where the procedure has it."""
+        """Index after the stages that were appended together with this one; None for a stage of the procedure."""
         end = len(self.stages)
         for message in reversed(self._appended):
             first = end - len(message.stages)
@@ -109,21 +109,21 @@ class PointQueue:
             end = first
         return None
 
-    def longer(self, more: Sequence[StageEntry]) -> Plan:
-        """The plan with these stages at its end; raises `InputError` where limits or drive do not allow them."""
+    def extended_plan(self, more: Sequence[StageEntry]) -> Plan:
+        """The plan with these stages appended; raises `InputError` where they exceed limits or drive."""
         before = [stage for message in self._appended for stage in message.stages]
         plan = make_plan(self._run.procedure(), self._capabilities, (*before, *more))
         check_plan(plan, self._capabilities)
         return plan
 
     def append(self, message: StagesAppended, plan: Plan) -> None:
-        """Go on with these stages, as `longer` has planned them and the journal knows them."""
+        """Adopt appended stages that `extended_plan` has planned and the journal holds."""
         self._appended.append(message)
         self.plan = plan
-        self._left_s = self._planned_s()
+        self._remaining_s = self._planned_s()
 
     def _first_not_passed(self) -> int:
-        """A stage that has appended others is passed; all stages are where a person appended to a finished run."""
+        """Index of the first stage not passed: stages that appended others, and all of a finished run, are passed."""
         place = len(self.stages) - sum(len(message.stages) for message in self._appended)
         first = 0
         for message in self._appended:
@@ -132,7 +132,7 @@ class PointQueue:
         return first
 
     def _planned_s(self) -> float:
-        return sum(point.seconds for point in self.plan.points if self._is_left(point))
+        return sum(point.seconds for point in self.plan.points if self._remains(point))
 
-    def _is_left(self, point: PlannedPoint) -> bool:
+    def _remains(self, point: PlannedPoint) -> bool:
         return point.id not in self.done and point.stage_index not in self._sufficed

@@ -1,7 +1,7 @@
-"""The one owner of an energised drive: arms it, keeps its heartbeat, and leads every way out.
+"""The one owner of an energised drive: arms it, sends its heartbeat and shuts it down.
 
-Whatever ends the energised time (the end, an exception, a signal, a lost link), `stand_down` is
-what happens: ramp the current to zero, PWM off, and say what could not be done.
+However the energised time ends (finished, an exception, a signal, a lost link), `stand_down` ramps
+the current to zero, switches PWM off, and reports what failed.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ T = TypeVar("T")
 DISARMED_TEXT = "current ramped down, drive disarmed"
 
 SHUTDOWN_TIMEOUT_S = 10.0
-"""How long ramping down, and disarming, may take before the drive is given up."""
+"""Longest ramp-down, and disarming, before the drive counts as lost."""
 
 
 class PowerStage:
-    """A drive's power stage in the hands of one run.
+    """A drive's power stage, owned by one run.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class PowerStage:
     limits : Limits
         Handed to the drive each time it is armed.
     interrupts : Interrupts
-        Keeps the deadlines: a drive that does not return must not keep the run from its way out.
+        Enforces deadlines, so that a drive that does not return cannot block the shutdown.
     """
 
     def __init__(self, drive: Drive, capabilities: Capabilities, limits: Limits, interrupts: Interrupts) -> None:
@@ -66,7 +66,7 @@ class PowerStage:
             return self._drive.telemetry()
 
     def verify_at_rest(self) -> None:
-        """Raise `DriveFault` where the drive is not disarmed, or has a fault that nobody has cleared."""
+        """Raise `DriveFault` where the drive is not disarmed, or has an uncleared fault."""
         telemetry = self.telemetry()
         if telemetry.state is not DriveState.DISARMED or telemetry.faults:
             faults = ", ".join(telemetry.faults) or "none"
@@ -86,7 +86,7 @@ class PowerStage:
             raise DriveFault(FaultCause.EMERGENCY_STOP, message)
 
     def arm(self) -> None:
-        """Energise, unless it already is and the interlocks are closed; from here on the heart beats."""
+        """Energise and start the heartbeat, with the interlocks closed; no effect where already armed."""
         self.require_interlocks()
         if self.armed:
             return
@@ -105,20 +105,20 @@ class PowerStage:
         if self._keeper is None:
             raise RuntimeError("execute before arm")
         self._keeper.renew(quiet_s)
-        blocks = self._next_of(lambda: self._drive.execute(excitation), LEASE_S)
+        blocks = self._within_deadline(lambda: self._drive.execute(excitation), LEASE_S)
         timeout_s = quiet_s + LEASE_S
-        while (capture := self._next_of(lambda: next(blocks, None), timeout_s)) is not None:
+        while (capture := self._within_deadline(lambda: next(blocks, None), timeout_s)) is not None:
             self._keeper.renew()
             timeout_s = LEASE_S
             yield self._checked(capture)
         self._keeper.renew()
 
-    def _next_of(self, call: Callable[[], T], seconds: float) -> T:
+    def _within_deadline(self, call: Callable[[], T], seconds: float) -> T:
         with as_drive_errors(self._capabilities.name), self._interrupts.deadline(seconds):
             return call()
 
     def _checked(self, capture: object) -> Capture:
-        """What a plugin yields is not believed to be a capture before it has been validated, by reference."""
+        """A plugin's capture after validation, by reference."""
         try:
             return Capture.model_validate(dict(capture) if isinstance(capture, Capture) else capture)
         except ValidationError as error:
@@ -134,7 +134,7 @@ class PowerStage:
                 self._drive.set_brake(engaged)
 
     def stand_down(self) -> str:
-        """Ramp to zero, disarm, stop the heartbeat. Never raises; tells in words what was reached, if it was armed."""
+        """Ramp to zero, disarm, stop the heartbeat. Never raises; returns the result as text, empty if disarmed."""
         if self._keeper is None:
             return ""
         failed_ramp = self._attempt(self._drive.ramp_down)
@@ -147,7 +147,7 @@ class PowerStage:
         return f"{failed}; {self._remaining_safeguard()}" if failed else DISARMED_TEXT
 
     def _remaining_safeguard(self) -> str:
-        """What makes a drive safe that ignored a command."""
+        """The remaining protection from a drive that ignored a command."""
         if isinstance(self.unsafe, DriveFault) and self.unsafe.cause is FaultCause.STILL_ARMED:
             return "THE DRIVE MAY STILL BE ARMED: CUT ITS POWER"
         watchdog = self._capabilities.watchdog_s
@@ -161,7 +161,7 @@ class PowerStage:
         try:
             is_armed = self.telemetry().state is DriveState.ARMED
         except FluxbenchError:
-            return  # it took the command, and no telemetry contradicts it
+            return  # it took the command; no telemetry contradicts it
         if is_armed:
             raise DriveFault(FaultCause.STILL_ARMED, "after disarming, its telemetry says that it is armed")
 
@@ -176,7 +176,7 @@ class PowerStage:
 
 @contextmanager
 def as_drive_errors(name: str) -> Iterator[None]:
-    """Turn whatever a drive plugin raises beside the project's own errors into a `DriveFault`."""
+    """Context that turns foreign exceptions of a drive plugin into a `DriveFault`."""
     try:
         yield
     except (FluxbenchError, GeneratorExit):

@@ -1,11 +1,10 @@
-"""How strong a stage's injection may be: the ripple is felt at the rim, with a small voltage, before it is swept.
+"""Scales a stage's injection: a weak probe at the outermost points measures the ripple before the stage runs.
 
 The nameplate's inductance gives the ripple of an unsaturated motor, U / (4 f L) for a square wave. Saturation raises it
-severalfold, and only at the rim, where no room is left for it. So where three times that ripple would pass what is
-tolerated beside limits.current_a, the outermost points of the stage get a short injection first; the peak of the
-current, scaled to the stage's voltage, tells by how much all of its points have to be weaker. One factor serves them
-all, since points of one strength belong to one map. What is felt here is not recorded, and neither is its heat: a stage
-that fits is not probed.
+severalfold, and only at the largest currents, close to the limit. So where about three times that ripple would exceed
+limits.current_a, the outermost points of the stage get a short injection first; the peak current, scaled to the
+stage's voltage, gives the factor by which all points are weakened. One factor serves them all, since the points of a
+map need one amplitude. Probes are not recorded, and neither is their heat; a stage that fits is not probed.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class _Rules:
     """Settings of the probe, and limits of the ripple."""
 
     max_growth_ratio: float = 2.9
-    """Peak over the nameplate's ripple that needs no probe: twice as the wave begins, and saturation."""
+    """Peak over the nameplate's ripple that needs no probe: a factor of two as the wave begins, and saturation."""
     max_current_ratio: float = 1.1
     """Largest peak of the first half wave over the limit; drives trip above that."""
     directions: int = 8
@@ -38,7 +37,7 @@ class _Rules:
     probe_amplitude_ratio: float = 0.25
     """Largest amplitude of a probe over the stage's."""
     saturation_margin_ratio: float = 1.25
-    """The ripple grows faster than the voltage by up to this: a larger one reaches further into saturation."""
+    """Margin, as a larger ripple reaches further into saturation and grows faster than the voltage."""
     peak_current_ratio: float = 0.98
     """Peak of the weakened stage over the limit."""
     min_amplitude_ratio: float = 0.02
@@ -57,7 +56,7 @@ class RippleProbe:
         Armed before `factor` is called.
     limits : Limits
     motor : Motor
-        For the ripple that the nameplate promises.
+        For the nameplate's ripple.
     interrupts : Interrupts
     """
 
@@ -65,12 +64,12 @@ class RippleProbe:
         self._power, self._limits, self._motor, self._interrupts = power, limits, motor, interrupts
 
     def factor(self, points: Sequence[PlannedPoint]) -> float:
-        """1 where the stage fits as it is planned, else less: two digits, down to a fiftieth.
+        """Scale of the planned injection: 1 where it fits, otherwise less (two digits, at least a fiftieth).
 
         Raises
         ------
         DriveFault
-            The drive tripped all the same.
+            The drive tripped during a probe.
         RunInterrupted
             A stop was requested.
         """
@@ -86,12 +85,13 @@ class RippleProbe:
         ):
             return 1.0
         try:
-            return min(self._at(e.model_copy(update={"amplitude_v": strongest.amplitude_v})) for e in _rim(injections))
-        except DriveRefused:  # a drive that cannot do anything but what was planned gets just that
+            update = {"amplitude_v": strongest.amplitude_v}
+            return min(self._scale(e.model_copy(update=update)) for e in _outermost(injections))
+        except DriveRefused:  # a drive that cannot probe gets the plan unchanged
             return 1.0
 
-    def _at(self, planned: Injection) -> float:
-        """The factor that one point asks for."""
+    def _scale(self, planned: Injection) -> float:
+        """The scale for one point."""
         nominal = nominal_ripple_a(planned, self._motor)
         room = max(_RULES.peak_current_ratio * self._limits.current_a - _length(planned), 0.0)
         small = (
@@ -136,8 +136,8 @@ def weakened(point: PlannedPoint, factor: float) -> PlannedPoint:
     return replace(point, excitation=excitation, settings={**point.settings, "amplitude_v": amplitude})
 
 
-def factor_of(point: PlannedPoint, measured: Segment) -> float | None:
-    """By how much a measured point was weaker than planned; None where it was no injection."""
+def measured_scale(point: PlannedPoint, measured: Segment) -> float | None:
+    """Measured injection amplitude over the planned one; None where it was no injection."""
     amplitude = measured.settings.get("amplitude_v")
     if not isinstance(point.excitation, Injection) or not isinstance(amplitude, int | float):
         return None
@@ -148,7 +148,7 @@ def _length(excitation: Injection) -> float:
     return math.hypot(excitation.target_d_a, excitation.target_q_a)
 
 
-def _rim(injections: Sequence[Injection]) -> list[Injection]:
+def _outermost(injections: Sequence[Injection]) -> list[Injection]:
     """The outermost points in eight directions, each once."""
     outer: dict[tuple[float, float], Injection] = {}
     for k in range(_RULES.directions):

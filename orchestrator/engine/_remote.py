@@ -1,8 +1,8 @@
-"""A person at the other end of a pipe: answers and stops come as lines of JSON, and silence ends the run.
+"""An operator at the other end of a pipe: answers and stops come as lines of JSON, and silence ends the run.
 
-Each line is one object: ``{"answer": "yes", "question": PROMPT}``, ``{"stop": REASON}``, or ``{}``, which says that
-somebody is there. Who sees neither the end of the pipe nor a line for `silence_s` has nobody left who could stop the
-run: it then stops by itself, as a run does whose terminal goes away.
+Each line is one object: ``{"answer": "yes", "question": PROMPT}``, ``{"stop": REASON}``, or ``{}`` as a keepalive.
+Without a line for `silence_s`, or at the end of the pipe, nobody could stop the run: it then stops by itself, as when a
+terminal is closed.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class RemoteOperator:
     Parameters
     ----------
     through : str
-        What the person sits at ("page"); kept in the journal with each answer.
+        The operator's interface ("page"); kept in the journal with each answer.
     descriptor : int
-        Of the pipe's reading end.
+        Descriptor of the pipe's reading end.
     silence_s : float
-        Without a line for so long nobody is taken to be there.
+        Time without a line after which the run is stopped.
     """
 
     def __init__(self, through: str, descriptor: int = 0, silence_s: float = 10.0) -> None:
@@ -44,7 +44,7 @@ class RemoteOperator:
         self._done = threading.Event()
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
-        """Wait for an answer to this question; those to others are passed over."""
+        """Wait for an answer to this question; answers to others are ignored."""
         while True:
             interrupts.check()
             try:
@@ -66,7 +66,7 @@ class RemoteOperator:
             thread.join()
 
     def _listen(self, interrupts: Interrupts) -> None:
-        received_s, kept = time.monotonic(), b""
+        received_s, rest = time.monotonic(), b""
         while not self._done.is_set():
             if not select.select([self._descriptor], [], [], POLL_PERIOD_S)[0]:
                 if time.monotonic() - received_s > self._silence_s:
@@ -75,10 +75,10 @@ class RemoteOperator:
             data = os.read(self._descriptor, 4096)
             if not data:
                 return interrupts.stop(f"the operator's {self.through} is gone")
-            *lines, kept = (kept + data).split(b"\n")
+            *lines, rest = (rest + data).split(b"\n")
             for line in lines:
                 self._take(_object(line), interrupts)
-            received_s, kept = time.monotonic(), kept[-MAX_LINE_BYTES:]
+            received_s, rest = time.monotonic(), rest[-MAX_LINE_BYTES:]
         return None
 
     def _take(self, message: dict[str, Any], interrupts: Interrupts) -> None:
@@ -89,7 +89,7 @@ class RemoteOperator:
 
 
 def _object(line: bytes) -> dict[str, Any]:
-    """A line's object; an empty one where it is none."""
+    """The line's JSON object; empty where it is none."""
     try:
         message = json.loads(line)
     except (ValueError, RecursionError):

@@ -1,6 +1,6 @@
-"""Brings a run into being, or back to life: plugins, connection, plan, directory, in that order.
+"""Starts, resumes or extends a run: plugins, connection, plan, directory, in that order.
 
-Nothing is created before everything that was handed in has been found good.
+The directory is created only after all inputs are checked.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from protocols import (
 )
 
 STREAM_START_TIMEOUT_S = 5.0
-"""How long streams may take to be made before a run begins without waiting for them."""
+"""Longest wait for the streams to start before a run begins."""
 NOTHING_LEFT = "the run is finished: there is nothing left to do"
 
 
 @dataclass(frozen=True)
 class RunServices:
-    """Who takes part in a run beside the drive."""
+    """Operator, interrupts and streams of a run."""
 
     operator: Operator
     interrupts: Interrupts
@@ -58,7 +58,7 @@ class RunServices:
 
 @dataclass(frozen=True)
 class RunResult:
-    """A run that is over."""
+    """Result of an ended run."""
 
     path: Path
     outcome: Outcome
@@ -83,8 +83,8 @@ def start_run(procedure: Procedure, path: Path, services: RunServices) -> RunRes
     Raises
     ------
     FluxbenchError
-        Something that was handed in is wrong, or the drive does not answer. Nothing was energised, and
-        no run directory is left behind.
+        An input is wrong, or the drive does not answer. Nothing was energised, and no run directory
+        is left behind.
     """
     procedure = spelled_out(procedure)  # a resumed run has the settings of today's defaults
     plugins = UsedPlugins(parse_stages(procedure))
@@ -169,7 +169,7 @@ def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[
 
 @contextmanager
 def connected_drive(procedure: Procedure, private: Path | None) -> Iterator[tuple[Drive, Capabilities]]:
-    """The procedure's drive, connected; let go of at the end."""
+    """Context with the procedure's drive connected; closed at the end."""
     plugin = load_plugin(PluginKind.DRIVES, procedure.drive.name)
     options = make_options(plugin, procedure.drive.options, "drive")
     name = procedure.drive.name
@@ -187,7 +187,7 @@ def connected_drive(procedure: Procedure, private: Path | None) -> Iterator[tupl
 
 @contextmanager
 def _as_plugin_errors(name: str) -> Iterator[None]:
-    """Before anything is energised, whatever else a plugin raises is about what it was given."""
+    """Context before energising: foreign exceptions of a plugin mean unsuitable options."""
     try:
         yield
     except FluxbenchError:
@@ -209,7 +209,7 @@ def _commission(
     thermometer: Thermometer | None,
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
-    # While streams load what they draw with, a heartbeat comes late: not with the drive energised.
+    # Streams load their libraries now: that would delay the heartbeat of an energised drive.
     dispatcher.drain(STREAM_START_TIMEOUT_S)
     log = RunLog(run.journal, dispatcher)
     who = services.operator, services.interrupts

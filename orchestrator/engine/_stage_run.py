@@ -1,4 +1,4 @@
-"""The run as a stage at work sees it: everything that it may do, and nothing else of the engine."""
+"""The engine's interface for one stage."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from protocols import (
 
 @dataclass(frozen=True)
 class Engine:
-    """What a run is made of; each has its own module."""
+    """Components of a run; each has its own module."""
 
     run: RunDirectory
     capabilities: Capabilities
@@ -45,7 +45,7 @@ class Engine:
     plugins: UsedPlugins
 
     def stand_down(self, reason: str) -> None:
-        """Disarm, where the drive is armed, and say so; raises where it may still be armed."""
+        """Disarm an armed drive and publish the result; raises where it may still be armed."""
         if self.power.armed:
             self.machine.fire(Trigger.STOP, reason)
             message, unsafe = self.power.stand_down(), self.power.unsafe
@@ -54,7 +54,7 @@ class Engine:
                 raise unsafe
 
 
-class StageAtWork:
+class EngineContext:
     """`protocols.StageRun` for one stage of a run."""
 
     def __init__(self, index: int, engine: Engine, conclude: Callable[[EstimationReport], None]) -> None:
@@ -92,7 +92,7 @@ class StageAtWork:
         return self._engine.power.telemetry()
 
     def enter(self, state: StageState) -> None:
-        # Stand down first: nobody knows how long a computation takes on a machine that is busy.
+        # Disarm first: the duration of a computation on a busy machine is unknown.
         self._engine.stand_down("the drive is disarmed while the computer works on what was measured")
         self._engine.machine.fire(state.trigger)
 
@@ -114,11 +114,11 @@ class StageAtWork:
         self._engine.interrupts.check()
 
     def plan(self, stages: Sequence[StageEntry]) -> None:
-        self._engine.queue.longer(stages)
+        self._engine.queue.extended_plan(stages)
 
     def append(self, stages: Sequence[StageEntry]) -> None:
         engine = self._engine
-        plan = engine.queue.longer(stages)
+        plan = engine.queue.extended_plan(stages)
         engine.plugins.take(plan.stages)
         table = table_of(plan.stages)
         message = StagesAppended(by=self._index, stages=tuple(stages))

@@ -1,8 +1,7 @@
-"""The states of a run and the ways between them; no work is done here.
+"""The states of a run and the transitions between them.
 
-A small typed facade over a flat `transitions.Machine`. The run's own states stand here, those of stages are what the
-stages declare. What is done in a state, and how long it may take, is the business of whoever fires the triggers: the
-machine only says what may follow what, and every way out of an energised state leads through `stopping`.
+A small typed facade over a flat `transitions.Machine`. The run's own states are defined here; stages declare theirs.
+The machine only defines which state may follow which; every exit from an energised state leads through `stopping`.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from protocols import PluginError, Stage, StageState
 
 
 class State(StrEnum):
-    """Where a run stands, whatever its stages are."""
+    """States of every run."""
 
     IDLE = "idle"
     CONNECTING = "connecting"
@@ -28,7 +27,7 @@ class State(StrEnum):
 
 
 class Trigger(StrEnum):
-    """What moves a run on, whatever its stages are."""
+    """Triggers of every run."""
 
     CONNECT = "connect"
     ASK_OPERATOR = "ask_operator"
@@ -53,14 +52,14 @@ class Transition:
 
 @dataclass(frozen=True)
 class StateTable:
-    """The states that a run's stages make possible, and what may follow what."""
+    """The states of a run with its stages, and the transitions."""
 
     energised: tuple[str, ...]
-    """The drive is armed in these, and in no other. A stage is one of them; repetitions enter it again."""
+    """States with the drive armed, one per kind of stage."""
     at_rest: tuple[str, ...]
-    """Disarmed, and something may follow."""
+    """Disarmed, not terminal."""
     working: tuple[str, ...]
-    """Those at rest in which a stage works on what was measured."""
+    """Disarmed states in which a stage evaluates measurements."""
     transitions: tuple[Transition, ...]
 
     @property
@@ -75,7 +74,7 @@ def table_of(stages: Iterable[Stage | type[Stage]]) -> StateTable:
     Raises
     ------
     PluginError
-        Where a stage's states are the run's own, follow one that there is not, or are declared otherwise by another.
+        Where a stage's state is one of the run's, follows an unknown one, or differs from another stage's of this name.
     """
     energised: dict[str, StageState] = {}
     working: dict[str, StageState] = {}
@@ -84,8 +83,8 @@ def table_of(stages: Iterable[Stage | type[Stage]]) -> StateTable:
             _declare(stage.name, stage.measuring, energised, working)
         for state in stage.working:
             _declare(stage.name, state, working, energised)
-    own = (State.CONNECTING, State.WAITING_FOR_OPERATOR)
-    at_rest = (*own, *working, State.PAUSED)
+    common = (State.CONNECTING, State.WAITING_FOR_OPERATOR)
+    at_rest = (*common, *working, State.PAUSED)
     anywhere = (*at_rest, *energised)
     stopped = (*at_rest, State.STOPPING)
     transitions = (
@@ -102,15 +101,15 @@ def table_of(stages: Iterable[Stage | type[Stage]]) -> StateTable:
     return _checked(StateTable(tuple(energised), at_rest, tuple(working), transitions))
 
 
-def _declare(stage: str, state: StageState, alike: dict[str, StageState], others: dict[str, StageState]) -> None:
+def _declare(stage: str, state: StageState, same: dict[str, StageState], other: dict[str, StageState]) -> None:
     if state.name in {*State} or state.trigger in {*Trigger}:
         raise PluginError("stages", stage, f"the state {state.name!r} (by {state.trigger!r}) is the run's own")
-    if state.name in others or alike.setdefault(state.name, state) != state:
+    if state.name in other or same.setdefault(state.name, state) != state:
         raise PluginError("stages", stage, f"the state {state.name!r} is declared otherwise by another stage")
 
 
 def _checked(table: StateTable) -> StateTable:
-    """Nothing follows a state that there is not, and a trigger leads to one state alone."""
+    """The table, after checks: sources exist, and a trigger leads to one state only."""
     targets: dict[str, str] = {}
     for row in table.transitions:
         unknown = set(row.sources) - set(table.states)
@@ -128,8 +127,8 @@ class StateMachine:
     ----------
     table : StateTable
     on_change : callable
-        Told the old state, the new one and the reason, after the change and outside the
-        machine's own callbacks, so that what it raises leaves no half-made transition behind.
+        Called with the old state, the new one and the reason after the change, outside the
+        machine's own callbacks, so that its exceptions leave no incomplete transition.
     """
 
     def __init__(self, table: StateTable, on_change: Callable[[str, str, str], None]) -> None:
@@ -139,7 +138,7 @@ class StateMachine:
         self.extend(table)
 
     def extend(self, table: StateTable) -> None:
-        """Go by another table from here on: stages were appended."""
+        """Replace the table after stages were appended."""
         from transitions import Machine
 
         self._table = table
@@ -164,7 +163,7 @@ class StateMachine:
         return any(row.trigger == trigger and self.state in row.sources for row in self._table.transitions)
 
     def fire(self, trigger: str, reason: str = "") -> None:
-        """Move on; a trigger that is not in the table for this state is a defect (RuntimeError)."""
+        """Change the state; a trigger without a transition from this state is a defect (RuntimeError)."""
         source = self.state
         if not self.may(trigger):
             raise RuntimeError(f"{trigger} is not possible in state {source}")
@@ -173,14 +172,14 @@ class StateMachine:
 
 
 class _Model:
-    """What `transitions` decorates with its methods; typed here once for all."""
+    """Model that `transitions` decorates with its methods, typed."""
 
     state: str
     trigger: Callable[[str], bool]
 
 
 def mermaid(table: StateTable) -> str:
-    """The table as a Mermaid state diagram, as docs/states.md shows it; alike states stand in one box."""
+    """The table as a Mermaid state diagram, as in docs/states.md; states of a kind share a box."""
     groups = {"at_rest": table.at_rest, "energised": table.energised}
     lines = ["stateDiagram-v2", f"    [*] --> {State.IDLE}"]
     for name, members in groups.items():

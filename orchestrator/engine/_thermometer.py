@@ -1,6 +1,6 @@
-"""A thermometer beside the drive: a logger's file that grows, or a serial line that sends text. It moves nothing.
+"""A thermometer beside the drive: a logger's file that grows, or a serial line that sends text.
 
-A reading is one number of the last whole line. Nothing waits for one: what is old, or no temperature, counts as none.
+A reading is one number of the last whole line. The run never waits for one; an old or implausible value counts as none.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Thermometer:
         self._choice, self._lines = choice, lines
 
     def reading_c(self) -> float | None:
-        """What it says now [degrees Celsius]; None where that is old, or no temperature."""
+        """Present reading [degrees Celsius]; None where it is old or implausible."""
         try:
             line, age_s = self._lines.latest()
         except OSError:  # a logger that rotates its file, a plug that was pulled: no reason to end a run

@@ -1,7 +1,7 @@
-"""Hands what happens in a run to the streams, without ever waiting for one of them.
+"""Publishes a run's messages to the streams without blocking.
 
-Each stream lives on a thread of its own behind a bounded queue that drops its oldest entry; what
-a stream raises is counted and reported at the end. A viewer that fails never touches the run.
+Each stream runs on its own thread behind a bounded queue that drops its oldest entry; its exceptions
+are counted and reported at the end. A failing viewer never affects the run.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ T = TypeVar("T")
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _THREAD_PREFIX = "stream "
-"""How the names of the streams' threads begin."""
+"""Prefix of the streams' thread names."""
 
 
 @dataclass(frozen=True)
 class StreamTally:
-    """How a stream fared."""
+    """Delivery statistics of a stream."""
 
     name: str
     delivered: int
@@ -38,18 +38,18 @@ class StreamTally:
     errors: int
     first_error: str
     closed: bool
-    """Whether it came to its end in time."""
+    """Whether it ended in time."""
     notes: tuple[str, ...] = ()
-    """What the stream itself has to say at its end (its attribute `notes`, where it has one)."""
+    """The stream's own attribute `notes` at its end, if any."""
 
     @property
     def has_failed(self) -> bool:
-        """Whether something that it should have made may be missing."""
+        """Whether some of its output may be missing."""
         return self.errors > 0 or not self.closed
 
     @property
     def trouble(self) -> str:
-        """All that went wrong with it, in one line; empty where nothing did."""
+        """All its problems in one line; empty without any."""
         if not (self.has_failed or self.dropped or self.notes):
             return ""
         counted = f"{self.delivered} delivered, {self.dropped} dropped, {self.errors} errors"
@@ -59,7 +59,7 @@ class StreamTally:
 
 
 def has_unfinished_streams() -> bool:
-    """Whether a stream's thread is still at work in this process, though nobody waits for it any more."""
+    """Whether a thread of an abandoned stream still runs in this process."""
     return any(thread.name.startswith(_THREAD_PREFIX) for thread in threading.enumerate())
 
 
@@ -69,7 +69,7 @@ class Dispatcher:
     Parameters
     ----------
     streams : mapping of str to callable
-        For each stream its name and what makes it; it is made on its own thread.
+        Name and factory of each stream; the factory is called on the stream's thread.
     capacity : int
         Length of each queue.
     """
@@ -85,7 +85,7 @@ class Dispatcher:
             listener.put(message)
 
     def drain(self, timeout_s: float) -> None:
-        """Wait until all that was published is delivered, or the time is over."""
+        """Wait until all published messages are delivered, or until the timeout."""
         deadline = time.monotonic() + timeout_s
         for listener in self._listeners:
             listener.drain(deadline)
@@ -93,7 +93,7 @@ class Dispatcher:
     def close(
         self, timeout_s: float = 60.0, tell: Callable[[str], None] | None = None, silent_s: float = 1.0
     ) -> Sequence[StreamTally]:
-        """Deliver what is queued, close the streams, and say how each fared.
+        """Deliver what is queued, close the streams, and return the statistics of each.
 
         A delay beyond `silent_s` is reported, by default on standard error where that is a terminal. A stop
         signal (Ctrl-C) ends the waiting: streams that are still at work are left unfinished.
@@ -121,11 +121,11 @@ def _stop_signals() -> Iterator[Callable[[], bool]]:
     if threading.current_thread() is not threading.main_thread():
         yield stop_event.is_set  # signals are the main thread's alone
         return
-    before = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
+    previous = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
     try:
         yield stop_event.is_set
     finally:
-        for number, handler in before.items():
+        for number, handler in previous.items():
             signal.signal(number, handler)
 
 
@@ -199,9 +199,9 @@ class _Listener:
             if stream is None:
                 self._dropped += 1
                 continue
-            before = self._errors
+            errors_before = self._errors
             self._guarded(partial(stream.receive, message))
-            self._delivered += self._errors == before
+            self._delivered += self._errors == errors_before
         if stream is not None:
             self._guarded(stream.close)
             self._notes = tuple(str(note) for note in getattr(stream, "notes", ()))
@@ -212,7 +212,7 @@ class _Listener:
     def _guarded(self, call: Callable[[], T]) -> T | None:
         try:
             return call()
-        except (Exception, SystemExit) as error:  # a third party's code: whatever it raises stays on its side
+        except (Exception, SystemExit) as error:  # third-party code: its exceptions must not reach the run
             self._errors += 1
             self._first_error = self._first_error or f"{type(error).__name__}: {error}"
             return None

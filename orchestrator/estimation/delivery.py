@@ -1,4 +1,4 @@
-"""The map of a whole model among a pass's results: recommended where nothing speaks against it. Estimates nothing."""
+"""Adds a diagnosed model's map to the estimators' results, ranked first if there is no objection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from orchestrator.analysis._checks import reference_flux_wb
 from orchestrator.estimation.flux_map_file import load_flux_map
 from orchestrator.estimation.judgement import inductances_of
-from orchestrator.estimation.nameplate import beside_nameplate
+from orchestrator.estimation.nameplate import with_nameplate_checks
 from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates, write_results
 from orchestrator.estimation.usability import convex, flux_band, met, resistance_checks, unmet
 from protocols import (
@@ -31,13 +31,13 @@ from protocols import (
     ResistanceEstimate,
 )
 
-_OF_NO_OTHER = ("no_map", "far_from_nameplate")
-"""Remarks on the estimators' results that are made anew of the model's."""
+_RECOMPUTED_REMARKS = ("no_map", "far_from_nameplate")
+"""Codes of remarks that are recomputed for the model's map."""
 
 
 def deliver_model(
     directory: Path,
-    found: FluxMap,
+    model_map: FluxMap,
     resistance: ResistanceEstimate,
     objections: tuple[Remark, ...],
     *,
@@ -49,10 +49,10 @@ def deliver_model(
     Parameters
     ----------
     objections : tuple of Remark
-        Where there are any, the map is kept beside the others; those keep their rank, and none of them is usable:
-        what the model does not explain is in them too.
+        With any, the others keep their rank before the model's map, and none is usable: errors that the model does not
+        explain affect them too.
     manifest : Manifest
-        Of the recording that the model is of; R_s and the inductances are held beside its nameplate.
+        Manifest of the diagnosed recording; R_s and the inductances are compared with its nameplate.
     title : str
         The model in one line.
 
@@ -61,32 +61,37 @@ def deliver_model(
     StorageError
         Where a result cannot be written.
     """
-    own, maps = _of_the_estimators(directory, found.method)
+    base, maps = _estimator_results(directory, model_map.method)
     model = DeliveredModel(title=title, segments=_digest(manifest), resistance=resistance, objections=objections)
-    report, maps = join_model(own, maps, found, model, manifest.motor)
+    report, maps = join_model(base, maps, model_map, model, manifest.motor)
     return write_results(report, maps, directory / "results", motor=manifest.motor.name, recording=manifest.name)
 
 
 def join_model(
-    own: EstimationReport, maps: Mapping[str, FluxMap], found: FluxMap, model: DeliveredModel, motor: Motor
+    base: EstimationReport,
+    maps: Mapping[str, FluxMap],
+    flux_map: FluxMap,
+    model: DeliveredModel,
+    motor: Motor,
 ) -> tuple[EstimationReport, dict[str, FluxMap]]:
-    """The estimators' report and maps with a diagnosed model's map, which comes first where nothing speaks against it.
+    """The estimators' report and maps with a diagnosed model's map, which comes first if there is no objection.
 
     Parameters
     ----------
-    own : EstimationReport
-        The estimators' alone.
+    base : EstimationReport
+        Report of the estimators alone.
     """
-    map_report = MapReport(basis=found.basis, checks=MapChecks(), inductances=inductances_of(found))
+    map_report = MapReport(basis=flux_map.basis, checks=MapChecks(), inductances=inductances_of(flux_map))
     if model.objections:
-        report = own.model_copy(update={"maps": {**own.maps, found.method: map_report}})
+        report = base.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
         report = report.checked(unmet("model", model.objections))
     else:
-        report = beside_nameplate(_recommended(own, found, map_report, model, motor), {found.method: found}, motor)
+        report = _recommended(base, flux_map, map_report, model, motor)
+        report = with_nameplate_checks(report, {flux_map.method: flux_map}, motor)
     fields: dict[str, Any] = {"model": model}
-    if own.maps or own.resistance:
-        fields["estimators"] = EstimatorsReport(**_fields(own))
-    return report.model_copy(update=fields), {found.method: found, **maps}
+    if base.maps or base.resistance:
+        fields["estimators"] = EstimatorsReport(**_fields(base))
+    return report.model_copy(update=fields), {flux_map.method: flux_map, **maps}
 
 
 def earlier_model(directory: Path, manifest: Manifest) -> tuple[FluxMap, DeliveredModel] | None:
@@ -119,54 +124,54 @@ def estimate_of_map(grid: FluxMap, report: EstimationReport | None, points_per_a
 
 
 def _digest(manifest: Manifest) -> str:
-    """Of what the segments are and hold, as far as the manifest knows."""
+    """SHA-256 of the segments' entries in the manifest."""
     return sha256("\n".join(segment.model_dump_json() for segment in manifest.segments).encode()).hexdigest()
 
 
 def _recommended(
-    own: EstimationReport, found: FluxMap, map_report: MapReport, model: DeliveredModel, motor: Motor
+    base: EstimationReport, model_map: FluxMap, map_report: MapReport, model: DeliveredModel, motor: Motor
 ) -> EstimationReport:
-    """The report with the model's map in first place; objections to the one before stay with that one.
+    """The report with the model's map in first place; remarks on the previous first map stay with that map.
 
-    Crossings stay: they are the recording's, whichever map is made of it.
+    Crossings stay: they belong to the recording, not to a map.
     """
-    against = {check.remark.code for check in own.checks if not check.is_met}
-    anew = {*_OF_NO_OTHER, *(remark.code for remark in model.resistance.remarks)}
-    others = (r for r in own.remarks if r.code not in anew)
-    rest = [r.by(own.method) if own.method and r.code in against else r for r in others]
+    unmet_codes = {check.remark.code for check in base.checks if not check.is_met}
+    recomputed = {*_RECOMPUTED_REMARKS, *(remark.code for remark in model.resistance.remarks)}
+    others = (r for r in base.remarks if r.code not in recomputed)
+    kept_remarks = [r.by(base.method) if base.method and r.code in unmet_codes else r for r in others]
     resistance = model.resistance
-    if own.resistance is not None:
-        kept = {name: getattr(own.resistance, name) for name in ("readings", "inverter", "temperature_rise_k")}
+    if base.resistance is not None:
+        kept = {name: getattr(base.resistance, name) for name in ("readings", "inverter", "temperature_rise_k")}
         resistance = resistance.model_copy(update=kept)
     fields = {
-        "method": found.method,
+        "method": model_map.method,
         "parity": None,
         "reciprocity_percent": None,
         "checks": (),
-        "remarks": (*resistance.remarks, *rest),
-        "maps": {found.method: map_report, **own.maps},
+        "remarks": (*resistance.remarks, *kept_remarks),
+        "maps": {model_map.method: map_report, **base.maps},
     }
-    report = own.model_copy(update=fields).with_resistance(resistance)
+    report = base.model_copy(update=fields).with_resistance(resistance)
     explains = Remark.of("model", "the model explains the recording: the diagnosis has no objection to its map")
     return report.checked(
         [
             met("model", explains),
-            flux_band(found, reference_flux_wb(found, motor), own.criteria),
-            convex(found),
-            *resistance_checks(resistance, motor, set(), own.criteria),
+            flux_band(model_map, reference_flux_wb(model_map, motor), base.criteria),
+            convex(model_map),
+            *resistance_checks(resistance, motor, set(), base.criteria),
         ]
     )
 
 
-def _of_the_estimators(directory: Path, method: str) -> tuple[EstimationReport, dict[str, FluxMap]]:
-    """What the estimators alone found, and their maps by method; nothing where they did not run."""
+def _estimator_results(directory: Path, method: str) -> tuple[EstimationReport, dict[str, FluxMap]]:
+    """Report and maps (by method) of the estimators alone; empty where they did not run."""
     try:
         report = load_estimates(directory)
         if report.estimators is None and report.model is not None:
             return _NOTHING, {}
-        own = EstimationReport(**{**_fields(report.estimators or report), "files": {}})
-        names = [name for name in own.maps if name != method]
-        return own, {name: load_flux_map(_map_file(directory, report, name)) for name in names}
+        base = EstimationReport(**{**_fields(report.estimators or report), "files": {}})
+        names = [name for name in base.maps if name != method]
+        return base, {name: load_flux_map(_map_file(directory, report, name)) for name in names}
     except RecordingError:
         return _NOTHING, {}
 

@@ -1,4 +1,4 @@
-"""One pass of the estimators over a recording. No physics of its own, and no estimator by its name."""
+"""One pass of the estimators over a recording."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from orchestrator.analysis._held_captures import HeldCaptures
 from orchestrator.estimation.delivery import earlier_model, join_model
-from orchestrator.estimation.judgement import Found, judged
-from orchestrator.estimation.nameplate import beside_nameplate
+from orchestrator.estimation.judgement import EstimatorResults, report_with_checks
+from orchestrator.estimation.nameplate import with_nameplate_checks
 from orchestrator.estimation.results import write_results
 from orchestrator.estimation.usability import unmet
 from orchestrator.recording._recording_checks import SoundRecording
@@ -49,12 +49,12 @@ def estimate_recording(
     ----------
     recording : RecordingReader
     estimators : sequence of Estimator
-        Each runs after those whose products it requires, and sees what those before it found. Of resistances the
+        Each runs after those whose products it requires, and gets the results before it. Of resistances the
         narrowest interval is used; of maps that of the highest rank is recommended, unless it fails its checks.
     out : Path
         Directory that gets the folder ``results``.
     criteria : MapCriteria, optional
-        By which the maps are judged.
+        Thresholds of the maps' checks.
     on_estimate : callable, optional
         Called with each estimate as soon as it is there.
 
@@ -62,23 +62,23 @@ def estimate_recording(
     ------
     NotMeasuredError
         Where nothing at all can be estimated, or currents and voltages cannot be a motor's; no file is written then.
-        A remark states what a wrong convention makes of them.
+        A remark names a wrong convention.
     PluginError
-        Where an estimator returns something else than it says that it produces, or estimators require each other.
+        Where an estimator's result has another type than declared, or estimators require each other.
     StorageError
         Where a result cannot be written.
     """
     recording = HeldCaptures(recording)  # estimators read the same segments
-    against = _conventions(recording)
-    made: list[tuple[Estimator, Estimate]] = []
+    data_faults = _data_faults(recording)
+    results: list[tuple[Estimator, Estimate]] = []
     missing: list[Remark] = []
     # An estimator that names no stages is always tried.
     stages_read: list[tuple[SegmentStage, ...]] = [getattr(one, "reads", ()) for one in estimators]
-    concerned = [
+    applicable = [
         one for one, reads in zip(estimators, stages_read, strict=True) if not reads or recording.segments(*reads)
     ]
-    for estimator in in_order(concerned):
-        context = EstimationContext(tuple(estimate for _, estimate in made))
+    for estimator in in_order(applicable):
+        context = EstimationContext(tuple(estimate for _, estimate in results))
         try:
             estimate = estimator.estimate(recording, context)
         except NotMeasuredError as error:
@@ -92,19 +92,20 @@ def estimate_recording(
         if not isinstance(estimate, estimator.produces):
             problem = f"returned {type(estimate).__name__} instead of {estimator.produces.__name__}"
             raise PluginError(estimator.name, "estimate", problem)
-        made.append((estimator, estimate))
+        results.append((estimator, estimate))
         if on_estimate is not None:
             on_estimate(estimate)
-    if not made:
+    if not results:
         problem = "; ".join(remark.text for remark in missing) or "no estimator was chosen"
         raise NotMeasuredError(recording.manifest.name, "", f"nothing can be estimated: {problem}")
-    made.sort(key=lambda pair: -pair[0].rank)
-    maps = {estimate.map.method: estimate for _, estimate in made if isinstance(estimate, FluxMapEstimate)}
-    resistances = {e.name: estimate for e, estimate in made if isinstance(estimate, ResistanceEstimate)}
+    results.sort(key=lambda pair: -pair[0].rank)
+    maps = {estimate.map.method: estimate for _, estimate in results if isinstance(estimate, FluxMapEstimate)}
+    resistances = {e.name: estimate for e, estimate in results if isinstance(estimate, ResistanceEstimate)}
     motor, stages = recording.manifest.motor, {segment.stage for segment in recording.segments()}
-    report = judged(Found(resistances, maps, tuple(missing), stages), motor, criteria or MapCriteria())
+    found = EstimatorResults(resistances, maps, tuple(missing), stages)
+    report = report_with_checks(found, motor, criteria or MapCriteria())
     by_method = {method: found.map for method, found in maps.items()}
-    report = beside_nameplate(report, by_method, motor).checked(unmet("conventions", against))
+    report = with_nameplate_checks(report, by_method, motor).checked(unmet("conventions", data_faults))
     earlier = earlier_model(out, recording.manifest)
     if earlier is not None:
         report, by_method = join_model(report, by_method, *earlier, motor)
@@ -112,7 +113,7 @@ def estimate_recording(
 
 
 def in_order(estimators: Sequence[Estimator]) -> list[Estimator]:
-    """Each after those whose products it requires; what does not depend on each other keeps its order.
+    """Estimators sorted so that each follows those whose products it requires; otherwise the order stays.
 
     Raises
     ------
@@ -130,9 +131,9 @@ def in_order(estimators: Sequence[Estimator]) -> list[Estimator]:
         raise PluginError("estimators", "requires", f"a circle: {names}") from None
 
 
-def _conventions(recording: RecordingReader) -> list[Remark]:
-    """What manifest or logging have wrong, as an objection; raises `NotMeasuredError` where it makes no motor."""
-    # Who only reads results does not need the checks.
+def _data_faults(recording: RecordingReader) -> list[Remark]:
+    """Faults of metadata or logging; raises `NotMeasuredError` where no motor could give such readings."""
+    # imported on use: reading results does not need the checks
     from orchestrator.recording_checks import convention_remark, find_convention
 
     named = find_convention(recording)
@@ -143,7 +144,7 @@ def _conventions(recording: RecordingReader) -> list[Remark]:
             raise
         raise _refused(recording, named) from error
     if named is not None and named.kind == "dead_channel":
-        # What the other sensor reads is no motor's current vector.
+        # The other sensor alone gives no current vector.
         raise _refused(recording, named)
     return [] if named is None else [convention_remark(named)]
 

@@ -1,6 +1,6 @@
-"""Flux maps as NetCDF files: dimensions (i_d, i_q), units and conventions in attributes. Computes nothing.
+"""Flux maps as NetCDF files: dimensions (i_d, i_q), units and conventions in attributes.
 
-Files are written and read by h5netcdf itself: to import xarray takes longer than all estimators together.
+Files are written and read by h5netcdf directly: importing xarray takes longer than all estimators together.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
     motor, recording : str
         Names, kept as attributes.
     model : str
-        Which model the map is of, in words; an attribute too.
+        Description of the model; an attribute too.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
     """
     import h5netcdf
 
-    # Made in memory: on a full disk the HDF5 library takes the whole process with it.
+    # Written to memory first: on a full disk the HDF5 library ends the whole process.
     buffer = io.BytesIO()
     with h5netcdf.File(buffer, "w") as file:
         file.attrs.update(_attributes(flux_map, motor, recording) | ({"model": model} if model else {}))
@@ -99,10 +99,10 @@ def _attributes(flux_map: FluxMap, motor: str, recording: str) -> dict[str, str]
 
 
 def load_flux_map(path: Path) -> FluxMap:
-    """Read a map that `save_flux_map` (or anybody, with these names) wrote.
+    """Read a map written by `save_flux_map`, or by other software with these names.
 
-    Inductances that are not there are the slopes of the flux: exact in the middle of a grid's step, and half the
-    sum of both mutual ones for `l_dq`.
+    Missing inductances are the slopes of the flux: exact in the middle of a grid's step, and the mean of both mutual
+    ones for `l_dq`.
 
     Raises
     ------
@@ -120,16 +120,16 @@ def load_flux_map(path: Path) -> FluxMap:
             found = {name: file.variables[name] for name in (*_AXES, *names) if name in file.variables}
             require_memory(path, sum(v.dtype.itemsize * int(np.prod(v.shape)) for v in found.values()), "its tables")
             attributes = dict(file.attrs)
-            held = {name: (variable.dimensions, _decoded(variable)) for name, variable in found.items()}
-    # The HDF5 library says RuntimeError of a file that is cut off, and more of one that is something else.
+            tables = {name: (variable.dimensions, _decoded(variable)) for name, variable in found.items()}
+    # The HDF5 library raises RuntimeError for a truncated file, and other errors for other formats.
     except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError, EOFError) as error:
         problem = f"not a readable NetCDF file: {str(error).splitlines()[0] if str(error) else error!r}"
         raise RecordingError(str(path), "", problem) from None
     for name in (*_AXES, "psi_d", "psi_q"):
-        if name not in held:
+        if name not in tables:
             raise RecordingError(str(path), name, f"variable missing; the file has {present}")
-    axes = {name: _axis(path, held, name) for name in _AXES}
-    grids = {name: _grid(path, held, name) for name in names if name in held}
+    axes = {name: _axis(path, tables, name) for name in _AXES}
+    grids = {name: _grid(path, tables, name) for name in names if name in tables}
     shape = (len(axes["i_d"]), len(axes["i_q"]))
     slopes = _slopes(axes["i_d"], axes["i_q"], grids["psi_d"], grids["psi_q"])
     grids.update({name: slope for name, slope in slopes.items() if name not in grids})
@@ -138,7 +138,7 @@ def load_flux_map(path: Path) -> FluxMap:
     return FluxMap(method=str(attributes.get("method", "")), basis=basis, **axes, **grids)
 
 
-_Held = Mapping[str, tuple[tuple[str, ...], Any]]
+_Tables = Mapping[str, tuple[tuple[str, ...], Any]]
 """Dimensions and values by the variable's name."""
 
 
@@ -158,15 +158,15 @@ def _decoded(variable: Any) -> Any:
     return numbers * scale + offset if packed else numbers
 
 
-def _axis(path: Path, held: _Held, name: str) -> Array:
-    values = _numbers(path, name, held[name][1])
-    if held[name][0] != (name,) or len(values) < 2 or not (np.diff(values) > 0.0).all():
+def _axis(path: Path, tables: _Tables, name: str) -> Array:
+    values = _numbers(path, name, tables[name][1])
+    if tables[name][0] != (name,) or len(values) < 2 or not (np.diff(values) > 0.0).all():
         raise RecordingError(str(path), name, "expected a coordinate of at least two increasing currents")
     return values
 
 
-def _grid(path: Path, held: _Held, name: str) -> Array:
-    dimensions, values = held[name]
+def _grid(path: Path, tables: _Tables, name: str) -> Array:
+    dimensions, values = tables[name]
     if set(dimensions) != set(_AXES):
         raise RecordingError(str(path), name, f"expected dimensions (i_d, i_q), got {dimensions}")
     numbers = _numbers(path, name, values)

@@ -1,4 +1,4 @@
-"""Which of the maps is recommended, and the remarks beside its checks. Estimates nothing."""
+"""Ranks the estimators' maps and assembles the report with checks and remarks."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from orchestrator.analysis._checks import difference_percent, rated_flux_wb, ref
 from orchestrator.estimation.sensorless import seen_by_injection
 from orchestrator.estimation.usability import (
     MapEvidence,
-    differing_ratio,
     independent_maps,
     map_checks,
     methods_difference_percent,
     resistance_checks,
+    significant_flux_ratio,
 )
 from protocols import (
     Basis,
@@ -34,8 +34,8 @@ from protocols import (
 
 
 @dataclass(frozen=True)
-class Found:
-    """What the estimators of a pass made.
+class EstimatorResults:
+    """Results of all estimators of a pass.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ class Found:
     maps : mapping of FluxMapEstimate
         By method, those of the highest rank first.
     missing : tuple of Remark
-        What could not be estimated, and why.
+        Reasons for quantities that could not be estimated.
     stages : set of SegmentStage
-        What the recording holds.
+        Stages of the recording.
     """
 
     resistances: Mapping[str, ResistanceEstimate]
@@ -55,11 +55,11 @@ class Found:
     stages: Set[SegmentStage]
 
 
-def judged(found: Found, motor: Motor, criteria: MapCriteria) -> EstimationReport:
+def report_with_checks(results: EstimatorResults, motor: Motor, criteria: MapCriteria) -> EstimationReport:
     """The report with all checks, without files."""
-    maps = _preferred(found.maps, motor, criteria)
+    maps = _preferred(results.maps, motor, criteria)
     best = next(iter(maps.values()), None)
-    resistance = min(found.resistances.values(), key=lambda r: r.high - r.low, default=None)
+    resistance = min(results.resistances.values(), key=lambda r: r.high - r.low, default=None)
     figures = best.checks if best is not None else MapChecks()
     report = EstimationReport(
         resistance=resistance,
@@ -71,11 +71,11 @@ def judged(found: Found, motor: Motor, criteria: MapCriteria) -> EstimationRepor
         usable=best is not None,
         remarks=(
             *_disagreements(independent_maps(maps), criteria),
-            *found.missing,
-            *_other_resistances(resistance, found.resistances),
+            *results.missing,
+            *_other_resistances(resistance, results.resistances),
             *(resistance.remarks if resistance is not None else ()),
             *_unscaled(best, motor),
-            *(remark.by(method) for method, made in found.maps.items() for remark in made.remarks),
+            *(remark.by(method) for method, estimate in results.maps.items() for remark in estimate.remarks),
         ),
         maps={
             method: MapReport(basis=m.map.basis, checks=m.checks, inductances=inductances_of(m.map), form=m.form)
@@ -86,34 +86,35 @@ def judged(found: Found, motor: Motor, criteria: MapCriteria) -> EstimationRepor
     )
     if best is None:
         return report.objected([Remark.of("no_map", "no flux map could be made")])
-    evidence = MapEvidence(best, maps, found.stages, motor, criteria)
-    return report.checked([*map_checks(evidence), *resistance_checks(resistance, motor, found.stages, criteria)])
+    evidence = MapEvidence(best, maps, results.stages, motor, criteria)
+    return report.checked([*map_checks(evidence), *resistance_checks(resistance, motor, results.stages, criteria)])
 
 
 def _preferred(maps: Mapping[str, FluxMapEstimate], motor: Motor, criteria: MapCriteria) -> dict[str, FluxMapEstimate]:
-    """The best first: energies that do not explain the measurements come last."""
-    measured = [made.map for made in maps.values() if made.map.basis is not Basis.ENERGY]
+    """Maps by rank; those from a fitted energy that deviates from all other maps come last."""
+    measured = [estimate.map for estimate in maps.values() if estimate.map.basis is not Basis.ENERGY]
 
-    def fails(made: FluxMapEstimate) -> bool:
-        """An energy has to agree with one of the others at least; one that does is better than any of them alone."""
-        if made.map.basis is not Basis.ENERGY:
+    def fails(estimate: FluxMapEstimate) -> bool:
+        """Whether an energy's map deviates from every other; one that agrees with any of them outranks them all."""
+        if estimate.map.basis is not Basis.ENERGY:
             return False
-        rated = reference_flux_wb(made.map, motor)
-        off = [apart for other in measured if (apart := difference_percent(made.map, other, rated)) is not None]
-        return bool(off) and min(off) > criteria.energy_percent
+        rated = reference_flux_wb(estimate.map, motor)
+        off = [difference_percent(estimate.map, other, rated) for other in measured]
+        known = [x for x in off if x is not None]
+        return bool(known) and min(known) > criteria.energy_percent
 
     return dict(sorted(maps.items(), key=lambda item: fails(item[1])))
 
 
 def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> list[Remark]:
-    """Whether one method finds more flux throughout; why is a matter of the diagnosis."""
-    ratio = differing_ratio(pair, criteria)
+    """Remark where one method gives significantly more flux; the diagnosis finds the cause."""
+    ratio = significant_flux_ratio(pair, criteria)
     if ratio is None:
         return []
     value, std = ratio
     text = (
         "injection gives {apart_percent:.1f} % {size} flux than the classical method, more than their errors "
-        "explain: `fluxbench diagnose` tells why"
+        "explain: `fluxbench diagnose` finds the cause"
     )
     values = {"apart_percent": 100 * abs(value - 1.0), "std_percent": 100 * std}
     return [Remark.of("flux_ratio", text, size="less" if value < 1.0 else "more", **values)]
@@ -122,7 +123,7 @@ def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) 
 def _other_resistances(
     chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]
 ) -> list[Remark]:
-    """The one with the narrowest interval is chosen; a remark states the others' results."""
+    """Remarks on resistances other than the chosen one, which has the narrowest interval."""
     text = "R_s = {value_ohm:.4g} ohm (95 %: {low:.4g} to {high:.4g}), a wider interval: not used"
     return [
         Remark.of("wider_interval", text, value_ohm=r.value_ohm, low=r.low, high=r.high).by(name)
@@ -132,21 +133,21 @@ def _other_resistances(
 
 
 def _unscaled(best: FluxMapEstimate | None, motor: Motor) -> list[Remark]:
-    """What the percentages are of, where the map does not reach the rated current."""
+    """Remark on the reference of percentages where the map does not reach the rated current."""
     if best is None or rated_flux_wb(best.map, motor.rated_current_a) is not None:
         return []
     reference = reference_flux_wb(best.map, motor)
     if reference is None:
-        return [Remark.of("rated_current_not_reached", "the map has no flux that percentages could be of")]
+        return [Remark.of("rated_current_not_reached", "no reference flux: percentages are omitted")]
     text = (
-        "the map does not reach the rated current: percentages of the rated flux are of {reference_wb:.4g} Wb, the "
+        "the map does not reach the rated current: percentages of the rated flux refer to {reference_wb:.4g} Wb, the "
         "flux at the map's edge"
     )
     return [Remark.of("rated_current_not_reached", text, reference_wb=reference)]
 
 
 def inductances_of(flux_map: FluxMap) -> InductanceRange | None:
-    """Over what a map knows; None where it knows none."""
+    """Ranges of a map's inductances; None where it has none."""
     l_dd, l_qq, l_dq = (values[np.isfinite(values)] for values in (flux_map.l_dd, flux_map.l_qq, flux_map.l_dq))
     if not len(l_dd) or not len(l_qq) or not len(l_dq):
         return None

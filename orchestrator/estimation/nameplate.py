@@ -1,4 +1,4 @@
-"""Estimates beside the nameplate: a remark on what is far from it; a factor on all of them is an objection."""
+"""Compares estimates with the nameplate: remarks on deviations, and a failed check for one common factor."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import numpy as np
 from protocols import Basis, CheckOutcome, EstimationReport, FluxMap, MapCriteria, Motor, Remark, UsabilityCheck
 
 
-def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor) -> EstimationReport:
+def with_nameplate_checks(report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor) -> EstimationReport:
     """The report with a remark on each of R_s, L_d and L_q that is far from the nameplate.
 
-    Where R_s and the inductances are all off the same way, a scale of the readings is: the map is not usable then.
+    Where R_s and the inductances all deviate in one direction, the readings may be scaled: the map is not usable then.
     """
     criteria = report.criteria
     pairs = {name: (found, stated) for name, found, stated in _pairs(report, maps, motor) if stated and found > 0.0}
     ratios = {name: found / stated for name, (found, stated) in pairs.items()}
-    apart = [name for name, ratio in ratios.items() if abs(ratio - 1.0) > criteria.nameplate_apart]
-    far = [name for name in apart if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
-    remarks = [_remark(name, *pairs[name], questioned=name in far) for name in apart]
+    deviating = [name for name, ratio in ratios.items() if abs(ratio - 1.0) > criteria.nameplate_apart]
+    far = [name for name in deviating if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
+    remarks = [_remark(name, *pairs[name], questioned=name in far) for name in deviating]
     signs = {ratios[name] > 1.0 for name in far}
     report = report.model_copy(update={"remarks": (*report.remarks, *remarks)})
     if len(far) == len(ratios) >= 2 and "R_s" in far and len(signs) == 1:
@@ -29,7 +29,7 @@ def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], moto
 
 
 def _scale_check(ratios: Mapping[str, float], ohms: tuple[float, float], criteria: MapCriteria) -> UsabilityCheck:
-    """The failed check of a scale that a wrong nameplate and wrongly scaled readings make alike."""
+    """Failed check for a common factor, which a wrong nameplate or wrongly scaled readings cause."""
     text = (
         "{names} are all about {ratio:.3g} times the nameplate's: either the nameplate is wrong, or the currents or "
         "voltages are scaled. The recording alone cannot decide. Measure between two terminals: {found_ohm:.3g} ohm if "
@@ -62,7 +62,7 @@ def _remark(name: str, found: float, stated: float, *, questioned: bool) -> Rema
 def _pairs(
     report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor
 ) -> list[tuple[str, float, float | None]]:
-    """Name, estimate and nameplate; inductances where the least current flows."""
+    """Name, estimate and nameplate; inductances at the smallest current."""
     pairs = []
     if report.resistance is not None:
         pairs.append(("R_s", report.resistance.value_ohm, motor.stator_resistance_ohm))
@@ -79,12 +79,12 @@ def _compared_map(report: EstimationReport, maps: Mapping[str, FluxMap]) -> Flux
 
 
 def _unsaturated(found: FluxMap) -> tuple[float, float]:
-    """L_dd and L_qq where the least current flows; nil where it is not known to a half."""
-    there = np.isfinite(found.l_dd) & np.isfinite(found.l_qq)
-    if not there.any():
+    """L_dd and L_qq at the smallest current [H]; zero where the 95 % band exceeds half the value."""
+    known = np.isfinite(found.l_dd) & np.isfinite(found.l_qq)
+    if not known.any():
         return 0.0, 0.0
     size = np.hypot(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
-    nearest = np.unravel_index(int(np.argmin(np.where(there, size, np.inf))), size.shape)
+    nearest = np.unravel_index(int(np.argmin(np.where(known, size, np.inf))), size.shape)
     pairs = (found.l_dd[nearest], found.l_dd_std[nearest]), (found.l_qq[nearest], found.l_qq_std[nearest])
     l_d, l_q = (float(value) if not 1.96 * std > 0.5 * value else 0.0 for value, std in pairs)
     return l_d, l_q

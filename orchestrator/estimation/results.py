@@ -19,17 +19,17 @@ RECOMMENDED_MAP = Path("results") / "flux_map.nc"
 
 
 def has_estimates(directory: Path) -> bool:
-    """Whether something was estimated into the ``results/`` of a directory."""
+    """Whether the ``results/`` of a directory has estimates."""
     return (directory / "results" / REPORT_NAME).is_file()
 
 
 def load_estimates(directory: Path) -> EstimationReport:
-    """What `write_results` wrote into the ``results/`` of a run or recording.
+    """The report that `write_results` wrote into the ``results/`` of a run or recording.
 
     Raises
     ------
     RecordingError
-        Where it is missing, or what is wrong in it.
+        Where it is missing or invalid.
     """
     path = directory / "results" / REPORT_NAME
     try:
@@ -44,9 +44,9 @@ def load_estimates(directory: Path) -> EstimationReport:
 def write_results(
     report: EstimationReport, maps: Mapping[str, FluxMap], folder: Path, *, motor: str, recording: str
 ) -> EstimationReport:
-    """Replace the maps and the report in `folder`; the report with the files that it has.
+    """Replace the maps and the report in `folder`; returns the report with its files.
 
-    Files of an earlier pass that found the same stay as they are, and as old.
+    Identical files of an earlier pass are kept with their time stamps.
 
     Parameters
     ----------
@@ -68,11 +68,11 @@ def write_results(
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".estimating-", dir=folder) as staging:
             for name, flux_map in named.items():
-                about = {"motor": motor, "recording": recording, "model": _model_words(report, flux_map.method)}
+                about = {"motor": motor, "recording": recording, "model": _model_description(report, flux_map.method)}
                 save_flux_map(Path(staging) / f"{name}.nc", flux_map, **about)
             if _is_same(folder, Path(staging), text):
                 return report
-            # The report goes first and comes last: where it is, all maps are those that it speaks of.
+            # The report is removed first and written last: a present report matches all maps.
             (folder / REPORT_NAME).unlink(missing_ok=True)
             for old in folder.glob("flux_map*.nc"):
                 old.unlink()
@@ -84,8 +84,8 @@ def write_results(
     return report
 
 
-def _model_words(report: EstimationReport, method: str) -> str:
-    """Which model a map is of, for who finds its file alone."""
+def _model_description(report: EstimationReport, method: str) -> str:
+    """Description of a map's model, for its file's attributes."""
     if report.model is not None and method == report.model_method:
         return f"diagnosed: {report.model.title}"
     return f"estimator {method}: no effect taken out by a diagnosis"

@@ -1,4 +1,4 @@
-"""What a small ripple sees beside the slopes of the large-signal map, for whoever tracks a rotor by injection."""
+"""Incremental inductances at a small ripple compared with the large-signal map, for sensorless rotor tracking."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ def seen_by_injection(maps: Sequence[FluxMapEstimate]) -> tuple[SeenByInjection,
     Parameters
     ----------
     maps : sequence of FluxMapEstimate
-        The best first. The first that is not by injection alone is the large-signal one, as long as anything was swept.
+        The best first. The first one not by injection alone is the large-signal map, if any current was swept.
     """
-    swept = any(made.map.basis is Basis.INTEGRATION for made in maps)
-    large = next((made.map for made in maps if made.map.basis is not Basis.INJECTION), None) if swept else None
+    swept = any(m.map.basis is Basis.INTEGRATION for m in maps)
+    large = next((m.map for m in maps if m.map.basis is not Basis.INJECTION), None) if swept else None
     if large is None:
         return ()
-    seen = (_beside(large, ripple) for made in maps for ripple in made.incremental)
-    return tuple(one for one in seen if one is not None)
+    comparisons = (_comparison(large, ripple) for m in maps for ripple in m.incremental)
+    return tuple(entry for entry in comparisons if entry is not None)
 
 
-def _beside(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjection | None:
+def _comparison(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjection | None:
     """None where the map covers none of the points."""
     slopes = values_at(large, "l_dd", "l_dq", "l_qq")(np.asarray(ripple.i_dq))
     known = np.isfinite(slopes).all(axis=1)
     if not known.any():
         return None
-    own, of_map = ripple.inductance[known], slopes[known]
-    d, q = (100.0 * float(np.mean(own[:, k] / of_map[:, k] - 1.0)) for k in (0, 2))
-    seen, large_signal = principal(*own.T), principal(*of_map.T)
-    # Axes, not arrows: half a turn is none.
-    left = 0.5 * np.angle(np.exp(2j * (seen.angle_rad - large_signal.angle_rad)))
-    (low, high), (map_low, map_high) = _range(seen), _range(large_signal)
+    measured, map_values = ripple.inductance[known], slopes[known]
+    d, q = (100.0 * float(np.mean(measured[:, k] / map_values[:, k] - 1.0)) for k in (0, 2))
+    axes, large_signal = principal(*measured.T), principal(*map_values.T)
+    # Axes have no direction: angles modulo half a turn.
+    angle_difference = 0.5 * np.angle(np.exp(2j * (axes.angle_rad - large_signal.angle_rad)))
+    (low, high), (map_low, map_high) = _range(axes), _range(large_signal)
     return SeenByInjection(
         method=large.method,
         frequency_hz=ripple.frequency_hz,
@@ -50,8 +50,8 @@ def _beside(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjection |
         saliency_high=high,
         map_saliency_low=map_low,
         map_saliency_high=map_high,
-        angle_error_rad=float(np.abs(seen.angle_rad).max()),
-        left_by_map_rad=float(np.abs(left).max()),
+        angle_error_rad=float(np.abs(axes.angle_rad).max()),
+        left_by_map_rad=float(np.abs(angle_difference).max()),
     )
 
 

@@ -1,11 +1,11 @@
-"""The checks that decide whether a map and its R_s can be relied on, each with what it found. Estimates nothing.
+"""The checks that decide whether a map and its R_s are usable, each with its figures.
 
-A usable map promises its flux to `MapCriteria.accuracy_percent` (rms) of a reference flux. A check that the recording
-does not allow has not passed; whether the map is usable without it depends on what else can show its error:
+The flux of a usable map is accurate to `MapCriteria.accuracy_percent` (rms) of a reference flux. A check that the
+recording does not allow has not passed; whether it is required depends on the other checks that show the same error:
 
 - crossings, or for one energy its residual, and parity: an error of the angle, of R_s, of the voltage.
-- a second method: injection alone cannot tell an inductance from a delay or from eddy currents, whose share grows with
-  the frequency; sweeps or a second frequency can.
+- a second method: injection alone cannot separate an inductance from a delay or from eddy currents, whose share grows
+  with the frequency; sweeps or a second frequency can.
 - the flux's own 95 % band, and whether the map can be inverted.
 - R_s: its interval, the scatter of its readings, its ratio to the nameplate's.
 """
@@ -38,16 +38,16 @@ from protocols import (
 )
 
 _SWEEPS = {SegmentStage.CLASSICAL, SegmentStage.STEPS}
-_OF_RESISTANCE = {*_SWEEPS, SegmentStage.RESISTANCE}
+_RESISTANCE_STAGES = {*_SWEEPS, SegmentStage.RESISTANCE}
 _MIRRORED_SHARE = 0.5
-"""Of the reach on the other side of i_q = 0, from which on the symmetry is seen by an energy."""
+"""Smallest ratio of the ranges on both sides of i_q = 0 with which an energy checks the symmetry."""
 _SAME_POINT_SHARE = 0.05
-"""Of the largest current, within which two injections are at one point."""
+"""Distance over the largest current within which two injections are at one point."""
 
 
 @dataclass(frozen=True)
 class MapEvidence:
-    """What the checks of a map look at.
+    """Input of a map's checks.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class MapEvidence:
     maps : mapping of FluxMapEstimate
         All, by method, the best first.
     stages : set of SegmentStage
-        What the recording holds.
+        Stages of the recording.
     """
 
     best: FluxMapEstimate
@@ -67,12 +67,12 @@ class MapEvidence:
 
     @property
     def measured(self) -> list[FluxMapEstimate]:
-        """Those that are not symmetric by construction."""
+        """Maps that are not symmetric by construction."""
         return [made for made in self.maps.values() if made.map.basis is not Basis.ENERGY]
 
     @property
     def pair(self) -> tuple[FluxMap, FluxMap] | None:
-        """The best map by injection and the best by integration: neither knows of the other."""
+        """The best map by injection and the best by integration, which are independent."""
         return independent_maps(self.maps)
 
 
@@ -90,8 +90,8 @@ def methods_difference_percent(maps: Mapping[str, FluxMapEstimate], motor: Motor
     return None if pair is None else difference_percent(*pair, _reference_wb(maps, motor))
 
 
-def differing_ratio(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> tuple[float, float] | None:
-    """Ratio of injection's flux to integration's and its standard deviation, where no chance makes it; else None."""
+def significant_flux_ratio(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> tuple[float, float] | None:
+    """Ratio of injection's flux to integration's and its standard deviation; None where not significant."""
     ratio = None if pair is None else flux_ratio(*pair)
     if ratio is None or abs(ratio[0] - 1.0) <= max(criteria.flux_ratio_stds * ratio[1], criteria.least_flux_ratio):
         return None
@@ -113,10 +113,10 @@ def map_checks(evidence: MapEvidence) -> Iterator[UsabilityCheck]:
 def resistance_checks(
     resistance: ResistanceEstimate | None, motor: Motor, stages: Set[SegmentStage], criteria: MapCriteria
 ) -> Iterator[UsabilityCheck]:
-    """Every check of R_s: it counts where the recording has a stage that tells it."""
+    """Every check of R_s, required where the recording has a stage that determines it."""
     if resistance is None:
         text = "R_s was not measured"
-        yield _missing("resistance_interval", text, required=bool(stages & _OF_RESISTANCE))
+        yield _missing("resistance_interval", text, required=bool(stages & _RESISTANCE_STAGES))
         return
     yield _resistance_interval(resistance, criteria)
     yield _resistance_scatter(resistance, criteria)
@@ -124,7 +124,7 @@ def resistance_checks(
 
 
 def _reference_wb(maps: Mapping[str, FluxMapEstimate], motor: Motor) -> float | None:
-    """The recommended map's."""
+    """Reference flux of the recommended map [Wb]."""
     return next((reference_flux_wb(made.map, motor) for made in maps.values()), None)
 
 
@@ -132,15 +132,15 @@ def _crossings(evidence: MapEvidence) -> UsabilityCheck:
     limit, (axis, value) = evidence.criteria.crossings_percent, _worst(evidence.best.checks.crossings)
     if value is None:
         another = methods_difference_percent(evidence.maps, evidence.motor) is not None
-        text = "no paths of currents cross: whether the flux depends on the way there is not known"
-        # Where two methods agree on the flux it does not.
+        text = "no current paths cross: whether the flux depends on the path is unknown"
+        # Two methods that agree on the flux exclude a dependence on the path.
         return _missing("crossings", text, required=not another)
     text = "where current paths cross, psi_{axis} differs by {apart_percent:.1f} % of the rated flux"
     return _within("crossings", value, limit, text, {"axis": axis, "apart_percent": value}, bad="bad_crossings")
 
 
 def _parity(evidence: MapEvidence) -> UsabilityCheck:
-    """The recommended map's; an energy is even by construction, so another map's counts, or what the energy leaves."""
+    """Parity of the recommended map; of another one, or the residual, for an energy, which is even by construction."""
     best, limit = evidence.best, evidence.criteria.parity_percent
     shown = [best] if best.map.basis is not Basis.ENERGY else evidence.measured
     parities = [_worst(made.checks.parity) for made in shown]
@@ -158,10 +158,10 @@ def _parity(evidence: MapEvidence) -> UsabilityCheck:
 
 
 def _reciprocity(evidence: MapEvidence) -> UsabilityCheck:
-    """Of the recommended map; of the one beside it where that is an energy's, which rests on that alone."""
+    """Reciprocity of the recommended map; for an energy, of the only measured map that it was fitted to."""
     limit, best = evidence.criteria.reciprocity_percent, evidence.best
-    beside = [made.checks.reciprocity_percent for made in evidence.measured]
-    value = beside[0] if len(beside) == 1 else None
+    measured = [made.checks.reciprocity_percent for made in evidence.measured]
+    value = measured[0] if len(measured) == 1 else None
     if best.map.basis is not Basis.ENERGY:
         value = best.checks.reciprocity_percent
     if value is None:
@@ -179,14 +179,14 @@ def _methods(evidence: MapEvidence) -> UsabilityCheck:
     value = methods_difference_percent(evidence.maps, evidence.motor)
     if value is not None:
         text = "the classical and the injection map differ by {apart_percent:.2g} % of the rated flux (rms)"
-        ratio = differing_ratio(pair, criteria)
+        ratio = significant_flux_ratio(pair, criteria)
         differ = value > criteria.accuracy_percent or ratio is not None
         if ratio is not None:
             text += ", by {ratio_percent:.1f} % throughout, more than their errors explain"
         values = {"apart_percent": value, "ratio_percent": None if ratio is None else 100.0 * abs(ratio[0] - 1.0)}
         bands = _bands_percent(evidence)
         if differ and ratio is None and bands is not None and value <= sum(bands):
-            # Neither is wrong by more than it says, and neither confirms the other to what is promised.
+            # Both are within their bands, but too uncertain to confirm each other.
             text += (
                 ", within their own 95 % bands of {classical_percent:.2g} and {injection_percent:.2g} %: the one with "
                 "the wider band confirms nothing"
@@ -203,7 +203,7 @@ def _methods(evidence: MapEvidence) -> UsabilityCheck:
     if not injected:
         return _missing("methods", "one method alone: the loops of the sweeps are its only check", required=False)
     text = (
-        "injection was compared with nothing: it cannot tell an inductance from a delay or eddy currents; sweep the "
+        "nothing to compare injection with: it cannot separate an inductance from a delay or eddy currents; sweep the "
         "current too, or inject at a second frequency"
     )
     if evidence.stages & _SWEEPS:
@@ -212,12 +212,12 @@ def _methods(evidence: MapEvidence) -> UsabilityCheck:
 
 
 def _energy(evidence: MapEvidence) -> UsabilityCheck:
-    """How far an energy is off the nearer of the maps that it was fitted to."""
+    """Deviation of an energy from the nearest map that it was fitted to."""
     reference = reference_flux_wb(evidence.best.map, evidence.motor)
     each = [difference_percent(evidence.best.map, made.map, reference) for made in evidence.measured]
     off = [one for one in each if one is not None]
     if not off:
-        text = "the energy and the maps that it was fitted to have no currents in common"
+        text = "the energy and the maps that it was fitted to share no currents"
         return _missing("energy_agreement", text, required=True)
     text = "the energy differs from the nearest measured map by {apart_percent:.2g} % of the rated flux (rms)"
     limit, figures = evidence.criteria.accuracy_percent, {"apart_percent": min(off)}
@@ -267,22 +267,22 @@ def _resistance_interval(resistance: ResistanceEstimate, criteria: MapCriteria) 
     if low <= 0.0:
         text += ": the interval reaches zero"
     elif half > limit:
-        text += ", no better than a nameplate is believed"
+        text += ", no more accurate than a nameplate"
     figures = {"value_ohm": value, "low": low, "high": high, "half_percent": half}
     return _within(name, half, limit, text, figures, bad="uncertain_resistance")
 
 
 def _resistance_scatter(resistance: ResistanceEstimate, criteria: MapCriteria) -> UsabilityCheck:
-    """Scatter of neighbouring readings: what drifts with the winding's heat is little from one to the next."""
+    """Scatter of neighbouring readings, between which thermal drift is small."""
     readings = resistance.readings
     if len(readings) < 3 or resistance.value_ohm <= 0.0:
-        return _missing("resistance_scatter", "too few readings of R_s to tell their scatter", required=False)
+        return _missing("resistance_scatter", "too few readings of R_s to estimate their scatter", required=False)
     steps = np.abs(np.diff([one.value_ohm for one in readings])) / math.sqrt(2.0)
     stds = np.array([one.std_ohm for one in readings])
-    own = np.maximum(np.sqrt(0.5 * (stds[1:] ** 2 + stds[:-1] ** 2)), 1e-9 * resistance.value_ohm)
+    errors_ohm = np.maximum(np.sqrt(0.5 * (stds[1:] ** 2 + stds[:-1] ** 2)), 1e-9 * resistance.value_ohm)
     # The median of |x| is 0.6745 standard deviations of a normal x.
     scatter = 100.0 * float(np.median(steps)) / 0.6745 / resistance.value_ohm
-    errors = float(np.median(steps / own)) / 0.6745
+    errors = float(np.median(steps / errors_ohm)) / 0.6745
     limit = criteria.resistance_percent / 1.96
     failed = scatter > limit and errors > criteria.scatter_ratio
     text = "readings of R_s scatter by {scatter_percent:.2g} %, {errors:.2g} times their own errors"
@@ -291,15 +291,15 @@ def _resistance_scatter(resistance: ResistanceEstimate, criteria: MapCriteria) -
 
 
 def _resistance_nameplate(resistance: ResistanceEstimate, motor: Motor, criteria: MapCriteria) -> UsabilityCheck:
-    stated = motor.stator_resistance_ohm
-    if not stated or resistance.value_ohm <= 0.0:
-        return _missing("resistance_nameplate", "no resistance is stated to hold R_s beside", required=False)
-    ratio = resistance.value_ohm / stated
+    stated_ohm = motor.stator_resistance_ohm
+    if not stated_ohm or resistance.value_ohm <= 0.0:
+        return _missing("resistance_nameplate", "the nameplate states no resistance to compare with", required=False)
+    ratio = resistance.value_ohm / stated_ohm
     factor, limit = max(ratio, 1.0 / ratio), criteria.resistance_factor
     text = "R_s is {ratio:.3g} times the nameplate's {nameplate_ohm:.4g} ohm"
     if factor > limit:
-        text += ": no convention and no tolerance makes that, the nameplate is wrong or the readings are"
-    figures = {"ratio": ratio, "nameplate_ohm": stated}
+        text += ": no convention or tolerance explains it; the nameplate or the readings are wrong"
+    figures = {"ratio": ratio, "nameplate_ohm": stated_ohm}
     return _within("resistance_nameplate", factor, limit, text, figures, bad="resistance_off_nameplate", unit="1")
 
 
@@ -313,13 +313,13 @@ def _bands_percent(evidence: MapEvidence) -> tuple[float, float] | None:
 
 def _frequency_difference_percent(evidence: MapEvidence) -> float | None:
     """Largest difference of mean inductances, of one axis, between injections whose frequencies are far apart."""
-    apart = [
+    differences = [
         difference
-        for one, other in combinations((one for made in evidence.maps.values() for one in made.incremental), 2)
+        for one, other in combinations((one for estimate in evidence.maps.values() for one in estimate.incremental), 2)
         if abs(math.log(one.frequency_hz / other.frequency_hz)) >= math.log(evidence.criteria.frequency_ratio)
         if (difference := _inductance_difference_percent(one, other)) is not None
     ]
-    return max(apart, default=None)
+    return max(differences, default=None)
 
 
 def _inductance_difference_percent(one: IncrementalInductances, other: IncrementalInductances) -> float | None:
@@ -327,10 +327,10 @@ def _inductance_difference_percent(one: IncrementalInductances, other: Increment
     a, b = (np.asarray(x.i_dq, dtype=np.float64) for x in (one, other))
     distance: Array = np.linalg.norm(a[:, None] - b[None], axis=2)
     nearest = distance.argmin(axis=1)
-    same = distance.min(axis=1) <= _SAME_POINT_SHARE * max(float(np.linalg.norm(a, axis=1).max()), 1e-300)
-    if not same.any():
+    coincident = distance.min(axis=1) <= _SAME_POINT_SHARE * max(float(np.linalg.norm(a, axis=1).max()), 1e-300)
+    if not coincident.any():
         return None
-    ratio = one.inductance[same][:, (0, 2)] / other.inductance[nearest[same]][:, (0, 2)]
+    ratio = one.inductance[coincident][:, (0, 2)] / other.inductance[nearest[coincident]][:, (0, 2)]
     return 100.0 * float(np.abs(ratio.mean(axis=0) - 1.0).max())
 
 
@@ -382,5 +382,5 @@ def met(name: str, remark: Remark) -> UsabilityCheck:
 
 
 def unmet(name: str, remarks: Sequence[Remark]) -> list[UsabilityCheck]:
-    """A failed check for each remark that speaks against the map from elsewhere."""
+    """A failed check for each objection from outside these checks."""
     return [UsabilityCheck(name=name, outcome=CheckOutcome.FAILED, required=True, remark=remark) for remark in remarks]

@@ -48,9 +48,9 @@ def additions(
     Parameters
     ----------
     known : Information
-        Of the rehearsal.
+        Information of the rehearsal.
     result : Isolability
-        Of the whole rehearsal.
+        Isolability of the rehearsal.
     """
     criteria = rehearsal.setup.prepared.criteria
     size = criteria.rehearsal.parted_size
@@ -58,24 +58,24 @@ def additions(
     stages = allowed_stages(rehearsal.plan, drive, catalogue(rehearsal.setup)) if questions else []
     if not stages:
         return []
-    own = len(rehearsal.plan.stages)
+    planned = len(rehearsal.plan.stages)
     rehearsed = rehearse(extended_plan(rehearsal.plan, drive, stages), drive, machine, rehearsal.noise_a, criteria)
-    added = range(own, own + len(stages))
-    brings = information(replace(rehearsed, model=rehearsal.model), library, added)
+    added = range(planned, planned + len(stages))
+    gained = information(replace(rehearsed, model=rehearsal.model), library, added)
     normal = known.total
     chosen: list[Addition] = []
     remaining = dict(zip(added, stages, strict=True))
     while questions and remaining:
         options = []
         for index, stage in remaining.items():
-            more = normal + brings.of_stages([index])
-            settled = tuple(q for q in questions if required_size(known, more, q, criteria) <= size)
+            extended = normal + gained.of_stages([index])
+            settled = tuple(q for q in questions if required_size(known, extended, q, criteria) <= size)
             options.append((len(settled) / minutes(stage), index, Addition(stage, minutes(stage), settled)))
         _, index, best = max(options, key=lambda option: option[0])
         if not best.settles:
             break
         chosen.append(best)
-        normal = normal + brings.of_stages([index])
+        normal = normal + gained.of_stages([index])
         questions = [q for q in questions if q not in best.settles]
         del remaining[index]
     return chosen

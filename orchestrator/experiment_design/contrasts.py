@@ -1,4 +1,4 @@
-"""The catalogue of stages: for each contrast, those that measure it. Fits nothing."""
+"""The catalogue of stages: for each contrast, those that measure it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ INJECTION_S: float = 1.0
 GATES_OFF_S: float = 2.0
 """Length of a reading with all gates off [s]."""
 ANCHOR_S: float = 5.0
-"""Length of a point that is measured once more [s]."""
+"""Length of a repeated point [s]."""
 PWM_CURRENTS: tuple[float, ...] = (0.02, 0.05, 0.15, 1.0)
 """Parts of the current that are held at two PWM frequencies: within the knee of an inverter's error, and beyond
 it."""
@@ -107,7 +107,7 @@ def round_for_people(value: float) -> float:
     return float(f"{value:.3g}") + 0.0 if abs(value) > 1e-9 else 0.0
 
 
-def _both_ways(shares: Iterable[float]) -> list[tuple[float, float]]:
+def _both_signs(shares: Iterable[float]) -> list[tuple[float, float]]:
     return [(side * share, 0.0) for share in shares for side in (1, -1)]
 
 
@@ -119,9 +119,9 @@ def _other_frequencies(bench: Bench) -> list[Stage]:
 
 STAGES: Mapping[Contrast, Callable[[Bench], list[Stage]]] = {
     Contrast.GATES_OFF: lambda bench: [{"kind": "gates_off", "duration_s": GATES_OFF_S}],
-    Contrast.SMALL_CURRENTS: lambda bench: [bench.holds(_both_ways(SMALL_CURRENTS))],
+    Contrast.SMALL_CURRENTS: lambda bench: [bench.holds(_both_signs(SMALL_CURRENTS))],
     Contrast.SECOND_PWM_FREQUENCY: lambda bench: [
-        bench.holds(_both_ways(PWM_CURRENTS), pwm_frequencies_hz=[bench.pwm_hz, 2.0 * bench.pwm_hz])
+        bench.holds(_both_signs(PWM_CURRENTS), pwm_frequencies_hz=[bench.pwm_hz, 2.0 * bench.pwm_hz])
     ],
     Contrast.DIRECTIONS: lambda bench: [
         bench.holds((math.cos(angle), math.sin(angle)) for angle in 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS)

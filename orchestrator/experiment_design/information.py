@@ -1,12 +1,12 @@
-"""The information of a plan on every effect of a library, in one normal matrix of all unknowns; decides nothing.
+"""The information of a plan on every effect of a library, in one normal matrix of all unknowns.
 
 Unknown are R_s, the map's coefficients, and of each effect its amplitudes (the secant from zero to its typical size)
-and its forms, shapes and refinements (the slope at its typical size). With prior precisions P on the diagonal, the
+and its shape and refinement parameters (the slope at its typical size). With prior precisions P on the diagonal, the
 information on parameters t when f are nuisance parameters is a Schur complement,
 
     M_t|f = N_tt - N_tf (N_ff + P_ff)^-1 N_ft
 
-A different shape of an effect is a column of its own, too far away for a slope; several columns span those between.
+Effects are nonlinear in their shapes: alternative shapes get their own columns, which span those in between.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from protocols import ParameterRole
 ALTERNATIVE_SHAPES: tuple[float, ...] = (-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
 """Other shapes in which an effect may be confounded with another one, in standard deviations of the prior."""
 
-Places = NDArray[np.int64]
+ColumnIndex = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -35,19 +35,19 @@ class EffectColumns:
 
     Attributes
     ----------
-    there : EffectTerm
+    at_typical : EffectTerm
         The effect at its typical size and shape.
     shapes : tuple of EffectTerm
         The effect absent, in its typical shape and in others.
-    amplitudes, forms, others : array of int
-        Indices of its amplitudes and forms in the typical shape, and of its amplitudes in others.
+    amplitudes, forms, alternative_amplitudes : array of int
+        Indices of its amplitudes and shape parameters in the typical shape; of its amplitudes in alternative shapes.
     """
 
-    there: EffectTerm
+    at_typical: EffectTerm
     shapes: tuple[EffectTerm, ...]
-    amplitudes: Places
-    forms: Places
-    others: Places
+    amplitudes: ColumnIndex
+    forms: ColumnIndex
+    alternative_amplitudes: ColumnIndex
 
     @classmethod
     def of(cls, candidate: CandidateEffect, first: int, shapes: Sequence[float]) -> EffectColumns:
@@ -55,27 +55,27 @@ class EffectColumns:
         absent = candidate.absent()
         sizes = {n: candidate.named(n).typical for n in candidate.amplitudes}
         shape = candidate.of_role(ParameterRole.SHAPE)[:1]
-        others = [absent.moved(name, x) for name in shape for x in shapes]
-        counts = [len(sizes), len(candidate.of_role(*_FORMS)), len(sizes) * len(others)]
+        alternatives = [absent.moved(name, x) for name in shape for x in shapes]
+        counts = [len(sizes), len(candidate.of_role(*_FORMS)), len(sizes) * len(alternatives)]
         places = np.split(np.arange(first, first + sum(counts)), np.cumsum(counts)[:-1])
-        return cls(EffectTerm(candidate, {**absent.values, **sizes}, ()), (absent, *others), *places)
+        return cls(EffectTerm(candidate, {**absent.values, **sizes}, ()), (absent, *alternatives), *places)
 
     @property
     def forms_named(self) -> tuple[str, ...]:
-        return self.there.candidate.of_role(*_FORMS)
+        return self.at_typical.candidate.of_role(*_FORMS)
 
     @property
-    def in_typical_shape(self) -> Places:
+    def in_typical_shape(self) -> ColumnIndex:
         return np.concatenate([self.amplitudes, self.forms])
 
     @property
-    def all(self) -> Places:
-        return np.concatenate([self.amplitudes, self.forms, self.others])
+    def all(self) -> ColumnIndex:
+        return np.concatenate([self.amplitudes, self.forms, self.alternative_amplitudes])
 
     @property
     def typical(self) -> Array:
-        """Coordinates of the amplitudes at the typical size."""
-        candidate = self.there.candidate
+        """Standardised values of the amplitudes at the typical size."""
+        candidate = self.at_typical.candidate
         return np.array([typical_standardised_value(candidate.named(n)) for n in candidate.amplitudes])
 
 
@@ -88,7 +88,7 @@ class Information:
 
     Attributes
     ----------
-    machine : int
+    machine_columns : int
         Columns of R_s and the map.
     effects : dict of str to EffectColumns
     pieces : array, shape (pieces, n, n)
@@ -99,7 +99,7 @@ class Information:
         Index in the plan of each piece's stage.
     """
 
-    machine: int
+    machine_columns: int
     effects: dict[str, EffectColumns]
     pieces: Array
     prior: Array
@@ -114,14 +114,14 @@ class Information:
         """Normal matrix of the whole plan, without the prior."""
         return np.asarray(self.pieces.sum(axis=0))
 
-    def marginal(self, normal: Array, effect: str, *others: Places) -> Array:
-        """Normal matrix of an effect's amplitudes in its typical shape, with R_s, the map and others as nuisances."""
+    def marginal(self, normal: Array, effect: str, *others: ColumnIndex) -> Array:
+        """Normal matrix of an effect's amplitudes in its typical shape, with R_s, the map and `others` as nuisances."""
         target = self.effects[effect].amplitudes
-        nuisance = np.concatenate([np.arange(self.machine), *others])
+        nuisance = np.concatenate([np.arange(self.machine_columns), *others])
         inner = normal[np.ix_(nuisance, nuisance)] + self.prior[np.ix_(nuisance, nuisance)]
         across = normal[np.ix_(nuisance, target)]
-        rest = normal[np.ix_(target, target)] - across.T @ np.linalg.solve(inner, across)
-        return np.asarray(0.5 * (rest + rest.T))
+        schur_complement = normal[np.ix_(target, target)] - across.T @ np.linalg.solve(inner, across)
+        return np.asarray(0.5 * (schur_complement + schur_complement.T))
 
 
 def information(
@@ -132,20 +132,22 @@ def information(
     use = [k for k, stage in enumerate(rehearsal.stages) if of_stages is None or stage in of_stages]
     prepared = replace(whole.prepared, pieces=tuple(whole.prepared.pieces[k] for k in use))
     fitter = replace(whole, prepared=prepared)
-    machine = 1 + model.space.directions.shape[1]
-    end, effects = machine, dict[str, EffectColumns]()
+    machine_columns = 1 + model.space.directions.shape[1]
+    end, effects = machine_columns, dict[str, EffectColumns]()
     for candidate in library:
         effects[candidate.name] = columns = EffectColumns.of(candidate, end, ALTERNATIVE_SHAPES)
         end += len(columns.all)
     linearisation = fitter.linearise(model)
     normals = {
-        k: one for batch in linearisation.batches for k, one in batch_information(rehearsal, effects.values(), batch)
+        k: normal
+        for batch in linearisation.batches
+        for k, normal in batch_information(rehearsal, effects.values(), batch)
     }
     pieces = [rehearsal.weights[at] * normals[k] for k, at in enumerate(use)]
     prior = np.eye(pieces[0].shape[0])
     prior[0, 0] = 0.0
-    prior[1:machine, 1:machine] = model.space.prior.T @ model.space.prior
-    return Information(machine, effects, np.stack(pieces), prior, tuple(rehearsal.stages[k] for k in use))
+    prior[1:machine_columns, 1:machine_columns] = model.space.prior.T @ model.space.prior
+    return Information(machine_columns, effects, np.stack(pieces), prior, tuple(rehearsal.stages[k] for k in use))
 
 
 def batch_information(
@@ -153,21 +155,21 @@ def batch_information(
 ) -> Iterator[tuple[int, Array]]:
     """Normal matrix of each segment of a batch, with its index among the rehearsed ones."""
     model, equations = rehearsal.model, rehearsal.setup.fitter.equations
-    amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.there.candidate.amplitudes]
-    whole = equations.rows(equations.at(model, linearisation), amplitudes)
+    amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.at_typical.candidate.amplitudes]
+    amplitude_rows = equations.rows(equations.at(model, linearisation), amplitudes)
     forms = {}
     for e in effects:
         if e.forms_named:
-            there = equations.at(model.with_active([e.there]), linearisation)
-            forms[e.there.name] = equations.rows(there, [(e.there, n) for n in e.forms_named])
-    for j, (place, kept) in enumerate(zip(linearisation.batch.places, linearisation.pieces, strict=True)):
-        white = whole[j].white[:, 1:]
-        columns, start = [white[:, :1], kept.white_basis], 1
+            evaluation = equations.at(model.with_active([e.at_typical]), linearisation)
+            forms[e.at_typical.name] = equations.rows(evaluation, [(e.at_typical, n) for n in e.forms_named])
+    for j, (place, basis) in enumerate(zip(linearisation.batch.places, linearisation.pieces, strict=True)):
+        white = amplitude_rows[j].white[:, 1:]
+        columns, start = [white[:, :1], basis.white_basis], 1
         for e in effects:
-            split, end = start + len(e.amplitudes), start + len(e.amplitudes) + len(e.others)
+            split, end = start + len(e.amplitudes), start + len(e.amplitudes) + len(e.alternative_amplitudes)
             columns.append(white[:, start:split])
             if e.forms_named:
-                columns.append(forms[e.there.name][j].white[:, 2:])
+                columns.append(forms[e.at_typical.name][j].white[:, 2:])
             columns.append(white[:, split:end])
             start = end
         together = np.column_stack(columns)

@@ -2,7 +2,7 @@
 
 With M of an effect's amplitudes with R_s and the map as nuisances (`information`), an effect of s times its typical
 size x is detected where its log evidence, 1/2 s^2 x'M(M + 1)^-1 M x - 1/2 log det(1 + M), reaches the diagnosis'
-threshold. It is separated from another effect where that one, in whatever shape, leaves enough chi2 unexplained:
+threshold. It is separated from another effect where that one, in any shape, leaves enough chi2 unexplained:
 
     s^2 x'M_a|b x  >=  five sigma
 
@@ -57,7 +57,7 @@ def isolability(known: Information, normal: Array, criteria: Criteria) -> Isolab
     Parameters
     ----------
     normal : array, shape (n, n)
-        Without the prior.
+        Normal matrix without the prior.
     """
     names = tuple(known.effects)
     detection = {name: detection_size(known, normal, name, (), criteria) for name in names}
@@ -94,6 +94,6 @@ def separation_size(known: Information, normal: Array, name: str, other: str, cr
     return max(MIN_EFFECT_SIZE, _size(criteria.design.least_separation, float(x @ m @ x)))
 
 
-def _size(threshold: float, at_one: float) -> float:
-    """Argument at which a square law of value `at_one` at one reaches the threshold; infinite if at none."""
-    return math.sqrt(threshold / at_one) if at_one > 1e-6 * threshold else math.inf
+def _size(threshold: float, gain: float) -> float:
+    """Size s with gain s^2 = threshold; infinite where there is none."""
+    return math.sqrt(threshold / gain) if gain > 1e-6 * threshold else math.inf

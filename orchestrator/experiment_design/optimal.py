@@ -12,7 +12,7 @@ the information on the parameters of interest with the others, n, as nuisances. 
 Wolfowitz, doi:10.4153/CJM-1960-030-4; with P, Chaloner and Verdinelli, doi:10.1214/ss/1177009939). Without P that mean
 is the number of parameters of interest. The criterion is concave, so that no design is better than this one by more
 than the largest d_j exceeds the mean. Steps w_j <- w_j sqrt(d_j), scaled to one, do not make it worse (of their kind:
-Yu, doi:10.1214/09-AOS761; without the root they do where few parameters are of interest). Knows no motor.
+Yu, doi:10.1214/09-AOS761; without the root they do where few parameters are of interest).
 """
 
 from __future__ import annotations

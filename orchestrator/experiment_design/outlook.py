@@ -25,7 +25,7 @@ from protocols import Capabilities, Contrast, Effect, Strict
 
 
 class EffectOutlook(Strict):
-    """Detection of one effect. Sizes are parts of the typical one; None: no size suffices."""
+    """Detection of one effect. Sizes are relative to the typical one; None: no size suffices."""
 
     name: str
     parameter: str
@@ -46,7 +46,7 @@ class PairOutlook(Strict):
 
     effects: tuple[str, str]
     parted_from: float | None
-    """Size from which both are separated, as a part of the typical one. None: no size suffices."""
+    """Size from which both are separated, relative to the typical one. None: no size suffices."""
 
 
 class AdditionOutlook(Strict):
@@ -112,17 +112,17 @@ def outlook(
     rehearsal = rehearse(plan, drive, machine, noise_a, criteria)
     every = scaled_library(effects, rehearsal.setup.prepared.manifest)
     library = observable_effects(every, [p.signals for p in rehearsal.setup.prepared.pieces])
-    known = information(rehearsal, library)
-    result = isolability(known, known.total, criteria)
-    more = additions(rehearsal, drive, machine, library, known, result)
-    settled = {question for addition in more for question in addition.settles}
+    plan_information = information(rehearsal, library)
+    result = isolability(plan_information, plan_information.total, criteria)
+    proposed = additions(rehearsal, drive, machine, library, plan_information, result)
+    settled = {question for addition in proposed for question in addition.settles}
     unsettled = [question for question in result.beyond(criteria.rehearsal.parted_size) if question not in settled]
     return IsolabilityReport(
         procedure=plan.procedure.name,
         noise_a=rehearsal.noise_a,
         effects=tuple(_outlook_of(candidate, result) for candidate in library),
         pairs=tuple(PairOutlook(effects=pair, parted_from=_finite(size)) for pair, size in result.separation.items()),
-        additions=tuple(AdditionOutlook(stage=a.stage, minutes=a.minutes, settles=a.settles) for a in more),
+        additions=tuple(AdditionOutlook(stage=a.stage, minutes=a.minutes, settles=a.settles) for a in proposed),
         open=tuple(OpenOutlook(effects=q, needs=_needs(rehearsal, library, q)) for q in unsettled),
     )
 

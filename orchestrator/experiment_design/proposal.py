@@ -1,4 +1,4 @@
-"""The experiment that separates two effects, as a stage for a procedure; measures nothing.
+"""The experiment that separates two effects, as a stage for a procedure.
 
 Every stage of the catalogue of contrasts is rated by the separation that the fitted model predicts, in chi2 per minute,
 for built-in and third-party effects alike. Where no stage separates enough, the contrast that both effects declare as
@@ -64,8 +64,8 @@ def _predicted(setup: DiagnosisSetup, fit: Fit, first: EffectTerm, second: Candi
     if pair is None:
         return None
     gains = [(separation(setup, pair, stage), stage) for stage in catalogue(setup)]
-    least = setup.prepared.criteria.design.least_separation
-    sufficient = [(gain / minutes(stage), stage) for gain, stage in gains if math.isfinite(gain) and gain > least]
+    limit = setup.prepared.criteria.design.least_separation
+    sufficient = [(gain / minutes(stage), stage) for gain, stage in gains if math.isfinite(gain) and gain > limit]
     return max(sufficient, key=lambda item: item[0])[1] if sufficient else None
 
 

@@ -1,4 +1,4 @@
-"""The separation of two effects by a stage before it is measured, as the fitted model predicts it; decides nothing.
+"""The separation of two effects by a stage before it is measured, as the fitted model predicts it.
 
 The fitted effect causes an error a in the whitened equations of a stage. The other effect is refitted to that error,
 together with R_s, the map and all other free parameters, to first order. The remainder is the separation,

@@ -101,7 +101,7 @@ def shortest(offer: Offer, size: float, criteria: Criteria, *, at_least_s: float
     """
     seconds = max(at_least_s, float(offer.seconds.min()))
     effects = offer.known.effects.values()
-    columns = np.concatenate([np.arange(offer.known.machine), *(effect.in_typical_shape for effect in effects)])
+    columns = np.concatenate([np.arange(offer.known.machine_columns), *(effect.in_typical_shape for effect in effects)])
     amplitudes = np.flatnonzero(np.isin(columns, np.concatenate([effect.amplitudes for effect in effects])))
     block = np.ix_(columns, columns)
     rates = np.stack([piece[block] for piece in offer.known.pieces]) / offer.seconds[:, None, None]

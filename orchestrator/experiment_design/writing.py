@@ -1,4 +1,4 @@
-"""Points as stages of a procedure: points that differ in their current alone become one stage. Measures nothing."""
+"""Points as stages of a procedure: points that differ in their current alone become one stage."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def stages_of(points: Sequence[tuple[PlannedPoint, int]], control: CurrentContro
     Parameters
     ----------
     control : CurrentControl
-        The procedure's own.
+        Current control of the procedure.
     """
     stages: dict[str, Stage] = {}
     for point, times in points:

@@ -26,7 +26,7 @@ class EngineSettings(Strict):
     """Load and retries of the workers."""
 
     in_flight_per_worker: int = Field(default=4, ge=1)
-    """Tasks at the scheduler for each thread of a worker: the others wait here, where they cost nothing."""
+    """Tasks at the scheduler per worker thread; the others wait in this process at no cost."""
     attempts: int = Field(default=2, ge=1)
     """Attempts of a task whose worker dies."""
     count_workers_s: float = Field(default=2.0, gt=0)

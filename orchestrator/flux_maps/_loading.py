@@ -95,7 +95,7 @@ def _read_netcdf(path: Path) -> FluxMap:
 def _read_csv(path: Path) -> tuple[str, dict[str, Array]]:
     lines = (
         line
-        for line in read_text(path, MAX_FILE_SIZES.kept_bytes, "utf-8-sig").splitlines()
+        for line in read_text(path, MAX_FILE_SIZES.generated_bytes, "utf-8-sig").splitlines()
         if not line.startswith("#")
     )
     rows = list(csv.reader(lines))

@@ -47,7 +47,7 @@ class _Criteria:
     """Fraction of the best offset's log-likelihood from which another offset is a candidate."""
     block: int = 256
     """Samples per block mean: several periods of an injection."""
-    min_mean_left: float = 1e-2
+    min_mean_residual: float = 1e-2
     """Share of the means that resistance alone does not explain: dead time and changing currents."""
     max_mean_ratio: float = 4.0
     """Ratio to the smallest residual of the means from which an offset is rejected."""
@@ -90,7 +90,7 @@ def fitted_clock(
     Parameters
     ----------
     columns, stamps : pairs
-        Of `path` and of `other`. One holds all columns of the current, the other all of the voltage.
+        Those of `path` and of `other`. One has all columns of the current, the other all of the voltage.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def fitted_clock(
     known = np.isfinite(i_s)
     i_s, i = i_s[known], i[known]
     step_s = max(_step(i_s), _step(v_s), _CRITERIA.shortest_step_s)
-    clock, begins_s = _to_a_sample(other, (i_s, i), (v_s, v), step_s)
+    clock, begins_s = _coarse_clock(other, (i_s, i), (v_s, v), step_s)
     ohm = mapping.motor.stator_resistance_ohm or 0.0
     for _ in range(3):
         clock = clock.later(*_delay((i_s, i), (clock.of(v_s), v), begins_s, ohm, step_s))
@@ -115,8 +115,8 @@ def fitted_clock(
             str(other), "align", "no offset and drift between the clocks fits the voltage's edges throughout"
         )
     remark = (
-        f"{other}: laid beside {path.name} by its edges, {clock.offset_s:.6g} s between the clocks, "
-        f"{1e6 * clock.drift:.1f} ppm drift; a delay of the drive would be in it"
+        f"{other}: aligned to {path.name} by voltage edges: offset {clock.offset_s:.6g} s, "
+        f"drift {1e6 * clock.drift:.1f} ppm (includes any delay of the drive)"
     )
     return (clock.back(stamps[1]) if current_is_there else clock.of(stamps[1])), remark
 
@@ -133,35 +133,35 @@ def _vectors(
     return np.nan_to_num(vectors(signal, columns, 0.0, mapping.motor.pole_pairs, dc_v))
 
 
-def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> tuple[_Clock, Numbers]:
+def _coarse_clock(other: Path, current: Track, voltage: Track, step_s: float) -> tuple[_Clock, Numbers]:
     """The clock from a joint search over all windows, refined by window; and the windows' start times [s]."""
     (i_s, i), (v_s, v) = current, voltage
     i_even = _complex(resampled(i_s, i, 1.0 / step_s))
     grid = v_s[0] + step_s * np.arange(int((v_s[-1] - v_s[0]) / step_s) + 1)
     v_even = _complex(held_means(v_s, v, grid))
-    bends, edges = np.diff(i_even, 2), np.diff(v_even)
-    samples = min(_CRITERIA.samples, bends.size)
-    starts = _busiest(bends, samples)
-    found = [_unexplained(edges, bends[start : start + samples]) for start in starts]
+    curvature, voltage_steps = np.diff(i_even, 2), np.diff(v_even)
+    samples = min(_CRITERIA.samples, curvature.size)
+    starts = _most_active_windows(curvature, samples)
+    residuals = [_unexplained(voltage_steps, curvature[start : start + samples]) for start in starts]
     reaches = [1 + int(_CRITERIA.max_drift * abs(start - np.median(starts))) for start in starts]
     stamped = i_s[0] + step_s * np.arange(i_even.size)
     pauses = np.diff(i_s, prepend=-np.inf)[np.minimum(np.searchsorted(i_s, stamped), i_s.size - 1)] > 1.5 * step_s
     i_even[1:][pauses[1:]] = np.nan
-    lag, margin = _likeliest(found, starts, reaches, samples, i_even, v_even)
+    lag, margin = _most_likely_lag(residuals, starts, reaches, samples, i_even, v_even)
     if margin < _CRITERIA.min_margin:
         raise InputError(str(other), "align", "the voltage's edges fit the current at more than one offset, or at none")
-    places, lags, explained = [], [], []
-    for start, left, reach in zip(starts, found, reaches, strict=True):
-        there = start + lag + samples - 1
-        low = max(there - reach - 2, 1)
-        near = left[low : there + reach + 3]
-        if near.size:
-            place = low + int(np.argmin(near))
-            places.append(float(start))
-            lags.append(_vertex(left, place) - (samples - 1) - start)
-            explained.append(1.0 - float(left[place]))
+    positions, lags, explained = [], [], []
+    for start, residual, reach in zip(starts, residuals, reaches, strict=True):
+        expected = start + lag + samples - 1
+        low = max(expected - reach - 2, 1)
+        nearby = residual[low : expected + reach + 3]
+        if nearby.size:
+            place = low + int(np.argmin(nearby))
+            positions.append(float(start))
+            lags.append(_vertex(residual, place) - (samples - 1) - start)
+            explained.append(1.0 - float(residual[place]))
     used = np.array(explained) > 0.5 * max(explained)
-    starts_used = np.array(places)[used]
+    starts_used = np.array(positions)[used]
     slope, at_zero = _line(starts_used, np.array(lags)[used])
     offset_s = i_s[0] - v_s[0] - (1.0 - slope) * at_zero * step_s
     return _Clock(offset_s, -slope, v_s[0]), i_s[0] + step_s * starts_used
@@ -185,8 +185,9 @@ def _delay(current: Track, voltage: Track, begins_s: Numbers, ohm: float, step_s
         grid = np.arange(begin, min(begin + _CRITERIA.samples * step_s, i_s[-1]), step_s)
         first, end = np.searchsorted(v_s, [grid[0] - 3.0 * step_s, grid[-1] + 3.0 * step_s])
         if grid.size > 2 and end - first > 2:
-            there = _complex(np.column_stack([np.interp(grid, i_s, x) for x in i.T]))
-            delays.append((0.5 * (grid[0] + grid[-1]), _shift(there, grid, v_s[first:end], v[first:end], ohm, step_s)))
+            samples = _complex(np.column_stack([np.interp(grid, i_s, x) for x in i.T]))
+            delay_s = _subsample_delay(samples, grid, v_s[first:end], v[first:end], ohm, step_s)
+            delays.append((0.5 * (grid[0] + grid[-1]), delay_s))
     if not delays:
         return 0.0, 0.0, 0.0
     times, late_s = np.array(delays).T
@@ -195,49 +196,49 @@ def _delay(current: Track, voltage: Track, begins_s: Numbers, ohm: float, step_s
     return at_middle, slope, middle
 
 
-def _shift(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, ohm: float, step_s: float) -> float:
+def _subsample_delay(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, ohm: float, step_s: float) -> float:
     """Sub-sample delay of the voltage [s] that best explains the current's increments.
 
     Each trial shift integrates the volt-seconds again, since a sample's mean hides the position of an edge in it. The
     resistance is the nameplate's: on a rotating current, a free one is indistinguishable from a delay.
     """
-    steps, now = np.diff(i), 0.5 * (i[:-1] + i[1:])
+    steps, mean_i = np.diff(i), 0.5 * (i[:-1] + i[1:])
 
-    def left(late_s: float) -> float:
-        u = _complex(held_means(v_s + late_s, v, grid)) - ohm * now
+    def cost(late_s: float) -> float:
+        u = _complex(held_means(v_s + late_s, v, grid)) - ohm * mean_i
         # Conjugates express the symmetric inductance matrix of a salient machine.
         columns = np.stack([a - a.mean() for a in (u, u.conj(), 1j * u.conj())])
-        gram, along = (columns @ columns.conj().T).real, (columns @ (steps - steps.mean()).conj()).real
-        return -float(np.linalg.lstsq(gram, along, rcond=1e-12)[0] @ along)
+        gram, projection = (columns @ columns.conj().T).real, (columns @ (steps - steps.mean()).conj()).real
+        return -float(np.linalg.lstsq(gram, projection, rcond=1e-12)[0] @ projection)
 
     middle = 0.0
     for width in (1.0, 0.25, 0.05):
         tried = middle + width * np.linspace(-1.0, 1.0, 9)
-        unexplained = np.array([left(x * step_s) for x in tried])
-        place = _vertex(unexplained, int(np.argmin(unexplained)))
+        costs = np.array([cost(x * step_s) for x in tried])
+        place = _vertex(costs, int(np.argmin(costs)))
         middle = float(tried[0] + place * (tried[1] - tried[0]))
     return middle * step_s
 
 
-def _busiest(bends: Complex, samples: int) -> NDArray[np.intp]:
+def _most_active_windows(curvature: Complex, samples: int) -> NDArray[np.intp]:
     """Starts of the windows with the largest second-difference energy, in order of time."""
-    starts = np.unique(np.append(np.arange(0, bends.size - samples, samples // 2), bends.size - samples))
-    power = np.concatenate([[0.0], np.cumsum(np.abs(bends) ** 2)])
+    starts = np.unique(np.append(np.arange(0, curvature.size - samples, samples // 2), curvature.size - samples))
+    power = np.concatenate([[0.0], np.cumsum(np.abs(curvature) ** 2)])
     best = np.argsort(power[starts] - power[starts + samples])[: _CRITERIA.windows]
     return np.sort(starts[best])
 
 
-def _unexplained(edges: Complex, window: Complex) -> Numbers:
+def _unexplained(voltage_steps: Complex, window: Complex) -> Numbers:
     """Share of the window's second difference that edges leave unexplained at each lag, over their overlap."""
     from scipy.signal import correlate
 
-    product = np.maximum(correlate(edges, window, method="fft").real, 0.0)
-    ends = np.arange(1, edges.size + window.size)
-    under = _within(edges, ends - window.size, ends)
-    covered = _within(window, window.size - ends, edges.size + window.size - ends)
-    enough = 1e-6 * float(np.vdot(window, window).real) * max(float(np.max(under)), 1e-300)
-    left = 1.0 - product**2 / np.maximum(under * covered, enough)
-    return np.maximum(left, 1e-9)
+    product = np.maximum(correlate(voltage_steps, window, method="fft").real, 0.0)
+    ends = np.arange(1, voltage_steps.size + window.size)
+    step_energy = _within(voltage_steps, ends - window.size, ends)
+    window_energy = _within(window, window.size - ends, voltage_steps.size + window.size - ends)
+    floor = 1e-6 * float(np.vdot(window, window).real) * max(float(np.max(step_energy)), 1e-300)
+    residual = 1.0 - product**2 / np.maximum(step_energy * window_energy, floor)
+    return np.maximum(residual, 1e-9)
 
 
 def _within(x: Complex, begins: NDArray[np.intp], ends: NDArray[np.intp]) -> Numbers:
@@ -246,8 +247,8 @@ def _within(x: Complex, begins: NDArray[np.intp], ends: NDArray[np.intp]) -> Num
     return np.asarray(energy[np.clip(ends, 0, x.size)] - energy[np.clip(begins, 0, x.size)])
 
 
-def _likeliest(
-    found: Sequence[Numbers],
+def _most_likely_lag(
+    residuals: Sequence[Numbers],
     starts: NDArray[np.intp],
     reaches: Sequence[int],
     samples: int,
@@ -261,23 +262,24 @@ def _likeliest(
     from scipy.ndimage import minimum_filter1d
     from scipy.signal import find_peaks
 
-    bends, edges = current.size - 2, voltage.size - 1
-    log_residual, overlap = np.zeros((2, edges + bends + 2 * samples))
-    ends = np.arange(1, edges + samples)
-    covered = np.minimum(ends, edges) - np.maximum(ends - samples, 0)
-    for left, start, reach in zip(found, starts, reaches, strict=True):
-        here = slice(bends - start, bends - start + left.size)
+    curvature_count, step_count = current.size - 2, voltage.size - 1
+    log_residual, overlap = np.zeros((2, step_count + curvature_count + 2 * samples))
+    ends = np.arange(1, step_count + samples)
+    covered = np.minimum(ends, step_count) - np.maximum(ends - samples, 0)
+    for residual, start, reach in zip(residuals, starts, reaches, strict=True):
+        span = slice(curvature_count - start, curvature_count - start + residual.size)
         # The filter allows the drift that clocks accumulate up to this window.
-        log_residual[here] += 0.5 * covered * np.log(minimum_filter1d(left, 2 * reach + 1, mode="nearest"))
-        overlap[here] += covered
+        log_residual[span] += 0.5 * covered * np.log(minimum_filter1d(residual, 2 * reach + 1, mode="nearest"))
+        overlap[span] += covered
     mean = np.where(overlap > 0.5 * overlap.max(), log_residual / np.maximum(overlap, 1.0), 0.0)
-    best, apart = float(mean.min()), 3 + max(reaches)
-    if max(1.0 - float(np.min(left)) for left in found) < _CRITERIA.min_explained:
+    best, distance = float(mean.min()), 3 + max(reaches)
+    if max(1.0 - float(np.min(residual)) for residual in residuals) < _CRITERIA.min_explained:
         return 0, 0.0
-    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=-_CRITERIA.alternative * best, distance=apart)
-    lags = [int(place) - 1 - bends - (samples - 1) for place in places]
-    open_ = np.array([_unexplained_by_means(current, voltage, lag) for lag in lags])
-    depths = np.where(open_ <= _CRITERIA.max_mean_ratio * open_.min(), mean[places - 1], 0.0)
+    height = -_CRITERIA.alternative * best
+    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=height, distance=distance)
+    lags = [int(place) - 1 - curvature_count - (samples - 1) for place in places]
+    mean_residuals = np.array([_unexplained_by_means(current, voltage, lag) for lag in lags])
+    depths = np.where(mean_residuals <= _CRITERIA.max_mean_ratio * mean_residuals.min(), mean[places - 1], 0.0)
     first = int(np.argmin(depths))
     others = np.append(np.delete(depths, first), _CRITERIA.alternative * best)
     return lags[first], float(others.min() - depths[first]) * float(overlap[places[first] - 1])
@@ -288,22 +290,22 @@ def _unexplained_by_means(current: Complex, voltage: Complex, lag: int) -> float
     first, end = max(0, -lag), min(current.size, voltage.size - lag)
     rows = max(end - first, 0) // _CRITERIA.block * _CRITERIA.block
     i, v = (x[:rows].reshape(-1, _CRITERIA.block).mean(axis=1) for x in (current[first:], voltage[first + lag :]))
-    there = np.isfinite(i)
-    if np.count_nonzero(there) < 3:
+    valid = np.isfinite(i)
+    if np.count_nonzero(valid) < 3:
         return 1.0
-    i, v = i[there], v[there]
+    i, v = i[valid], v[valid]
     power = float(np.vdot(i, i).real * np.vdot(v, v).real)
-    along = max(float(np.vdot(i, v).real), 0.0)
-    return max(1.0 - along**2 / max(power, 1e-300), _CRITERIA.min_mean_left)
+    product = max(float(np.vdot(i, v).real), 0.0)
+    return max(1.0 - product**2 / max(power, 1e-300), _CRITERIA.min_mean_residual)
 
 
-def _vertex(left: Numbers, place: int) -> float:
+def _vertex(values: Numbers, place: int) -> float:
     """Vertex of the parabola through a minimum and its two neighbours."""
-    if not 0 < place < left.size - 1:
+    if not 0 < place < values.size - 1:
         return float(place)
-    before, at, after = left[place - 1 : place + 2]
-    bend = before - 2.0 * at + after
-    return place + float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend > 0.0 else float(place)
+    left, lowest, right = values[place - 1 : place + 2]
+    curvature = left - 2.0 * lowest + right
+    return place + float(np.clip(0.5 * (left - right) / curvature, -0.5, 0.5)) if curvature > 0.0 else float(place)
 
 
 def _step(time_s: Numbers) -> float:

@@ -114,20 +114,20 @@ def _lay_beside(
         numbers[name] = _laid(time_s, other_s, values, name in held)
 
 
-def _laid(time_s: Numbers, other_s: Numbers, values: Numbers, held: bool) -> Numbers:
+def _laid(time_s: Numbers, other_s: Numbers, values: Numbers, is_held: bool) -> Numbers:
     """Values with time stamps `other_s`, resampled to `time_s`; NaN where no sample is near."""
     step_s = float(np.median(np.diff(other_s)))
     if time_s.size == other_s.size and np.max(np.abs(time_s - other_s), initial=0.0) < 0.01 * step_s:
         return values
-    if held:
-        after = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
+    if is_held:
+        next_s = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
         # A later check reports missing stamps and values with their rows.
-        edges = np.maximum.accumulate(np.nan_to_num(np.append(time_s, after[-1]), nan=-np.inf))
-        out = held_means(other_s, values[:, None], edges)[:, 0]
-        inside = (time_s >= other_s[0]) & (after <= other_s[-1] + 1.01 * step_s)
+        limits_s = np.maximum.accumulate(np.nan_to_num(np.append(time_s, next_s[-1]), nan=-np.inf))
+        out = held_means(other_s, values[:, None], limits_s)[:, 0]
+        inside = (time_s >= other_s[0]) & (next_s <= other_s[-1] + 1.01 * step_s)
     else:
         out = np.interp(time_s, other_s, values)
         inside = (time_s >= other_s[0]) & (time_s <= other_s[-1])
-    at = np.clip(np.searchsorted(other_s, time_s, side="right"), 1, other_s.size - 1)
-    inside &= (other_s[at] - other_s[at - 1] < 1.5 * step_s) | (np.abs(other_s[at] - time_s) < 0.01 * step_s)
+    index = np.clip(np.searchsorted(other_s, time_s, side="right"), 1, other_s.size - 1)
+    inside &= (other_s[index] - other_s[index - 1] < 1.5 * step_s) | (np.abs(other_s[index] - time_s) < 0.01 * step_s)
     return np.where(inside, out, np.nan)

@@ -90,7 +90,7 @@ def _in_arrays(path: Path, name: str, variables: Any, steps: list[_Step]) -> NDA
             _require_struct(path, name, step, here.dtype.names is not None)
             here = _element(path, name, here.reshape(-1, order="F"), step)
     if not isinstance(here, np.ndarray):
-        raise InputError(str(path), name, f"is an object; name what is in it, such as {name}.Data")
+        raise InputError(str(path), name, f"is a MATLAB object; give a property of it, e.g. {name}.Data")
     return _vector(path, name, np.asarray(here), steps[-1])
 
 

@@ -133,7 +133,7 @@ def open_comtrade(path: Path, wanted: Wanted) -> Source:
     try:
         if path.suffix.lower() == ".cfg":
             # A table of channels; the library would read any text file to its end.
-            read_bytes(path, MAX_FILE_SIZES.written_bytes)
+            read_bytes(path, MAX_FILE_SIZES.hand_written_bytes)
         record.load(str(path))
         names = [str(name).strip() for name in record.analog_channel_ids]
         units = {n: str(c.uu).strip() for n, c in zip(names, record.cfg.analog_channels, strict=True)}

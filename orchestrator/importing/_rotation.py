@@ -32,8 +32,8 @@ def turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
     A running machine's current vector keeps its length and rotates one way, also at a drifting speed. An injection's
     ripple or a sweep pulsates along an axis. The search runs in blocks, since a motor may start within the segment.
     """
-    parts = (i_ab[start : start + _CRITERIA.part] for start in range(0, len(i_ab), _CRITERIA.part))
-    return next((found for part in parts if (found := _turning(part, rate_hz)) is not None), None)
+    blocks = (i_ab[start : start + _CRITERIA.part] for start in range(0, len(i_ab), _CRITERIA.part))
+    return next((result for block in blocks if (result := _turning(block, rate_hz)) is not None), None)
 
 
 def _turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
@@ -48,10 +48,10 @@ def _turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
     length = np.abs(smooth)
     steps = np.angle(smooth[1:] * np.conj(smooth[:-1]))
     turns = abs(float(np.sum(steps))) / (2.0 * np.pi)
-    one_way = turns * 2.0 * np.pi > _CRITERIA.one_way * float(np.sum(np.abs(steps)))
+    is_steady_direction = turns * 2.0 * np.pi > _CRITERIA.one_way * float(np.sum(np.abs(steps)))
     if (
         turns < _CRITERIA.fewest_turns
-        or not one_way
+        or not is_steady_direction
         or float(np.std(length)) > _CRITERIA.steady * float(np.mean(length))
     ):
         return None
@@ -61,5 +61,5 @@ def _turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
 def beyond_resistance_v(i_ab: Numbers, v_ab: Numbers, ohm: float) -> float | None:
     """Mean voltage [V] beyond the resistive drop; None where it is no larger than that drop."""
     i, v = i_ab.mean(axis=0), v_ab.mean(axis=0)
-    left = float(np.hypot(*(v - ohm * i)))
-    return left if left > 2.0 * ohm * float(np.hypot(*i)) else None
+    excess_v = float(np.hypot(*(v - ohm * i)))
+    return excess_v if excess_v > 2.0 * ohm * float(np.hypot(*i)) else None

@@ -131,7 +131,7 @@ class Splitter:
         for block in blocks:
             time_s = self._stamps.seconds(mapping, block, row)
             labels = block.labels or Labels(np.zeros(len(block), dtype=np.intp), ("",))
-            which = _fitting(rules, labels, time_s)
+            which = _matching_rule(rules, labels, time_s)
             for start, end in _runs(which, labels.codes):
                 key = (int(which[start]), labels.names[labels.codes[start]])
                 if opened is not None and opened.key != key:
@@ -167,7 +167,7 @@ class Splitter:
         self.leftover.first = self.leftover.first or f"{path.name}, row {row + 1}{suffix}"
 
 
-def _fitting(rules: Sequence[tuple[int, SegmentRule]], labels: Labels, time_s: Numbers) -> NDArray[np.intp]:
+def _matching_rule(rules: Sequence[tuple[int, SegmentRule]], labels: Labels, time_s: Numbers) -> NDArray[np.intp]:
     """Index of the first rule that each row matches."""
     which = np.full(time_s.size, _NO_RULE, dtype=np.intp)
     stamps = _filled_forward(time_s) if any(rule.has_range for _, rule in rules) else time_s

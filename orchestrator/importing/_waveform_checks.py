@@ -26,10 +26,10 @@ from orchestrator.validation.plausibility import (
     MIN_OHMIC_RATIO,
     MIN_SLOW_VOLTAGE_RATIO,
     PLAUSIBLE_BOUNDS,
-    apart_rad,
     is_reversed,
     rms,
     slow_part,
+    suspicious_phase_rad,
     within,
 )
 from protocols import SegmentStage
@@ -251,7 +251,7 @@ class WaveformChecks:
         i_c, v_c = i[:, 0] + 1j * i[:, 1], v[:, 0] + 1j * v[:, 1]
         least_ohm = MIN_OHMIC_RATIO * (self._mapping.motor.stator_resistance_ohm or 0.0)
         power = complex(np.vdot(i_c, v_c))
-        angle = apart_rad(power, float(np.sum(v * v)), float(np.sum(i * i)), least_ohm=least_ohm)
+        angle = suspicious_phase_rad(power, float(np.sum(v * v)), float(np.sum(i * i)), min_ohm=least_ohm)
         if angle is not None:
             hint = "one of both is reversed (factor: -1)" if is_reversed(angle) else "phases are exchanged"
             if is_reversed(angle) and self._with_the_current:

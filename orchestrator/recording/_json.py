@@ -92,7 +92,7 @@ def read_json(path: Path, model: type[_Model], *, older: str = "") -> _Model:
 
 def _parsed(path: Path) -> Any:
     try:
-        text = read_text(path, MAX_FILE_SIZES.kept_bytes)
+        text = read_text(path, MAX_FILE_SIZES.generated_bytes)
     except OSError as error:
         raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:

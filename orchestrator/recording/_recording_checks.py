@@ -19,10 +19,10 @@ from orchestrator.validation.plausibility import (
     MOTOR_RANGES,
     POSSIBLE_BOUNDS,
     Numbers,
-    apart_rad,
     is_reversed,
     outside,
     slow_part,
+    suspicious_phase_rad,
     within,
 )
 from protocols import Capture, Manifest, NotMeasuredError, RecordingError, RecordingReader, Segment, SegmentStage
@@ -159,7 +159,7 @@ class SoundRecording:
         # Each voltage is scaled to its current: a segment in which the drive lost control counts once.
         product = sum((x.v_on_i * math.sqrt(x.i_squared / x.v_squared) for x in driven), 0j)
         driven_a2, usable_a2 = (sum(x.i_squared for x in those) for those in (driven, usable))
-        angle = apart_rad(product, driven_a2, driven_a2)
+        angle = suspicious_phase_rad(product, driven_a2, driven_a2)
         if angle is not None:
             problem = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
             hint = "one of both is reversed" if is_reversed(angle) else "phases are exchanged, or frames differ"

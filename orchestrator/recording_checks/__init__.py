@@ -50,7 +50,7 @@ class RecordingCheck:
 
     @property
     def all_remarks(self) -> tuple[Remark, ...]:
-        """The convention as a remark first, for callers that go on all the same."""
+        """The convention as a remark first, for callers that continue nevertheless."""
         return self.remarks if self.convention is None else (convention_remark(self.convention), *self.remarks)
 
 
@@ -64,7 +64,7 @@ def check_recording(recording: RecordingReader, poll: Callable[[], None] = lambd
     RecordingError
         Where the manifest has impossible numbers, or a capture differs from the manifest.
     NotMeasuredError
-        Where the current's column is noise, or where the drive has lost its current on the way.
+        Where the current's column is noise, or where the drive has lost its current.
     """
     SoundRecording(recording)
     responses = Responses(survey(recording, poll))
@@ -84,7 +84,7 @@ def find_convention(recording: RecordingReader, poll: Callable[[], None] = lambd
 
 
 def convention_remark(convention: Convention) -> Remark:
-    """A wrong convention as a remark, for callers that go on all the same."""
+    """A wrong convention as a remark, for callers that continue nevertheless."""
     return Remark.of(
         "convention",
         "{what}, by the captured readings ({evidence}): {correction}",

@@ -29,7 +29,7 @@ _CHANNELS = ("alpha", "beta", *PHASES)
 MIN_LOST_CURRENT_FRACTION = 0.5
 """Deviation from the set-point, relative to the largest one, where the drive has lost its current."""
 MIN_VOLTAGE_LIMIT_FRACTION = 0.8
-"""Part of the largest voltage of a bus, V_dc / sqrt 3, that a drive which has lost its current gives."""
+"""Minimum voltage over V_dc / sqrt 3 of a drive that has lost its current."""
 MAX_LINE_WIDTH_FRACTION = 0.02
 """Width of a line of readings, relative to its length, that one channel alone can draw."""
 MAX_EXPLAINED_SHARE_DEAD = 0.05
@@ -37,17 +37,17 @@ MAX_EXPLAINED_SHARE_DEAD = 0.05
 MIN_EXPLAINED_SHARE_LIVE = 0.3
 """Share of a channel's steps that the voltage explains, above which it shows a motor's current."""
 MIN_CLIPPED_SHARE = 0.002
-"""Part of moving readings that lie exactly at their limit where they are clipped."""
+"""Minimum share of varying readings exactly at their limit where they are clipped."""
 MIN_CLIPPED_TO_STRIP_RATIO = 0.2
-"""Readings that stay at their limit, over all in the strip below it: the tail of any noise has next to none."""
+"""Minimum ratio of repeats at the limit over readings in the strip below it; the tail of noise has next to none."""
 STRIP_WIDTH_FRACTION = 0.02
 """Width of that strip, relative to the limit."""
 MIN_BUS_SPIKE_FRACTION = 0.5
-"""Step of single readings of the bus, relative to it, that its capacitors cannot make within a sample."""
+"""Relative step of single bus readings that its capacitors exclude within a sample."""
 MAX_BUS_SPIKE_SHARE = 0.02
-"""Part of the readings up to which outlying ones are spikes; with more, the bus itself has moved."""
+"""Maximum share of outlying readings that count as spikes; with more, the bus itself has changed."""
 MIN_BRIDGE_LIMIT_FRACTION = 0.45
-"""Voltage, in bus voltages, from which on it may be the bridge that ends it: 1/2 to 2/3, as it is modulated."""
+"""Voltage over the bus voltage above which the bridge may be the limit: 1/2 to 2/3, by modulation."""
 
 
 def require_response(survey: Survey) -> None:
@@ -58,10 +58,10 @@ def require_response(survey: Survey) -> None:
     NotMeasuredError
         Where the voltage varied and the readings do not follow it, neither at rest nor under injection.
     """
-    seen = [*survey.holds, *survey.injections]
-    if len(seen) < MIN_SEGMENTS:
+    segments = [*survey.holds, *survey.injections]
+    if len(segments) < MIN_SEGMENTS:
         return
-    i, v = (np.array([getattr(s, name) for s in seen]) for name in ("mean_i", "mean_v"))
+    i, v = (np.array([getattr(s, name) for s in segments]) for name in ("mean_i", "mean_v"))
     shares = explained_shares(survey.injections)
     moving = max((float(np.std(s.v)) for s in survey.injections), default=0.0)
     if moving == 0.0 or shares is None or max(shares) > MAX_EXPLAINED_SHARE_DEAD:
@@ -79,7 +79,7 @@ def require_held(survey: Survey) -> None:
     Raises
     ------
     NotMeasuredError
-        Where most segments have the current of their set-point, and others are far from it.
+        Where most segments reach their set-point, and others are far from it.
     """
     max_v = survey.manifest.drive.dc_bus_voltage_v / math.sqrt(3.0)
     seen = [(s, point) for s in (*survey.holds, *survey.injections) if (point := s.set_point) is not None]
@@ -108,13 +108,13 @@ def dead_channel(survey: Survey) -> Convention | None:
     if columns:
         phases = np.concatenate(columns)
         swing, total = np.ptp(phases, axis=0), float(np.ptp(phases.sum(axis=1)))
-        # Where a phase is at rest because nothing flows in it, the other two are each other's negative.
+        # With zero current in a phase the other two are opposite; with a dead sensor they need not be.
         if swing.min() < MAX_LINE_WIDTH_FRACTION * swing.max() < total:
             return _dead(f"phase {PHASES[int(np.argmin(swing))]}", "its column is constant in every segment")
-    seen = survey.injections or survey.seen
-    if sum(len(s.i) for s in seen) < MIN_SAMPLES or not _moves_both_ways(seen):
+    segments = survey.injections or survey.seen
+    if sum(len(s.i) for s in segments) < MIN_SAMPLES or not _spans_plane(segments):
         return None
-    width, direction = _line(np.concatenate([s.i for s in seen])) or (1.0, 0.0)
+    width, direction = _line(np.concatenate([s.i for s in segments])) or (1.0, 0.0)
     if width < MAX_LINE_WIDTH_FRACTION:
         across = np.exp(1j * (direction + np.pi / 2.0))
         distances = [abs(np.imag(across * np.conj(axis))) for axis in AXES]
@@ -128,13 +128,13 @@ def dead_channel(survey: Survey) -> Convention | None:
     return None
 
 
-def _moves_both_ways(seen: Sequence[SegmentReadings]) -> bool:
+def _spans_plane(segments: Sequence[SegmentReadings]) -> bool:
     """Whether the voltage spans the plane, so that a motor's current does too.
 
-    Of a hold the mean counts: the rest of its voltage is the controller's reaction to noise.
+    For a hold the mean counts: the remaining voltage is the controller's reaction to noise.
     """
     holds = SegmentStage.RESISTANCE
-    line = _line(np.concatenate([np.array([s.mean_v]) if s.segment.stage is holds else s.ripple_v for s in seen]))
+    line = _line(np.concatenate([np.array([s.mean_v]) if s.segment.stage is holds else s.ripple_v for s in segments]))
     return line is not None and line[0] > MIN_EXPLAINED_SHARE_LIVE
 
 
@@ -162,7 +162,7 @@ def clipped(survey: Survey) -> Convention | None:
     """Clipped readings or commands: they repeat one and the same limit where they should move."""
     for field, unit, name in (("i", "A", "currents"), ("v", "V", "voltages")):
         for channel, at, share in _clipped_channels(survey, field):
-            # A bridge has a limit of its own, and its commands there are true.
+            # At the bridge's own limit the commands are true.
             if field == "v" and (
                 _amplitude_as_set(survey) or at > MIN_BRIDGE_LIMIT_FRACTION * survey.manifest.drive.dc_bus_voltage_v
             ):
@@ -204,18 +204,18 @@ def _spikes(v_dc: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
 def _clipped_channels(survey: Survey, field: str) -> Iterator[tuple[str, float, float]]:
     """Channels with many readings at both ends of their range: name, limit, share of the readings."""
     for channel, x in _moving(survey, field).items():
-        most = float(np.abs(x).max(initial=0.0))
-        if most == 0.0:
+        limit = float(np.abs(x).max(initial=0.0))
+        if limit == 0.0:
             continue
         size = np.abs(x)
-        at_limit = size >= most * (1.0 - 1e-6)
-        below = int(np.count_nonzero(size >= most * (1.0 - STRIP_WIDTH_FRACTION)) - np.count_nonzero(at_limit))
-        both = min(np.count_nonzero(at_limit & (x > 0.0)), np.count_nonzero(at_limit & (x < 0.0)))
+        at_limit = size >= limit * (1.0 - 1e-6)
+        below = int(np.count_nonzero(size >= limit * (1.0 - STRIP_WIDTH_FRACTION)) - np.count_nonzero(at_limit))
+        both_ends = min(np.count_nonzero(at_limit & (x > 0.0)), np.count_nonzero(at_limit & (x < 0.0)))
         # Clipped readings repeat; a peak is one reading.
         flat = int(np.count_nonzero(at_limit[1:] & at_limit[:-1]))
         share = np.count_nonzero(at_limit) / len(x)
-        if both and share > MIN_CLIPPED_SHARE and flat > MIN_CLIPPED_TO_STRIP_RATIO * max(below, 1):
-            yield channel, most, share
+        if both_ends and share > MIN_CLIPPED_SHARE and flat > MIN_CLIPPED_TO_STRIP_RATIO * max(below, 1):
+            yield channel, limit, share
 
 
 def _moving(survey: Survey, field: str) -> dict[str, Array]:

@@ -25,7 +25,7 @@ NAMEPLATE_SCALES: Sequence[tuple[float, str]] = (
     (10.0, "a decimal point"),
     (0.1, "a decimal point"),
 )
-"""True R and L per phase of the star over the written ones, and what the written ones are then."""
+"""True R and L per phase of the star over the stated ones, and the meaning of the stated ones."""
 MAX_NAMEPLATE_DEVIATION = 0.2
 """Relative difference to the nameplate's R and L that tolerance, temperature and saturation make."""
 MIN_RESISTIVE_SHARE = 0.3
@@ -105,7 +105,7 @@ def _set_point_evidence(currents: Match | None, voltages: Match | None) -> str:
 def _unlike_factors(r_ratio: float, l_ratio: float) -> Remark:
     text = (
         "R is {resistance_ratio:.3g} and L {inductance_ratio:.3g} times the nameplate's. A scale of the readings "
-        "changes both alike, so that one of the nameplate's values is wrong, or the sampling frequency. To decide, "
+        "changes both equally, so one of the nameplate's values or the sampling frequency is wrong. To decide, "
         "measure R between two terminals (twice that of a phase), and L with a bridge"
     )
     return Remark.of("nameplate_inconsistent", text, resistance_ratio=r_ratio, inductance_ratio=l_ratio)

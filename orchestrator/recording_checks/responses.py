@@ -1,4 +1,4 @@
-"""The current's response to the voltage: resistance at rest, impulse response under injection. Judges nothing.
+"""The current's response to the voltage: resistance at rest, impulse response under injection.
 
 Under injection, with u the ripple of the voltage and n the declared delay,
 

@@ -137,16 +137,16 @@ def _interpolated(readings: SegmentReadings) -> tuple[int, int, int]:
     """
     differences, rounding = _second_differences(readings, 1)
     nonzero = differences[differences > rounding]
-    one_count_off = int(np.count_nonzero(nonzero < 1.5 * nonzero.min())) if len(nonzero) else 0
-    two_apart = int(np.count_nonzero(_second_differences(readings, 2)[0] <= rounding))
-    return len(differences) - len(nonzero), max(one_count_off, two_apart), len(readings.i)
+    one_count = int(np.count_nonzero(nonzero < 1.5 * nonzero.min())) if len(nonzero) else 0
+    second_neighbours = int(np.count_nonzero(_second_differences(readings, 2)[0] <= rounding))
+    return len(differences) - len(nonzero), max(one_count, second_neighbours), len(readings.i)
 
 
-def _second_differences(readings: SegmentReadings, apart: int) -> tuple[Array, float]:
+def _second_differences(readings: SegmentReadings, spacing: int) -> tuple[Array, float]:
     """Second differences of moving currents over so many rows (m,), and their rounding error [A]."""
     i = readings.i
-    before, now, after = i[: -2 * apart], i[apart:-apart], i[2 * apart :]
+    earlier, middle, later = i[: -2 * spacing], i[spacing:-spacing], i[2 * spacing :]
     rounding = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(i).max(initial=0.0))
-    moved: Array = np.abs(after - before)
-    differences: Array = np.abs(before - 2.0 * now + after)
-    return differences[moved > 10.0 * rounding], rounding
+    change: Array = np.abs(later - earlier)
+    differences: Array = np.abs(earlier - 2.0 * middle + later)
+    return differences[change > 10.0 * rounding], rounding

@@ -36,16 +36,15 @@ Field = Literal["currents", "voltages"]
 MIN_INJECTION_TURNS = 0.9
 """Turns of an injected direction that show its start and its sense of rotation."""
 MIN_CONJUGATE_FRACTION_WRONG = 0.5
-"""Part of the resistive voltage that rotates backwards where phases are exchanged; imbalance makes 0.1."""
+"""Minimum share of the resistive voltage that rotates backwards with exchanged phases; imbalance gives 0.1."""
 MAX_CONJUGATE_FRACTION_RIGHT = 0.2
-"""Part of it that may remain where a hypothesis is right: dead time and imbalance."""
+"""Maximum of this share under the right hypothesis, from dead time and imbalance."""
 MAX_IMPEDANCE_ANGLE_RAD = 0.25
-"""Angle between voltage and current at rest that may remain where a hypothesis is right."""
+"""Maximum angle between voltage and current at rest under the right hypothesis."""
 MIN_LOG_SCALE_FRACTION = 0.33
-"""Part of a scale, as a logarithm, by which R_s has to differ from the nameplate to support it: with less, only the
-set-points are in other units."""
+"""Minimum log(R / R_nameplate) / log(scale) that blames the readings; below it the set-points are in other units."""
 MIN_ANGLE_ERROR_RAD = 0.1
-"""Turn of set-points against readings that counts: the drive does not know of a misalignment, and makes none."""
+"""Minimum angle from set-points to readings that counts as an error of the manifest's rotor angle."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +73,8 @@ def current_match(survey: Survey) -> Match | None:
     large = np.abs(set_points) >= MIN_CURRENT_FRACTION * np.abs(set_points).max()
     set_points, reached = set_points[large], reached[large]
 
-    def error(of: VectorMap) -> float:
-        mapped = of(set_points)
+    def error(m: VectorMap) -> float:
+        mapped = m(set_points)
         return float(np.linalg.norm(reached - mapped) / max(np.linalg.norm(mapped), 1e-3 * np.linalg.norm(set_points)))
 
     width = np.linalg.svd(np.stack([set_points.real, set_points.imag]), compute_uv=False).min()
@@ -84,17 +83,17 @@ def current_match(survey: Survey) -> Match | None:
     return _match(tried, error)
 
 
-def _set_points(seen: Sequence[SegmentReadings]) -> tuple[Vectors, Vectors]:
-    pairs = [(s.set_point, s.mean_i) for s in seen if s.set_point]
+def _set_points(readings: Sequence[SegmentReadings]) -> tuple[Vectors, Vectors]:
+    pairs = [(s.set_point, s.mean_i) for s in readings if s.set_point]
     set_points, reached = zip(*pairs, strict=True) if pairs else ((), ())
     return np.array(set_points, dtype=np.complex128), np.array(reached, dtype=np.complex128)
 
 
 def voltage_match(survey: Survey) -> Match | None:
-    """The injected voltage against its amplitude and its turning direction; None where either was not given.
+    """The injected voltage against its amplitude and rotating direction; None where either was not given.
 
-    The wave's sign is not known, so that squares are compared: of a u + b conj(u) with u = A exp(j phi) these are a² A²
-    exp(2j phi), b² A² exp(-2j phi) and 2 a b A².
+    The wave's sign is unknown, so squares are compared: of a u + b conj(u) with u = A exp(j phi) these are a² A²
+    exp(2j phi), b² A² exp(-2j phi) and 2 a b A²: components at +2, -2 and 0 times the rotation.
     """
     rows = [row for s in survey.injections if (row := _squares(s, survey)) is not None]
     if not rows:
@@ -102,10 +101,10 @@ def voltage_match(survey: Survey) -> Match | None:
     turn, squares = (np.array(x) for x in zip(*rows, strict=True))
     turning = bool(np.all(np.isfinite(squares)))
 
-    def error(of: VectorMap) -> float:
+    def error(m: VectorMap) -> float:
         if not turning:
-            return float(abs(np.mean(np.sqrt(squares[:, 1].real)) / abs(of.a) - 1.0))
-        expected = np.stack([of.a**2 * turn, np.full_like(turn, 2.0 * of.a * of.b), of.b**2 * np.conj(turn)], axis=1)
+            return float(abs(np.mean(np.sqrt(squares[:, 1].real)) / abs(m.a) - 1.0))
+        expected = np.stack([m.a**2 * turn, np.full_like(turn, 2.0 * m.a * m.b), m.b**2 * np.conj(turn)], axis=1)
         # Half: the relative error of a square is twice that of its root.
         return float(0.5 * np.linalg.norm(squares - expected) / np.linalg.norm(expected))
 
@@ -115,19 +114,19 @@ def voltage_match(survey: Survey) -> Match | None:
 
 def _squares(readings: SegmentReadings, survey: Survey) -> tuple[complex, tuple[complex, complex, complex]] | None:
     """exp(2j theta), and the three parts of (u/A)²; only the mean of |u/A|² where the direction hardly turns."""
-    amplitude, turns_hz = readings.setting("amplitude_v"), readings.setting("rotation_hz") or 0.0
+    amplitude, rotation_hz = readings.setting("amplitude_v"), readings.setting("rotation_hz") or 0.0
     if not amplitude:
         return None
     if readings.segment.settings.get("waveform") == "sine":
         amplitude /= math.sqrt(2.0)
     u, fs = readings.ripple_v / amplitude, survey.sampling_frequency_hz
-    if len(u) * turns_hz / fs < MIN_INJECTION_TURNS:
+    if len(u) * rotation_hz / fs < MIN_INJECTION_TURNS:
         return 1.0, (math.nan, complex(np.mean(np.abs(u) ** 2)), math.nan)
-    n = round(max(round(2.0 * len(u) * turns_hz / fs), 1) * fs / (2.0 * turns_hz))
-    phase = np.exp(-4j * np.pi * turns_hz / fs * np.arange(min(n, len(u))))
+    n = round(max(round(2.0 * len(u) * rotation_hz / fs), 1) * fs / (2.0 * rotation_hz))
+    phase = np.exp(-4j * np.pi * rotation_hz / fs * np.arange(min(n, len(u))))
     square = u[: len(phase)] ** 2
-    parts = (np.mean(square * phase), np.mean(square), np.mean(square * np.conj(phase)))
-    return cmath.exp(2j * readings.theta_rad), (complex(parts[0]), complex(parts[1]), complex(parts[2]))
+    components = (np.mean(square * phase), np.mean(square), np.mean(square * np.conj(phase)))
+    return cmath.exp(2j * readings.theta_rad), (complex(components[0]), complex(components[1]), complex(components[2]))
 
 
 def _match(tried: Sequence[VectorMap], error: Callable[[VectorMap], float]) -> Match:
@@ -144,40 +143,42 @@ def against_set_points(responses: Responses) -> Convention | None:
         ("voltages", voltage_match(survey)),
     )
     for field, match in matches:
-        for of, error in () if match is None else match.fitting:
-            if match is not None and _supported(responses, field, of):
+        for m, error in () if match is None else match.fitting:
+            if match is not None and _supported(responses, field, m):
                 evidence = (
                     f"readings differ from their set-points by {100 * match.error_as_is:.0f} %, and by "
-                    f"{100 * error:.1f} % once this is undone"
+                    f"{100 * error:.1f} % after correction"
                 )
                 return vector_convention(
-                    field, of, evidence + (_nameplate_evidence(responses) if of.kind == "scaled" else "")
+                    field,
+                    m,
+                    evidence + (_nameplate_evidence(responses) if m.kind == "scaled" else ""),
                 )
     return rotor_angle(responses)
 
 
 def without_set_points(responses: Responses) -> Convention | None:
     """Exchanged or inverted phases by the resistive voltage alone, which has the current's direction in any motor."""
-    rest, match = responses.steady_state, current_match(responses.survey)
-    if rest is None or not rest.whole_plane:
+    steady, match = responses.steady_state, current_match(responses.survey)
+    if steady is None or not steady.whole_plane:
         return None
-    a, b = rest.impedance()
+    a, b = steady.impedance()
     if abs(b) < MIN_CONJUGATE_FRACTION_WRONG * abs(a) and abs(cmath.phase(a)) < math.pi / 3.0:
         return None
     currents_are_right = match is not None and match.error_as_is < MAX_MATCH_ERROR
     field: Field = "voltages" if currents_are_right else "currents"
-    fitting = [m for m in (*EXCHANGES, *INVERTED) if _fits_at_rest(rest, field, m)]
+    fitting = [m for m in (*EXCHANGES, *INVERTED) if _fits_at_rest(steady, field, m)]
     if len({m.what for m in fitting}) != 1:
         return None
-    evidence = "the resistive voltage has the current's direction in every hold once this is undone, and not before"
-    return vector_convention(field, fitting[0], evidence, or_else="" if currents_are_right else "or the voltages are")
+    evidence = "the resistive voltage has the current's direction in every hold after correction, and not before"
+    return vector_convention(field, fitting[0], evidence, other="" if currents_are_right else "or the voltages are")
 
 
-def _fits_at_rest(rest: SteadyState, field: Field, of: VectorMap) -> bool:
-    back = of.inverse
-    if back is None:
+def _fits_at_rest(steady: SteadyState, field: Field, m: VectorMap) -> bool:
+    inverse = m.inverse
+    if inverse is None:
         return False
-    return resistive(rest.impedance(back) if field == "currents" else rest.impedance(v_map=back))
+    return resistive(steady.impedance(inverse) if field == "currents" else steady.impedance(v_map=inverse))
 
 
 def resistive(law: tuple[complex, complex]) -> bool:
@@ -186,17 +187,17 @@ def resistive(law: tuple[complex, complex]) -> bool:
     return abs(b) < MAX_CONJUGATE_FRACTION_RIGHT * abs(a) and abs(cmath.phase(a)) < MAX_IMPEDANCE_ANGLE_RAD
 
 
-def _supported(responses: Responses, field: Field, of: VectorMap) -> bool:
-    """Whether currents and voltages themselves support it: set-points can be in other units than the readings."""
-    rest = responses.steady_state
-    if of.factor is not None and of.factor > 0.0:
-        gain = math.log(of.factor) * (-1.0 if field == "currents" else 1.0)
+def _supported(responses: Responses, field: Field, m: VectorMap) -> bool:
+    """Whether currents and voltages themselves support it, as set-points can be in other units than the readings."""
+    steady = responses.steady_state
+    if m.factor is not None and m.factor > 0.0:
+        gain = math.log(m.factor) * (-1.0 if field == "currents" else 1.0)
         # Saturation changes L widely; it serves only where R is not known.
         ratio = responses.resistance_ratio or responses.inductance_ratio
         return ratio is None or math.log(ratio) / gain > MIN_LOG_SCALE_FRACTION
-    if rest is None or not rest.whole_plane or of.inverse is None:
+    if steady is None or not steady.whole_plane or m.inverse is None:
         return True
-    return _fits_at_rest(rest, field, of) and not resistive(rest.impedance())
+    return _fits_at_rest(steady, field, m) and not resistive(steady.impedance())
 
 
 def _nameplate_evidence(responses: Responses) -> str:
@@ -206,27 +207,27 @@ def _nameplate_evidence(responses: Responses) -> str:
     return f"; R_s is {responses.resistance_ratio * ohm:.3g} ohm by the readings and {ohm:.3g} ohm on the nameplate"
 
 
-def vector_convention(field: Field, of: VectorMap, evidence: str, or_else: str = "") -> Convention:
+def vector_convention(field: Field, m: VectorMap, evidence: str, other: str = "") -> Convention:
     """A wrong map of vectors as a convention, with the inverse map as its correction."""
-    what = f"the {field} look {of.what}" + (f", {or_else}" if or_else else "")
-    back = of.inverse
-    if back is None or of.kind == "dead":
+    what = f"the {field} look {m.what}" + (f", {other}" if other else "")
+    inverse = m.inverse
+    if inverse is None or m.kind == "dead":
         text = f"the {field} are incomplete: measure again"
         return Convention(kind="dead_channel", what=what, evidence=evidence, correction=ManifestCorrection(text=text))
-    if back.factor is not None:
-        text = f"multiply the {field} by {back.factor:.4g}"
-        correction = ManifestCorrection(text=text, field=field, factor=back.factor)
+    if inverse.factor is not None:
+        text = f"multiply the {field} by {inverse.factor:.4g}"
+        correction = ManifestCorrection(text=text, field=field, factor=inverse.factor)
     else:
-        (aa, ab), (ba, bb) = (back.matrix.round(12) + 0.0).tolist()
+        (aa, ab), (ba, bb) = (inverse.matrix.round(12) + 0.0).tolist()
         text = (
             f"undo it in the mapping of the {field}: (alpha, beta) times [[{aa:.4g}, {ab:.4g}], [{ba:.4g}, {bb:.4g}]]"
         )
         correction = ManifestCorrection(text=text, field=field, matrix=((aa, ab), (ba, bb)))
-    return Convention(kind=f"{of.kind}_{field}", what=what, evidence=evidence, correction=correction)
+    return Convention(kind=f"{m.kind}_{field}", what=what, evidence=evidence, correction=correction)
 
 
 def rotor_angle(responses: Responses) -> Convention | None:
-    """A wrong angle in the manifest: set-points and readings differ by a turn, while currents and voltages agree."""
+    """A wrong angle in the manifest: set-points are rotated from readings, while currents and voltages agree."""
     survey = responses.survey
     segments = [s for s in survey.holds or survey.injections if s.set_point]
     if not segments or (
@@ -246,9 +247,7 @@ def rotor_angle(responses: Responses) -> Convention | None:
 
     if error(0.0) < 2.0 * math.sin(MIN_ANGLE_ERROR_RAD / 2.0):
         return None
-    evidence = (
-        f"readings are turned by {math.degrees(turn):.3g} degrees against their set-points, the voltage with them"
-    )
+    evidence = f"readings are rotated by {math.degrees(turn):.3g} degrees from their set-points, the voltage with them"
     pairs = survey.manifest.motor.pole_pairs
     units = [("mechanical_angle", float(pairs), "mechanical, not electrical", f"multiply by the {pairs} pole pairs")]
     if np.abs(theta).max() > 2.0 * math.pi:

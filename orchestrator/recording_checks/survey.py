@@ -1,4 +1,4 @@
-"""A sample of a recording's segments as complex vectors, with their set-points. Judges nothing.
+"""A sample of a recording's segments as complex vectors, with their set-points.
 
 Vectors of the stator's plane are complex numbers here, alpha + j beta: a gain, a turn and an exchange of phases are
 then all of the form i -> a i + b conj(i).
@@ -37,7 +37,7 @@ MAX_MATCH_ERROR = 0.04
 MIN_MISMATCH_ERROR = 0.15
 """Relative error beyond which they disagree: no catalogued effect moves a controlled current so far."""
 MIN_CURRENT_FRACTION = 0.3
-"""Part of the largest current below which offsets are as large as the current itself."""
+"""Share of the largest current below which offsets may exceed the current."""
 MIN_EDGE_FRACTION = 0.3
 """Step of a voltage, relative to the largest, that is one of an injected square's edges, or half of one."""
 MAX_CONDITION_NUMBER = 1e3

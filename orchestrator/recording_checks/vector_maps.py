@@ -115,12 +115,13 @@ def _of_one_phase(kind: str, gain: float, what: str) -> Iterator[VectorMap]:
         for other in (n for n in range(3) if n != phase):
             hidden = 3 - phase - other
             # The third current is computed as minus the other two, so that it has the same error reversed.
-            along = (AXES[phase] - AXES[hidden]) * (gain - 1.0) * 2.0 / 3.0
-            a, b = along * np.conj(AXES[phase]) / 2.0, along * AXES[phase] / 2.0
+            difference = (AXES[phase] - AXES[hidden]) * (gain - 1.0) * 2.0 / 3.0
+            a, b = difference * np.conj(AXES[phase]) / 2.0, difference * AXES[phase] / 2.0
             yield VectorMap(kind, complex(1.0 + a), complex(b), what.format(phase=PHASES[phase]))
 
 
 EXCHANGES = tuple(_exchanges())
+# A conjugate of beta is an exchange of phases b and c, which EXCHANGES contains.
 INVERTED = (
     VectorMap("inverted", 0.0, -1.0, "inverted in alpha"),
     *_of_one_phase("inverted", -1.0, "inverted in phase {phase}"),
@@ -130,4 +131,3 @@ DEAD = (
     VectorMap("dead", 0.5, 0.5, "zero in beta"),
     *_of_one_phase("dead", 0.0, "zero in phase {phase}"),
 )
-"""A conjugate of beta is an exchange of phases b and c, which EXCHANGES contains."""

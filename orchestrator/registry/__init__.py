@@ -1,1 +1,1 @@
-"""Plugins by entry point: found, loaded and held against their contract."""
+"""Plugins by entry point: found, loaded and validated."""

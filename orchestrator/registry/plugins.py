@@ -1,4 +1,4 @@
-"""Plugins by entry point: listed without importing, loaded one at a time, held against their contract when loaded.
+"""Plugins by entry point: listed without importing, loaded one at a time and validated then.
 
 A built-in plugin has no privilege here that a third-party one lacks, and a broken one costs
 nothing until it is loaded.
@@ -55,7 +55,7 @@ UNKNOWN = "?"
 
 
 class PluginInfo(Strict):
-    """What is known of a plugin without importing it."""
+    """Metadata of a plugin, without importing it."""
 
     kind: PluginKind
     name: str
@@ -70,7 +70,7 @@ class PluginInfo(Strict):
 
 
 class Installed:
-    """What is installed of a kind, looked for once: that takes longer than importing a small plugin."""
+    """Installed plugins of a kind, searched once: a search takes longer than importing a small plugin."""
 
     def __init__(self, kind: PluginKind) -> None:
         self._kind = kind
@@ -80,7 +80,7 @@ class Installed:
 
     @property
     def plugins(self) -> list[PluginInfo]:
-        """By name; none of them is imported."""
+        """Metadata by name; no plugin is imported."""
         return sorted(self._by_info, key=lambda info: (info.name, info.distribution))
 
     def load(self, name: str) -> type[Any]:
@@ -121,7 +121,7 @@ def make_plugins(kind: PluginKind, names: Iterable[str] | None = None) -> list[A
     Raises
     ------
     PluginError
-        What `Installed.load` raises.
+        As `Installed.load` raises.
     """
     plugins = Installed(kind)
     return [plugins.load(name)() for name in (names if names is not None else [info.name for info in plugins.plugins])]
@@ -177,7 +177,7 @@ def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseM
     Parameters
     ----------
     plugin : type
-        What `load_plugin` returned.
+        Result of `load_plugin`.
     raw : mapping
         The options as they were written.
     where : str
@@ -221,7 +221,7 @@ def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
 
 
 def _reason(error: BaseException) -> str:
-    """One line; our own errors speak for themselves."""
+    """One line; the project's own errors unchanged."""
     return str(error) if isinstance(error, FluxbenchError) else f"{type(error).__name__}: {error}".splitlines()[0]
 
 

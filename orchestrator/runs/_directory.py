@@ -143,7 +143,7 @@ class RunDirectory:
         StorageError
             Where it cannot be locked; a newly created directory is then removed again.
         """
-        if (path / _LOCK).exists():  # possibly a run at work: its lock decides
+        if (path / _LOCK).exists():  # possibly a running one: its lock decides
             with _flock(path):
                 RunDirectory.refuse_occupied(path)
         RunDirectory.refuse_occupied(path)  # before writing into a foreign folder

@@ -1,4 +1,4 @@
-"""The provenance of a run: versions, interpreter, and the state of the source. Changes nothing."""
+"""The provenance of a run: versions, interpreter, and the state of the source."""
 
 from __future__ import annotations
 

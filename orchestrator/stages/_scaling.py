@@ -35,11 +35,11 @@ class ScalingRules:
     samples_per_period: int = 20
     """Samples in each period of the injection."""
     periods_per_turn: int = 250
-    """Of the injection, while its direction turns once."""
+    """Periods of the injection per rotation of its direction."""
     rows_per_turn: int = 60
-    """Of a rotor that turns: it moves little while a voltage is held."""
+    """Samples per turn of a rotating rotor, which moves little while a voltage is held."""
     turns: int = 2
-    """Of the injection's direction at each point."""
+    """Rotations of the injection's direction at each point."""
     time_constants: float = 5.0
     """Time constants after which a transient has decayed (to 0.7 %)."""
     of_ripple: float = 3.0
@@ -82,7 +82,7 @@ class Scaling:
         return self.within_limit_a(self._rules.over_rated * self.rated_current_a(setting))
 
     def within_limit_a(self, current_a: float) -> float:
-        """No more than what is tried beside limits.current_a [A]."""
+        """The current, limited to the largest one allowed by limits.current_a [A]."""
         return tidy(min(current_a, self._rules.of_limit * self._limits.current_a))
 
     @property

@@ -1,4 +1,4 @@
-"""Conformance kits: pytest base classes that say whether a plugin keeps its contract.
+"""Conformance kits: pytest base classes that check whether a plugin keeps its contract.
 
 A plugin's author subclasses the kit of its kind in a test file, says how the plugin is made, and
 runs pytest. The kits judge behaviour alone: whether a plugin is any good at its physics is a

@@ -12,7 +12,7 @@ from orchestrator.testing._drive_safety import DriveSafetyChecks
 class DriveConformance(
     DriveContractChecks, DriveCaptureChecks, DriveInstrumentChecks, DriveInterlockChecks, DriveSafetyChecks
 ):
-    """Says whether a drive plugin keeps the contract of `protocols.Drive`.
+    """Checks that a drive plugin keeps the contract of `protocols.Drive`.
 
     Subclass it in a test file, in a class whose name begins with ``Test``, and give two methods:
 

@@ -49,16 +49,16 @@ class Sizes:
 
     limits: Limits
     rated_a: float
-    current_a: float
+    current_a: float  # of holds and sweeps
     settle_s: float
     duration_s: float
-    period_s: float
+    period_s: float  # of a sweep
     injection_s: float
-    injected_at_a: float
-    late_s: float
+    injected_at_a: float  # bias current per axis
+    late_s: float  # discarded at the start of an injection
     waveform: Waveform
     amplitude_v: float
-    step_v: float
+    step_v: float  # of voltage reversals
     frequency_hz: float
     rotation_hz: float
 
@@ -194,18 +194,18 @@ class Measured:
 
 
 def measure(drive: Drive, excitation: Excitation, sampling_frequency_hz: float | None = None) -> Measured:
-    """Run one excitation to its end and judge its rows; blocks without any are signs of life, and passed over."""
+    """Run one excitation to its end and check its rows; keepalive blocks (without rows) are skipped."""
     blocks = []
     for block in drive.execute(excitation):
         assert isinstance(block, Capture), f"execute must yield Capture objects, got {type(block).__name__}"
         if len(block):
             blocks.append(block)
     assert blocks, f"{excitation.kind} captured nothing"
-    _require_sound(blocks, excitation, sampling_frequency_hz or blocks[0].sampling_frequency_hz)
+    _require_complete_capture(blocks, excitation, sampling_frequency_hz or blocks[0].sampling_frequency_hz)
     return Measured(blocks, np.concatenate([b.i_ab for b in blocks]), np.concatenate([b.v_ab for b in blocks]))
 
 
-def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> None:
+def _require_complete_capture(blocks: list[Capture], excitation: Excitation, fs: float) -> None:
     """Require finite, uniform samples without a gap, as many rows as requested."""
     rows = sum(len(block) for block in blocks)
     request = f"{excitation.kind} of {excitation.captured_s} s at {fs} Hz"
@@ -216,20 +216,20 @@ def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> 
         arrays = (block.i_ab, block.v_ab, block.v_dc)
         assert all(np.isfinite(array).all() for array in arrays), "a sample is not finite"
         assert block.v_dc.min() > 0.0, "v_dc is not positive"
-    for before, after in itertools.pairwise(blocks):
-        gap = (after.start_s - before.start_s) * fs - len(before)
+    for earlier, later in itertools.pairwise(blocks):
+        gap = (later.start_s - earlier.start_s) * fs - len(earlier)
         assert abs(gap) < 0.01, f"{gap:+.3f} rows between a block and the next"
 
 
-class Heart:
-    """Beats for a drive from a thread of its own while the `with` block lasts, or until `stop`."""
+class HeartbeatThread:
+    """Thread that sends a drive's heartbeat while the `with` block lasts, or until `stop`."""
 
     def __init__(self, drive: Drive, interval_s: float) -> None:
         self._drive, self._interval_s = drive, interval_s
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
 
-    def __enter__(self) -> Heart:
+    def __enter__(self) -> HeartbeatThread:
         self._thread.start()
         return self
 
@@ -249,12 +249,12 @@ class Heart:
 
 @dataclass(frozen=True)
 class Session:
-    """A connected drive with its sizes; armed and with a beating heart where `heart` is there."""
+    """A connected drive with its sizes; armed, with a heartbeat, where `heart` is given."""
 
     drive: Drive
     capabilities: Capabilities
     sizes: Sizes
-    heart: Heart | None = None
+    heart: HeartbeatThread | None = None
 
     def requires(self, kind: str) -> None:
         """Skip the check where the drive does not claim this excitation."""
@@ -262,7 +262,7 @@ class Session:
             pytest.skip(f"this drive claims no {kind}")
 
     def measure(self, excitation: Excitation) -> Measured:
-        """What this excitation captures, within the voltage limit and at the sampling frequency that was claimed."""
+        """Capture of this excitation, within the voltage limit and at the claimed sampling frequency."""
         measured = measure(self.drive, excitation, self.capabilities.sampling_frequency_hz)
         longest = float(np.hypot(*measured.v_ab.T).max())
         assert longest <= self.sizes.limits.voltage_v * 1.001, f"commanded {longest:.1f} V, above the limit"
@@ -275,7 +275,7 @@ class Session:
 
 
 class DriveBench(Kit, ABC):
-    """How the drive is made, the tolerances, and sessions with it."""
+    """Factory of the drive, tolerances, and sessions with it."""
 
     current_tolerance: ClassVar[float] = 0.05
     """Error of a controlled current, as a part of the kit's test current; at most 0.2."""
@@ -320,25 +320,25 @@ class DriveBench(Kit, ABC):
 
     @contextmanager
     def beating(self, session: Session) -> Iterator[Session]:
-        """Arm a connected drive and keep its heart beating."""
-        with Heart(session.drive, (session.capabilities.watchdog_s or 0.2) / 5.0) as heart:
+        """Arm a connected drive and send its heartbeat."""
+        with HeartbeatThread(session.drive, (session.capabilities.watchdog_s or 0.2) / 5.0) as heart:
             session.drive.arm(session.sizes.limits)
             yield Session(session.drive, session.capabilities, session.sizes, heart)
 
     @contextmanager
     def armed(self, private_directory: Path) -> Iterator[Session]:
-        """A connected and armed drive with a beating heart."""
+        """A connected and armed drive with a heartbeat."""
         with self.connected(private_directory) as session, self.beating(session) as beating:
             yield beating
             session.drive.ramp_down()
 
     def bridge_is_on(self, drive: Drive) -> bool | None:
-        """What an instrument beside the drive says of its power stage: a scope, a lamp, an emulator's log.
+        """State of the power stage by an independent instrument: a scope, a lamp, an emulator's log.
 
-        None, the default: there is none, and the kit has to believe the drive.
+        None, the default: no instrument, so the kit relies on the drive.
         """
         return None
 
-    def near(self, session: Session) -> float:
-        """How far a controlled current may be from where it should be [A]."""
+    def tolerance_a(self, session: Session) -> float:
+        """Tolerance of a controlled current [A]."""
         return bounded("current_tolerance", self.current_tolerance, 0.2) * session.sizes.current_a

@@ -44,7 +44,7 @@ class DriveCaptureChecks(DriveBench):
             measured = session.measure(session.sizes.gates_off())
             assert not measured.v_ab.any(), "a voltage is commanded with the gates off"
             flowing = abs(complex(*measured.i_ab.mean(axis=0)))
-            assert flowing <= 2.0 * self.near(session), f"{flowing:.3f} A flow with the gates off"
+            assert flowing <= 2.0 * self.tolerance_a(session), f"{flowing:.3f} A flow with the gates off"
 
     @pytest.mark.parametrize(("d", "q"), [(1.0, 0.5), (-0.5, 1.0)])
     def test_hold_reaches_its_target_by_a_voltage_that_points_there(self, tmp_path: Path, d: float, q: float) -> None:
@@ -54,9 +54,9 @@ class DriveCaptureChecks(DriveBench):
             i_dq = complex_dq(measured.i_ab, 0.0)
             target = complex(d, q) * session.sizes.current_a
             off = abs(i_dq.mean() - target)
-            assert off <= self.near(session), f"holds {i_dq.mean():.3f} A instead of {target:.3f} A"
+            assert off <= self.tolerance_a(session), f"holds {i_dq.mean():.3f} A instead of {target:.3f} A"
             halves = np.array_split(i_dq, 2)
-            assert abs(halves[1].mean() - halves[0].mean()) <= self.near(session), "captured before it had settled"
+            assert abs(halves[1].mean() - halves[0].mean()) <= self.tolerance_a(session), "captured before settling"
             v, i = (complex(*x.mean(axis=0)) for x in (measured.v_ab, measured.i_ab))
             assert (v * i.conjugate()).real > 0.0, f"mean v.i is negative at {i:.3f} A: polarity is wrong"
             apart = angle_between(np.angle(v), np.angle(i))
@@ -94,7 +94,7 @@ class DriveCaptureChecks(DriveBench):
         for begin, end in ((0.25, 0.375), (0.75, 0.875)):
             plateau = slice(round(begin * rows), round(end * rows) - 1)
             off = abs((i_dq[plateau] - reference[plateau]).mean())
-            assert off <= self.near(session), f"a constant phase of the trapezoid is off by {off:.3f} A"
+            assert off <= self.tolerance_a(session), f"a constant phase of the trapezoid is off by {off:.3f} A"
 
     @pytest.mark.parametrize("waveform", ["square", "sine"])
     def test_injection_is_found_in_the_captured_voltage(self, tmp_path: Path, waveform: str) -> None:
@@ -130,7 +130,7 @@ class DriveCaptureChecks(DriveBench):
             measured = session.measure(excitation)
             target = complex(excitation.target_d_a, excitation.target_q_a)
             reached = complex_dq(measured.i_ab, 0.0).mean()
-            allowed = 0.5 * abs(target) or 2.0 * self.near(session)
+            allowed = 0.5 * abs(target) or 2.0 * self.tolerance_a(session)
             assert abs(reached - target) < allowed, f"ripples about {reached:.3f} A instead of {target:.3f} A"
             follows = ripple_follows_flux(measured.v_ab, measured.i_ab, ROWS_PER_PERIOD)
             assert follows > 0.5, f"the ripple current follows the integral of the voltage with {follows:.2f} only"
@@ -147,7 +147,7 @@ class DriveCaptureChecks(DriveBench):
             turned = np.flatnonzero(np.diff(np.sign(v_dq.real)) != 0) + 1
             assert len(turned) >= 4, f"turned {len(turned)} times only"
             reached = np.abs(i_dq.real[turned])
-            least = excitation.turn_d_a - self.near(session)
+            least = excitation.turn_d_a - self.tolerance_a(session)
             assert reached.min() >= least, f"turned at {reached.min():.3f} A, before the {excitation.turn_d_a:.3f} A"
             most = 1.5 * excitation.turn_d_a
             assert np.abs(i_dq.real).max() <= most, f"goes on to {np.abs(i_dq.real).max():.3f} A after a turn"
@@ -167,7 +167,7 @@ class DriveCaptureChecks(DriveBench):
                 speed = float(np.polyfit(np.arange(len(theta)) / fs, theta, 1)[0])
                 assert math.isclose(speed, excitation.speed_rad_s, rel_tol=0.02), f"turns at {speed:.3f} rad/s"
                 i_dq = (measured.i_ab[:, 0] + 1j * measured.i_ab[:, 1]) * np.exp(-1j * theta)
-                assert abs(i_dq.mean()) <= self.near(beating), f"{abs(i_dq.mean()):.3f} A flow, none was commanded"
+                assert abs(i_dq.mean()) <= self.tolerance_a(beating), f"{abs(i_dq.mean()):.3f} A without a command"
                 ahead = (measured.v_ab[:, 0] + 1j * measured.v_ab[:, 1]) * np.exp(-1j * theta)
                 if (flux := self.setup().motor.pm_flux_wb or 0.0) > 0.0:
                     least = 0.5 * excitation.speed_rad_s * flux

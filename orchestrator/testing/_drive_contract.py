@@ -47,7 +47,7 @@ class DriveContractChecks(DriveBench):
         with self.connected(tmp_path) as session:
             telemetry = session.drive.telemetry()
             assert telemetry.state is DriveState.DISARMED, f"{telemetry.state.value} right after connect"
-            assert abs(session.current_now()) <= self.near(session), "a current flows before arming"
+            assert abs(session.current_now()) <= self.tolerance_a(session), "a current flows before arming"
 
     @pytest.mark.parametrize("kind", ENERGISED)
     def test_excitation_before_arming_is_refused(self, tmp_path: Path, kind: str) -> None:
@@ -55,7 +55,7 @@ class DriveContractChecks(DriveBench):
             session.requires(kind)
             with pytest.raises(DriveRefused):
                 session.measure(session.sizes.one_of(kind))
-            assert abs(session.current_now()) <= self.near(session), "refused, but a current flows"
+            assert abs(session.current_now()) <= self.tolerance_a(session), "refused, but a current flows"
 
     @pytest.mark.parametrize("quantity", ["current_a", "voltage_v"])
     def test_limits_above_the_drive_s_own_are_refused(self, tmp_path: Path, quantity: str) -> None:

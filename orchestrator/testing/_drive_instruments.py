@@ -1,4 +1,4 @@
-"""Drive checks: its clock, its sensors and its power stage, held against what does not depend on its word.
+"""Drive checks: its clock, sensors and power stage, compared with references independent of its statements.
 
 That is the host's clock, the equation of a winding whatever its numbers, and what one reading says of another.
 """
@@ -61,7 +61,7 @@ class ClockReading:
 
 
 class DriveInstrumentChecks(DriveBench):
-    """What a drive cannot know to be wrong by itself."""
+    """Faults that a drive cannot detect itself."""
 
     def test_clock_keeps_the_host_s_time(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
@@ -78,7 +78,7 @@ class DriveInstrumentChecks(DriveBench):
         )
 
     def _require_no_haste(self, session: Session) -> None:
-        """Rows cannot be there before they are taken; on a clock of the host's own this shows what the other hides."""
+        """Rows cannot arrive before they are sampled; the host's clock shows a wrong rate of the drive's."""
         if "hold" not in session.capabilities.excitations:
             return
         hold = session.sizes.hold()
@@ -144,7 +144,7 @@ class DriveInstrumentChecks(DriveBench):
         """Mean voltage of a hold at a PWM frequency, and its standard error."""
         measured = session.measure(session.sizes.hold(pwm_frequency_hz=frequency_hz))
         off = abs(complex_dq(measured.i_ab, 0.0).mean() - complex(1.0, 0.5) * session.sizes.current_a)
-        assert off <= self.near(session), f"misses its target by {off:.3f} A at {frequency_hz} Hz"
+        assert off <= self.tolerance_a(session), f"misses its target by {off:.3f} A at {frequency_hz} Hz"
         reported_hz = session.drive.telemetry().pwm_frequency_hz
         assert reported_hz is None or math.isclose(reported_hz, frequency_hz, rel_tol=1e-4), (
             f"a PWM frequency of {frequency_hz:g} Hz was requested, {reported_hz:g} Hz is at work"
@@ -154,7 +154,7 @@ class DriveInstrumentChecks(DriveBench):
         return complex(v.mean()), float(np.abs(parts - v.mean()).std()) / math.sqrt(len(parts))
 
     def test_no_current_flows_unseen_while_disarmed(self, tmp_path: Path) -> None:
-        """What flows while telemetry says that nothing does is still there in the first rows after arming."""
+        """A current that telemetry denies still flows in the first rows after arming."""
         with self.connected(tmp_path) as session:
             session.requires("hold")
             with self.beating(session):
@@ -169,7 +169,7 @@ class DriveInstrumentChecks(DriveBench):
     def _require_nothing_flows(self, session: Session, after: str) -> None:
         at_zero = session.sizes.hold(0.0, 0.0, settle_s=0.0)
         first = complex_dq(session.measure(at_zero).i_ab, 0.0)[:3].mean()
-        assert abs(first) <= 2.0 * self.near(session), (
+        assert abs(first) <= 2.0 * self.tolerance_a(session), (
             f"{abs(first):.3f} A flow in the first rows after {after} and arming: the power stage was on, whatever "
             "telemetry gave"
         )
@@ -186,7 +186,7 @@ class DriveInstrumentChecks(DriveBench):
                 assert self.bridge_is_on(session.drive) is False, "disarmed, but the power stage is on"
 
     def test_currents_up_to_the_rated_one_are_read_whole(self, tmp_path: Path) -> None:
-        """By the ripple of an open-loop voltage: a clipped reading would lead current control astray."""
+        """Checked by the ripple of an open-loop voltage, as a clipped reading would mislead current control."""
         with self.armed(tmp_path) as session:
             session.requires("injection")
             sizes = session.sizes
@@ -201,7 +201,7 @@ class DriveInstrumentChecks(DriveBench):
                 excitation = excitation.model_copy(update={"amplitude_v": times * excitation.amplitude_v})
             measured = session.measure(excitation)
             if any(block.clipped_rows for block in measured.blocks):
-                return  # it says so
+                return  # declared in its capabilities
             share, name = share_at_the_end_of_the_scale(measured.i_ab)
             peak_a = float(np.hypot(*measured.i_ab.T).max())
             assert share <= _TOLERANCES.max_clipped_ratio, (

@@ -12,7 +12,7 @@ from orchestrator.testing._drive_bench import DriveBench, Session
 from protocols import Drive, DriveFault, DriveRefused, DriveState
 
 MAX_REPORT_DELAY_S = 2.0
-"""An input that somebody has opened or closed shows in telemetry by then."""
+"""Time within which a changed input appears in telemetry."""
 
 
 class DriveInterlockChecks(DriveBench):
@@ -82,7 +82,7 @@ class DriveInterlockChecks(DriveBench):
     def _require_off(self, session: Session) -> None:
         telemetry = session.drive.telemetry()
         assert telemetry.state is DriveState.FAULTED, f"{telemetry.state.value} after an interlock has opened"
-        assert abs(session.current_now()) <= self.near(session), "a current flows beside an open interlock"
+        assert abs(session.current_now()) <= self.tolerance_a(session), "a current flows beside an open interlock"
         assert not self.bridge_is_on(session.drive), "an instrument says that the bridge is on"
 
 

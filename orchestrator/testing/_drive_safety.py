@@ -26,7 +26,7 @@ KINDS = ("gates_off", "hold", "trapezoid", "injection", "steps")
 
 
 class DriveSafetyChecks(DriveBench):
-    """What keeps motor, drive and people whole."""
+    """Checks that protect motor, drive and people."""
 
     def test_targets_past_the_limits_are_refused_before_moving(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
@@ -37,7 +37,7 @@ class DriveSafetyChecks(DriveBench):
                     pass
                 else:
                     pytest.fail(f"executed {what}")
-                assert abs(session.current_now()) <= self.near(session), f"refused {what}, but moved"
+                assert abs(session.current_now()) <= self.tolerance_a(session), f"refused {what}, but moved"
 
     def test_a_target_that_is_no_number_is_refused(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
@@ -52,9 +52,9 @@ class DriveSafetyChecks(DriveBench):
             session.measure(session.sizes.hold(1.0, 0.0))
             assert session.drive.telemetry().state is DriveState.ARMED
             off = abs(session.current_now() - session.sizes.current_a)
-            assert off <= 2.0 * self.near(session), "the operating point is not held after the excitation"
+            assert off <= 2.0 * self.tolerance_a(session), "the operating point is not held after the excitation"
             session.drive.ramp_down()
-            assert abs(session.current_now()) <= self.near(session), "a current flows after ramp_down"
+            assert abs(session.current_now()) <= self.tolerance_a(session), "a current flows after ramp_down"
             assert session.drive.telemetry().state is DriveState.ARMED, "ramp_down is not meant to disarm"
 
     def test_ramp_down_and_disarm_may_be_repeated(self, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ class DriveSafetyChecks(DriveBench):
                 session.drive.disarm()
             session.drive.ramp_down()
             assert session.drive.telemetry().state is DriveState.DISARMED
-            assert abs(session.current_now()) <= self.near(session), "a current flows after disarm"
+            assert abs(session.current_now()) <= self.tolerance_a(session), "a current flows after disarm"
 
     def test_disarming_under_current_leaves_none(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
@@ -73,7 +73,7 @@ class DriveSafetyChecks(DriveBench):
             session.measure(session.sizes.hold())
             session.drive.disarm()
             assert session.drive.telemetry().state is DriveState.DISARMED
-            assert abs(session.current_now()) <= self.near(session), "a current flows after disarm"
+            assert abs(session.current_now()) <= self.tolerance_a(session), "a current flows after disarm"
             with pytest.raises(DriveRefused):
                 session.measure(session.sizes.hold())
 
@@ -86,10 +86,10 @@ class DriveSafetyChecks(DriveBench):
             if hasattr(under_way, "close"):
                 under_way.close()
             session.drive.ramp_down()
-            assert abs(session.current_now()) <= self.near(session), "left early, and ramp_down did not help"
+            assert abs(session.current_now()) <= self.tolerance_a(session), "left early, and ramp_down did not help"
             measured = session.measure(session.sizes.hold())
             off = abs(complex(*measured.i_ab.mean(axis=0)) - complex(1.0, 0.5) * session.sizes.current_a)
-            assert off <= self.near(session), "the excitation after one that was left early misses its target"
+            assert off <= self.tolerance_a(session), "the excitation after one that was left early misses its target"
 
     def test_a_beating_heart_keeps_the_drive_armed(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
@@ -118,7 +118,7 @@ class DriveSafetyChecks(DriveBench):
         telemetry = session.drive.telemetry()
         assert telemetry.state is DriveState.FAULTED, f"{telemetry.state.value} after a fault"
         assert telemetry.faults, "telemetry names no fault"
-        assert abs(session.current_now()) <= self.near(session), "a current flows in the faulted state"
+        assert abs(session.current_now()) <= self.tolerance_a(session), "a current flows in the faulted state"
         session.drive.heartbeat()
         with pytest.raises(DriveRefused):
             session.drive.arm(session.sizes.limits)
@@ -187,7 +187,7 @@ def _past_the_limits(session: Session) -> list[tuple[str, Excitation]]:
 
 
 def _lasting(session: Session, kind: str, watchdog_s: float) -> Excitation:
-    """An excitation of this kind that lasts several watchdogs, where the drive can capture for so long."""
+    """An excitation of this kind over several watchdog times, as far as the drive can capture that long."""
     excitation = session.sizes.one_of(kind)
     if isinstance(excitation, Hold | GatesOff):
         longest = session.capabilities.longest_capture_s or math.inf

@@ -16,7 +16,7 @@ from protocols import Contrast, Correction, Effect, EffectLayer, ParameterRole, 
 
 
 class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
-    """Says whether an effect plugin keeps the contract of `protocols.Effect`.
+    """Checks that an effect plugin keeps the contract of `protocols.Effect`.
 
     Subclass it in a test file, in a class whose name begins with ``Test``, and give one method,
     ``make_effect()``. Where the kit's signals (a saturation-free motor under trapezoids with

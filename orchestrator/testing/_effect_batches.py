@@ -1,4 +1,4 @@
-"""Effect checks: an effect that is evaluated on a batch of segments does to each what it does to that one alone."""
+"""Effect checks: evaluation on a batch of segments gives the same result as on each segment alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SEGMENT_BOUNDS = (0.0, 0.1, 0.15, 0.6, 1.0)
 
 
 class EffectBatchChecks(ABC):
-    """What `correct_batch` and `random_directions_batch` promise; an effect without them passes."""
+    """Checks of `correct_batch` and `random_directions_batch`; an effect without them passes."""
 
     @abstractmethod
     def make_effect(self) -> Effect: ...

@@ -1,4 +1,4 @@
-"""Effect checks: what holds of any effect: it scales with the machine, answers to its size, and remembers nothing."""
+"""Effect checks valid for any effect: scaling with the machine, response to its size, no state between calls."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class EffectPhysicsChecks(ABC):
         assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"
 
     def test_a_machine_of_another_size_behaves_alike(self) -> None:
-        """What is declared in A, V, ohm and so on has to scale like that: else a unit is wrong, or a size hidden."""
+        """Parameters in A, V, ohm etc. have to scale with the machine: else a unit is wrong or a constant hidden."""
         effect, signals = self.make_effect(), self.signals()
         declared = effect.Parameters.declared()
         larger = {p.name: p.typical * _factor(p.unit) for p in declared}
@@ -99,7 +99,7 @@ class EffectPhysicsChecks(ABC):
             )
 
     def test_every_size_of_an_amplitude_has_a_slope(self) -> None:
-        """A fit goes along slopes: where there is none it stays, and a staircase is flat but for its steps."""
+        """A fit needs derivatives: it cannot move where they are zero, as on the treads of a staircase."""
         for p in self._amplitudes():
             whole = self._moved(p, 0.0, 1.0)
             assert whole > 0.0, f"{p.name} changes nothing between its neutral and its typical value"
@@ -161,7 +161,7 @@ class EffectPhysicsChecks(ABC):
 
 
 def _factor(unit: str) -> float:
-    """By how much a quantity of this unit is larger on the other machine."""
+    """Scale of a quantity of this unit from this machine to the other."""
     volts, amperes = VOLTAGE_SCALE, CURRENT_SCALE
     sizes = {"A": amperes, "V": volts, "ohm": volts / amperes, "Wb": volts, "H": volts / amperes}
     sizes |= {"W": volts * amperes, "Nm": volts * amperes}

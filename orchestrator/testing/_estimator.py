@@ -28,14 +28,14 @@ MAP_VALUES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 
 
 class EstimatorConformance(Kit, ABC):
-    """Says whether an estimator plugin keeps the contract of `protocols.Estimator`.
+    """Checks that an estimator plugin keeps the contract of `protocols.Estimator`.
 
     Subclass it in a test file, in a class whose name begins with ``Test``, and give two methods:
 
     - ``make_estimator()`` returns the estimator;
     - ``recording()`` returns a recording that holds all it needs (a small one: it is read some ten times).
 
-    Where it builds on what another estimator found, override ``context()``.
+    Where it needs another estimator's result, override ``context()``.
     """
 
     frame_tolerance: ClassVar[float] = 1e-3
@@ -50,7 +50,7 @@ class EstimatorConformance(Kit, ABC):
         """A recording with all that the estimator needs."""
 
     def context(self) -> EstimationContext:
-        """What earlier estimators of the same pass found."""
+        """Results of earlier estimators of the same pass."""
         return EstimationContext()
 
     def _estimate(self, recording: RecordingReader) -> Estimate:

@@ -1,4 +1,4 @@
-"""What all kits share: the entry point, and tolerances that widen only so far. No check of its own."""
+"""Base of all kits: the entry point, and tolerances with an upper bound."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ every_motor = pytest.mark.parametrize("motor", MOTORS)
 
 
 class StageConformance(Kit, ABC):
-    """Says whether a stage plugin keeps the contract of `protocols.Stage`.
+    """Checks that a stage plugin keeps the contract of `protocols.Stage`.
 
     Subclass it in a test file, in a class whose name begins with ``Test``, and give one method, ``make_stage()``: the
     stage with no more settings than a procedure has to write. What `work` does is for the plugin's own tests.
@@ -54,7 +54,7 @@ class StageConformance(Kit, ABC):
 
     @abstractmethod
     def make_stage(self) -> Stage:
-        """A stage, everything left out that may be."""
+        """A stage without its optional settings."""
 
     def _procedure(self, motor: str, **nameplate: float | None) -> Procedure:
         values, limits = MOTORS[motor]

@@ -30,7 +30,7 @@ THREAD_END_TIMEOUT_S = 5.0
 
 
 class StreamConformance(Kit, ABC):
-    """Says whether a stream plugin keeps the contract of `protocols.Stream`.
+    """Checks that a stream plugin keeps the contract of `protocols.Stream`.
 
     Subclass it in a test file, in a class whose name begins with ``Test``, and give one method,
     ``make_stream(setup)``; override ``options()`` where the stream has options of its own.
@@ -50,7 +50,7 @@ class StreamConformance(Kit, ABC):
         return NoOptions()
 
     _hung: ClassVar[str] = ""
-    """Where it has hung before: nobody waits for the same thing in every check."""
+    """Calls that hung before: later checks do not wait for them again."""
 
     @contextmanager
     def _listening(self, tmp_path: Path) -> Iterator[tuple[_Timed, Path]]:
@@ -124,7 +124,7 @@ class StreamConformance(Kit, ABC):
             self._listen_regardless(tmp_path, output)
 
     def _listen_regardless(self, tmp_path: Path, output: _Vanishing) -> None:
-        """What a dispatcher does: it takes note of what a stream raises, and goes on."""
+        """As a dispatcher: record a stream's exception and continue."""
         try:
             with suppress(Exception), self._listening(tmp_path) as (stream, run):
                 for number, message in enumerate(_wanted(stream, a_run(run))):

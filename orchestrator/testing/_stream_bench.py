@@ -1,4 +1,4 @@
-"""What a stream is watched with: its calls in time, the files it opens, the arrays it is shown. No checks."""
+"""Instruments for a stream: time limits on its calls, files it opens, arrays it receives."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Worker:
         self.thread.start()
 
     def call(self, function: Callable[[], Any], seconds: float) -> Any:
-        """What the function returns or raises; raises `TimeoutError` where it does neither in time."""
+        """The function's result or exception; raises `TimeoutError` where neither comes in time."""
         self._calls.put(function)
         try:
             result, error = self._answers.get(timeout=seconds)
@@ -52,7 +52,7 @@ class Worker:
 
 
 class _OpenedFiles:
-    """Python's audit hook cannot be taken away again: it is installed once, and asleep but for `watched`."""
+    """Python's audit hook cannot be taken away again: it is installed once, and inactive outside `watched`."""
 
     def __init__(self) -> None:
         self._installed = False

@@ -1,4 +1,4 @@
-"""Pydantic's errors as one line: place, problem, and the nearest valid key; validates nothing itself."""
+"""Pydantic's errors as one line: place, problem, and the nearest valid key."""
 
 from __future__ import annotations
 

@@ -18,20 +18,20 @@ class MaxFileSizes:
 
     Attributes
     ----------
-    written_bytes : int
-        Files of people: procedures, motors, mappings. Parsing a megabyte of YAML takes ten seconds and 0.2 GB.
-    kept_bytes : int
-        Files of programs: manifests, journals, models, tables as text. A quarter of a million segments need less.
+    hand_written_bytes : int
+        Files written by hand: procedures, motors, mappings. Parsing a megabyte of YAML takes ten seconds and 0.2 GB.
+    generated_bytes : int
+        Generated files: manifests, journals, models, tables as text. A quarter of a million segments need less.
     """
 
-    written_bytes: int = 4 << 20
-    kept_bytes: int = 256 << 20
+    hand_written_bytes: int = 4 << 20
+    generated_bytes: int = 256 << 20
 
 
 MAX_FILE_SIZES = MaxFileSizes()
 
 
-def read_bytes(path: Path, max_bytes: int = MAX_FILE_SIZES.kept_bytes) -> bytes:
+def read_bytes(path: Path, max_bytes: int = MAX_FILE_SIZES.generated_bytes) -> bytes:
     """The content of a plain file; raises `OSError` for an unreadable, special or larger file."""
     # Opening a pipe without a writer would block.
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -48,6 +48,6 @@ def read_bytes(path: Path, max_bytes: int = MAX_FILE_SIZES.kept_bytes) -> bytes:
         os.close(descriptor)
 
 
-def read_text(path: Path, max_bytes: int = MAX_FILE_SIZES.written_bytes, encoding: str = "utf-8") -> str:
+def read_text(path: Path, max_bytes: int = MAX_FILE_SIZES.hand_written_bytes, encoding: str = "utf-8") -> str:
     """The content of a plain text file; raises `UnicodeDecodeError`, and the errors of `read_bytes`."""
     return read_bytes(path, max_bytes).decode(encoding)

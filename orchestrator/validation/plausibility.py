@@ -1,7 +1,7 @@
-"""What no motor has and no test bench does: bounds for numbers that are slips of a unit or of the keyboard.
+"""Plausibility bounds for nameplates, settings and waveforms, which reveal a wrong unit or a typing error.
 
-Shared by whatever takes in nameplates, settings and waveforms. The bounds are wide: drives, sensors and motors may be
-as bad as they like, and whether a measurement is good is not judged here.
+The bounds are wide: poor drives, sensors and motors are within them. The quality of a measurement is checked
+elsewhere.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MOTOR_RANGES: Mapping[str, Range] = {
     "q_inductance_h": (1e-8, 10.0),
     "pm_flux_wb": (0.0, 100.0),
 }
-"""In the fields' own units: from the smallest watch's motor to the largest ship's, and some decades more."""
+"""In the fields' units: from a watch's motor to a ship's, with some decades of margin."""
 _INDUCTANCE_UNITS = (("mH", 1e-3), ("uH", 1e-6))
 OTHER_UNITS: Mapping[str, Sequence[tuple[str, float]]] = {
     "d_inductance_h": _INDUCTANCE_UNITS,
@@ -46,35 +46,35 @@ OTHER_UNITS: Mapping[str, Sequence[tuple[str, float]]] = {
     "rated_current_rms_a": (("mA", 1e-3),),
     "rated_torque_nm": (("mNm", 1e-3),),
 }
-"""Units that a nameplate's values are written in by mistake, and how many of the field's own they are."""
+"""Units in which nameplate values are written by mistake, and the factor to the field's unit."""
 DRIVE_RANGES: Mapping[str, Range] = {
     "sampling_frequency_hz": (1.0, 1e6),
     "pwm_frequency_hz": (100.0, 1e6),
 }
 """Options that mean the same in every drive; a board that answers single reads samples from 1 Hz on."""
 TWO_TURNS_RAD = 4.0 * math.pi
-"""Angles as they are written are less; degrees are mostly more."""
+"""Largest plausible angle; values in degrees are mostly larger."""
 MAX_VOLTAGE_RATIO = 2.0 / 3.0
 """Longest voltage vector of a bridge, in bus voltages: the hexagon's corner."""
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """How small and how large waveforms may be; all without a unit.
+    """Bounds of waveforms, all relative.
 
     Attributes
     ----------
     rated_currents : (float, float)
-        The largest current, in rated ones.
+        Largest current over the rated one.
     bus_voltages : (float, float)
-        The largest voltage vector, in nominal bus voltages. A bridge makes 2/3; controllers that saturate late command
-        more, and currents that are held ask for little.
+        Largest voltage vector over the nominal bus voltage. A bridge gives 2/3; controllers that saturate late command
+        more, and held currents need little.
     bus : (float, float)
-        The measured bus voltage, in nominal ones.
+        Measured bus voltage over the nominal one.
     resistance : (float, float)
-        Voltage over current, in the nameplate's R_s. At small currents dead time passes for many times it.
+        Voltage over current, relative to the nameplate's R_s. At small currents dead time looks like many R_s.
     inductance : (float, float)
-        What the ripple shows, in the nameplate's.
+        Inductance from the ripple over the nameplate's.
     """
 
     rated_currents: Range
@@ -91,7 +91,7 @@ PLAUSIBLE_BOUNDS = Bounds(
     resistance=(0.02, 100.0),
     inductance=(0.01, 100.0),
 )
-"""Beyond these an import questions the mapping: a slip of a thousand shows, whatever the bench."""
+"""Outside these an import questions the mapping: a factor of a thousand shows on any bench."""
 POSSIBLE_BOUNDS = Bounds(
     rated_currents=(0.0, 50.0),
     bus_voltages=(2e-5, 10.0),
@@ -99,7 +99,7 @@ POSSIBLE_BOUNDS = Bounds(
     resistance=(0.02, 1000.0),
     inductance=(0.01, 100.0),
 )
-"""Beyond these a recording is refused: five rated currents under a gain that is wrong by ten pass."""
+"""Outside these a recording is refused; five rated currents with a gain wrong by ten are accepted."""
 
 
 def within(value: float, bounds: Range, unit: float = 1.0) -> bool:
@@ -108,7 +108,7 @@ def within(value: float, bounds: Range, unit: float = 1.0) -> bool:
 
 
 def outside(values: Mapping[str, Any], ranges: Mapping[str, Range], why: str) -> Iterator[tuple[str, str]]:
-    """Name and problem of every value out of its range; what is absent is not looked at."""
+    """Name and problem of every value out of its range; absent values are skipped."""
     for name, (low, high) in ranges.items():
         value = values.get(name)
         if isinstance(value, int | float) and not low <= value <= high:
@@ -118,7 +118,7 @@ def outside(values: Mapping[str, Any], ranges: Mapping[str, Range], why: str) ->
 def implausible(
     procedure: Procedure, stages: Sequence[Stage], longest_s: float = 86_400.0
 ) -> Iterator[tuple[tuple[str | int, ...], str]]:
-    """Key path and problem of every number in a procedure that cannot be meant; no time of a stage is above a day."""
+    """Key path and problem of every implausible number in a procedure; times of a stage are below `longest_s`."""
     for name, problem in outside(procedure.motor.model_dump(), MOTOR_RANGES, "no motor has that"):
         yield ("motor", name), problem + _other_unit(name, procedure.motor)
     for name, problem in outside(procedure.drive.options, DRIVE_RANGES, "no drive does that"):
@@ -160,38 +160,38 @@ def slow_part(x: NDArray[_Real], rate_hz: float, window_s: float = 0.02) -> NDAr
 
 
 MIN_SLOW_VOLTAGE_RATIO = 1e-3
-"""Slow part of a waveform's voltage over the whole, below which it is a remainder of whole periods."""
+"""Slow part of a waveform's voltage over the whole below which it is a rounding of whole periods."""
 MIN_OHMIC_RATIO = 0.3
-"""Voltage over current, in R_s, below which their angle means nothing: the current only decays."""
+"""Voltage over R_s i below which their angle has no meaning: the current only decays."""
 
 
-def apart_rad(
-    v_on_i: complex, v_squared: float, i_squared: float, alike: float = 0.5, least_ohm: float = 0.0
+def suspicious_phase_rad(
+    vi_mean: complex, v_squared: float, i_squared: float, min_coherence: float = 0.5, min_ohm: float = 0.0
 ) -> float | None:
-    """Angle between voltage and current where it says that one is wrong; None where a winding takes the power.
+    """Angle between voltage and current where it is impossible for a winding; None for a normal passive load.
 
     Parameters
     ----------
-    v_on_i : complex
+    vi_mean : complex
         Mean of conj(i) v.
     v_squared, i_squared : float
         Means of the squares.
-    alike : float
-        Share of the voltage that has to go with the current for their angle to mean anything; 1 is all of it.
-    least_ohm : float
-        Voltage over current that there has to be for the same.
+    min_coherence : float
+        Smallest coherence of voltage and current for a meaningful angle, at most 1.
+    min_ohm : float
+        Smallest voltage over current for a meaningful angle.
 
     Returns
     -------
     float or None
-        Beyond 60 degrees: at that a winding would have to be more inductor than resistor at standstill.
+        Beyond 60 degrees, where a winding at standstill would be more inductor than resistor [rad].
     """
-    angle = math.atan2(v_on_i.imag, v_on_i.real)
+    angle = math.atan2(vi_mean.imag, vi_mean.real)
     size = math.sqrt(v_squared * i_squared)
-    tells = v_squared > least_ohm**2 * i_squared and abs(v_on_i) > alike * size
-    return angle if tells and size > 0.0 and abs(angle) > math.pi / 3.0 else None
+    is_meaningful = v_squared > min_ohm**2 * i_squared and abs(vi_mean) > min_coherence * size
+    return angle if is_meaningful and size > 0.0 and abs(angle) > math.pi / 3.0 else None
 
 
 def is_reversed(angle_rad: float) -> bool:
-    """Whether two vectors this far apart are each other's negative; exchanged phases put them less far apart."""
+    """Whether two vectors at this angle are opposite; exchanged phases give a smaller angle."""
     return abs(angle_rad) > 2.6

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from orchestrator.analysis import axes_apart_rad
+from orchestrator.analysis import axis_difference_rad
 from orchestrator.numerics.types import Array
 from protocols import Segment
 
@@ -62,4 +62,4 @@ def group_by_point(segments: Sequence[OneWay], frequency_tolerance: float) -> li
 
 def shows_both_axes(point: Sequence[OneWay], min_angle_rad: float = 0.3) -> bool:
     """Whether the injections at a point have directions that differ by more than `min_angle_rad`."""
-    return max(axes_apart_rad(segment.axis_rad, point[0].axis_rad) for segment in point) > min_angle_rad
+    return max(axis_difference_rad(segment.axis_rad, point[0].axis_rad) for segment in point) > min_angle_rad

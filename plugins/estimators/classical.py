@@ -22,7 +22,7 @@ from orchestrator.analysis import (
     check_map,
     close_loops,
     each_capture,
-    flux_by_rests,
+    flux_from_dwells,
     join_paths,
     reference_flux_wb,
     sweep_of,
@@ -120,7 +120,7 @@ class ClassicalEstimator:
         return _Swept(
             losses=losses,
             with_model=[sweep_of(trace, losses.flux(trace)) for trace in traces],
-            resistive=[sweep_of(t, flux_by_rests(t, _nearest_ohm(resistance, t.start_s))) for t in traces],
+            resistive=[sweep_of(t, flux_from_dwells(t, _nearest_ohm(resistance, t.start_s))) for t in traces],
             hidden_loss_ratio=self.hidden_loss_ratio,
             min_loss_ratio=self.min_loss_ratio,
         )

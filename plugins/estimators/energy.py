@@ -102,8 +102,8 @@ class EnergyEstimator:
         if not fit.inverter_step:
             return 0.0
         axes = [0, 2]
-        share = np.abs(fit.taken_out[:, axes] / inductance[: len(fit.taken_out), axes])
-        significant = np.abs(fit.taken_out[:, axes]) > self.significance_sigmas * fit.taken_out_std[:, axes]
+        share = np.abs(fit.correction[:, axes] / inductance[: len(fit.correction), axes])
+        significant = np.abs(fit.correction[:, axes]) > self.significance_sigmas * fit.correction_std[:, axes]
         return float(share[significant].max(initial=0.0))
 
 

@@ -14,24 +14,24 @@ from typing import ClassVar
 import numpy as np
 
 from orchestrator.analysis import (
+    DEFAULT_RESISTANCE_STD_RATIO,
     NO_LOSS,
-    ONE_AXIS,
-    UNSTATED,
+    ONE_AXIS_ERROR,
     FluxPath,
     Inductances,
     IntegratedFlux,
     PhaseLoss,
     Ripple,
-    along,
     check_map,
     demodulate,
     each_capture,
+    fixed_axis_rad,
+    flux_steps,
     injection_frequency,
     integrate,
     invert,
     join_paths,
     known_resistance,
-    one_way_rad,
     reference_flux_wb,
 )
 from orchestrator.config.time_constants import recording_notes
@@ -157,7 +157,7 @@ class InjectionEstimator:
             if shows_both_axes(point):
                 ripples.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
             else:
-                ripples.append((first, f"{first.id}: v_alpha, v_beta: {ONE_AXIS}"))
+                ripples.append((first, f"{first.id}: v_alpha, v_beta: {ONE_AXIS_ERROR}"))
         for segment, ripple in ripples:
             if isinstance(ripple, OneWay):
                 continue
@@ -200,7 +200,7 @@ def _incremental(group: _Group) -> IncrementalInductances:
 def _resistance_ohm(recording: RecordingReader, context: EstimationContext) -> float | None:
     """R_s as measured before, if that is more precise than an uncertain nameplate, else the nameplate's."""
     measured = context.resistance
-    if measured is not None and measured.high - measured.low < 4.0 * UNSTATED * measured.value_ohm:
+    if measured is not None and measured.high - measured.low < 4.0 * DEFAULT_RESISTANCE_STD_RATIO * measured.value_ohm:
         return measured.value_ohm
     known = known_resistance(recording.manifest.motor)
     return None if known is None else known.value_ohm
@@ -208,7 +208,7 @@ def _resistance_ohm(recording: RecordingReader, context: EstimationContext) -> f
 
 def _one_way(segment: Segment, capture: Capture) -> OneWay | None:
     """The segment if its injection keeps to one axis; None where it rotates or is absent."""
-    axis_rad = one_way_rad(capture.v_ab)
+    axis_rad = fixed_axis_rad(capture.v_ab)
     if axis_rad is None:
         return None
     try:
@@ -238,7 +238,7 @@ def _ripple(
             discard_s=discard_s,
             time_constant_s=time_constant_s,
             loss=loss if _same_pwm(recording, segment) else NO_LOSS,
-            beside=other_captures,
+            more_captures=other_captures,
             resistance_ohm=resistance_ohm,
             where=segment.id,
         )
@@ -297,7 +297,7 @@ def _misfit(points: Inductances) -> Array | None:
     for line in straight_lines(points.current):
         start, end = line[:-1], line[1:]
         step = points.current[end] - points.current[start]
-        rise = along(step, (points.matrix[start], points.slope[start]), (points.matrix[end], points.slope[end]))
+        rise = flux_steps(step, (points.matrix[start], points.slope[start]), (points.matrix[end], points.slope[end]))
         psi = np.concatenate([np.zeros((1, 2)), np.cumsum(rise, axis=0)])
         paths.append(FluxPath(points.current[line], psi, np.zeros(2)))
     return join_paths(paths).misfit if len(paths) > 1 else None

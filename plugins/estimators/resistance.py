@@ -14,10 +14,10 @@ from orchestrator.analysis import (
     COPPER_PER_K,
     Dwell,
     KnownResistance,
-    dwell,
     each_capture,
     find_dwells,
     known_resistance,
+    mean_over_dwell,
     temperature_rise,
 )
 from orchestrator.numerics.types import Array
@@ -162,7 +162,7 @@ class ResistanceEstimator:
         return each_capture(
             recording,
             recording.segments(SegmentStage.RESISTANCE),
-            lambda s, c: (s, dwell(c, round(self.settling_ratio * len(c)), None, delay)),
+            lambda s, c: (s, mean_over_dwell(c, round(self.settling_ratio * len(c)), None, delay)),
         )
 
     def _heat(self, dwells: list[Dwell]) -> Array:

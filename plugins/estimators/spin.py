@@ -22,9 +22,9 @@ from orchestrator.analysis import (
     flux_by_emf,
     magnet_axis,
     reference_flux_wb,
-    require_emf_turns_with,
+    require_emf_follows_angle,
+    rotor_angles_rad,
     spun_points,
-    theta_of,
 )
 from orchestrator.numerics.surface import require_area
 from plugins.estimators._energies import EnergyFlux, gridded
@@ -90,14 +90,14 @@ class SpinEstimator:
         scale_a = max(largest_a, zero_current_a)
 
         def points_of(segment: Segment, capture: Capture) -> SpunPoints:
-            theta = theta_of(segment, capture)
-            require_emf_turns_with(segment, capture)
+            theta = rotor_angles_rad(segment, capture)
+            require_emf_follows_angle(segment, capture)
             bridge = segment.settings.get("bridge")
             held = bridge == "on" if bridge else float(np.abs(capture.i_ab).max()) > zero_current_a
             return spun_points(capture, theta, delay=delay if held else None, scale_a=scale_a or 1.0, where=segment.id)
 
         points_by_segment = each_capture(recording, segments, points_of)
-        columns = ("i", "v", "speed", "lost", "time_s")
+        columns = ("i", "v", "speed", "loss", "time_s")
         points = SpunPoints(*(np.concatenate([getattr(p, name) for p in points_by_segment]) for name in columns))
         names = [s.id for s, p in zip(segments, points_by_segment, strict=True) for _ in range(len(p.i))]
         if float(np.linalg.norm(points.i, axis=1).max()) <= zero_current_a:
@@ -113,7 +113,7 @@ class SpinEstimator:
             points=FluxPoints(
                 i_dq=points.i, psi_dq=fit.energy.flux(points.i)[0] + pm_flux(recording), segment=tuple(names)
             ),
-            checks=check_map(flux_map, rated, fit.left_wb),
+            checks=check_map(flux_map, rated, fit.residual_wb),
             remarks=(
                 *self._remarks(fit, recording.manifest.motor.pm_flux_wb),
                 *_beside_standstill(flux_map, context, rated),

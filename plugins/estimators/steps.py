@@ -14,8 +14,8 @@ import numpy as np
 
 from orchestrator.analysis import (
     STEP_KNOTS,
-    Beliefs,
     FluxPath,
+    Priors,
     StepsFit,
     StepTrace,
     check_map,
@@ -103,7 +103,7 @@ class StepsEstimator:
             raise NotMeasuredError(where, "segments", "no segment of stage steps")
         known = ResistanceEstimator().estimate(recording, context)
         std_ohm = float(np.hypot((known.high - known.low) / 3.92, self.resistance_std_ratio * known.value_ohm))
-        prior = Beliefs(known.value_ohm, std_ohm)
+        prior = Priors(known.value_ohm, std_ohm)
         drive = recording.manifest.drive
         fs, carrier_hz = drive.sampling_frequency_hz, drive.pwm_frequency_hz or 0.0
         rows = _Rows(1.0 / fs, exact=fs >= self.control_rows * carrier_hz)
@@ -136,18 +136,20 @@ class StepsEstimator:
         )
 
     def _fit(
-        self, recording: RecordingReader, segments: Sequence[Segment], prior: Beliefs, rows: _Rows
+        self, recording: RecordingReader, segments: Sequence[Segment], prior: Priors, rows: _Rows
     ) -> tuple[list[StepTrace], StepsFit, float]:
         """Traces, their fit, and the voltage's lag after the delay that the manifest declares, in samples."""
         declared, lag_samples, later_s = voltage_delay(recording), 0.0, np.zeros(2)
         reach = each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max()))
         knots_a = STEP_KNOTS * max(reach)
-        rows_per_segment = max(1, MAX_FIT_ROWS // len(segments))
+        max_blocks = max(1, MAX_FIT_ROWS // len(segments))
 
         def traced(segment: Segment, capture: Capture) -> StepTrace:
             delay = declared + lag_samples
             angle = segment.rotor_angle_rad
-            trace = trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=rows_per_segment)
+            trace = trace_steps(
+                capture, angle, delay=delay, knots_a=knots_a, where=segment.id, max_blocks=max_blocks
+            )
             return replace(trace, charge=trace.charge + later_s * trace.i)
 
         for passes_left in reversed(range(self.max_passes)):
@@ -240,7 +242,7 @@ def _path_with_error(path: FluxPath, error_h: Array) -> FluxPath:
     return replace(path, std=np.hypot(path.std, error_h * np.sqrt((deviation**2).mean(axis=0))))
 
 
-def _prior_conflict(fit: StepsFit, prior: Beliefs, max_sigmas: float = 3.0) -> list[Remark]:
+def _prior_conflict(fit: StepsFit, prior: Priors, max_sigmas: float = 3.0) -> list[Remark]:
     """Remark where R_s by the loops alone contradicts its prior, although the estimate combines both."""
     alone = fit.resistance_std_ohm**-2 - prior.resistance_std_ohm**-2
     moved = fit.resistance_ohm - prior.resistance_ohm

@@ -128,12 +128,12 @@ class SpinStage(EnergisedStage):
 def _require_own_frame(run: StageRun) -> None:
     """Hold the back-EMF of all that was turned with the gates off against the angle that the drive reads."""
     # numba stays out of an import that only wants the names
-    from orchestrator.analysis import require_emf_turns_with
+    from orchestrator.analysis import require_emf_follows_angle
 
     recording = run.recording()
     try:
         for segment in recording.segments(SegmentStage.SPIN):
             if segment.settings.get("bridge") == "off":
-                require_emf_turns_with(segment, recording.load(segment))
+                require_emf_follows_angle(segment, recording.load(segment))
     except NotMeasuredError as error:
         raise RunAborted(f"no current is held while the rotor turns: {error}") from error

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from orchestrator.analysis import turns_of
+from orchestrator.analysis import count_reversals
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
 from orchestrator.diagnosis.weak_form.logged import logged_fields
 from orchestrator.diagnosis.weak_form.sensor_scatter import (
@@ -257,7 +257,7 @@ def windows_of(
     if segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE):
         return plain_windows(intervals, intervals / 2)
     if segment.stage is SegmentStage.STEPS:
-        swing = intervals / (turns_of(np.asarray(v_ab, dtype=np.float64)) + 1)
+        swing = intervals / (count_reversals(np.asarray(v_ab, dtype=np.float64)) + 1)
         return plain_windows(
             intervals, max(swing / TEST_FUNCTIONS_PER_VOLTAGE_STEP, MIN_SAMPLES_PER_STEP_TEST_FUNCTION)
         )

@@ -1,4 +1,4 @@
-"""A campaign's file: procedures by motors by hidden effects by seeds. Measures nothing."""
+"""A campaign's file: procedures by motors by hidden effects by seeds."""
 
 from __future__ import annotations
 
@@ -56,9 +56,9 @@ class CampaignPlan(Strict):
 
     def runs(self) -> int:
         """Number of runs."""
-        kinds = sum(math.prod(len(_values(s)) for sizes in e.values() for s in sizes.values()) for e in self.hidden)
-        benches = sum(math.prod(len(v) for v in e.values() if isinstance(v, list)) for e in self.variants)
-        return len(self.procedures) * len(self.motors) * benches * kinds * self.seeds
+        effects = sum(math.prod(len(_values(s)) for sizes in e.values() for s in sizes.values()) for e in self.hidden)
+        variants = sum(math.prod(len(v) for v in e.values() if isinstance(v, list)) for e in self.variants)
+        return len(self.procedures) * len(self.motors) * variants * effects * self.seeds
 
     def analysis(self) -> Plan:
         """The steps for each recording."""

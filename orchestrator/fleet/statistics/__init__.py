@@ -1,4 +1,4 @@
-"""Statistics of a fleet's table: distributions, outliers, drift, batches, control limits, pairs. Draws nothing."""
+"""Statistics of a fleet's table: distributions, outliers, drift, batches, control limits, pairs."""
 
 from orchestrator.fleet.statistics._limits import read_limits, require_known
 from orchestrator.fleet.statistics._pairs import WITHIN

@@ -24,7 +24,7 @@ def pairs(after: FleetTable, before: FleetTable | None, criteria: FleetCriteria)
     Parameters
     ----------
     before : FleetTable, optional
-        Defaults to ``after``.
+        None: first against last recording within ``after``.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class _Paired:
     before: Array
     after: Array
     half_width: Array
-    """Of the difference's 95 % interval; NaN where one of the two has none."""
+    """Half width of the difference's 95 % interval; NaN where one of the two has none."""
     appeared: Array
     """1 where an effect appeared, -1 where one disappeared, both beyond its interval; 0 elsewhere."""
 
@@ -65,9 +65,9 @@ class _Paired:
     def of(cls, before: Column, after: Column, rows: tuple[Array, Array]) -> _Paired:
         first, last = rows[0].astype(int), rows[1].astype(int)
         widths = np.hypot(0.5 * (before.high - before.low)[first], 0.5 * (after.high - after.low)[last])
-        sure = [(c.low > 0.0) | (c.high < 0.0) for c in (before, after)]
-        appeared = (after.known & sure[1])[last] & ~before.known[first] & before.observable[first] & after.is_effect
-        disappeared = (before.known & sure[0])[first] & ~after.known[last] & after.observable[last] & after.is_effect
+        clear = [(c.low > 0.0) | (c.high < 0.0) for c in (before, after)]
+        appeared = (after.known & clear[1])[last] & ~before.known[first] & before.observable[first] & after.is_effect
+        disappeared = (before.known & clear[0])[first] & ~after.known[last] & after.observable[last] & after.is_effect
         sign = appeared.astype(float) - disappeared.astype(float)
         return cls(after, before.values[first], after.values[last], widths, sign)
 
@@ -78,16 +78,16 @@ class _Paired:
 
 def _shifts(compared: Sequence[_Paired], criteria: FleetCriteria) -> tuple[PairedQuantity, ...]:
     shifts: list[tuple[_Paired, int, Estimate]] = []
-    for one in compared:
-        known = one.difference[np.isfinite(one.difference)]
-        if len(known) >= criteria.min_values:
-            shifts.append((one, len(known), paired_shift(known)))
+    for quantity in compared:
+        finite = quantity.difference[np.isfinite(quantity.difference)]
+        if len(finite) >= criteria.min_values:
+            shifts.append((quantity, len(finite), paired_shift(finite)))
     adjusted = holm(np.array([estimate.chance for *_, estimate in shifts]))
     return tuple(
         PairedQuantity(
-            name=one.column.name,
-            label=one.column.label,
-            unit=one.column.unit,
+            name=quantity.column.name,
+            label=quantity.column.label,
+            unit=quantity.column.unit,
             count=count,
             shift=estimate.value,
             low=estimate.low,
@@ -95,7 +95,7 @@ def _shifts(compared: Sequence[_Paired], criteria: FleetCriteria) -> tuple[Paire
             chance=estimate.chance,
             significant=bool(p < criteria.max_false_alarm),
         )
-        for (one, count, estimate), p in zip(shifts, adjusted, strict=True)
+        for (quantity, count, estimate), p in zip(shifts, adjusted, strict=True)
     )
 
 
@@ -104,23 +104,23 @@ def _changes(compared: Sequence[_Paired], serials: Sequence[str], criteria: Flee
 
     if not compared:
         return ()
-    sigmas = np.stack([np.abs(one.difference) / (one.half_width / norm.ppf(0.975)) for one in compared])
+    sigmas = np.stack([np.abs(quantity.difference) / (quantity.half_width / norm.ppf(0.975)) for quantity in compared])
     adjusted = holm(2.0 * norm.sf(sigmas).ravel()).reshape(sigmas.shape)
     changes = []
-    for place, one in enumerate(compared):
-        for k in map(int, np.flatnonzero((adjusted[place] < criteria.max_false_alarm) | (one.appeared != 0.0))):
-            half = one.half_width[k]
+    for place, quantity in enumerate(compared):
+        for k in map(int, np.flatnonzero((adjusted[place] < criteria.max_false_alarm) | (quantity.appeared != 0.0))):
+            half = quantity.half_width[k]
             changes.append(
                 PairChange(
                     serial=serials[k],
-                    quantity=one.column.name,
-                    label=one.column.label,
-                    unit=one.column.unit,
-                    before=one.before[k],
-                    after=one.after[k],
-                    difference=one.difference[k],
-                    low=one.difference[k] - half,
-                    high=one.difference[k] + half,
+                    quantity=quantity.column.name,
+                    label=quantity.column.label,
+                    unit=quantity.column.unit,
+                    before=quantity.before[k],
+                    after=quantity.after[k],
+                    difference=quantity.difference[k],
+                    low=quantity.difference[k] - half,
+                    high=quantity.difference[k] + half,
                     significant=True,
                 )
             )

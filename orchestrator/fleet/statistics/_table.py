@@ -1,4 +1,4 @@
-"""A fleet's table as arrays: the recordings, and their quantities with intervals. Judges nothing."""
+"""A fleet's table as arrays: the recordings, and their quantities with intervals."""
 
 from __future__ import annotations
 

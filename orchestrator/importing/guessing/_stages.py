@@ -49,7 +49,7 @@ def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[f
             stop = end if start + 2 * samples > end else start + samples
             stage, hz = _stage(i[start:stop], v[start:stop], period_s, *largest)
             windows.append(Stretch(stage, float(time_s[start]), float(time_s[stop - 1]) + period_s, hz))
-        found += _without_rests(_merged(windows))
+        found += _without_short_dwells(_merged(windows))
     return [part for run in _joined(found) for part in _by_current(run, time_s, i, largest[0], time_s[gaps])]
 
 
@@ -78,13 +78,13 @@ def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float, res
     return [replace(run, start_s=a, end_s=b) for a, b in zip(edges, [*edges[1:], run.end_s], strict=True)]
 
 
-def _without_rests(runs: list[Stretch]) -> list[Stretch]:
+def _without_short_dwells(runs: list[Stretch]) -> list[Stretch]:
     """Merge short dwells into the sweep beside them, which reverses there."""
     kinds = [run.stage for run in runs]
     for k, run in enumerate(runs):
-        beside = kinds[max(k - 1, 0) : k + 2]
-        rests = run.stage is SegmentStage.RESISTANCE and run.end_s - run.start_s < _MAX_DWELL_S
-        if rests and SegmentStage.CLASSICAL in beside:
+        neighbours = kinds[max(k - 1, 0) : k + 2]
+        is_short_dwell = run.stage is SegmentStage.RESISTANCE and run.end_s - run.start_s < _MAX_DWELL_S
+        if is_short_dwell and SegmentStage.CLASSICAL in neighbours:
             runs[k] = Stretch(SegmentStage.CLASSICAL, run.start_s, run.end_s)
     return _joined(runs)
 
@@ -108,8 +108,8 @@ def _stage(
         if _two_levels(v) and np.ptp(np.abs(i - i.mean())) > 0.1 * largest_a:
             return SegmentStage.STEPS, None
     quarter = max(1, i.size // 4)
-    moved = abs(i[-quarter:].mean() - i[:quarter].mean())
-    return (SegmentStage.RESISTANCE if moved < 0.01 * largest_a else SegmentStage.CLASSICAL), None
+    change = abs(i[-quarter:].mean() - i[:quarter].mean())
+    return (SegmentStage.RESISTANCE if change < 0.01 * largest_a else SegmentStage.CLASSICAL), None
 
 
 def _two_levels(v: Complex) -> bool:

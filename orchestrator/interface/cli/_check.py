@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from orchestrator.config import Plan, PlanSummary, StageRow, check_plan, make_plan, read_procedure
 from orchestrator.config.time_constants import plan_notes
-from orchestrator.engine import UsedPlugins, connected_drive, host_gap
+from orchestrator.engine import UsedPlugins, connected_drive, host_latency
 from orchestrator.formatting.quantities import duration, number, quantity
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
 from orchestrator.stages import parse_stages
@@ -35,9 +35,9 @@ def check(
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     procedure = loaded.procedure
     if not as_json:
-        say_notes(loaded.readings)
+        say_notes(loaded.conversions)
     UsedPlugins(parse_stages(procedure))
-    with loaded.naming_its_places(), connected_drive(procedure, private=None) as (connected, capabilities):
+    with loaded.locating_errors(), connected_drive(procedure, private=None) as (connected, capabilities):
         plan = make_plan(procedure, capabilities)
         summary = check_plan(plan, capabilities)
         summary = summary.model_copy(update={"notes": (*summary.notes, *_heartbeat_notes(connected, capabilities))})
@@ -61,12 +61,12 @@ def _heartbeat_notes(drive: Drive, capabilities: Capabilities) -> list[str]:
     watchdog_s = capabilities.watchdog_s
     if capabilities.simulated or watchdog_s is None:
         return []
-    gap = host_gap(drive)
+    gap = host_latency(drive)
     note = (
-        f"heartbeats come from {gap.who} which was late by {1e3 * gap.worst_s:.2g} ms at most in a second: "
-        f"a watchdog of {gap.keeps_s:.2g} s or more does not trip"
+        f"heartbeats come from {gap.sender}, late by {1e3 * gap.worst_s:.2g} ms at most in a second: "
+        f"a watchdog of {gap.shortest_watchdog_s:.2g} s or more does not trip"
     )
-    if watchdog_s >= gap.keeps_s:
+    if watchdog_s >= gap.shortest_watchdog_s:
         return [f"{note}; the drive's is {watchdog_s:g} s"]
     return [f"{note}, and the drive's {watchdog_s:g} s may: close other programs, or make it longer"]
 

@@ -84,8 +84,8 @@ def run(
     loaded = read_procedure(source, overrides=[*overrides, *as_overrides(about)], drive=drive, motor=motor)
     path = run_directory(loaded.procedure.name, out)
     if audience.console_mode == "auto":
-        say_notes(loaded.readings)
-    with loaded.naming_its_places():
+        say_notes(loaded.conversions)
+    with loaded.locating_errors():
         return _with_services(lambda services: start_run(loaded.procedure, path, services), audience)
 
 

@@ -46,7 +46,7 @@ def write_design(
     for name in set(names) & set(MAP_RUNGS):
         raise PluginError("effects", name, "belongs to the map: every procedure that maps the plane shows it")
     wanted = [effect for effect in library if effect.name in names]
-    with loaded.naming_its_places(), connected_drive(loaded.procedure, private=None) as (_, capabilities):
+    with loaded.locating_errors(), connected_drive(loaded.procedure, private=None) as (_, capabilities):
         plan = make_plan(loaded.procedure, capabilities)
         machine = rehearsal.machine(plan, capabilities)
         designed = design(plan, capabilities, machine, wanted, size=size, noise_a=rehearsal.noise_a)

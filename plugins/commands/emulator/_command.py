@@ -119,7 +119,7 @@ def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) 
     procedure = loaded.procedure
     if procedure.drive.name != SimulatedDrive.name:
         raise InputError(str(motor), "drive.name", f"expected {SimulatedDrive.name}, got {procedure.drive.name}")
-    with loaded.naming_its_places():
+    with loaded.locating_errors():
         options = make_options(SimulatedDrive, procedure.drive.options, "drive")
     assert isinstance(options, SimulatedOptions)
     own: dict[str, Any] = {} if options.overload_s is not None else {"overload_s": BOUNDS.overload_limit_s}

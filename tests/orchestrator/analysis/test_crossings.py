@@ -19,14 +19,14 @@ def path(axis: int, held: float, constant: tuple[float, float] = (0.0, 0.0)) -> 
 def test_differences_are_told_where_paths_cross_with_their_constants_left_as_they_are() -> None:
     found = crossings_of([path(0, 1.0), path(1, -2.0, (0.001, -0.002)), path(0, 2.0)])
     assert found.pairs == ((0, 1), (1, 2))
-    assert found.apart == pytest.approx(np.array([[-0.001, 0.002], [0.001, -0.002]]), abs=1e-12)
+    assert found.difference == pytest.approx(np.array([[-0.001, 0.002], [0.001, -0.002]]), abs=1e-12)
     assert found.psi[0] == pytest.approx([-0.08 + 0.0005, 0.07 - 0.001])
 
 
 def test_paths_that_cross_nothing_have_no_differences() -> None:
     found = crossings_of([path(0, 1.0), path(0, 2.0)])
     assert found.pairs == ()
-    assert found.apart.shape == found.psi.shape == (0, 2)
+    assert found.difference.shape == found.psi.shape == (0, 2)
 
 
 def test_joined_paths_agree_where_only_their_constants_did_not() -> None:

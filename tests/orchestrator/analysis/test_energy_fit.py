@@ -146,10 +146,10 @@ def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
     fit = fit_energy(replace(points, matrix=points.matrix + effect), paths())
     assert fit.inverter_step > 0.0
     assert np.abs(flux_off(fit)).max() < 3e-3 * RATED_WB
-    found = fit.taken_out[:, :3][np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0]]
+    found = fit.correction[:, :3][np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0]]
     assert len(found) == 5
     assert np.abs(found[:, 0] / effect[np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0], 0, 0] - 1.0).max() < 0.2
-    clear = np.abs(fit.taken_out[:, 0]) > 4.0 * fit.taken_out_std[:, 0]
+    clear = np.abs(fit.correction[:, 0]) > 4.0 * fit.correction_std[:, 0]
     assert clear[np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0]].all()
     assert both().inverter_step == 0.0
 
@@ -162,7 +162,7 @@ def test_noise_is_not_taken_for_a_gain() -> None:
     clean = exact(places, 0.05)
     noise = random.normal(size=(300, 3))[:, [[0, 1], [1, 2]]] * 0.05
     points = replace(clean, matrix=np.asarray(np.linalg.inv(np.linalg.inv(clean.matrix) + noise), dtype=np.float64))
-    gain = fit_energy(points, ()).taken_out[:, 0] / clean.matrix[:, 0, 0]
+    gain = fit_energy(points, ()).correction[:, 0] / clean.matrix[:, 0, 0]
     assert abs(gain.mean()) < 0.2 * GAIN_STD
 
 

@@ -24,7 +24,7 @@ class Counting:
 def test_a_segment_is_read_once_while_there_is_room() -> None:
     recording = Counting()
     first, second, third = recording.segments(SegmentStage.RESISTANCE)[:3]
-    held = HeldCaptures(recording, most_samples=first.samples + second.samples)
+    held = HeldCaptures(recording, max_samples=first.samples + second.samples)
     for _ in range(2):
         assert [held.load(one).start_s for one in (first, second, third)] == [
             one.start_s for one in (first, second, third)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.analysis import Inductances, Ripple, along, integrate, invert
+from orchestrator.analysis import Inductances, Ripple, flux_steps, integrate, invert
 from protocols import NotMeasuredError
 from tests.orchestrator.analysis.plant import Array, flux_for, saturated_current, saturated_hessian
 from tests.support.close import assert_close
@@ -52,7 +52,7 @@ def test_the_end_correction_makes_the_rule_fourth_order() -> None:
     errors = []
     for step in (1.0, 0.5):
         ends = exact(np.array([[0.0, 1.0], [0.0, 1.0 + step]]))
-        rise = along(np.array([[0.0, step]]), (ends.matrix[:1], ends.slope[:1]), (ends.matrix[1:], ends.slope[1:]))
+        rise = flux_steps(np.array([[0.0, step]]), (ends.matrix[:1], ends.slope[:1]), (ends.matrix[1:], ends.slope[1:]))
         truth = flux_for(ends.current[1], saturated_current) - flux_for(ends.current[0], saturated_current)
         errors.append(float(np.abs(rise[0] - truth).max()))
     assert errors[0] / errors[1] > 2**4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator.analysis import Candidate, Inductances, KnownMap, known_map
-from orchestrator.analysis._next_point import _after, _gains
+from orchestrator.analysis._next_point import _gains, _root_after
 from tests.orchestrator.analysis.plant import Array, flux_for, saturated_current
 from tests.orchestrator.analysis.test_integration import exact
 from tests.orchestrator.analysis.test_sweep import RATED_WB
@@ -74,7 +74,7 @@ def test_a_measured_point_leaves_the_covariance_that_bayes_rule_gives() -> None:
     root, rows = random.normal(size=(9, 9)), random.normal(size=(3, 9))
     before = root @ root.T
     after = np.linalg.inv(np.linalg.inv(before) + rows.T @ rows)
-    assert_close(_after(root, rows) @ _after(root, rows).T, after, 1e-8)
+    assert_close(_root_after(root, rows) @ _root_after(root, rows).T, after, 1e-8)
 
 
 def test_the_gain_is_what_the_weighted_variance_loses() -> None:
@@ -82,7 +82,7 @@ def test_the_gain_is_what_the_weighted_variance_loses() -> None:
     root, rows, reach = random.normal(size=(8, 8)), random.normal(size=(2, 3, 8)), random.normal(size=(5, 2, 8))
     weight = np.square(reach @ root).sum(axis=(1, 2))
     for gain, one in zip(_gains(rows @ root, reach @ root), rows, strict=True):
-        lost = weight - np.square(reach @ _after(root, one)).sum(axis=(1, 2))
+        lost = weight - np.square(reach @ _root_after(root, one)).sum(axis=(1, 2))
         assert gain == pytest.approx(float(weight @ lost))
 
 

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.analysis import PhaseLoss, Ripple, demodulate, injection_frequency, one_way_rad
+from orchestrator.analysis import PhaseLoss, Ripple, demodulate, fixed_axis_rad, injection_frequency
 from protocols import Capture, NotMeasuredError
 from tests.orchestrator.analysis.plant import (
     L_D,
@@ -209,7 +209,7 @@ def test_where_no_phase_current_passes_zero_a_known_dead_time_changes_nothing() 
 
 
 def test_a_wave_that_does_not_turn_is_refused() -> None:
-    with pytest.raises(NotMeasuredError, match="does not turn"):
+    with pytest.raises(NotMeasuredError, match="one axis only"):
         demodulate(capture_of(injected(rotation=0.0), 0), 0.0, time_constant_s=TIME_CONSTANT_S, where="x-1")
 
 
@@ -239,7 +239,7 @@ def along(axis: int, base: Array = POINTS) -> Run:
 @pytest.mark.parametrize("point", range(3))
 def test_waves_along_either_axis_tell_together_what_one_that_turns_does(point: int) -> None:
     d, q = (capture_of(along(axis), point, noise_a=2e-3) for axis in (0, 1))
-    ripple = demodulate(d, 0.0, time_constant_s=TIME_CONSTANT_S, beside=(q,))
+    ripple = demodulate(d, 0.0, time_constant_s=TIME_CONSTANT_S, more_captures=(q,))
     assert off_percent(ripple) < 0.5
     assert (
         ripple.samples > 1.5 * demodulate(capture_of(injected(), point), 0.0, time_constant_s=TIME_CONSTANT_S).samples
@@ -251,7 +251,7 @@ def test_a_wave_that_current_control_answers_on_the_other_axis_does_not_turn() -
     answered = np.array(capture.v_ab)
     answered[:, 1] += 0.2 * np.roll(answered[:, 0] - answered[:, 0].mean(), 2)
     for v_ab, axis in ((answered, 0), (capture_of(along(1), 0).v_ab, 1)):
-        angle = one_way_rad(v_ab)
+        angle = fixed_axis_rad(v_ab)
         assert angle is not None
         assert abs((np.sin, np.cos)[axis](angle)) < 0.2
 
@@ -259,7 +259,7 @@ def test_a_wave_that_current_control_answers_on_the_other_axis_does_not_turn() -
 @pytest.mark.parametrize("turns", [0.15, 0.25, 1.0])
 def test_a_wave_that_turns_a_little_is_none_along_one_axis(turns: float) -> None:
     capture = capture_of(injected(rotation=turns * SAMPLING_HZ / 5000), 0)
-    assert one_way_rad(capture.v_ab) is None
+    assert fixed_axis_rad(capture.v_ab) is None
     assert off_percent(demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)) < 0.2
 
 

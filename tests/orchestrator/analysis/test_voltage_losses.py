@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.analysis import KNOTS, SweepTrace, VoltageLosses, close_loops, flux_by_rests, sweep_of, trace_sweep
+from orchestrator.analysis import KNOTS, SweepTrace, VoltageLosses, close_loops, flux_from_dwells, sweep_of, trace_sweep
 from tests.orchestrator.analysis.plant import R_S, SAMPLING_HZ, Array, capture_of, flux_for, saturated_current
 from tests.orchestrator.analysis.test_sweep import RATED_WB, off_percent, swept
 from tests.support.close import assert_close
@@ -56,7 +56,7 @@ def test_resistance_and_its_drift_are_found(inverter: bool) -> None:
 
 
 def test_loops_close_and_the_path_is_right() -> None:
-    bare = [sweep_of(trace, flux_by_rests(trace, R_S)) for trace in traces(True, 0.1)]
+    bare = [sweep_of(trace, flux_from_dwells(trace, R_S)) for trace in traces(True, 0.1)]
     assert max(sweep.loop_wb.max() for sweep in bare) > 0.15 * RATED_WB
     for trace in traces(True, 0.1):
         closed = sweep_of(trace, losses_of(True, 0.1).flux(trace))
@@ -66,23 +66,23 @@ def test_loops_close_and_the_path_is_right() -> None:
 
 def test_the_heat_within_a_sweep_is_told_from_the_rise_between_sweeps() -> None:
     """Nine sweeps, R_s following the integral of the squared current; alone, it would look like more inductance."""
-    rise, out, heat, start_s = 4e-3, [], 0.0, 0.0
+    slope, out, heat, start_s = 4e-3, [], 0.0, 0.0
     run = swept(False)
     for n in range(9):
         capture = capture_of(run, n % 3, start_s=start_s)
         gained = heat + np.cumsum((capture.i_ab**2).sum(axis=1)) / SAMPLING_HZ
         heat, start_s = float(gained[-1]), start_s + len(capture) / SAMPLING_HZ
-        capture = capture.model_copy(update={"v_ab": capture.v_ab + rise * gained[:, None] * capture.i_ab})
+        capture = capture.model_copy(update={"v_ab": capture.v_ab + slope * gained[:, None] * capture.i_ab})
         out.append(trace_sweep(capture, 0.0, knots_a=KNOTS_A, where=f"classical-{n}"))
     losses = close_loops(out, KNOTS_A)
-    assert losses.rise == pytest.approx(rise, rel=0.1)
+    assert losses.resistance_per_heat == pytest.approx(slope, rel=0.1)
     aware = [off_percent(sweep_of(trace, losses.flux(trace)).path) for trace in out]
-    unaware = [off_percent(sweep_of(trace, replace(losses, rise=0.0).flux(trace)).path) for trace in out]
+    unaware = [off_percent(sweep_of(trace, replace(losses, resistance_per_heat=0.0).flux(trace)).path) for trace in out]
     assert max(aware) < 0.3 * max(unaware)
 
 
 def test_where_nothing_warms_up_no_rise_is_found() -> None:
-    assert losses_of(True).rise == 0.0
+    assert losses_of(True).resistance_per_heat == 0.0
 
 
 def test_a_hysteresis_loop_is_not_taken_for_an_inverter() -> None:

@@ -158,7 +158,7 @@ LIMITS = {"current_a": 5.0, "voltage_v": 150.0}
         ([HOLD], {"limits": {**LIMITS, "energy_j": 600.0}}, {}, "limits.energy_j", "stages.0 (resistance)"),
         ([HOLD], {"limits": {**LIMITS, "duration_s": 3.0}}, {}, "limits.duration_s", "stages.0 (resistance)"),
         ([HOLD], {}, {"longest_excitation_s": 0.5}, "stages.0.duration_s", "longest capture after"),
-        ([INJECTION], {}, {"frequency_step_hz": 300.0}, "stages.0.frequency_hz", "no multiple of the drive's 300 Hz"),
+        ([INJECTION], {}, {"frequency_step_hz": 300.0}, "stages.0.frequency_hz", "no nearby multiple"),
         ([INJECTION], {}, {"excitations": KINDS - {"injection"}}, "stages.0", "it has gates_off, hold, trapezoid"),
         (
             [{**HOLD, "pwm_frequencies_hz": [15_000.0]}],

@@ -187,7 +187,7 @@ def test_a_rule_of_the_whole_procedure_names_the_line_of_the_stage(write: Write)
     loaded = read_procedure(str(write(text)), overrides=["stages.2.duration_s=1", "stages.2.settle_s=1"])
     with (
         pytest.raises(CapabilityError, match=r"mine\.yaml:17: stages\.1: classical with the brake released"),
-        loaded.naming_its_places(),
+        loaded.locating_errors(),
     ):
         check_plan(make_plan(loaded.procedure, None), None)
 
@@ -433,6 +433,6 @@ def test_an_error_found_while_planning_is_told_with_file_and_line(tmp_path: Path
     line = next(k for k, text in enumerate(file.read_text().splitlines(), 1) if "amplitudes_v" in text)
     with (
         pytest.raises(ProcedureError, match=rf"mine\.yaml:{line}: stages\.8\.amplitudes_v"),
-        loaded.naming_its_places(),
+        loaded.locating_errors(),
     ):
         make_plan(loaded.procedure, None)

@@ -45,7 +45,7 @@ def test_what_follows_from_other_values_is_held_against_the_rest() -> None:
     assert completed(values)["rated_frequency_hz"] == pytest.approx(60.0)
     assert completed(values)["rated_torque_nm"] == pytest.approx(2.122, rel=1e-3)
     (told,) = broken_relations({**values, "rated_current_rms_a": 1.66, "pm_flux_wb": 3.0})
-    assert "rated_torque_nm by the others is 2.122" in told
+    assert "rated_torque_nm from the others is 2.122" in told
 
 
 def test_a_q_axis_of_less_inductance_is_asked_for() -> None:
@@ -60,7 +60,7 @@ def test_a_q_axis_of_less_inductance_is_asked_for() -> None:
 def test_check_says_it_and_degrees_are_no_radians() -> None:
     doubted = called("check", "quick", "--set", "motor.rated_power_w=0.4")
     assert doubted.returncode == 0
-    assert "motor.rated_power_w: 400 would fit: is what is written in kW?" in doubted.stdout
+    assert "motor.rated_power_w: 400 would fit: is the stated value in kW?" in doubted.stdout
     degrees = called("check", "quick", "--set", "stages.4.tolerance_rad=90")
     assert degrees.returncode == 2
     assert "stages.4.tolerance_rad: 90 rad is more than two turns: is it in degrees (1.571 rad)?" in degrees.stderr
@@ -69,7 +69,7 @@ def test_check_says_it_and_degrees_are_no_radians() -> None:
 def test_a_refusal_names_the_slip_beside_what_is_refused() -> None:
     refused = called("check", "quick", "--set", "motor.stator_resistance_ohm=4250")
     assert refused.returncode == 2
-    assert "motor.stator_resistance_ohm: 4.25 would fit: is what is written in milliohm?" in refused.stderr
+    assert "motor.stator_resistance_ohm: 4.25 would fit: is the stated value in milliohm?" in refused.stderr
 
 
 def test_a_value_out_of_all_bounds_is_asked_for_its_unit() -> None:

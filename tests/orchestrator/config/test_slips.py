@@ -106,5 +106,5 @@ def test_of_slips_that_fit_the_likeliest_is_first() -> None:
 @pytest.mark.parametrize("slip", SLIPS, ids=lambda slip: f"{slip.fields} {slip.words}")
 def test_a_slip_changes_its_own_fields_alone(slip: Slip) -> None:
     values = stated_values(SIX["demo 400 W"])
-    assert set(slip.mended(values)) == set(slip.fields)
+    assert set(slip.corrected(values)) == set(slip.fields)
     assert slip.applied(values) != values

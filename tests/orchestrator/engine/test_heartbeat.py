@@ -103,6 +103,6 @@ def test_a_process_that_somebody_has_stopped_is_known_to_be() -> None:
 @pytest.mark.parametrize("shared", [True, False])
 def test_the_hosts_worst_gap_says_which_watchdog_it_keeps(drive: PipedDrive, shared: bool) -> None:
     drive.shared = shared
-    gap = _heartbeat.host_gap(drive, 0.1)  # type: ignore[arg-type]
-    assert 0.0 <= gap.worst_s < gap.keeps_s
-    assert gap.who.startswith("a process of" if shared else "a thread")
+    gap = _heartbeat.host_latency(drive, 0.1)  # type: ignore[arg-type]
+    assert 0.0 <= gap.worst_s < gap.shortest_watchdog_s
+    assert gap.sender.startswith("a process of" if shared else "a thread")

@@ -15,8 +15,8 @@ from tests.support.tiny import MOTOR, STAGES, run_tiny
 
 CONTROL = CurrentControl(bandwidth_hz=25.0)
 LIMITS = Limits(current_a=5.0, voltage_v=150.0)
-QUIET = SensorNoise(offset_a=0.0, longest_a=0.003, mean_square_a2=2e-5)
-NOISY = SensorNoise(offset_a=0.02, longest_a=0.4, mean_square_a2=0.2)
+QUIET = SensorNoise(offset_a=0.0, max_std_a=0.003, mean_square_a2=2e-5)
+NOISY = SensorNoise(offset_a=0.02, max_std_a=0.4, mean_square_a2=0.2)
 
 
 def hold(current_a: float) -> PlannedPoint:
@@ -49,7 +49,7 @@ def test_peak_noise_is_reached_once_in_so_many_rows() -> None:
 
 
 def test_noise_beyond_the_limit_asks_for_other_sensors() -> None:
-    hint = explain(hold(4.0), SensorNoise(offset_a=0.0, longest_a=1.1, mean_square_a2=2.0))
+    hint = explain(hold(4.0), SensorNoise(offset_a=0.0, max_std_a=1.1, mean_square_a2=2.0))
     assert "quieter sensors" in hint
     assert "at most" not in hint
 

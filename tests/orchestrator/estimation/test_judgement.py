@@ -91,7 +91,7 @@ def test_a_difference_of_the_methods_is_put_in_words(factor: float, percent: flo
     if percent is not None:
         told = said(report, "flux_ratio")
         assert told.values["apart_percent"] == pytest.approx(percent)
-        assert told.text.endswith("`fluxbench diagnose` tells why")
+        assert told.text.endswith("`fluxbench diagnose` finds the cause")
         assert (told.values["size"] == "less") == (factor < 1.0)
 
 

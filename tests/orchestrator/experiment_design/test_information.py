@@ -37,10 +37,11 @@ def test_every_effect_has_columns_for_its_amplitudes_in_every_shape(known: Infor
     dead_time, bias = known.effects["dead_time"], known.effects["voltage_bias"]
     shapes = len(ALTERNATIVE_SHAPES)
     bends, edges = (len(effects(name)[0].Parameters.declared()) for name in ("dead_time", "voltage_bias"))
-    assert [len(dead_time.amplitudes), len(dead_time.forms), len(dead_time.others)] == [1, bends - 1, shapes]
-    assert [len(bias.amplitudes), len(bias.forms), len(bias.others)] == [2, edges - 2, 0]
+    dead_time_columns = (dead_time.amplitudes, dead_time.forms, dead_time.alternative_amplitudes)
+    assert [len(columns) for columns in dead_time_columns] == [1, bends - 1, shapes]
+    assert [len(bias.amplitudes), len(bias.forms), len(bias.alternative_amplitudes)] == [2, edges - 2, 0]
     places = np.concatenate([effect.all for effect in known.effects.values()])
-    assert sorted(places) == list(range(known.machine, known.total.shape[0]))
+    assert sorted(places) == list(range(known.machine_columns, known.total.shape[0]))
 
 
 def test_shapes_span_those_between() -> None:
@@ -60,7 +61,7 @@ def test_shapes_span_those_between() -> None:
 def test_what_follows_takes_information_away_and_never_adds_any(known: Information) -> None:
     alone = known.marginal(known.total, "dead_time")
     beside = known.marginal(known.total, "dead_time", known.effects["voltage_bias"].all)
-    assert 0.0 < beside[0, 0] <= alone[0, 0] < known.total[known.machine, known.machine]
+    assert 0.0 < beside[0, 0] <= alone[0, 0] < known.total[known.machine_columns, known.machine_columns]
 
 
 def test_a_wider_noise_makes_less_of_the_same_equations() -> None:

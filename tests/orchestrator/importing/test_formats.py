@@ -163,7 +163,7 @@ def test_a_table_of_channels_larger_than_any_is_not_read_to_its_end(tmp_path: Pa
 def test_a_whole_object_and_a_wrong_shape_are_said(tmp_path: Path) -> None:
     path = tmp_path / "v7.mat"
     desk = Desk(tmp_path, series("v7", True)(path).replace("ia.Data", "ia"), [path])
-    with pytest.raises(InputError, match=r"v7.mat: ia: is an object; name what is in it, such as ia.Data"):
+    with pytest.raises(InputError, match=r"v7.mat: ia: is a MATLAB object; give a property of it, e.g. ia.Data"):
         desk.run()
     path = tmp_path / "log.h5"
     desk = Desk(tmp_path, hdf5_datasets(path).replace("volts(:,1)", "volts"), [path])

@@ -119,7 +119,7 @@ def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm
     log = log_of(("injection-012", "injection-013"))
     two_loggers(desk, log, offset_s, ppm)
     report = desk.run()
-    assert any("by its edges" in note for note in report.notes)
+    assert any("by voltage edges" in note for note in report.notes)
     found = desk.segments()
     v = np.concatenate([c.v_ab for _, c in found])
     at = np.searchsorted(log.t, np.concatenate([s.start_s + np.arange(s.samples) / 1e4 for s, _ in found]) - 1e-6)
@@ -134,7 +134,7 @@ def test_points_that_follow_each_other_in_equal_times_are_told_apart_by_their_me
     lengths = np.diff(ends, prepend=0)
     even = np.concatenate([0.55 * k + np.arange(n) / 1e4 for k, n in enumerate(lengths)])
     two_loggers(desk, dataclasses.replace(log, t=even), 12.5, 40.0, rate_hz=5e4)
-    (note,) = (note for note in desk.run().notes if "by its edges" in note)
+    (note,) = (note for note in desk.run().notes if "by voltage edges" in note)
     assert "-12.5" in note
 
 

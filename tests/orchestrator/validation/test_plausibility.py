@@ -7,11 +7,11 @@ from orchestrator.validation.plausibility import (
     MAX_VOLTAGE_RATIO,
     PLAUSIBLE_BOUNDS,
     POSSIBLE_BOUNDS,
-    apart_rad,
     is_reversed,
     outside,
     rms,
     slow_part,
+    suspicious_phase_rad,
     within,
 )
 
@@ -38,20 +38,20 @@ def test_only_numbers_that_are_there_are_out_of_their_range() -> None:
 
 @pytest.mark.parametrize("degrees", [0.0, 59.0, -59.0])
 def test_a_winding_takes_power(degrees: float) -> None:
-    assert apart_rad(np.exp(1j * np.radians(degrees)), 1.0, 1.0) is None
+    assert suspicious_phase_rad(np.exp(1j * np.radians(degrees)), 1.0, 1.0) is None
 
 
 @pytest.mark.parametrize(("degrees", "reverse"), [(180.0, True), (-170.0, True), (120.0, False), (-61.0, False)])
 def test_voltage_and_current_far_apart_are_reversed_or_exchanged(degrees: float, reverse: bool) -> None:
-    angle = apart_rad(6.0 * np.exp(1j * np.radians(degrees)), 4.0, 9.0)
+    angle = suspicious_phase_rad(6.0 * np.exp(1j * np.radians(degrees)), 4.0, 9.0)
     assert angle is not None
     assert angle == pytest.approx(np.radians(degrees))
     assert is_reversed(angle) == reverse
 
 
 def test_voltage_that_does_not_go_with_the_current_says_nothing() -> None:
-    assert apart_rad(-0.4 + 0j, 1.0, 1.0) is None
-    assert apart_rad(0j, 0.0, 1.0) is None
+    assert suspicious_phase_rad(-0.4 + 0j, 1.0, 1.0) is None
+    assert suspicious_phase_rad(0j, 0.0, 1.0) is None
 
 
 def test_the_slow_part_is_without_the_ripple_and_rms_is_of_lengths() -> None:

@@ -118,8 +118,8 @@ def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
 def test_dead_time_is_spoken_of_where_it_is_beyond_its_own_error(std_h: float, expected: bool) -> None:
     found = energy_of(True)
     assert isinstance(found, EnergyFlux)
-    size = np.ones_like(found.fit.taken_out)
-    vague = replace(found.fit, inverter_step=0.04, taken_out=1e-3 * size, taken_out_std=std_h * size)
+    size = np.ones_like(found.fit.correction)
+    vague = replace(found.fit, inverter_step=0.04, correction=1e-3 * size, correction_std=std_h * size)
     estimates = (injection_of(True), classical_of(True), found.model_copy(update={"fit": vague}))
     again = EnergyEstimator().estimate(behind_dead_time(), EstimationContext(estimates))
     assert ("inverter_step" in {remark.code for remark in again.remarks}) == expected

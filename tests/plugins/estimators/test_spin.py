@@ -135,7 +135,7 @@ def test_without_current_the_emf_says_the_magnets_flux_and_where_it_points(offse
 
 
 @pytest.mark.parametrize(
-    ("factor", "problem"), [(-1.0, "phases in another order"), (2.0, "0.5 times"), (0.5, "2 times as fast")]
+    ("factor", "problem"), [(-1.0, "is the phase order wrong"), (2.0, "0.5 times"), (0.5, "2 times as fast")]
 )
 def test_an_angle_that_is_not_the_rotors_is_refused_by_what_it_looks_like(factor: float, problem: str) -> None:
     recording = spun(GRID[:1])

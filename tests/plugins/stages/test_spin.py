@@ -112,7 +112,7 @@ def test_the_magnet_the_angle_and_the_resistance_are_told(run: Path) -> None:
     assert remarks["spin.angle_offset"].values["angle_deg"] == pytest.approx(np.degrees(0.7), abs=0.1)
 
 
-@pytest.mark.parametrize(("ratio", "message"), [(-1.0, "phases in another order"), (2.0, "0.5 times the pole pairs")])
+@pytest.mark.parametrize(("ratio", "message"), [(-1.0, "phase order"), (2.0, "0.5 times as many pole pairs")])
 def test_no_current_is_held_in_a_frame_that_is_not_the_rotor_s(ratio: float, message: str, tmp_path: Path) -> None:
     plant = {**PLANT, "rotor": {"rest_angle_rad": 0.0, "encoder_ratio": ratio}}
     stages = [RELEASE, {"kind": "spin", "speeds_rpm": [1000.0], "turns": 3, "points_a": [[0.0, 1.0]]}]

@@ -61,7 +61,7 @@ def test_each_axis_alone_and_both_at_once_at_two_voltages(pm400: Bench) -> None:
     [
         ({"turn_a": 6.0}, "stages.0.turn_a: steps reaches 6"),
         ({"voltages_v": [200.0, 90.0]}, "stages.0.voltages_v: steps needs 200 V, limits.voltage_v is 150 V"),
-        ({"voltages_v": [15.0, 90.0]}, "do not reach 2.9 A through R_s of 4.25 ohm soon enough: at least 18.5 V"),
+        ({"voltages_v": [15.0, 90.0]}, "do not drive 2.9 A through R_s of 4.25 ohm in time: at least 18.5 V"),
         ({"voltages_v": [149.0, 90.0], "turn_a": 0.5}, "rows from one turn to the next at 10000 Hz: at most"),
     ],
 )

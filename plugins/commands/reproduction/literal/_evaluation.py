@@ -185,7 +185,7 @@ def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *
         Share of the rated flux below which crossings do not enter `relative`.
     """
     crossings = crossings_of(paths)
-    difference, size = np.abs(crossings.apart), np.abs(crossings.psi)
+    difference, size = np.abs(crossings.difference), np.abs(crossings.psi)
     relative = np.where(size > small * rated_wb, difference / np.maximum(size, small * rated_wb), 0.0)
     current, psi = (np.concatenate([getattr(path, name) for path in paths]) for name in ("current", "psi"))
     error_wb = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)

@@ -17,7 +17,7 @@ pytest.importorskip("moteus", reason="the official library of moteus is an optio
 
 from pydantic import ValidationError
 
-from orchestrator.testing._drive_bench import Heart, measure
+from orchestrator.testing._drive_bench import HeartbeatThread, measure
 from plugins.drives.moteus import MoteusDrive, MoteusOptions
 from plugins.drives.moteus._configuration import Frame
 from protocols import (
@@ -66,7 +66,7 @@ def connected(change: Callable[[Servo], Any] = nothing, **options: Any) -> Itera
 @contextmanager
 def armed(change: Callable[[Servo], Any] = nothing, limits: Limits = LIMITS) -> Iterator[tuple[MoteusDrive, Fdcanusb]]:
     """An armed drive with a beating heart."""
-    with connected(change) as (drive, port), Heart(drive, 0.05):
+    with connected(change) as (drive, port), HeartbeatThread(drive, 0.05):
         drive.arm(limits)
         yield drive, port
 
@@ -391,7 +391,7 @@ def test_a_board_on_a_can_bus_is_reached_as_well() -> None:
     with can_bus("moteus-test") as servo:
         drive = MoteusDrive(DriveSetup(motor=MOTOR, options=options, seed=1))
         drive.connect()
-        with Heart(drive, 0.05):
+        with HeartbeatThread(drive, 0.05):
             drive.arm(LIMITS)
             i_ab = measure(drive, HOLD).i_ab
             drive.ramp_down()

@@ -44,7 +44,7 @@ def test_constant_inductances_are_summed_without_an_error() -> None:
     found = summed(lines_of(TARGETS), TARGETS, np.broadcast_to(matrix, (len(TARGETS), 2, 2)), Rule.RECTANGLE)
     assert len(found) == 11
     assert all(np.abs(path.psi - path.current @ matrix).max() < 1e-12 for path in found)
-    assert np.abs(crossings_of(found).apart).max() < 1e-12
+    assert np.abs(crossings_of(found).difference).max() < 1e-12
 
 
 def test_rectangles_leave_what_a_step_of_saturation_is_and_trapezoids_its_square() -> None:

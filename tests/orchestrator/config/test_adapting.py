@@ -97,6 +97,6 @@ def test_an_injection_elsewhere_than_at_zero_is_refused_beforehand_where_the_dri
     assert point.excitation.longest_current_a == 0.0
 
 
-def test_a_bandwidth_that_is_not_heeded_is_said_once_and_not_held_against_the_sampling(pm400: Bench) -> None:
+def test_a_bandwidth_that_is_ignored_is_noted_once_and_not_checked_against_the_sampling(pm400: Bench) -> None:
     plan = fitted(pm400, {**HOLD, "control": {"bandwidth_hz": 900.0}}, heeds_bandwidth=False)
-    assert sum("no control.bandwidth_hz is heeded" in note for note in plan.notes) == 1
+    assert sum("ignores control.bandwidth_hz" in note for note in plan.notes) == 1
