@@ -14,7 +14,7 @@ import pytest
 
 BUDGET_S = {
     "orchestrator/diagnosis": 40,
-    "orchestrator/interface/cli": 35,
+    "orchestrator/interface": 45,
     "plugins/streams": 25,
     "plugins/drives": 25,
     "tests": 25,

@@ -200,7 +200,7 @@ def test_report_is_the_contract_and_all_its_numbers_are_finite(diagnosed: Diagno
     report = json.loads(diagnosed.report.model_dump_json())
     assert set(report) == REPORT
     assert all(math.isfinite(number) for number in _numbers(report))
-    assert set(report["ladder"][0]) == {"added", "chi2", "rms_v", "heldout_rms_v", "current_rms_a"}
+    assert set(report["ladder"][0]) == {"added", "effects", "chi2", "rms_v", "heldout_rms_v", "current_rms_a"}
 
 
 def test_a_cause_has_its_share_its_probability_and_counts(diagnosed: Diagnosis) -> None:

@@ -87,7 +87,7 @@ def test_a_run_is_started_asked_about_answered_and_stopped_by_two_browsers(serve
     assert (starting["going"], starting["subject"]) == (True, "asking.yaml · motors/servo.yaml")
     again = served.post("/start", wanted)
     assert again.status == 409
-    assert "one at a time" in again.content["problem"]
+    assert "only one is possible at a time" in again.content["problem"]
 
     view = served.view_when(question_of)
     question = question_of(view)
