@@ -167,13 +167,13 @@ def memory(bench: Bench) -> Iterator[Row]:
 
 
 def workers(bench: Bench) -> Iterator[Row]:
-    """Wall time with two processes, beside one."""
+    """Wall time with two threads, beside one."""
     walls = []
     for count in (2, 1):
         with tempfile.TemporaryDirectory() as out:
-            call = f"diagnose({str(bench.demo)!r}, out={out!r}, processes={count})"
+            call = f"diagnose({str(bench.demo)!r}, out={out!r}, workers={count})"
             walls.append(python(HERE, "-c", f"from orchestrator.interface.api import diagnose; {call}").wall_s)
-    yield Row("two workers [s of wall time], beside one", walls[0], walls[1])
+    yield Row("two threads [s of wall time], beside one", walls[0], walls[1])
 
 
 def size(bench: Bench) -> Iterator[Row]:
