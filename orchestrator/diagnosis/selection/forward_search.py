@@ -197,7 +197,7 @@ def _accept(fitter: Fitter, search: SearchResult, step: AcceptedModel, candidate
     """Add an effect to the model, and free refinements unless an absent effect explains more of the residual."""
     fit = fit_newest(fitter, step.fit)
     search.view = linear_view(fitter, fit, candidates, fixed_refinements(fit.model.active[-1:]))
-    search.has_deferred_refinements = _outweighs_refinements(search.view)
+    search.has_deferred_refinements = _outweighs_refinements(search.view, _inseparable(fit, candidates))
     if not search.has_deferred_refinements:
         fit = extend_earlier(fitter, extend_newest(fitter, fit, inflation))
     search.steps.append(replace(step, fit=fit))
@@ -213,12 +213,12 @@ def _free_deferred(fitter: Fitter, search: SearchResult) -> bool:
     return True
 
 
-def _outweighs_refinements(view: LinearView) -> bool:
+def _outweighs_refinements(view: LinearView, inseparable: set[str]) -> bool:
     """Whether an absent effect explains most of the residual, and more than the newest effect's refinements.
 
     Refinements would adapt to the missing effect; they are tried again once it is in the model.
     """
-    scores, fit = score(view), view.fit
+    scores, fit = [s for s in score(view) if s.candidate.name not in inseparable], view.fit
     min_gain = MIN_SHARE_BEFORE_REFINEMENTS * (fit.chi2 - fit.dof)
     return bool(scores) and scores[0].gain > max(refinement_gain(view), min_gain)
 
