@@ -15,7 +15,8 @@ from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection import forward_search as forward_search_module
 from orchestrator.diagnosis.selection.forward_search import AcceptedModel, forward
 from orchestrator.diagnosis.selection.refining import extend_newest
-from plugins.effects.inverter import DeadTime, VoltageBias
+from orchestrator.diagnosis.selection.scoring import linear_view
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.timing import VoltageDelay
 from protocols import Signals
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
@@ -96,6 +97,18 @@ def test_what_waited_for_another_effect_is_bent_where_none_comes(biased: Fitter)
     search.has_deferred_refinements = True
     assert forward_search_module._free_deferred(biased, search)
     assert not forward_search_module._free_deferred(biased, search)
+
+
+def test_what_the_recording_cannot_separate_from_a_present_effect_keeps_no_refinement_waiting(
+    biased: Fitter, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    library = scaled_library([DeadTime(), DeviceDrop()], biased.prepared.manifest)
+    view = linear_view(biased, biased.fit(free_model()), library)
+    monkeypatch.setattr(forward_search_module, "MIN_SHARE_BEFORE_REFINEMENTS", 0.0)
+    monkeypatch.setattr(forward_search_module, "refinement_gain", lambda _: 0.0)
+    assert forward_search_module._outweighs_refinements(view, set())
+    assert forward_search_module._outweighs_refinements(view, {"dead_time"})
+    assert not forward_search_module._outweighs_refinements(view, {"dead_time", "device_drop"})
 
 
 def _knee_and_bias(signals: Signals) -> Array:
