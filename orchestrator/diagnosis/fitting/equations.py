@@ -332,8 +332,8 @@ class WeakFormEquations:
         probes = []
         for j, cached in enumerate(at.linearisation.pieces):
             power = np.sum(cached.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)
-            answers = {key: float(p) for key, p in zip(keys, power, strict=True)}
-            probes.append(ColumnProbe(rows[j].columns, answers))
+            responses = {key: float(p) for key, p in zip(keys, power, strict=True)}
+            probes.append(ColumnProbe(rows[j].columns, responses))
         return rows, probes
 
     def _white(self, at: BatchState, columns: _Columns) -> list[SegmentRows]:
@@ -354,10 +354,10 @@ class WeakFormEquations:
     ) -> dict[str, Array]:
         """Derivative of y by one standardised parameter into `out` (rows,); returns the inner effects' parts."""
         step = step_of(active, name)
-        change, answers = at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
+        change, responses = at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
         self._difference(at, change, step, out)
         corrected = at.cascade.corrected
-        return {n: self._difference(at, c, step) for n, c in answers.items() if _beyond_rounding(c, corrected)}
+        return {n: self._difference(at, c, step) for n, c in responses.items() if _beyond_rounding(c, corrected)}
 
     def _difference(self, at: BatchState, change: Change, step: float, out: Array | None = None) -> Array:
         rows = change_of_rows(at.batch, at.cascade.corrected, change, at.local, self.pm_flux_wb, out)

@@ -118,8 +118,9 @@ def _try_refinements(fitter: Fitter, fit: Fit, index: int, inflation: float) -> 
 def _alternative_starts(active: EffectTerm, best: Fit, index: int) -> list[EffectTerm]:
     """Further initial values of an effect's flexible form, where the best fit so far leaves more than noise.
 
-    They are its second form, with and without the first one's refinements, and the form without parameters that ran to
-    a bound: these compensated for something else.
+    - the alternative start (second form);
+    - the alternative start with the refinements of the first form;
+    - the form without parameters that ran to a bound: these compensated for something else.
     """
     if best.chi2_per_dof <= best.criteria.selection.detected_chi2:
         return []

@@ -28,7 +28,7 @@ def test_a_whole_campaign_is_enough() -> None:
 
 def test_fewer_places_than_asked_for_are_refused_and_counted() -> None:
     two = prepared([Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0)), Plan(SegmentStage.RESISTANCE, hold(0.0, 1.0))])
-    with pytest.raises(NotMeasuredError, match="show 2 places of the current plane"):
+    with pytest.raises(NotMeasuredError, match="show 2 operating points"):
         require_enough(two, NOISE)
 
 
