@@ -160,7 +160,7 @@ class FluxMapEstimate(ArrayModel):
     form: ClosedForm | None = None
     """Parametric form of the map, where it has one."""
     incremental: tuple[IncrementalInductances, ...] = ()
-    """Of maps by injection: one entry for each frequency and size of the ripple, by frequency."""
+    """Inductances of maps by injection: one entry for each frequency and size of the ripple, by frequency."""
     remarks: Remarks = ()
 
 

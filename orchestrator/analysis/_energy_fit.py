@@ -106,7 +106,7 @@ class Errors:
     Attributes
     ----------
     scales : (float, float, float, float)
-        Of inductances, of their slopes, and of the flux along and across the swept direction, in stated errors.
+        Scales of inductances, of their slopes, and of the flux along and across the swept direction, in stated errors.
     points, paths : array, shapes (n,), (p,), or None
         Factors that reduce the information of each; None: no reduction.
     inverter_step : float
@@ -297,10 +297,7 @@ def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tu
 
 
 def _errors_by_scatter(problem: EnergyProblem, solution: Solution, prior_count: float = 20.0) -> Errors:
-    """Errors that match the scatter of each kind's residuals, with reduced weights for outliers.
-
-    The prior of their sizes counts as `prior_count` data.
-    """
+    """Errors that match the scatter of each kind's residuals; the prior counts as `prior_count` data, outliers less."""
     weights: list[Array] = []
     growth: list[float] = []
     for (rows, target, root), kinds in zip(

@@ -186,10 +186,7 @@ def _rotate_window(
 def _fill_features(
     z: Array, v: Array, decaying: Array, drop_ohm: Array, place: Array, sampling_s: float, level: Array
 ) -> None:
-    """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current `decaying` that makes it decay.
-
-    `level` gets the sums of the rows that do not have zero mean.
-    """
+    """Rows 0 to 10 of z from zero-mean voltage v and current `decaying`; `level` gets the sums of rows with a mean."""
     p_d, p_q, q_d, q_q = 0.0, 0.0, 0.0, 0.0
     for k in range(v.shape[1]):
         z[0, k], z[1, k] = p_d, p_q

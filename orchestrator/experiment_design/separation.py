@@ -188,10 +188,7 @@ def _piece(
     voltage: Array,
     lasting_s: float,
 ) -> SegmentData | None:
-    """A segment after the last one of the recording, in that one's frame, with the heat of the middle of its time.
-
-    None where it has too few readings for a window.
-    """
+    """A segment after the recording's last, in its frame, with the heat at mid-time; None with too few readings."""
     last = setup.prepared.pieces[-1]
     s, angle = last.signals, last.segment.rotor_angle_rad
     n, fs = len(current), setup.prepared.manifest.drive.sampling_frequency_hz

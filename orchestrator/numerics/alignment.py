@@ -82,11 +82,9 @@ def alignment_of(
 
 
 def _is_smooth(v: NDArray[np.complex128], pure: float = 0.3, even: float = 0.3) -> bool:
-    """Whether the voltage is a sine without edges, apart from what a current controller adds.
-
-    A sine satisfies v[k+1] + v[k-1] = 2 cos(w) v[k]. So does a square wave of many rows, nearly; but most of its steps
-    are far smaller than the largest, unlike those of a sine.
-    """
+    """Whether the voltage is a sine without edges, apart from what a current controller adds."""
+    # A sine satisfies v[k+1] + v[k-1] = 2 cos(w) v[k]. So does a square wave of many rows, nearly; but most of its
+    # steps are far smaller than the largest, unlike those of a sine.
     ahead, sides = v[1:-1], v[2:] + v[:-2]
     power = float(np.vdot(ahead, ahead).real)
     if power == 0.0:

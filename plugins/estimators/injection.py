@@ -271,11 +271,9 @@ def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFl
 
 
 def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface: TaylorSurface) -> tuple[Array, Array]:
-    """L_dd, L_dq, L_qq at the nodes, and their interpolation error.
-
-    Between distant points, interpolated inductances and slopes of the interpolated flux have errors of similar size
-    and different origin. The result is their mean, and half their difference estimates its error.
-    """
+    """L_dd, L_dq, L_qq at the nodes, and their interpolation error."""
+    # Between distant points, interpolated inductances and slopes of the interpolated flux have errors of similar size
+    # and different origin. The result is their mean, and half their difference estimates its error.
     step = 1e-3 * float(np.ptp(points.current, axis=0).max())
     slopes = np.empty((len(nodes), 2, 2))
     slender = surface.is_sliver

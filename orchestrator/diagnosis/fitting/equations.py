@@ -169,11 +169,9 @@ class WeakFormEquations:
         return noises
 
     def _common_rows(self, state: BatchState, j: int, slopes: Array | None) -> Array:
-        """Change of a segment's equations by 1 A of offset in phase a or b, and by 1 V along each axis in each dwell.
-
-        Voltages are added in dwells only, as moving voltages average out quantisation. The offset also acts through the
-        inverter's slopes (n, 2, 2). Shape (rows, 2 + 2 dwells).
-        """
+        """Change of the equations by 1 A of offset in phase a or b and 1 V per axis and dwell, (rows, 2 + 2 dwells)."""
+        # Moving voltages average out quantisation: only dwells get it. The offset acts through the inverter's slopes
+        # too.
         at = state.cascade.corrected.slice_of(j)
         one, part = state.batch.singles[j], state.local.part(at)
         corrected = SignalBatch.of([state.cascade.corrected.segment(j)])
@@ -278,10 +276,7 @@ class WeakFormEquations:
         return dict(zip(FLUX, (psi_ab, smooth, i_smooth, inductance), strict=True))
 
     def _slopes(self, batch: SegmentBatch, base: SignalBatch, model: Model) -> Array | None:
-        """Sensitivity of the inverter's voltage to current noise, by finite differences.
-
-        d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2); None where no effect does.
-        """
+        """d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2); None without such effects."""
         inverter = [a for a in model.active if _multiplies_noise(a)]
         if not (inverter and batch.pieces[0].signals.bridge_on):
             return None

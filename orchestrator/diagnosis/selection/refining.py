@@ -135,10 +135,8 @@ def _at_bounds(active: EffectTerm) -> list[str]:
 
 
 def _extend_form(fitter: Fitter, fit: Fit, index: int, form: EffectTerm, best: Fit, inflation: float) -> Fit | None:
-    """The fit with one effect in a flexible form; None where its linear or actual gain does not beat the best fit.
-
-    Parameters that bring most of the gain are freed and fitted first, then those that still gain beside them.
-    """
+    """The fit with one effect in a flexible form; None where its linear or actual gain does not beat the best fit."""
+    # Parameters that bring most of the gain are freed and fitted first, then those that still gain beside them.
     trial, reached = None, best.objective
     for _ in range(MAX_FORM_EXTENSIONS):
         whole = fitter.evaluate(

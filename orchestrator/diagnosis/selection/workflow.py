@@ -174,11 +174,9 @@ def search_effects(
 def _search(
     setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library, interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, SearchResult]:
-    """Search in a part of the recording, refit its effects to the whole, and search there for small ones.
-
-    Where a few effects found one by one do not explain the part, sensor offsets may vary between segments: the setup
-    returned then has that as noise. Otherwise all effects are fitted together.
-    """
+    """Search in a part of the recording, refit its effects to the whole, and search there for small ones."""
+    # Where a few effects do not explain the part, sensor offsets may vary between segments, which then count as noise;
+    # otherwise all effects are fitted together.
     if not _explains(steps[-1].fit):
         setup.fitter.begin("search for a few missing effects", EVALUATIONS_LEFT_FROM_SEARCH)
     quick = _quick_search(setup, steps, library)
@@ -249,10 +247,8 @@ def with_estimated_scatter(setup: DiagnosisSetup, fit: Fit, library: Library) ->
 
 
 def _quick_search(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> SearchResult:
-    """Search the first few effects in a part of the recording, on a finer map where the data require it.
-
-    The largest effect is found before a finer map can adapt to it; small ones may be due to a coarse map.
-    """
+    """Search the first few effects in a part of the recording, on a finer map where the data require it."""
+    # The largest effect is found before a finer map can adapt to it; small ones may be due to a coarse map.
     part = setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0)
     before = len(part.model.active)
     quick = forward(setup.part_fitter, [AcceptedModel(None, part)], library, max_effects=before + 1)
