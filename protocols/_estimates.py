@@ -204,7 +204,7 @@ class Estimator(Protocol):
     be a sub-class of the maker's own, with more in it. Where none was made it does without, or says so."""
     produces: ClassVar[type[Estimate]]
     rank: ClassVar[int]
-    """Of the maps that can be relied on, that of the highest rank is recommended: an energy's is 30, injection's 20,
+    """The map of the highest rank is recommended, of those that can be relied on: an energy's is 30, injection's 20,
     integration's 10; 0 claims nothing. Of resistances the one with the narrowest interval is taken."""
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:

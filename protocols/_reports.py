@@ -47,7 +47,7 @@ class Remarked(Lenient):
         return tuple(remark.text for remark in self.remarks)
 
     def with_remark(self, remark: Remark) -> Self:
-        """The same, with one more."""
+        """A copy with one more remark."""
         return self.model_copy(update={"remarks": (*self.remarks, remark)})
 
 

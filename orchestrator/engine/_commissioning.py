@@ -65,7 +65,7 @@ class Outcome:
     error: BaseException | None
     """Cause of a premature end."""
     estimates: EstimationReport | None = None
-    """As `RunEnded` has it."""
+    """Estimates as in `RunEnded`."""
 
 
 class Commissioning:

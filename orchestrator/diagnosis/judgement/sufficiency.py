@@ -12,6 +12,7 @@ import numpy as np
 from orchestrator.diagnosis.selection.contrasts import MIN_AMPLITUDE_RATIO, SAME_CURRENT
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import MIN_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentData
+from orchestrator.formatting.quantities import plural
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
@@ -63,7 +64,7 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
         sweeps = MIN_OPERATING_POINTS // 2
         expected = f"{MIN_OPERATING_POINTS} holds or injections at different currents, or {sweeps} sweeps"
         problem = (
-            f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {points} operating points: "
+            f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {plural(points, 'operating point')}: "
             f"too few to name a cause; expected {expected}"
         )
         raise NotMeasuredError(prepared.manifest.name, "segments", problem)
