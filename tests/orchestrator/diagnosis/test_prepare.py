@@ -65,7 +65,7 @@ def test_too_little_is_refused_in_one_line(
 ) -> None:
     little = _with(clean, tmp_path / "little", wanted, samples)
     for held in (compare_recording, diagnose_recording):
-        with pytest.raises(NotMeasuredError, match=r"too little|long enough") as caught:
+        with pytest.raises(NotMeasuredError, match=r"too few|long enough") as caught:
             held(little, [])
         assert "\n" not in str(caught.value)
     assert not (little.path / "model.json").exists()
