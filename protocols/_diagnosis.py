@@ -19,7 +19,7 @@ class CurrentExcerpt(ArrayModel):
     i_q_a: float
     """Mean current of the stretch."""
     amplitude_v: float | None
-    """Of the injected voltage; None where nothing is injected."""
+    """Amplitude of the injected voltage; None where nothing is injected."""
     time_s: Samples
     """From the start of the stretch, shape (n,)."""
     measured_a: Vectors

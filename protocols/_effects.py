@@ -118,9 +118,9 @@ class EffectParameter:
     """Relative size is typical / value instead of value / typical."""
     role: ParameterRole = ParameterRole.AMPLITUDE
     other_form: float | None = None
-    """Of a refinement or a shape: where a second form stands, so unlike the first that a fit begins at each of them."""
+    """Alternative start of a refinement or a shape: a second form, so unlike the first that a fit begins at both."""
     detail: bool = False
-    """Of a refinement: the search tries it after all others, because it can imitate them."""
+    """Whether the search tries this refinement after all others, because it can imitate them."""
 
     def problem(self) -> str | None:
         """Reason why a declaration cannot be fitted, in a few words; None where it can."""
@@ -261,7 +261,7 @@ class Effect(Protocol):
         ----------
         signals : Signals
         parameters : EffectParameters
-            Of the effect's own class.
+            Instance of the effect's own class.
         """
         ...
 
@@ -299,7 +299,7 @@ class MeasurableEffect(Protocol):
         Returns
         -------
         EffectParameters or None
-            Of the effect's own class, in SI; only the amplitudes are read.
+            Instance of the effect's own class, in SI; only the amplitudes are read.
         """
         ...
 
@@ -313,7 +313,7 @@ class RemarkingEffect(Protocol):
         Parameters
         ----------
         parameters : EffectParameters
-            Of the effect's own class, as they were fitted.
+            Fitted values, of the effect's own class.
         """
         ...
 
@@ -329,7 +329,7 @@ class DriveQuantitiesEffect(Protocol):
         Parameters
         ----------
         parameters : EffectParameters
-            Of the effect's own class.
+            Instance of the effect's own class.
         drive : DriveRecord
             The recording's drive; its PWM frequency may be unknown.
         """
@@ -349,7 +349,7 @@ class RandomDirectionsEffect(Protocol):
         ----------
         signals : Signals
         parameters : EffectParameters
-            Of the effect's own class.
+            Instance of the effect's own class.
 
         Returns
         -------
@@ -372,7 +372,7 @@ class BatchEffect(Protocol):
         batch : SignalBatch
             N samples in all; those of segment k are `batch.slice_of(k)`.
         parameters : EffectParameters
-            Of the effect's own class.
+            Instance of the effect's own class.
 
         Returns
         -------
@@ -395,7 +395,7 @@ class RandomDirectionsBatchEffect(Protocol):
         batch : SignalBatch
             N samples in all; those of segment k are `batch.slice_of(k)`.
         parameters : EffectParameters
-            Of the effect's own class.
+            Instance of the effect's own class.
 
         Returns
         -------

@@ -160,7 +160,7 @@ class FluxMapEstimate(ArrayModel):
     form: ClosedForm | None = None
     """Parametric form of the map, where it has one."""
     incremental: tuple[IncrementalInductances, ...] = ()
-    """Of maps by injection: one entry for each frequency and size of the ripple, by frequency."""
+    """Inductances of maps by injection: one entry for each frequency and size of the ripple, by frequency."""
     remarks: Remarks = ()
 
 
@@ -204,7 +204,7 @@ class Estimator(Protocol):
     be a sub-class of the maker's own, with more in it. Where none was made it does without, or says so."""
     produces: ClassVar[type[Estimate]]
     rank: ClassVar[int]
-    """Of the maps that can be relied on, that of the highest rank is recommended: an energy's is 30, injection's 20,
+    """The map of the highest rank is recommended, of those that can be relied on: an energy's is 30, injection's 20,
     integration's 10; 0 claims nothing. Of resistances the one with the narrowest interval is taken."""
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:

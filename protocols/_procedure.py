@@ -56,10 +56,10 @@ class About(Strict):
     """Description of a run, to find it later; not used in computations."""
 
     serial: str = ""
-    """Of the motor."""
+    """Serial number of the motor."""
     operator: str = ""
     ambient_c: Annotated[float, Field(ge=-80.0, le=200.0)] | None = None
-    """Of the room, as it was read when the run began."""
+    """Temperature of the room when the run began."""
     instruments: tuple[str, ...] = ()
     """Instruments beside the drive, with serial number and calibration."""
     tags: tuple[str, ...] = ()

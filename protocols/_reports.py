@@ -47,7 +47,7 @@ class Remarked(Lenient):
         return tuple(remark.text for remark in self.remarks)
 
     def with_remark(self, remark: Remark) -> Self:
-        """The same, with one more."""
+        """A copy with one more remark."""
         return self.model_copy(update={"remarks": (*self.remarks, remark)})
 
 
@@ -56,7 +56,7 @@ class NoiseFloor(Lenient):
 
     rms_v: Number
     heldout_rms_v: Number = None
-    """Of what was held out alone: noise makes more of some stages than of others."""
+    """Expected residual of the held-out stages; noise makes more of some stages than of others."""
 
 
 class ParameterValue(Lenient):
@@ -78,25 +78,25 @@ class FoundEffect(Lenient):
     twins: tuple[str, ...]
     """Effects that do as well in its place, in this recording."""
     derived: dict[str, ParameterValue] = Field(default_factory=dict)
-    """The same as quantities of a drive's data sheet, such as a dead time in seconds."""
+    """Its parameters as quantities of a drive's data sheet, such as a dead time in seconds."""
     relative_size: Number
     """|first parameter| over its typical value (inverted where small is strong)."""
     log_evidence: Number
     probability: Number = None
     """Probability that it is present, given all others in the model."""
     share: Number = None
-    """Of the first model's error, rms; the largest over holds, sweeps, the means under injection and the ripple."""
+    """Part of the first model's error, rms; the largest over holds, sweeps, means under injection and ripple."""
     material: bool | None = None
     """Whether it moves the map or the voltage by more than `Materiality` says."""
 
 
 class Materiality(Lenient):
-    """From where on an effect counts, whatever the noise lets see."""
+    """Sizes from which an effect is material, whatever the noise."""
 
     flux_percent: Number
-    """Of the rated flux, rms over the map."""
+    """Change of the map in % of the rated flux, rms over the map."""
     voltage_percent: Number
-    """Of the excitation's rms voltage, in any kind of stage."""
+    """Voltage in % of the excitation's rms voltage, in any kind of stage."""
 
 
 class JointEntry(Lenient):
@@ -311,12 +311,12 @@ class SeenByInjection(Lenient):
     """
 
     method: str
-    """Of the large-signal map."""
+    """Method of the large-signal map."""
     frequency_hz: float
     amplitude_v: float
     """rms."""
     points: int
-    """Of the plane, that the map covers too."""
+    """Number of injection points that the map covers too."""
     l_dd_percent: Number
     """Mean difference to the map's L_dd, in percent of that; likewise L_qq."""
     l_qq_percent: Number
@@ -324,7 +324,7 @@ class SeenByInjection(Lenient):
     """Largest over smallest inductance, the least over the points and the most."""
     saliency_high: Number
     map_saliency_low: Number
-    """The same of the map."""
+    """Saliency of the map, likewise."""
     map_saliency_high: Number
     angle_error_rad: Number
     """The largest: how far cross-saturation turns the axis of least inductance, which a tracking takes for d."""
@@ -406,7 +406,7 @@ class EstimatorsReport(Lenient):
 
     resistance: ResistanceEstimate | None
     method: str | None
-    """Of the recommended map."""
+    """Method of the recommended map."""
     crossings: AxisPercent | None
     parity: AxisPercent | None
     reciprocity_percent: float | None
@@ -438,7 +438,7 @@ class EstimatorsReport(Lenient):
         return self.model_copy(update={"resistance": resistance})
 
     def checked(self, checks: Sequence[UsabilityCheck]) -> Self:
-        """The same with further checks; what stands in the way of using the map comes before all other remarks."""
+        """The report with further checks; remarks of those not met come before all others."""
         against = tuple(check.remark for check in checks if not check.is_met)
         fields = {
             "usable": self.method is not None and all(check.is_met for check in (*self.checks, *checks)),
@@ -448,7 +448,7 @@ class EstimatorsReport(Lenient):
         return self.model_copy(update=fields)
 
     def objected(self, against: Sequence[Remark]) -> Self:
-        """The same with remarks that speak against its use, before all others; as it is where there are none."""
+        """The report with objections to its use before all other remarks; unchanged where there are none."""
         if not against:
             return self
         return self.model_copy(update={"usable": False, "remarks": (*against, *self.remarks)})

@@ -29,8 +29,8 @@ SearchMove = Literal[
 """Kinds of move.
 
 ``screen`` predicts every absent effect's gain on one linearisation; ``refit`` fits a few of them; ``full_model`` fits
-all effects at once; ``free_shape`` and ``fix_shape`` concern shape parameters (2nd order); ``noise`` adds variance
-components; ``quantiser`` the PWM timer's; ``switching_ripple`` the current within a carrier period; ``name`` reports an
+all effects at once; ``free_shape`` and ``fix_shape`` concern a shape or refinement; ``noise`` adds variance components;
+``quantiser`` the PWM timer's rounding; ``switching_ripple`` the current within a carrier period; ``name`` reports an
 effect of the model as a cause.
 """
 SearchMeasure = Literal["log_evidence", "chi2", "chi2_per_dof", "objective", "block_scatter", "share"]

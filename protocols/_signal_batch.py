@@ -32,7 +32,7 @@ class SignalBatch:
         None where no segment has one; else zeros, and the current, in segments that have none.
     psi_ab, psi_smooth_ab, i_smooth_ab : array, shape (N, 2), or None
     inductance_ab : array, shape (N, 3), or None
-        Of the model as it stands; None without one.
+        Inductance of the present model; None without one.
     """
 
     segments: tuple[Signals, ...]
@@ -108,17 +108,17 @@ class SignalBatch:
         return with_magnetising(arrays, self.i_ab, self.i_m_ab, self.i_quiet_ab)
 
     def replaced(self, arrays: Mapping[str, RealArray]) -> SignalBatch:
-        """The same with other arrays of the same shapes in the place of some, by their names; nothing is checked."""
+        """A batch with some arrays, by name, replaced by others of the same shapes; nothing is checked."""
         other = object.__new__(SignalBatch)
         other.__dict__.update(self.__dict__, **arrays)
         return other
 
     def with_segments(self, segments: Sequence[Signals]) -> SignalBatch:
-        """The same with other facts of its segments, whose arrays are not looked at."""
+        """A batch with other facts of its segments, whose arrays are ignored."""
         return replace(self, segments=tuple(segments))
 
     def corrected(self, correction: Correction) -> SignalBatch:
-        """The same with what an effect changed of it."""
+        """A batch with an effect's changes."""
         changed = self.changed_along(correction.arrays)
         return self.replaced(changed) if changed else self
 

@@ -96,7 +96,7 @@ class Signals:
     inductance_ab: Phases | None = None
     """L_aa, L_ab, L_bb of the model there, in the stator frame [H]; None without a model."""
     psi_smooth_ab: Vectors | None = None
-    """The same without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
+    """The flux without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
     i_smooth_ab: Vectors | None = None
     """The stator current that belongs to the smooth flux [A]."""
     i_quiet_ab: Vectors | None = None

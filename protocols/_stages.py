@@ -95,7 +95,7 @@ class Stage(Strict):
     """Whether the journal keeps what `work` finds; if not, the last stage of its kind works anew in a resumed run."""
 
     def filled(self, context: StageContext) -> Self:
-        """The same with nothing left out; raises `ProcedureError` where the nameplate lacks what that takes."""
+        """The stage with all settings; raises `ProcedureError` where the nameplate lacks a value for one."""
         return self
 
     def points(self) -> Iterable[StagePoint]:
@@ -133,16 +133,16 @@ class Stage(Strict):
 
     @property
     def current_field(self) -> str:
-        """The setting of a stage as it is written that has to change where the current is more than limits allow."""
+        """Name of the setting to change where the current exceeds the limits."""
         return ""
 
     @property
     def voltage_field(self) -> str:
-        """The same for the voltage."""
+        """Name of the setting to change where the voltage exceeds the limits; by default `current_field`."""
         return self.current_field
 
     def entry(self) -> StageEntry:
-        """As a procedure, a run and the journal write it."""
+        """The stage as a procedure, a run and the journal write it."""
         return StageEntry(kind=self.name, **self.model_dump(mode="json"))
 
 
@@ -168,7 +168,7 @@ class StageRun(Protocol):
 
     @property
     def capabilities(self) -> Capabilities:
-        """Of the connected drive."""
+        """Capabilities of the connected drive."""
         ...
 
     @property

@@ -25,17 +25,17 @@ class VerdictLimits(Lenient):
     explained_fraction: float
     """Largest part of the first error (an amplitude) that ``explained`` leaves."""
     mostly_explained_fraction: float
-    """The same for ``mostly_explained``."""
+    """Largest part of the first error that ``mostly_explained`` leaves."""
     explained_excess_chi2: float
     """Largest excess chi2 for ``explained``."""
     mostly_explained_excess_chi2: float
-    """The same for ``mostly_explained``."""
+    """Largest excess chi2 for ``mostly_explained``."""
     immaterial_excess_chi2: float
-    """The same for ``mostly_explained`` where what is left is immaterial besides."""
+    """Largest excess chi2 for ``mostly_explained`` where the remaining error is immaterial."""
     noise_accuracy_excess_chi2: float
     """Excess chi2 within which the noise itself is known."""
     clean_excess_chi2: float
-    """Largest excess chi2 for ``clean`` where what is left is negligible besides."""
+    """Largest excess chi2 for ``clean`` where the remaining error is negligible."""
     material_voltage: float
     """Part of the excitation's rms voltage from which on an error is material."""
     negligible_voltage: float
@@ -105,7 +105,7 @@ class Reason(Lenient):
     value: Number
     limit: Number
     sentence: str
-    """The same in plain English."""
+    """The comparison in plain English."""
 
 
 class Judgement(Lenient):

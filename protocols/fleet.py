@@ -84,9 +84,9 @@ class FleetRow(Lenient):
     started_at: AwareDatetime | None = None
     recorded_samples: int | None = None
     content_sha256: str | None = None
-    """Of the recording's files alone, whatever steps were requested."""
+    """Hash of the recording's files alone, whatever steps were requested."""
     fingerprint: str | None = None
-    """Of names, sizes and times in the listing: what is the same there is not opened again."""
+    """Hash of names, sizes and times in the listing; an equal one is not opened again."""
     asked: tuple[str, ...] = ()
     """The steps, and of an import which mapping, by its hash."""
 
@@ -125,9 +125,9 @@ class FleetRow(Lenient):
     versions: FleetVersions | None = None
 
     condition: str | None = None
-    """Of a campaign: procedure, motor, effect, size and seed, in one line."""
+    """Procedure, motor, effect, size and seed of a campaign's run, in one line."""
     hidden: tuple[HiddenEffect, ...] | None = None
-    """Of a campaign: the truth; the empty list is a motor without any effect."""
+    """Effects that a campaign hid; empty for a motor without any."""
 
 
 @cache

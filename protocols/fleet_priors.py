@@ -41,7 +41,7 @@ class FleetPriors(Strict):
     table: str
     recordings: Annotated[int, Field(ge=1)]
     diagnosed: Annotated[int, Field(ge=1)]
-    """Of these, to an end that is believed."""
+    """Number of these with a diagnosis that is believed."""
     resistance: NormalPrior | None = None
     d_inductance: NormalPrior | None = None
     """At rest; likewise q_inductance."""
@@ -49,6 +49,6 @@ class FleetPriors(Strict):
     effects: dict[str, EffectPrior] = Field(default_factory=dict)
 
     def without(self, names: frozenset[str]) -> FleetPriors:
-        """The same, knowing nothing of some effects' sizes."""
+        """The priors without those of some effects' sizes."""
         bare = {name: e.model_copy(update={"sizes": {}} if name in names else {}) for name, e in self.effects.items()}
         return self.model_copy(update={"effects": bare})

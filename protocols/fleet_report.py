@@ -37,7 +37,7 @@ class FleetLimits(Strict):
     quantities: dict[str, FleetLimit] = Field(default_factory=dict)
     """By the table's names (``R_s_ohm``), and EFFECT.PARAMETER (``dead_time.voltage_v``)."""
     verdicts: tuple[Verdict, ...] | None = None
-    """Of a diagnosis, that pass; any where this is left out."""
+    """Verdicts of a diagnosis that pass; by default any."""
     usable: bool = False
     """Whether the map has to be one to rely on."""
     guard: bool = True
@@ -75,7 +75,7 @@ class Drift(Lenient):
     low: float
     high: float
     chance: float
-    """Of a trend this clear by chance (Kendall), before the correction for the number of tests."""
+    """Probability of a trend this clear by chance (Kendall), before the correction for the number of tests."""
     drifts: bool
     """Whether the trend is significant among all tested quantities (Holm, 5 %)."""
 
@@ -99,7 +99,7 @@ class ChartPoint(Lenient):
 
     at: AwareDatetime
     value: float
-    """Of several, their median."""
+    """Median, where there are several."""
     average: float
     lower: float
     upper: float
@@ -168,9 +168,9 @@ class OutlierReason(Lenient):
     sigma: Number
     """Robust standard deviations from the middle; null of an effect that is hardly ever there."""
     share: Number
-    """Of the squared distance; null where the quantity was looked at alone."""
+    """Part of the squared distance; null where the quantity was examined alone."""
     found_in: int | None = None
-    """Of an effect that is hardly ever there: in how many recordings it is."""
+    """Number of recordings with the effect, where it is hardly ever there."""
     sure: bool | None = None
     """Whether the recording's own 95 % interval leaves out the fleet's middle; null where it has none."""
 

@@ -106,7 +106,7 @@ class Errors:
     Attributes
     ----------
     scales : (float, float, float, float)
-        Of inductances, of their slopes, and of the flux along and across the swept direction, in stated errors.
+        Scales of inductances, of their slopes, and of the flux along and across the swept direction, in stated errors.
     points, paths : array, shapes (n,), (p,), or None
         Factors that reduce the information of each; None: no reduction.
     inverter_step : float
@@ -194,7 +194,7 @@ class EnergyProblem:
         if self.points is None:
             return np.zeros((0, 7)), np.zeros((0, 7))
         rows = slice(self.free - self.error_mode_count, self.free)
-        modes, root = solution.modes[rows], solution.root[rows]
+        modes, root = solution.coefficients[rows], solution.root[rows]
         return self._error_modes @ modes, np.linalg.norm(self._error_modes @ root, axis=-1)
 
     def inductances(self) -> tuple[Array, Array]:
@@ -297,10 +297,7 @@ def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tu
 
 
 def _errors_by_scatter(problem: EnergyProblem, solution: Solution, prior_count: float = 20.0) -> Errors:
-    """Errors that match the scatter of each kind's residuals, with reduced weights for outliers.
-
-    The prior of their sizes counts as `prior_count` data.
-    """
+    """Errors that match the scatter of each kind's residuals; the prior counts as `prior_count` data, outliers less."""
     weights: list[Array] = []
     growth: list[float] = []
     for (rows, target, root), kinds in zip(
@@ -310,7 +307,7 @@ def _errors_by_scatter(problem: EnergyProblem, solution: Solution, prior_count: 
             weights.append(np.ones(0))
             growth += [1.0] * len(kinds)
             continue
-        off = target - rows @ solution.modes
+        off = target - rows @ solution.coefficients
         leverage = np.square(rows @ solution.root).sum(axis=2)
         for kind in kinds:
             squares = float(np.square(off[:, kind] * root[:, None]).sum())
@@ -329,7 +326,7 @@ def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
     if problem.points is not None:
         count = len(problem.points.current)
         rows, target, weights = problem.blocks()[0]
-        off = (target[:, :3] - rows[:, :3] @ solution.modes) * weights[:, None]
+        off = (target[:, :3] - rows[:, :3] @ solution.coefficients) * weights[:, None]
         correlation = neighbour_correlation(problem.points.current, off)
     significant = np.clip(correlation - 2.0 / np.sqrt(max(3 * count, 1)), 0.0, 0.95)
     modes = problem.modes
@@ -340,7 +337,7 @@ def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
     return EnergyFit(
         spline=problem.spline,
         angle_rad=problem.angle_rad,
-        coefficients=modes @ solution.modes,
+        coefficients=modes @ solution.coefficients,
         covariance=root @ root.T * widened**2,
         scales=np.array(problem.errors.scales),
         stiffening_per_h=problem.stiffening_per_h,

@@ -47,7 +47,7 @@ class PolynomialFit:
     terms : tuple of (int, int)
         Exponents (m, n) of x and y.
     coefficients, std : array, shape (k,)
-        Of x^m y^n [A / Wb^(m + n - 1)]; the first two are 1/2L_d and 1/2L_q.
+        Coefficients of x^m y^n [A / Wb^(m + n - 1)]; the first two are 1/2L_d and 1/2L_q.
     covariance : array, shape (k, k)
     angle_rad : float
         Angle of the axis about which H is even, from the believed d axis.
@@ -160,10 +160,7 @@ class _Derivatives:
 def _inverted(
     terms: Sequence[Term], coefficients: Array, current: Array, max_steps: int = 60, close: float = 1e-10
 ) -> Array:
-    """psi with grad H(psi) = i, by Newton's method with its step halved as needed; NaN where there is none.
-
-    It stops when all currents match within `close` times the largest, near double precision.
-    """
+    """psi with grad H(psi) = i, within `close` of the largest i, by damped Newton steps; NaN where there is none."""
     size = float(np.abs(current).max())
     unsaturated = 2.0 * coefficients[:2]
     derivatives = _Derivatives(terms, coefficients)

@@ -104,7 +104,7 @@ def fit_energy(
 
 def _widened(fit: EnergyFit, problem: EnergyProblem, other: EnergyProblem) -> EnergyFit:
     """The fit, with its difference from another fit added to the covariance."""
-    aside = problem.modes @ smoothed(other).modes - fit.coefficients
+    aside = problem.modes @ smoothed(other).coefficients - fit.coefficients
     return replace(fit, covariance=fit.covariance + np.outer(aside, aside))
 
 

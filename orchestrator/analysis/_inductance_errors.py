@@ -56,10 +56,8 @@ def error_modes(points: Inductances, rotor_angle_rad: Array) -> Array:
 
 
 def _smooth(points: Inductances, highest: int = 4) -> Array:
-    """Inductances and slopes, shape (n, 7), smoothed by polynomials of the current with at least two data per term.
-
-    The noise has to go: a gain mode built from noisy data correlates with that noise and biases the gain.
-    """
+    """Inductances and slopes, shape (n, 7), smoothed by polynomials of the current with at least two data per term."""
+    # A gain mode built from noisy data would correlate with that noise and bias the gain.
     m, t = points.matrix, points.slope
     values = np.column_stack(
         [*(m[:, i, j] for i, j in _ENTRIES), t[:, 0, 0, 0], t[:, 0, 0, 1], t[:, 0, 1, 1], t[:, 1, 1, 1]]

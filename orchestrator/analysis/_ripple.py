@@ -304,10 +304,8 @@ def _demodulated(
 
 
 def _window(period: float, max_samples: int, min_periods: int = 4) -> int:
-    """Samples of the shortest window of at least four periods that holds a whole number of them, or nearly so.
-
-    In four a ramp is nearly orthogonal to the ripple. At most `max_samples`, where possible.
-    """
+    """Samples of the shortest window of four or more periods, nearly whole; at most `max_samples`, where possible."""
+    # In four a ramp is nearly orthogonal to the ripple.
     max_periods = min(10 * min_periods, math.floor(max_samples / period))
     periods = np.arange(min_periods, max(max_periods, min_periods) + 1)
     misalignment = np.abs(periods * period - np.round(periods * period)) / periods

@@ -1,6 +1,7 @@
 """One pass over the waveforms for demodulation: moments of ripple features, window by window.
 
-`_ripple_regression` fits the derivatives of the energy to them.
+P and Q are the integrals over time of the voltage's and the current's ripple. `_ripple_regression` fits the derivatives
+of the energy to the moments.
 """
 
 from __future__ import annotations
@@ -122,8 +123,8 @@ def _accumulate(
     squares, mean_i, square_i, v2 = np.zeros(3), np.zeros(2), np.zeros(2), 0.0
     drop_ohm, centre, inductance = around
     off, place = np.zeros(2), np.zeros(2)
-    # One row a feature, so that the products run along the samples: P (2), Q (2), second-order products of the flux
-    # ripple P - R Q (3), third-order ones (4); then the two currents, and a ramp.
+    # One row per feature: P (2), Q (2), products of second (3) and third order (4) of the flux ripple P - R Q; then the
+    # two currents, and a ramp. So the loops below run along the samples.
     z = np.empty((14, width))
     ramp = 13
     for k in range(width):
@@ -185,10 +186,7 @@ def _rotate_window(
 def _fill_features(
     z: Array, v: Array, decaying: Array, drop_ohm: Array, place: Array, sampling_s: float, level: Array
 ) -> None:
-    """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current `decaying` that makes it decay.
-
-    `level` gets the sums of the rows that do not have zero mean.
-    """
+    """Rows 0 to 10 of z from zero-mean voltage v and current `decaying`; `level` gets the sums of rows with a mean."""
     p_d, p_q, q_d, q_q = 0.0, 0.0, 0.0, 0.0
     for k in range(v.shape[1]):
         z[0, k], z[1, k] = p_d, p_q

@@ -1,6 +1,7 @@
 """Least squares for the derivatives of an energy, whose symmetry ties the two current components together.
 
-The input is a normal matrix from `_ripple_moments`.
+The input is a normal matrix from `_ripple_moments`. P is the integral over time of the voltage's ripple, Q that of the
+current's: the flux ripple is P - R Q.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ _P, _Q = slice(0, 2), slice(2, 4)
 _FEATURES_OF_ORDER = {1: 4, 2: 7, 3: 11}
 _UNKNOWNS_OF_ORDER = {1: [0, 1, 2, 7, 8, 9, 10], 2: list(range(11)), 3: list(range(16))}
 MIN_UNEXPLAINED_SHARE = 0.05
-"""Minimum share of Q unexplained by P for a fitted R_s: 0.24 and more where a wave's axis rotates, 0.003 at most for a
-vector that rotates at the wave's own frequency."""
+"""Smallest part of Q not explained by P for R_s to be separable. Observed: at least 0.24 with a wave of rotating axis,
+at most 0.003 with a vector that rotates at the wave's own frequency."""
 DEPENDENT = "both currents are the same signal: the readings cover one axis only"
 ONE_AXIS_ERROR = "the injected voltage excites one axis only: its direction has to rotate"
 NO_RESISTANCE = "the voltage rotates at its own frequency: inductances need a known R_s, and none is known"
@@ -64,7 +65,7 @@ def symmetric_regression(
     Parameters
     ----------
     normal : array, shape (13, 13)
-        Sums of products of the eleven features (P, Q, squares and cubes of P) and the two currents.
+        Sums of products of eleven features (P, Q, second- and third-order products of the flux ripple) and currents.
     freedom : int
         Samples less the parameters fitted before.
     sampling_s : float
@@ -101,7 +102,7 @@ def symmetric_regression(
                 fit = _solved(normal, features, scale, scaled, freedom, unknowns)
                 if known_ohm is not None:
                     fit = replace(fit, decay_per_s=known_ohm * fit.hessian)
-                return _between_samples(fit, sampling_s)
+                return _undo_trapezoid_error(fit, sampling_s)
             except np.linalg.LinAlgError:
                 # Currents that are an exact multiple of each other leave a residual of rank one.
                 raise NotMeasuredError(where, "i_alpha, i_beta", DEPENDENT) from None
@@ -145,11 +146,12 @@ def _solved(
     return SymmetricFit(hessian, answer[_THIRD], spread[:7, :7], -answer[_FREE].reshape(2, 2).T)
 
 
-def _between_samples(fit: SymmetricFit, sampling_s: float) -> SymmetricFit:
+def _undo_trapezoid_error(fit: SymmetricFit, sampling_s: float) -> SymmetricFit:
     """The fit corrected for trapezoids over a current that decays between two samples.
 
-    With x = A h / 2 the sampled current obeys di = (tanh x / x) H v h - (2/h) tanh x Q' exactly, Q' being the
-    trapezoid: so A = (2/h) artanh(B h / 2) of the matrix B found, and H = (A / B) times the matrix found.
+    With the decay matrix A = H R, the step h, x = A h / 2 and the trapezoid Q' of the current over a step, the sampled
+    current obeys di = (tanh x / x) H v h - (2/h) tanh x Q' exactly. So A = (2/h) artanh(B h / 2) with B the fitted A,
+    and H is A / B times the fitted H.
     """
     rates, vectors = np.linalg.eig(fit.decay_per_s.astype(np.complex128))
     x = 0.5 * sampling_s * rates

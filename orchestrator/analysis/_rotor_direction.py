@@ -151,7 +151,7 @@ def saliency_sensitivity(rests: Sequence[Ripple]) -> tuple[float, float]:
 
 
 def saturation_sensitivity(rest: Ripple, torques: Sequence[Ripple]) -> tuple[float, float]:
-    """The same sensitivity for the saturation direction, from its rotation under torque current; its std."""
+    """Sensitivity of the saturation direction, from its rotation under torque current; its std."""
     slope_before, scatter_before = slope(rest)
     reduction, variance = 0.0, 0.0
     for ripple in torques:

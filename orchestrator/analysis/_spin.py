@@ -312,28 +312,28 @@ class _System:
     def residual_rms(self, solution: Solution, resolved: float = 1e-4) -> Array:
         """rms residual, shape (2,) [Wb], corrected for the degrees of freedom."""
         off = self.residual(solution)
-        count = max(len(off) - 0.5 * solution.modes.size, 0.3 * len(off))
+        count = max(len(off) - 0.5 * solution.coefficients.size, 0.3 * len(off))
         floor = resolved * float(np.abs(flux_by_emf(self.points, 0.0)).max())
         return np.asarray(np.maximum(np.sqrt((off**2).sum(axis=0) / count), floor))
 
     def residual(self, solution: Solution) -> Array:
         """Flux residual, shape (n, 2) [Wb]."""
-        return np.asarray(flux_by_emf(self.points, 0.0) - self.rows @ solution.modes)
+        return np.asarray(flux_by_emf(self.points, 0.0) - self.rows @ solution.coefficients)
 
     def relinearised(self, solution: Solution) -> _System:
         """The system linearised at the fitted axis angle and flux."""
-        modes = np.delete(solution.modes, self.other_columns)
+        modes = np.delete(solution.coefficients, self.other_columns)
         psi, inductance = self.shape(self.points.i) @ modes, self.shape(self.points.i, 2) @ modes
-        turn = float(solution.modes[self.free + _TURN])
+        turn = float(solution.coefficients[self.free + _TURN])
         return _System(self.points, self.prior_ohm, self.angle_rad + turn, (psi, inductance))
 
     def finished(self, solution: Solution) -> SpinFit:
         """The result with standard deviations."""
         columns = self.other_columns
-        value, std = solution.modes[columns].tolist(), np.linalg.norm(solution.root[columns], axis=1).tolist()
+        value, std = solution.coefficients[columns].tolist(), np.linalg.norm(solution.root[columns], axis=1).tolist()
         losses = slice(self.free + _LOSS, columns.stop)
-        loss = float(solution.modes[losses].sum()), float(np.linalg.norm(solution.root[losses].sum(axis=0)))
-        modes, root = (np.delete(x, columns, axis=0) for x in (solution.modes, solution.root))
+        loss = float(solution.coefficients[losses].sum()), float(np.linalg.norm(solution.root[losses].sum(axis=0)))
+        modes, root = (np.delete(x, columns, axis=0) for x in (solution.coefficients, solution.root))
         axis = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)])
         at_zero = axis @ self.shape(np.zeros((1, 2)))[0]
         space = self.spline.modes[:, 1:]

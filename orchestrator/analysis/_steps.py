@@ -184,7 +184,7 @@ class _System:
 
     def residual(self, solution: Solution) -> Array:
         """Flux residual, shape (2, n) [Wb]."""
-        return np.asarray(self.target - self.rows @ solution.modes)
+        return np.asarray(self.target - self.rows @ solution.coefficients)
 
     def residual_rms(self, solution: Solution, resolved: float = 1e-5) -> Array:
         """rms residual, shape (2,) [Wb]; at least `resolved` of the flux, the best accuracy of an integral."""
@@ -193,7 +193,7 @@ class _System:
     def turned(self, solution: Solution, min_sigmas: float = 4.0, min_rad: float = 0.002) -> _System:
         """The system at the fitted axis angle, where that is significant, with the derivative by that angle."""
         column = self.other_columns.start + 2
-        angle = self.angle_rad + float(solution.modes[column])
+        angle = self.angle_rad + float(solution.coefficients[column])
         threshold = max(min_sigmas * float(np.linalg.norm(solution.root[column])), min_rad)
         system = self
         if abs(angle) > threshold and abs(angle - self.angle_rad) > 0.1 * threshold:
@@ -212,7 +212,7 @@ class _System:
         return EnergyFit(
             spline=self.spline,
             angle_rad=self.angle_rad,
-            coefficients=modes @ solution.modes[energy_columns],
+            coefficients=modes @ solution.coefficients[energy_columns],
             covariance=root @ root.T,
         )
 
@@ -224,7 +224,7 @@ class _System:
         products = (residual[:, 1:] * residual[:, :-1])[:, same]
         correlation = min(max(float(products.sum()) / max(float((residual**2).sum()), 1e-300), 0.0), 0.97)
         widened = float(np.sqrt((1.0 + correlation) / (1.0 - correlation)))
-        values = solution.modes[self.other_columns]
+        values = solution.coefficients[self.other_columns]
         std = widened * np.linalg.norm(solution.root[self.other_columns], axis=1)
         # A posterior is never wider than its prior.
         std = np.minimum(std, self._std())

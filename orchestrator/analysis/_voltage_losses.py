@@ -85,7 +85,7 @@ def close_loops(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
 
 
 def _closed(traces: list[SweepTrace], knots_a: Array, correlated_levels: float = 10.0) -> VoltageLosses:
-    """The same with R_s linear from sweep to sweep; errors are correlated over this number of neighbouring levels."""
+    """Voltage losses with R_s linear from sweep to sweep; errors are correlated over some neighbouring levels."""
     starts = np.array([trace.start_s for trace in traces])
     node_s = np.append(starts, starts[-1] + traces[-1].time[-1])
     nodes, knots = len(node_s), len(knots_a)
@@ -152,10 +152,8 @@ def _resistive_heat(trace: SweepTrace) -> Array:
 
 
 def _heat_slope(traces: list[SweepTrace], losses: VoltageLosses, min_sweeps: int = 6, min_sigmas: float = 4.0) -> float:
-    """Slope of R_s over the heat, from its nodes: dR = rise i^2 dt - (R - R_0) dt / tau, least squares.
-
-    Zero with fewer sweeps than twice the unknowns, and where it is less than `min_sigmas` standard deviations.
-    """
+    """Slope of R_s over the heat, from its nodes: dR = rise i^2 dt - (R - R_0) dt / tau, least squares."""
+    # Zero with fewer sweeps than twice the unknowns, and below `min_sigmas` standard deviations.
     if len(traces) < min_sweeps:
         return 0.0
     intervals_s = np.diff(losses.node_s)

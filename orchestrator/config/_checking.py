@@ -187,10 +187,7 @@ def _check_totals(plan: Plan, summary: PlanSummary) -> None:
 
 
 def _measurable_notes(motor: Motor) -> list[str]:
-    """Expected readings between two terminals: no other nameplate value shows whether R and L are of a phase.
-
-    Data sheets often state terminal values, twice those of a phase of the star.
-    """
+    """Expected readings between two terminals: data sheets often state these, twice those of a phase of the star."""
     ohm, henry = motor.stator_resistance_ohm, motor.d_inductance_h
     expected = [
         *([] if ohm is None else [f"an ohmmeter should read {quantity(2.0 * ohm, 'Ω')}"]),

@@ -120,10 +120,9 @@ def _phase_peak_v(values: Values) -> float:
 
 
 def _best_current(values: Values) -> tuple[float, float]:
-    """i_d and i_q of the rated current at maximum torque [A].
-
-    With D = L_d - L_q the derivative of (psi + D i_d) i_q along the circle vanishes where 2 D i_d^2 + psi i_d = D I^2.
-    """
+    """i_d and i_q of the rated current at maximum torque [A]."""
+    # With D = L_d - L_q the derivative of (psi + D i_d) i_q along the circle vanishes where 2 D i_d^2 + psi i_d = D
+    # I^2.
     peak_a, psi = _peak_a(values), values["pm_flux_wb"]
     l_d, l_q = _inductances(values)
     reluctance = (l_d - l_q) * peak_a

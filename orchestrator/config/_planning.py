@@ -39,7 +39,7 @@ class PlannedPoint:
     settings: dict[str, Any]
     """The set-point, as the segment's settings."""
     spare: bool = False
-    """Measured only if earlier points show that it is needed; the plan suffices without it."""
+    """Measured only if earlier points show that it is needed; counts and durations exclude it."""
 
     def run_as(self, excitation: Excitation) -> PlannedPoint:
         """The point with another excitation of the same kind, and settings that state the set-point."""
@@ -119,7 +119,7 @@ def make_plan(procedure: Procedure, capabilities: Capabilities | None, appended:
 def _filled(
     procedure: Procedure, written: Sequence[Stage], first: int, sampling_hz: float, notes: list[str]
 ) -> list[Stage]:
-    """Stages with all settings; those that look ahead are filled in last."""
+    """The stages in their order, all settings filled in; those that look ahead last, as they need the later ones."""
     stages = list(written)
     for ahead in (False, True):
         for k, stage in enumerate(stages):

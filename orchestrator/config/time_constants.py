@@ -2,7 +2,7 @@
 
 Two numbers limit the accuracy of an inductance from sampled current. Between two rows a current decays by
 exp(-h R / L), and linear interpolation has an error of x^2 / 3 with x = h R / 2 L. In a ripple of angular frequency
-omega, the error of L is R / (omega L) times the relative error of the voltage, or the error of its phase [rad].
+omega, an error of 1 % in the voltage, or of 0.01 rad in its phase, becomes R / (omega L) % of L.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RESISTANCE_OVER_REACTANCE = 1.0
 def time_constant_notes(
     motor: Motor, sampling_frequency_hz: float, injection_hz: Iterable[float] = ()
 ) -> tuple[str, ...]:
-    """One line for each of the two limits that is exceeded; none where R or L is not known.
+    """A note for too few rows in L / R, and one for R above omega L; none where R or L is not known.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def time_constant_notes(
         tau_s, remainder = inductance / ohm, math.exp(-1.0 / rows)
         enough_hz = float(f"{ROWS_PER_TIME_CONSTANT * sampling_frequency_hz / rows:.3g}")
         notes.append(
-            f"L / R is {rows:.2g} of a sample ({tau_s:.2g} s at {sampling_frequency_hz:g} Hz): between rows a current "
+            f"L / R is {rows:.2g} samples ({tau_s:.2g} s at {sampling_frequency_hz:g} Hz): between rows a current "
             f"decays to {remainder:.0%}, so slopes and flux loops hardly show L; sample at {enough_hz:.0f} Hz or more, "
             "or log the control's own rows"
         )
@@ -55,8 +55,9 @@ def time_constant_notes(
         ratio = ohm / (2.0 * math.pi * slowest * inductance)
         if ratio > RESISTANCE_OVER_REACTANCE:
             notes.append(
-                f"R is {ratio:.2g} times omega L at the injected {slowest:g} Hz: 1 % of the voltage, or of its phase "
-                f"in rad, is {ratio:.2g} % of L; inject at up to {0.25 * sampling_frequency_hz:g} Hz"
+                f"R is {ratio:.2g} times omega L at the injected {slowest:g} Hz: an error of 1 % in the voltage, or of "
+                f"0.01 rad in its phase, becomes {ratio:.2g} % of L; "
+                f"inject at up to {0.25 * sampling_frequency_hz:g} Hz"
             )
     return tuple(notes)
 

@@ -144,11 +144,9 @@ def _rated_flux(setup: DiagnosisSetup, fit: Fit) -> float:
 
 
 def _crossings(fit: Fit, rated_wb: float) -> AxisPercent:
-    """Largest drift of the integrated flux from the map's along a trapezoid, per cent of the rated flux.
-
-    Where paths cross, two integrated fluxes differ by at most twice this. A constant voltage error, which makes the
-    integral drift, is removed from each path.
-    """
+    """Largest drift of the integrated flux from the map's along a trapezoid, per cent of the rated flux."""
+    # Where paths cross, two integrated fluxes differ by at most twice this. A constant voltage error, which makes the
+    # integral drift, is removed from each path.
     largest = np.zeros(2)
     seen = False
     for piece, volts in zip(fit.prepared.pieces, fit.volts, strict=True):

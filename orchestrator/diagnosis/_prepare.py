@@ -183,7 +183,7 @@ def _matters(setup: DiagnosisSetup) -> bool:
 
 
 def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:
-    return setup.coarse_fitter.fit(model, relinearisations=1)
+    return setup.part_fitter.fit(model, relinearisations=1)
 
 
 def _does_better(one: Fit, other: Fit) -> bool:

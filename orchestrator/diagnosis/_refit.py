@@ -128,11 +128,7 @@ def _added(
 
 
 def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
-    """The model refitted with one more effect.
-
-    Shapes that compensated for it may have moved far away: where a large misfit remains, the usual shapes are tried as
-    initial values too, and the better fit is returned.
-    """
+    """The model refitted with one more effect; where a large misfit remains, started at the usual shapes too."""
     grown = with_effect(fitter, fit, candidate)
     if grown.chi2_per_dof < fit.criteria.selection.detected_chi2:
         return grown

@@ -65,7 +65,7 @@ class Outcome:
     error: BaseException | None
     """Cause of a premature end."""
     estimates: EstimationReport | None = None
-    """As `RunEnded` has it."""
+    """Estimates as in `RunEnded`."""
 
 
 class Commissioning:
@@ -211,10 +211,7 @@ class Commissioning:
             self._measure_point(point, point_as_run, partial(stage.after_point, context))
 
     def _skipped(self, index: int, refusal: DriveRefused) -> int:
-        """Index after a proposed stage that the drive refuses; a refused stage of the procedure raises the refusal.
-
-        Stages appended together with it are skipped too, since they evaluate its points.
-        """
+        """Index after a refused proposal and the stages appended with it; raises the refusal of any other stage."""
         end = self._queue.end_of_appended(index)
         if end is None:
             raise refusal

@@ -1,10 +1,10 @@
 """Scales a stage's injection: a weak probe at the outermost points measures the ripple before the stage runs.
 
 The nameplate's inductance gives the ripple of an unsaturated motor, U / (4 f L) for a square wave. Saturation raises it
-severalfold, and only at the largest currents, close to the limit. So where about three times that ripple would exceed
+severalfold, and only at the largest currents, close to the limit. So where 2.9 times that ripple would exceed 1.1
 limits.current_a, the outermost points of the stage get a short injection first; the peak current, scaled to the
 stage's voltage, gives the factor by which all points are weakened. One factor serves them all, since the points of a
-map need one amplitude. Probes are not recorded, and neither is their heat; a stage that fits is not probed.
+map need one amplitude. Probes are not recorded, and their heat is not accounted for; a stage that fits is not probed.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class _Rules:
     probe_amplitude_ratio: float = 0.25
     """Largest amplitude of a probe over the stage's."""
     saturation_margin_ratio: float = 1.25
-    """Margin, as a larger ripple reaches further into saturation and grows faster than the voltage."""
+    """Safety factor: in saturation the ripple grows faster than the voltage."""
     peak_current_ratio: float = 0.98
     """Peak of the weakened stage over the limit."""
     min_amplitude_ratio: float = 0.02

@@ -1,6 +1,7 @@
-"""Starts, resumes or extends a run: plugins, connection, plan, directory, in that order.
+"""Starts, resumes or extends a run.
 
-The directory is created only after all inputs are checked.
+A start claims the directory, connects, plans, then writes the run. On a failure before the first capture the directory
+is removed.
 """
 
 from __future__ import annotations
@@ -83,10 +84,10 @@ def start_run(procedure: Procedure, path: Path, services: RunServices) -> RunRes
     Raises
     ------
     FluxbenchError
-        An input is wrong, or the drive does not answer. Nothing was energised, and no run directory
-        is left behind.
+        An input is wrong, or the drive does not answer. No run directory is left
+        behind, unless something was measured.
     """
-    procedure = spelled_out(procedure)  # a resumed run has the settings of today's defaults
+    procedure = spelled_out(procedure)  # so that a later resume does not take changed defaults
     plugins = UsedPlugins(parse_stages(procedure))
     streams = _stream_makers(services.streams, path)
     path = path.resolve()
@@ -132,8 +133,8 @@ def extend_run(path: Path, stages: Sequence[StageEntry], services: RunServices) 
     Raises
     ------
     FluxbenchError
-        The directory is no run, is not finished or still being worked on, or the stages are more than its limits or
-        the drive allow. Nothing was energised, and nothing appended.
+        The directory is no run, is not finished or still being worked on, or the stages exceed its limits or
+        the drive's. Nothing was energised, and nothing appended.
     """
     run = RunDirectory.open(path)
     run.refuse_lost_journal()
@@ -187,7 +188,7 @@ def connected_drive(procedure: Procedure, private: Path | None) -> Iterator[tupl
 
 @contextmanager
 def _as_plugin_errors(name: str) -> Iterator[None]:
-    """Context before energising: foreign exceptions of a plugin mean unsuitable options."""
+    """Raise any other exception of a plugin's setup as `PluginError`."""
     try:
         yield
     except FluxbenchError:
@@ -209,7 +210,7 @@ def _commission(
     thermometer: Thermometer | None,
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
-    # Streams load their libraries now: that would delay the heartbeat of an energised drive.
+    # Wait for slow imports of streams before energising, because they delay the heartbeat.
     dispatcher.drain(STREAM_START_TIMEOUT_S)
     log = RunLog(run.journal, dispatcher)
     who = services.operator, services.interrupts

@@ -131,10 +131,7 @@ def _digest(manifest: Manifest) -> str:
 def _recommended(
     base: EstimationReport, model_map: FluxMap, map_report: MapReport, model: DeliveredModel, motor: Motor
 ) -> EstimationReport:
-    """The report with the model's map in first place; remarks on the previous first map stay with that map.
-
-    Crossings stay: they belong to the recording, not to a map.
-    """
+    """The report with the model's map first; remarks on the former first map stay there, crossings in the report."""
     unmet_codes = {check.remark.code for check in base.checks if not check.is_met}
     recomputed = {*_RECOMPUTED_REMARKS, *(remark.code for remark in model.resistance.remarks)}
     others = (r for r in base.remarks if r.code not in recomputed)

@@ -1,4 +1,4 @@
-"""Compares estimates with the nameplate: remarks on deviations, and a failed check for one common factor."""
+"""Compares estimates with the nameplate; if all differ by a common factor, the map is not usable."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ from protocols import Basis, CheckOutcome, EstimationReport, FluxMap, MapCriteri
 def with_nameplate_checks(report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor) -> EstimationReport:
     """The report with a remark on each of R_s, L_d and L_q that is far from the nameplate.
 
-    Where R_s and the inductances all deviate in one direction, the readings may be scaled: the map is not usable then.
+    Where R_s and the inductances all deviate in one direction, either the nameplate or a scale of the readings is
+    wrong; the map is not usable until that is settled.
     """
     criteria = report.criteria
     pairs = {name: (found, stated) for name, found, stated in _pairs(report, maps, motor) if stated and found > 0.0}
     ratios = {name: found / stated for name, (found, stated) in pairs.items()}
-    deviating = [name for name, ratio in ratios.items() if abs(ratio - 1.0) > criteria.nameplate_apart]
-    far = [name for name in deviating if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
-    remarks = [_remark(name, *pairs[name], questioned=name in far) for name in deviating]
-    signs = {ratios[name] > 1.0 for name in far}
+    far = [name for name, ratio in ratios.items() if abs(ratio - 1.0) > criteria.nameplate_apart]
+    questioned = [name for name in far if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
+    remarks = [_remark(name, *pairs[name], questioned=name in questioned) for name in far]
+    signs = {ratios[name] > 1.0 for name in questioned}
     report = report.model_copy(update={"remarks": (*report.remarks, *remarks)})
-    if len(far) == len(ratios) >= 2 and "R_s" in far and len(signs) == 1:
+    if len(questioned) == len(ratios) >= 2 and "R_s" in questioned and len(signs) == 1:
         return report.checked([_scale_check(ratios, pairs["R_s"], criteria)])
     return report
 

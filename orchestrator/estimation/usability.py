@@ -40,7 +40,7 @@ from protocols import (
 _SWEEPS = {SegmentStage.CLASSICAL, SegmentStage.STEPS}
 _RESISTANCE_STAGES = {*_SWEEPS, SegmentStage.RESISTANCE}
 _MIRRORED_SHARE = 0.5
-"""Smallest ratio of the ranges on both sides of i_q = 0 with which an energy checks the symmetry."""
+"""Smallest reach on the shorter side of i_q = 0, relative to the longer, with which an energy checks the symmetry."""
 _SAME_POINT_SHARE = 0.05
 """Distance over the largest current within which two injections are at one point."""
 
@@ -158,7 +158,7 @@ def _parity(evidence: MapEvidence) -> UsabilityCheck:
 
 
 def _reciprocity(evidence: MapEvidence) -> UsabilityCheck:
-    """Reciprocity of the recommended map; for an energy, of the only measured map that it was fitted to."""
+    """Reciprocity of the recommended map; for an energy, of its measured map where it has exactly one."""
     limit, best = evidence.criteria.reciprocity_percent, evidence.best
     measured = [made.checks.reciprocity_percent for made in evidence.measured]
     value = measured[0] if len(measured) == 1 else None
@@ -323,7 +323,7 @@ def _frequency_difference_percent(evidence: MapEvidence) -> float | None:
 
 
 def _inductance_difference_percent(one: IncrementalInductances, other: IncrementalInductances) -> float | None:
-    """Of L_dd or L_qq, mean over the points that both have; None without any."""
+    """Difference of L_dd or L_qq, mean over the common points; None without any."""
     a, b = (np.asarray(x.i_dq, dtype=np.float64) for x in (one, other))
     distance: Array = np.linalg.norm(a[:, None] - b[None], axis=2)
     nearest = distance.argmin(axis=1)

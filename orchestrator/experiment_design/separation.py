@@ -78,14 +78,14 @@ def confounded_pair(
     if second.name in model.names:
         return None
     # The second takes the first's place, and may respond where the first did.
-    answering = {column: effects | {second.name} for column, effects in fit.answers.of.items()}
+    answering = {column: effects | {second.name} for column, effects in fit.responses.of.items()}
     neutral = {n: first.candidate.named(n).neutral for n in first.candidate.amplitudes}
     absent = EffectTerm(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
     coordinates = np.array([first.standardised_value(n) for n in first.candidate.amplitudes])
     others = model.with_active([a for a in model.active if a.name != first.name])
-    pieces = setup.coarse_fitter.prepared.pieces
+    pieces = setup.part_fitter.prepared.pieces
     few = pieces[:: max(1, math.ceil(len(pieces) / MAX_SEGMENTS))]
-    fitter = replace(setup.coarse_fitter, prepared=replace(setup.coarse_fitter.prepared, pieces=few))
+    fitter = replace(setup.part_fitter, prepared=replace(setup.part_fitter.prepared, pieces=few))
     trial = ConfoundedPair(others, absent, coordinates, np.zeros((0, 0)), answering)
     rival = second.absent()
     normal = _normal(fitter, trial, few, [(rival, n) for n in second.amplitudes])
@@ -188,10 +188,7 @@ def _piece(
     voltage: Array,
     lasting_s: float,
 ) -> SegmentData | None:
-    """A segment after the last one of the recording, in that one's frame, with the heat of the middle of its time.
-
-    None where it has too few readings for a window.
-    """
+    """A segment after the recording's last, in its frame, with the heat at mid-time; None with too few readings."""
     last = setup.prepared.pieces[-1]
     s, angle = last.signals, last.segment.rotor_angle_rad
     n, fs = len(current), setup.prepared.manifest.drive.sampling_frequency_hz

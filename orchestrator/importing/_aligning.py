@@ -197,11 +197,9 @@ def _delay(current: Track, voltage: Track, begins_s: Numbers, ohm: float, step_s
 
 
 def _subsample_delay(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, ohm: float, step_s: float) -> float:
-    """Sub-sample delay of the voltage [s] that best explains the current's increments.
-
-    Each trial shift integrates the volt-seconds again, since a sample's mean hides the position of an edge in it. The
-    resistance is the nameplate's: on a rotating current, a free one is indistinguishable from a delay.
-    """
+    """Sub-sample delay of the voltage [s] that best explains the current's increments."""
+    # Each trial shift integrates the volt-seconds again, since a sample's mean hides the position of an edge in it. The
+    # resistance is the nameplate's: on a rotating current, a free one is indistinguishable from a delay.
     steps, mean_i = np.diff(i), 0.5 * (i[:-1] + i[1:])
 
     def cost(late_s: float) -> float:
@@ -255,10 +253,8 @@ def _most_likely_lag(
     current: Complex,
     voltage: Complex,
 ) -> tuple[int, float]:
-    """The most likely lag by all windows and the means, and its log-likelihood margin over the next.
-
-    Likelihoods count per overlapping sample, so the begin and end of a log have no influence.
-    """
+    """The most likely lag by all windows and the means, and its log-likelihood margin over the next."""
+    # Likelihoods count per overlapping sample, so the begin and end of a log have no influence.
     from scipy.ndimage import minimum_filter1d
     from scipy.signal import find_peaks
 

@@ -138,7 +138,7 @@ class _Import:
 
     @property
     def rows(self) -> int:
-        """Report of all files so far."""
+        """Number of rows in all files so far."""
         return self._splitter.rows
 
     def _take_segment(self, raw: RawSegment) -> None:

@@ -1,4 +1,4 @@
-"""Convert columns into stator-frame vectors in SI, as amplitude-invariant peak values; runs no checks."""
+"""Convert columns into stator-frame vectors in SI, as amplitude-invariant peak values."""
 
 from __future__ import annotations
 
@@ -113,7 +113,7 @@ def _in_unit(signal: CurrentSignal | VoltageSignal, columns: Columns) -> dict[st
 
 
 def _three(known: Mapping[str, Numbers], axes: tuple[str, str, str]) -> list[Numbers]:
-    """Three phase quantities with zero sum, from two or three of them."""
+    """Three quantities; a missing third makes the sum zero."""
     closing = -np.sum(list(known.values()), axis=0)
     return [known.get(axis, closing) for axis in axes]
 

@@ -1,4 +1,4 @@
-"""Lag between the columns of voltage and current, from the equation of a winding.
+"""Delay from the rows of a voltage to their action on the current, from the equation of a winding.
 
 With voltage edges no motor parameter is needed: for any inductance and resistance, the voltage of one or two rows
 causes the current's step from one row to the next. For a sine the resistance has to be known.
@@ -17,7 +17,7 @@ Numbers = NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Alignment:
-    """Lag of the voltage's column behind the current's."""
+    """Delay from a row's voltage to its action, in rows."""
 
     lag_rows: float
     """n rows: v[k] acts from t_k + n Ts."""
@@ -82,11 +82,9 @@ def alignment_of(
 
 
 def _is_smooth(v: NDArray[np.complex128], pure: float = 0.3, even: float = 0.3) -> bool:
-    """Whether the voltage is a sine without edges, apart from what a current controller adds.
-
-    A sine satisfies v[k+1] + v[k-1] = 2 cos(w) v[k]. So does a square wave of many rows, nearly; but most of its steps
-    are far smaller than the largest, unlike those of a sine.
-    """
+    """Whether the voltage is a sine without edges, apart from what a current controller adds."""
+    # A sine satisfies v[k+1] + v[k-1] = 2 cos(w) v[k]. So does a square wave of many rows, nearly; but most of its
+    # steps are far smaller than the largest, unlike those of a sine.
     ahead, sides = v[1:-1], v[2:] + v[:-2]
     power = float(np.vdot(ahead, ahead).real)
     if power == 0.0:

@@ -29,14 +29,14 @@ class Solution:
 
     Attributes
     ----------
-    modes : array, shape (k,)
+    coefficients : array, shape (k,)
     root : array, shape (k, k)
         Root R of the covariance R R^T.
     cost : float
         Minus twice the log restricted likelihood, up to a constant of the data.
     """
 
-    modes: Array
+    coefficients: Array
     root: Array
     cost: float
 
@@ -47,9 +47,9 @@ class RestrictedLikelihood:
     Parameters
     ----------
     rows : array, shape (n, k)
-        Influence of each effect on each datum; the first `free` are fixed effects.
+        Influence of each effect on each datum; the first `fixed` are fixed effects.
     target : array, shape (n,)
-    free : int
+    fixed : int
     noise_known : bool
         Whether s is one, for data in units of their standard deviation; else it is profiled.
     ridge : float
@@ -57,24 +57,24 @@ class RestrictedLikelihood:
     """
 
     def __init__(
-        self, rows: Array, target: Array, free: int, *, noise_known: bool = True, ridge: float = 1e-12
+        self, rows: Array, target: Array, fixed: int, *, noise_known: bool = True, ridge: float = 1e-12
     ) -> None:
         from scipy.linalg import cho_factor, cho_solve, eigh
 
         normal, right = rows.T @ rows, rows.T @ target
         # Effects differ greatly in scale; only their scaled information can be inverted.
-        self._size = np.sqrt(np.maximum(np.diag(normal)[:free], 1e-300))
-        scaled = normal[:free, :free] / np.outer(self._size, self._size) + ridge * np.eye(free)
+        self._size = np.sqrt(np.maximum(np.diag(normal)[:fixed], 1e-300))
+        scaled = normal[:fixed, :fixed] / np.outer(self._size, self._size) + ridge * np.eye(fixed)
         self._factor = cho_factor(scaled, lower=True)
-        self._across = normal[:free, free:] / self._size[:, None]
-        self._level = right[:free] / self._size
-        schur = normal[free:, free:] - self._across.T @ cho_solve(self._factor, self._across)
-        along = right[free:] - self._across.T @ cho_solve(self._factor, self._level)
+        self._across = normal[:fixed, fixed:] / self._size[:, None]
+        self._level = right[:fixed] / self._size
+        schur = normal[fixed:, fixed:] - self._across.T @ cho_solve(self._factor, self._across)
+        along = right[fixed:] - self._across.T @ cho_solve(self._factor, self._level)
         information, self._turn = eigh(0.5 * (schur + schur.T), driver="evd")
         self._information = np.maximum(information, 0.0)
         self._along = self._turn.T @ along
         self._squares = float(target @ target - self._level @ cho_solve(self._factor, self._level))
-        self._freedom = None if noise_known else max(len(target) - free, 1)
+        self._freedom = None if noise_known else max(len(target) - fixed, 1)
 
     @property
     def largest_information(self) -> float:
@@ -93,12 +93,12 @@ class RestrictedLikelihood:
         """`cost` at several values, shape (n,)."""
         variance = 1.0 / (precision[:, None] + self._information)
         explained = variance @ self._along**2
-        # log(1 + t g) as a sum that neither overflows nor cancels
-        grown = np.log(precision[:, None] * variance).sum(axis=1)
+        # -sum log(1 + t g), in a form that neither overflows nor cancels
+        log_shrinkage = np.log(precision[:, None] * variance).sum(axis=1)
         if self._freedom is None:
-            return np.asarray(self._squares - explained + self._determinant - grown)
+            return np.asarray(self._squares - explained + self._determinant - log_shrinkage)
         residual = np.maximum(self._squares - explained, 1e-300)
-        return np.asarray(self._freedom * np.log(residual) + self._determinant - grown)
+        return np.asarray(self._freedom * np.log(residual) + self._determinant - log_shrinkage)
 
     def likeliest(self, decades: tuple[float, float], unit: float, tolerance: float) -> float:
         """The 1/t with the largest likelihood.
@@ -106,7 +106,7 @@ class RestrictedLikelihood:
         Parameters
         ----------
         decades : (float, float)
-            Range of unit / (1/t) that is scanned in steps of one; the result may lie one beyond.
+            Range of log10(unit t), scanned in steps of one; the result may lie one beyond.
         unit : float
             Unit of 1/t.
         tolerance : float
@@ -126,28 +126,28 @@ class RestrictedLikelihood:
         """All effects at a 1/t, for noise of variance one."""
         from scipy.linalg import cho_solve, solve_triangular
 
-        free, size = len(self._size), self._size[:, None]
+        fixed, size = len(self._size), self._size[:, None]
         std = np.sqrt(1.0 / (precision + self._information))
         rough = self._turn * std
         small = rough @ (std * self._along)
-        modes = np.concatenate([cho_solve(self._factor, self._level - self._across @ small) / self._size, small])
-        root = np.zeros((len(modes), len(modes)))
-        root[:free, :free] = solve_triangular(self._factor[0], np.eye(free), lower=True).T / size
-        root[:free, free:] = -cho_solve(self._factor, self._across @ rough) / size
-        root[free:, free:] = rough
-        return Solution(modes, root, self.cost(precision))
+        coefficients = np.concatenate([cho_solve(self._factor, self._level - self._across @ small) / self._size, small])
+        root = np.zeros((len(coefficients), len(coefficients)))
+        root[:fixed, :fixed] = solve_triangular(self._factor[0], np.eye(fixed), lower=True).T / size
+        root[:fixed, fixed:] = -cho_solve(self._factor, self._across @ rough) / size
+        root[fixed:, fixed:] = rough
+        return Solution(coefficients, root, self.cost(precision))
 
 
-def most_likely(rows: Array, target: Array, free: int) -> Solution:
+def most_likely(rows: Array, target: Array, fixed: int) -> Solution:
     """Solve for all effects with known noise.
 
     Parameters
     ----------
     rows : array, shape (n, k)
-        Influence of each effect on each datum in standard deviations; the first `free` are fixed effects.
+        Influence of each effect on each datum in standard deviations; the first `fixed` are fixed effects.
     target : array, shape (n,)
-    free : int
+    fixed : int
     """
-    likelihood = RestrictedLikelihood(rows, target, free)
-    # Range from negligible random effects to practically free ones; the likelihood is flat beyond.
+    likelihood = RestrictedLikelihood(rows, target, fixed)
+    # Range from negligible random effects to practically fixed ones; the likelihood is flat beyond.
     return likelihood.solution(likelihood.likeliest((-6.0, 16.0), likelihood.largest_information, tolerance=0.02))

@@ -176,10 +176,7 @@ def _moments(rows: Array) -> tuple[Array, Array]:
 
 
 def _log_determinants(covariances: Array) -> Array:
-    """Log determinants; minus infinity for rows in a plane, infinity where extreme rows make it undecidable.
-
-    Rows are in units in which half of them are near one.
-    """
+    """Log determinants of rows scaled near one; -inf for rows in a plane, inf where extreme rows hide that."""
     values = np.linalg.eigvalsh(covariances)
     rounding = np.finfo(np.float64).eps ** 0.75
     whole = values[..., 0] > rounding * values[..., -1]

@@ -180,10 +180,7 @@ class SegmentWriter:
 
 
 class _HashingFile:
-    """A file that hashes its content, with the methods that pyarrow needs for writing.
-
-    A closed file ignores further data, because pyarrow always writes a footer.
-    """
+    """A file that hashes its content, as pyarrow needs it; once closed it ignores data: pyarrow writes a footer."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("wb", buffering=0)

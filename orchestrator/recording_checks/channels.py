@@ -129,10 +129,7 @@ def dead_channel(survey: Survey) -> Convention | None:
 
 
 def _spans_plane(segments: Sequence[SegmentReadings]) -> bool:
-    """Whether the voltage spans the plane, so that a motor's current does too.
-
-    For a hold the mean counts: the remaining voltage is the controller's reaction to noise.
-    """
+    """Whether the voltage, of a hold its mean, spans the plane, so that a motor's current does too."""
     holds = SegmentStage.RESISTANCE
     line = _line(np.concatenate([np.array([s.mean_v]) if s.segment.stage is holds else s.ripple_v for s in segments]))
     return line is not None and line[0] > MIN_EXPLAINED_SHARE_LIVE

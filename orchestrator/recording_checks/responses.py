@@ -65,10 +65,8 @@ class SteadyState:
 
 
 def _least_absolute_deviations(columns: Vectors, target: Vectors, rounds: int = 12) -> Array:
-    """Real numbers x (m,) that minimise the sum of |columns @ x - target|, so that one outlying hold counts little.
-
-    By iteratively reweighted least squares (P. J. Huber, Robust Statistics, Wiley 1981, ch. 7).
-    """
+    """Real numbers x (m,) that minimise the sum of |columns @ x - target|, so that one outlying hold counts little."""
+    # By iteratively reweighted least squares (P. J. Huber, Robust Statistics, Wiley 1981, ch. 7).
     weight = np.ones(len(target))
     solution = np.zeros(columns.shape[1])
     for _ in range(rounds):
@@ -180,13 +178,7 @@ def _fit_response(
 
 
 def _columns(seen: SegmentReadings, declared: int, lags: NDArray[np.int64], edge: float) -> tuple[Array, Array | None]:
-    """Rows of alpha and beta one after the other: u at each lag, and i; of steps, their edges at each lag.
-
-    Parameters
-    ----------
-    edge : float
-        Part of the largest step of a voltage from which on it is an edge.
-    """
+    """Rows of alpha, then beta: u at each lag, and i; of steps, the edges (from `edge` of the largest) at each lag."""
     n, u, i = len(seen.i), seen.ripple_v, seen.i - seen.i.mean()
     first, last = int(declared + lags[-1]), int(n - 1 + min(declared + lags[0], 0))
     if last - first < 50:
@@ -249,10 +241,8 @@ class Responses:
 
 
 def _exact_inductance(l_h: float, resistance_ohm: float | None, sampling_frequency_hz: float) -> float:
-    """L of Ts / L' = (1 - exp(-R Ts / L)) / R, with L' the voltage over the current's slope within a sample.
-
-    L' itself where R is not known, or where the current settles within the sample.
-    """
+    """L of Ts / L' = (1 - exp(-R Ts / L)) / R, with L' the voltage over the current's slope within a sample."""
+    # L' itself where R is not known, or where the current settles within the sample.
     decay = (resistance_ohm or 0.0) / (sampling_frequency_hz * l_h)
     return l_h * decay / -math.log1p(-decay) if 0.0 < decay < 1.0 else l_h
 

@@ -92,13 +92,7 @@ def _edges(readings: SegmentReadings) -> tuple[int, int, int]:
 
 
 def _repeated(readings: SegmentReadings, moving: NDArray[np.bool_] | None = None) -> tuple[int, int, int]:
-    """Rows that repeat the current of the row before, of the one before that, and how many rows there are.
-
-    Parameters
-    ----------
-    moving : array of bool, shape (n,), optional
-        The rows that are counted; None: all.
-    """
+    """Rows that repeat the current of the row before, of the one before that, and the number of (moving) rows."""
     i = readings.i
     counted = np.ones(len(i), dtype=bool) if moving is None else moving
     before, two_before = (counted[k:] & (i[k:] == i[:-k]) for k in (1, 2))
@@ -106,10 +100,8 @@ def _repeated(readings: SegmentReadings, moving: NDArray[np.bool_] | None = None
 
 
 def _moving(readings: SegmentReadings) -> NDArray[np.bool_]:
-    """Rows (n,) in which the voltage moves the current by several times its scatter and its converter's step.
-
-    By least squares, i_k+1 - i_k is a linear map of the voltages of the rows k - 1 to k + 1 and of i_k.
-    """
+    """Rows (n,) in which the voltage moves the current by several times its scatter and its converter's step."""
+    # By least squares, i_k+1 - i_k is a linear map of the voltages of the rows k - 1 to k + 1 and of i_k.
     moving = np.zeros(len(readings.i), dtype=bool)
     if len(readings.i) < MIN_SAMPLES:
         return moving
@@ -130,11 +122,9 @@ def _converter_step(numbers: Array) -> float:
 
 
 def _interpolated(readings: SegmentReadings) -> tuple[int, int, int]:
-    """Rows whose current is the mean of both neighbours, the number expected by chance, and the number of rows.
-
-    By chance as many rows are the mean of their second neighbours. A converter's counts on a straight line meet their
-    neighbours' mean as often as they miss it by one.
-    """
+    """Rows whose current is the mean of both neighbours, the number expected by chance, and the number of rows."""
+    # By chance as many rows are the mean of their second neighbours. A converter's counts on a straight line meet their
+    # neighbours' mean as often as they miss it by one.
     differences, rounding = _second_differences(readings, 1)
     nonzero = differences[differences > rounding]
     one_count = int(np.count_nonzero(nonzero < 1.5 * nonzero.min())) if len(nonzero) else 0

@@ -111,10 +111,8 @@ def _sweep_ratio(segment: SegmentReadings, survey: Survey) -> float | None:
 
 
 def _cycles_per_sample(u: Vectors) -> float | None:
-    """Frequency of an injected wave whose direction turns: the mean of the strongest lines on either side of zero.
-
-    A vector that rotates at the frequency itself has only one line.
-    """
+    """Frequency of an injected wave whose direction turns: the mean of the strongest lines on either side of zero."""
+    # A vector that rotates at the frequency itself has only one line.
     n = len(u)
     spectrum = np.abs(np.fft.fft(u * np.hanning(n)))
     spectrum[:3] = spectrum[-2:] = 0.0

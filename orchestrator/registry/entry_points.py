@@ -17,10 +17,7 @@ def entries_of(group: str) -> EntryPoints:
 
 @lru_cache(maxsize=1)
 def _all_of(_places: tuple[tuple[str, int], ...]) -> Any:
-    """All entry points, read again where the path or one of its folders has changed.
-
-    Their collection has another type before Python 3.12, with the same `select`.
-    """
+    """All entry points, read again where the path or a folder in it has changed; of another type before Python 3.12."""
     return entry_points()
 
 

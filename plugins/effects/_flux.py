@@ -48,15 +48,9 @@ def _ways(
     axis: Array,
     overshoot: float,
 ) -> Array:
-    """The flux (M, 2) of `initial_paths`.
-
-    Parameters
-    ----------
-    came_from_ab : array, shape (sum of points, 2)
-        History of the current, with `points` (segments,) entries per segment, none where it is unknown.
-    i_ab, inductance, axis : array, shape (segments, 2)
-        Current at a segment's start, L_d and L_q there, cosine and sine of the d axis' angle.
-    """
+    """The flux (M, 2) of `initial_paths` from the current's history `came_from_ab`, `points` entries per segment."""
+    # `i_ab`, `inductance`, `axis`, (segments, 2): start current, L_d and L_q there, cosine and sine of the d axis'
+    # angle.
     out = np.empty((way_starts[-1], 2))
     point = 0
     for s in range(starts.shape[0] - 1):

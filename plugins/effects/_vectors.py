@@ -37,13 +37,13 @@ def _less_constant(x: Array, starts: Starts, constants: Array) -> Array:
     return out
 
 
-def stretched(x: RealArray, starts: Starts, matrices: RealArray) -> Array:
+def times_matrix(x: RealArray, starts: Starts, matrices: RealArray) -> Array:
     """x_k M_s, M of shape (segments, 2, 2)."""
-    return _stretched(doubles(x), starts, doubles(matrices))
+    return _times_matrix(doubles(x), starts, doubles(matrices))
 
 
 @njit(cache=True, nogil=True)
-def _stretched(x: Array, starts: Starts, matrices: Array) -> Array:
+def _times_matrix(x: Array, starts: Starts, matrices: Array) -> Array:
     out = np.empty_like(x)
     for s in range(starts.shape[0] - 1):
         aa, ab, ba, bb = matrices[s, 0, 0], matrices[s, 0, 1], matrices[s, 1, 0], matrices[s, 1, 1]
@@ -71,13 +71,13 @@ def _plus_along_d(x: Array, starts: Starts, sizes: Array, theta_rad: Array) -> A
     return out
 
 
-def less_of_means(x: RealArray, starts: Starts, y: RealArray, matrix: RealArray) -> Array:
+def minus_interval_means(x: RealArray, starts: Starts, y: RealArray, matrix: RealArray) -> Array:
     """x_k - (y_k + y_k+1) / 2 M, M of shape (2, 2); y is constant beyond a segment's end."""
-    return _less_of_means(doubles(x), starts, doubles(y), doubles(matrix))
+    return _minus_interval_means(doubles(x), starts, doubles(y), doubles(matrix))
 
 
 @njit(cache=True, nogil=True)
-def _less_of_means(x: Array, starts: Starts, y: Array, matrix: Array) -> Array:
+def _minus_interval_means(x: Array, starts: Starts, y: Array, matrix: Array) -> Array:
     out = np.empty_like(x)
     aa, ab, ba, bb = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
     for s in range(starts.shape[0] - 1):

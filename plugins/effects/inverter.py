@@ -70,10 +70,8 @@ def _knee(x: Array, sharpness: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _tables(softness: float, parts: tuple[float, ...], charged: float, growth: float, step: float, end: float) -> Array:
-    """Tables of s, one up to `end`, one `COARSE_TABLE_RATIO` times as coarse and long; shape (2, m).
-
-    The part `charged` is `_charging`, the part `growth` log(1 + x), and the remainder `_soft_sign`.
-    """
+    """Tables of s: one up to `end`, one `COARSE_TABLE_RATIO` times as coarse and long; shape (2, m)."""
+    # The part `charged` is `_charging`, the part `growth` log(1 + x), and the remainder `_soft_sign`.
 
     def whole(x: Array) -> Array:
         mere = _soft_sign(x, softness, parts)
@@ -148,10 +146,8 @@ def _less_step(
     step: float = 0.01,
     end: float = 40.0,
 ) -> Array:
-    """The voltage minus `volts` (N,) with the sign of each phase current, in each leg times its factor `legs` (3,).
-
-    s is interpolated from `_tables` with this `step` and `end`, in thresholds.
-    """
+    """The voltage minus `volts` (N,) with the sign of each phase current, in each leg times its factor `legs` (3,)."""
+    # s is interpolated from `_tables` with this `step` and `end`, in thresholds.
     tables = _tables(knee.softness, (knee.narrow, knee.wide, knee.wider), charged, growth, step, end)
     steps = 1.0 / (threshold_a * step)
     courses = (doubles(batch.v_ab), _without_noise(batch), batch.starts)
@@ -267,10 +263,7 @@ def _without_noise(batch: SignalBatch) -> Array:
 
 
 def _inductance(batch: SignalBatch) -> Array:
-    """L_aa, L_ab, L_bb in the stator frame [H], from the model or else the nameplate; 1e9 H where neither is known.
-
-    Shape (N, 3), or (1, 3) if constant.
-    """
+    """L_aa, L_ab, L_bb in the stator frame [H], (N, 3) or (1, 3), by model or nameplate; 1e9 H without either."""
     if batch.inductance_ab is not None:
         return doubles(batch.inductance_ab)
     motor = batch.motor
@@ -397,17 +390,8 @@ class BusSag(BatchEffect):
 def _sagged(
     v_ab: Array, i_ab: Array, starts: Starts, per_watt: float, lags: Array, at_once: float, back: float
 ) -> Array:
-    """The voltage (N, 2) scaled by the sagging bus.
-
-    Parameters
-    ----------
-    lags : array, shape (segments,)
-        Lag of the sag behind the power, in intervals.
-    at_once : float
-        Part of the sag without lag.
-    back : float
-        Conductance of the source for reverse current over that for forward current.
-    """
+    """The voltage (N, 2) scaled by the bus, whose sag lags the power by `lags` (segments,) intervals."""
+    # `at_once` is the part without lag, `back` the source's conductance for reverse current over that for forward.
     out = np.empty_like(v_ab)
     direct = at_once / (1.0 - at_once)
     ways = (1.0, back)

@@ -79,10 +79,8 @@ EDDY_PATHS = 4
 
 
 def _paths(late: float, diffused: float) -> Array:
-    """Each path's share of the conductance, and its decay, curvature and end response, shape (paths, 4).
-
-    `late` is the slowest path's lag in sample periods; at zero the first path has the whole conductance.
-    """
+    """Each path's share of the conductance, decay, curvature and end response, shape (paths, 4)."""
+    # `late` is the slowest path's lag in sample periods; at zero the first path has the whole conductance.
     rungs = np.arange(1.0, EDDY_PATHS + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
     parts = diffused * 6.0 / (math.pi * rungs) ** 2
     parts[-1] = 0.0
@@ -257,10 +255,7 @@ def _stiffened(flux: Array, stiffening_per_wb2: float) -> Array:
 
 
 def _by_axes(stopped: Callable[[Course, Array], Array], course: Course, off: Array, theta_rad: RealArray) -> Array:
-    """The stops' sum with independent axes, shape (N, 2).
-
-    The axes are at each segment's angle (segments,); `off` as in `stops`.
-    """
+    """The stops' sum with independent axes at each segment's angle, shape (N, 2); `off` as in `stops`."""
     back = np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1)
     turn, first = back * [1.0, -1.0], np.array([1.0, 0.0])
     psi, way = _turned(course.values, course.starts, turn), _turned(course.ways, course.way_starts, turn)
@@ -391,15 +386,8 @@ class SlotHarmonics(BatchEffect):
 def _without_slots(
     v_ab: Array, i_ab: Array, theta_rad: Array, starts: Starts, strengths: Array, fading: float
 ) -> Array:
-    """The voltage without the steps of the gradient of (a i_d^2 / 2 + r i_d i_q + b i_q^2 / 2) / (1 + f |i|^2), (N, 2).
-
-    Parameters
-    ----------
-    theta_rad : array, shape (N,)
-        Angle of the d axis.
-    strengths : array, shape (segments, 3)
-        a, r and b.
-    """
+    """The voltage without the steps of the gradient of (a i_d^2 / 2 + r i_d i_q + b i_q^2 / 2) / (1 + f |i|^2)."""
+    # `theta_rad` (N,) is the d axis' angle, `strengths` (segments, 3) are a, r and b.
     out = v_ab.copy()
     for s in range(starts.shape[0] - 1):
         first, (along_d, across, along_q) = starts[s], strengths[s]

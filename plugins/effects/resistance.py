@@ -13,7 +13,7 @@ from orchestrator.numerics.types import Array
 from plugins.effects._batches import BatchEffect
 from plugins.effects._filters import high_pass_means
 from plugins.effects._losses import along_losses
-from plugins.effects._vectors import doubles, less_of_means
+from plugins.effects._vectors import doubles, minus_interval_means
 from protocols import (
     Contrast,
     Correction,
@@ -30,7 +30,7 @@ from protocols import (
 
 
 class PhaseResistanceImbalance(BatchEffect):
-    """Resistance of phases a and b in excess of phase c's: e = T (r_a i_a, r_b i_b, 0) [V], r in ohm.
+    """Resistance of phases a and b in excess of phase c's: e = T (r_a i_a, r_b i_b, 0) [V], T Clarke's.
 
     In the flexible form it heats up, like a bad joint: r (1 + `rise_per_watt` y), y the winding's loss through a lag of
     `rise_s`; the distribution of the loss over the phases is neglected.
@@ -61,7 +61,7 @@ class PhaseResistanceImbalance(BatchEffect):
             risen *= p.rise_per_watt
             risen += 1.0
             i_ab = i_ab * risen[:, None]
-        return Correction(v_ab=less_of_means(batch.v_ab, batch.starts, i_ab, ohm))
+        return Correction(v_ab=minus_interval_means(batch.v_ab, batch.starts, i_ab, ohm))
 
 
 class WindingHeating(BatchEffect):
@@ -122,8 +122,8 @@ def _warmth(time_s: Array, power_w: Array, rise: float, constants_s: Array, slow
 class ResistanceWithTemperature(BatchEffect, SegmentDependentEffect):
     """Resistance that follows the logged temperature: R = R_0 (1 + alpha (T - T_0)), T_0 the first that was logged.
 
-    alpha [1/K] is 0.39 %/K for a thermometer in a copper winding, less where it represents a part of the resistance
-    only: the transistors' r_on on the heat sink, or a winding that it is not in.
+    alpha [1/K] is 0.39 %/K for a thermometer in a copper winding, less where only a part of the resistance follows the
+    thermometer: the transistors' r_on on the heat sink, or a winding that it is not in.
     """
 
     name: ClassVar[str] = "resistance_with_temperature"

@@ -116,10 +116,7 @@ def _with_random_direction(
 def _given(
     v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, k: int, first: int, offset_s: float, period_s: float
 ) -> tuple[float, float]:
-    """Volt-seconds F - tau R i of the winding from row k's turning point to its reading.
-
-    `first` is the segment's first row.
-    """
+    """Volt-seconds F - tau R i from row k's turning point to its reading; `first` is the segment's first row."""
     given_a, given_b = -offset_s * ohm[k] * i_ab[k, 0], -offset_s * ohm[k] * i_ab[k, 1]
     beyond = abs(offset_s) - 0.25 * period_s
     row = k if offset_s > 0.0 else max(k - 1, first)

@@ -19,7 +19,7 @@ from orchestrator.numerics.kernels import phases_of
 from orchestrator.numerics.types import Array
 from orchestrator.numerics.zero_sequence import gains_of
 from plugins.effects._batches import BatchEffect, of_three_readings
-from plugins.effects._vectors import Starts, doubles, less_constant, stretched
+from plugins.effects._vectors import Starts, doubles, less_constant, times_matrix
 from protocols import (
     Contrast,
     Correction,
@@ -63,7 +63,7 @@ class CurrentGainMismatch(BatchEffect, MeasurableEffect):
         half = 0.5 * p.gain_a_minus_b
         gains = (1.0 + half, 1.0 - half, 1.0)
         inverse_gains = np.stack([_inverse_gain(gains, three) for three in (False, True)])
-        return Correction(i_ab=stretched(batch.i_ab, batch.starts, inverse_gains[of_three_readings(batch)]))
+        return Correction(i_ab=times_matrix(batch.i_ab, batch.starts, inverse_gains[of_three_readings(batch)]))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
         """The mismatch from the sum of three readings; None without three sensors or if insignificant."""
@@ -101,7 +101,7 @@ class ThirdCurrentSensor(BatchEffect, SegmentDependentEffect, MeasurableEffect):
         if not any(third):
             return Correction()
         inverse_gains = np.stack([np.eye(2), _inverse_gain((1.0, 1.0, 1.0 + p.gain_c_minus_1), True)])
-        return Correction(i_ab=stretched(batch.i_ab, batch.starts, inverse_gains[np.array(third, dtype=np.intp)]))
+        return Correction(i_ab=times_matrix(batch.i_ab, batch.starts, inverse_gains[np.array(third, dtype=np.intp)]))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
         """The gain error from the sum of three readings; None without three sensors or if insignificant."""

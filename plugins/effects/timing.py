@@ -97,10 +97,7 @@ class CurrentFilter(BatchEffect):
 
 @njit(cache=True, nogil=True)
 def _led(i_ab: Array, smooth_ab: Array, starts: Starts, samples: Array) -> Array:
-    """Vectors (N, 2) before a first-order lag of `samples` (segments,), from the slope of the smooth current.
-
-    The smooth current of a trial model is limited to the reading plus or minus its span in the segment.
-    """
+    """Vectors (N, 2) before a lag of `samples` (segments,), from the smooth current limited to the reading's span."""
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):
         first, end = starts[s], starts[s + 1]

@@ -165,10 +165,7 @@ class ClassicalEstimator:
 
 @dataclass(frozen=True)
 class _Swept:
-    """All sweeps, with the better of two corrections of the voltage losses.
-
-    `with_model` subtracts the fitted inverter model, `resistive` only the R_s i of the dwells.
-    """
+    """All sweeps: `with_model` less the fitted inverter model's voltage, `resistive` less the R_s i of the dwells."""
 
     losses: VoltageLosses
     with_model: list[Sweep]
@@ -195,11 +192,9 @@ class _Swept:
 
 
 def _widened(sweep: Sweep, resistive: Sweep, hidden_loss_ratio: float) -> Sweep:
-    """A sweep whose standard deviation includes a share of the inverter model's correction.
-
-    A phase current that stalls near zero does so in both directions: an error of the inverter's shape there opens no
-    loop and remains in the mean.
-    """
+    """A sweep whose standard deviation includes a share of the inverter model's correction."""
+    # A phase current that stalls near zero does so in both directions: an error of the inverter's shape there opens no
+    # loop and remains in the mean.
     hidden_wb = hidden_loss_ratio * np.abs(resistive.loop_wb - sweep.loop_wb)
     return replace(sweep, path=replace(sweep.path, std=np.hypot(sweep.path.std, hidden_wb)))
 

@@ -108,10 +108,8 @@ class EnergyEstimator:
 
 
 def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: Measurements) -> MapChecks:
-    """Parity and reciprocity, which the energy ensures, and the flux misfit at crossings of injection's lines.
-
-    Where injection has no crossing lines, the residual of the sweeps' flux against the energy replaces the misfit.
-    """
+    """Parity and reciprocity, which the energy ensures, and the flux misfit at crossings of injection's lines."""
+    # Where injection has no crossing lines, the residual of the sweeps' flux against the energy replaces the misfit.
     checks = check_map(flux_map, rated, measured.misfit(fit))
     injected = measured.injected
     if injected is None or injected.checks.crossings is None:

@@ -1,7 +1,8 @@
 """Flux map by signal injection: the ripple's Hessian at many currents, inverted and integrated.
 
 Neither R_s nor the base voltage enters (Combes, Malrait, Martin, Rouchon, "Obtaining the current-flux relations of
-the saturated PMSM by signal injection", section "Proposed method").
+the saturated PMSM by signal injection", section "Proposed method"), except where the voltage rotates at its own
+frequency: that needs a known R_s.
 """
 
 from __future__ import annotations
@@ -92,8 +93,8 @@ class InjectionEstimator:
     transient_points : int
         Points whose transients are measured; the slowest is used.
     max_inductance_ratio : float
-        Ratio of an inductance at two successive points beyond which a remark calls them too far apart:
-        with up to 1.6 maps came out within 0.2 % of the rated flux, rms, with 2.6 1.8 % off.
+        Ratio of an inductance at two successive points beyond which a remark calls them too far apart.
+        Ratio 1.6: error up to 0.2 % of the rated flux, rms; ratio 2.6: 1.8 %.
     """
 
     frequency_tolerance: float = 0.03
@@ -103,7 +104,9 @@ class InjectionEstimator:
     max_inductance_ratio: float = 2.0
 
     name: ClassVar[str] = "injection"
-    summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
+    summary: ClassVar[str] = (
+        "flux map by demodulated signal injection; a voltage that rotates at its own frequency needs R_s"
+    )
     requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux,)
     produces: ClassVar[type[Estimate]] = InjectedFlux
     rank: ClassVar[int] = 20
@@ -268,11 +271,9 @@ def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFl
 
 
 def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface: TaylorSurface) -> tuple[Array, Array]:
-    """L_dd, L_dq, L_qq at the nodes, and their interpolation error.
-
-    Between distant points, interpolated inductances and slopes of the interpolated flux have errors of similar size
-    and different origin. The result is their mean, and half their difference estimates its error.
-    """
+    """L_dd, L_dq, L_qq at the nodes, and their interpolation error."""
+    # Between distant points, interpolated inductances and slopes of the interpolated flux have errors of similar size
+    # and different origin. The result is their mean, and half their difference estimates its error.
     step = 1e-3 * float(np.ptp(points.current, axis=0).max())
     slopes = np.empty((len(nodes), 2, 2))
     slender = surface.is_sliver

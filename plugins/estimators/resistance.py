@@ -166,10 +166,7 @@ class ResistanceEstimator:
         )
 
     def _heat(self, dwells: list[Dwell]) -> Array:
-        """Integral of the squared current up to the middle of each dwell, in any unit, as far as recorded.
-
-        Between dwells, the current of the next dwell is assumed, since it settles there.
-        """
+        """Integral of i^2 up to the middle of each dwell, where recorded; between dwells, of the next one's current."""
         start, seconds = np.array([d.start_s for d in dwells]), np.array([d.seconds for d in dwells])
         squares = np.array([d.i_ab @ d.i_ab for d in dwells])
         before = np.diff(start, prepend=-np.inf) - np.concatenate([[0.0], seconds[:-1]])
@@ -208,10 +205,8 @@ class ResistanceEstimator:
         return ResistanceReading(start_s=mean.start_s, value_ohm=value, std_ohm=std)
 
     def _mean(self, capture: Capture) -> Dwell | None:
-        """Means over an injection's last part, without the ripple; None where it is too short.
-
-        They are weighted by a window that begins and ends at zero, so that whole periods are not needed.
-        """
+        """Means over an injection's last part, without the ripple; None where it is too short."""
+        # A window that begins and ends at zero needs no whole periods.
         rate = capture.sampling_frequency_hz
         first = max(round(self.settling_ratio * len(capture)), len(capture) - round(self.max_injection_s * rate))
         if len(capture) - first < self.min_samples:
@@ -247,10 +242,8 @@ def _nameplate_estimate(known: KnownResistance) -> ResistanceEstimate:
 def _with_known(
     known: KnownResistance | None, fit: VoltageFit, unknown_loss_ohm: float, max_sigmas: float = 3.0
 ) -> tuple[float, float, float, list[Remark]]:
-    """R_s of the holds, combined with a measured nameplate value that agrees; 95 % interval and remarks.
-
-    `unknown_loss_ohm` is the largest share of an unidentified inverter loss; the nameplate bounds R_s from below.
-    """
+    """R_s of the holds, combined with a measured nameplate value that agrees; 95 % interval and remarks."""
+    # `unknown_loss_ohm` is the largest share of an unidentified inverter loss; the nameplate bounds R_s from below.
     from scipy.special import stdtrit
 
     half = float(stdtrit(fit.freedom, 0.975)) * fit.std_ohm

@@ -147,9 +147,7 @@ class StepsEstimator:
         def traced(segment: Segment, capture: Capture) -> StepTrace:
             delay = declared + lag_samples
             angle = segment.rotor_angle_rad
-            trace = trace_steps(
-                capture, angle, delay=delay, knots_a=knots_a, where=segment.id, max_blocks=max_blocks
-            )
+            trace = trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, max_blocks=max_blocks)
             return replace(trace, charge=trace.charge + later_s * trace.i)
 
         for passes_left in reversed(range(self.max_passes)):

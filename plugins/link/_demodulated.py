@@ -26,7 +26,7 @@ from plugins.wire import (
 )
 from protocols import Capture, DriveFault, DriveRefused, FaultCause, Injection
 
-MIN_ROWS_PER_TURN = 16
+MIN_ROWS_PER_REVOLUTION = 16
 """Smallest number of rows in a revolution of the injected vector; the waveform is linear between rows."""
 
 
@@ -42,7 +42,7 @@ def ripple_periods(injection: Injection, facts: DriveFacts) -> int:
         math.ceil(periods / facts.ripple_memory_rows - 1e-6),
     )
     chosen = next((n for n in range(min_periods, 2 * min_periods) if round(periods) % n == 0), min_periods)
-    if chosen * injection.rotation_hz * MIN_ROWS_PER_TURN > injection.frequency_hz:
+    if chosen * injection.rotation_hz * MIN_ROWS_PER_REVOLUTION > injection.frequency_hz:
         raise DriveRefused(
             f"ripple rows of {chosen} periods at {injection.frequency_hz:g} Hz are too coarse for a rotation at "
             f"{injection.rotation_hz:g} Hz; capture it raw"
@@ -79,7 +79,7 @@ class RippleRead:
             machine.capabilities.voltage_delay_samples,
             bool(machine.facts.bits & Capability.RIPPLE_CURVATURE),
         )
-        self._turned = np.exp(1j * injection.rotor_angle_rad)
+        self._rotation = np.exp(1j * injection.rotor_angle_rad)
         rows = self._grid.rows(self._samples)
         announced = int(host.read("ripple_rows"))
         if announced != rows:
@@ -91,10 +91,10 @@ class RippleRead:
         self._counts = np.zeros((0, self._grid.columns), dtype="<i2")
         self._waves: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
-    def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
+    def poll(self, done_rows: int, complete: bool, wait_s: float) -> bool:
         """Continue reading; raises `DriveFault` (wrong_data) where the CRC contradicts yielded rows."""
         assembly, size = self._reader.assembly, self._grid.row_bytes
-        data = self._reader.turn(assembly.length if complete else self._grid.rows(done_rows) * size, wait_s)
+        data = self._reader.poll(assembly.length if complete else self._grid.rows(done_rows) * size, wait_s)
         if data is None:
             return False
         if crc32(data[: self._parsed_bytes]) != self._crc:
@@ -150,5 +150,5 @@ class RippleRead:
         return self._waves
 
     def _stator(self, dq: NDArray[np.float64]) -> NDArray[np.float32]:
-        turned = (dq[:, 0] + 1j * dq[:, 1]) * self._turned
+        turned = (dq[:, 0] + 1j * dq[:, 1]) * self._rotation
         return np.column_stack((turned.real, turned.imag)).astype(np.float32)

@@ -28,7 +28,7 @@ class Machine:
 class Rows(Protocol):
     """Reader of a program's rows."""
 
-    def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
+    def poll(self, done_rows: int, complete: bool, wait_s: float) -> bool:
         """Continue reading; returns True when all rows are received and verified."""
         ...
 

@@ -40,28 +40,28 @@ class RawRead:
                 f"{rows} of {self._format.row_bytes} were requested",
             )
         self._reader = Reader(host, number, rows * self._format.row_bytes, machine.layout)
-        self._crc, self._yielded_rows = 0, 0
+        self._crc, self._yielded_bytes = 0, 0
 
-    def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
+    def poll(self, done_rows: int, complete: bool, wait_s: float) -> bool:
         """Continue reading; raises `DriveFault` (wrong_data) where the CRC contradicts yielded rows."""
         assembly = self._reader.assembly
-        data = self._reader.turn(assembly.length if complete else done_rows * self._format.row_bytes, wait_s)
+        data = self._reader.poll(assembly.length if complete else done_rows * self._format.row_bytes, wait_s)
         if data is None:
             return False
-        if crc32(data[: self._yielded_rows]) != self._crc:
+        if crc32(data[: self._yielded_bytes]) != self._crc:
             raise DriveFault(FaultCause.WRONG_DATA, f"rows of capture {assembly.capture} were damaged on the way")
         return True
 
     @property
     def ready(self) -> int:
         """Number of rows from the start without a gap."""
-        return max(self._reader.assembly.prefix, self._yielded_rows) // self._format.row_bytes
+        return max(self._reader.assembly.prefix, self._yielded_bytes) // self._format.row_bytes
 
     def block(self, first: int, stop: int, start_s: float) -> Capture:
         """Rows `first` to `stop` as a capture."""
         size = self._format.row_bytes
         data = self._reader.assembly.peek(first * size, stop * size)
-        self._crc, self._yielded_rows = crc32(data, self._crc), stop * size
+        self._crc, self._yielded_bytes = crc32(data, self._crc), stop * size
         columns = self._format.unpack(data)
 
         def vectors(alpha: Channel, beta: Channel) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:

@@ -40,7 +40,7 @@ class Reader:
         self._rounds, self._before = 0, -1
         self._timeout_s = TIMEOUTS.upload_s
 
-    def turn(self, available: int, wait_s: float) -> memoryview | None:
+    def poll(self, available: int, wait_s: float) -> memoryview | None:
         """Process received frames and request missing blocks of the `available` bytes; returns the verified capture.
 
         Raises `DriveFault`: no_answer without any data, wrong_data where the CRC does not match.
@@ -92,6 +92,6 @@ class Reader:
 def read_whole(host: Host, capture: int, length: int, layout: BlockLayout) -> memoryview:
     """Read a capture that is complete on the drive."""
     reader = Reader(host, capture, length, layout)
-    while (data := reader.turn(length, TIMEOUTS.receive_s)) is None:
+    while (data := reader.poll(length, TIMEOUTS.receive_s)) is None:
         pass
     return data

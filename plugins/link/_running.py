@@ -90,7 +90,7 @@ class Program:
             progress = self._watch()
             started = progress is not None and progress.phase in (Phase.CAPTURING, Phase.COMPLETE)
             complete = self._is_complete(progress)
-            finished = self._source.turn(progress.rows if progress else 0, complete, TIMEOUTS.receive_s)
+            finished = self._source.poll(progress.rows if progress else 0, complete, TIMEOUTS.receive_s)
             if start is None and (started or complete):
                 start = self._timeline.begin_capture(self._start_tick())
             if start is not None and finished:

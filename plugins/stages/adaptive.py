@@ -188,10 +188,7 @@ def _captured(planned: Injection, target: Point, turns: int) -> Injection:
 
 
 def _ring(radius_a: float, count: float = 6) -> list[Point]:
-    """Points on a circle, from +d on.
-
-    Six of them are as far as can be from where a phase current is zero, if phase a is on d: dead time is seen there.
-    """
+    """Points on a circle from +d on, six as far as can be from where a phase current is zero (phase a on d)."""
     turn = 2.0 * math.pi / round(count)
     angles = [turn * k for k in range(round(count))]
     return [(round(radius_a * math.cos(a), 6) + 0.0, round(radius_a * math.sin(a), 6) + 0.0) for a in angles]

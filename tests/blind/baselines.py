@@ -28,8 +28,8 @@ def baselines(recording: RecordingReader, library: Sequence[Effect]) -> dict[str
     every = scaled_library(library, setup.prepared.manifest)
     candidates = observable_effects(every, [p.signals for p in setup.prepared.pieces])
     bare = first_steps(setup, "saturated", {c.name: c for c in candidates})[-1].fit
-    fit = setup.coarse_fitter.fit(bare.model, relinearisations=0)
-    view = linear_view(setup.coarse_fitter, fit, candidates)
+    fit = setup.part_fitter.fit(bare.model, relinearisations=0)
+    view = linear_view(setup.part_fitter, fit, candidates)
     # What only a second angle would show is no column of one.
     shown = np.flatnonzero(np.diag(view.normal) > 0.0)
     names = [view.columns[k][0].name for k in shown]

@@ -37,7 +37,7 @@ MAX_ROUGHNESS_STEP: float = 3.0
 """Factor by which a finer map's roughness may grow in one step."""
 MAX_ROUGHNESS_FACTOR: float = 100.0
 """Largest roughness of a finer map, relative to the usual one."""
-MIN_RESIDUAL_SHARE_OF_FINE_MAP: float = 0.1
+MIN_REMOVED_SHARE_OF_FINER_MAP: float = 0.1
 """Part of the excess chi2 that a finer map has to remove; it removes little where an effect is missing."""
 MIN_FINAL_SHARE_OF_FINE_MAP: float = 0.5
 """Part of the excess chi2 that a fine map has to remove at the end, when all forms and the scatter are known."""
@@ -70,8 +70,8 @@ class DiagnosisSetup:
 
     prepared: PreparedRecording
     fitter: Fitter
-    coarse_fitter: Fitter
-    """Fitter of a part of the recording, for the search."""
+    part_fitter: Fitter
+    """Fitter of a part of the recording."""
     l_d_h: float
     l_q_h: float
     current_a: float
@@ -82,15 +82,15 @@ class DiagnosisSetup:
 
     def with_executor(self, executor: Executor) -> DiagnosisSetup:
         """A copy whose equations are evaluated by this executor."""
-        whole, part = (replace(f, executor=executor) for f in (self.fitter, self.coarse_fitter))
-        return replace(self, fitter=whole, coarse_fitter=part)
+        whole, part = (replace(f, executor=executor) for f in (self.fitter, self.part_fitter))
+        return replace(self, fitter=whole, part_fitter=part)
 
     def with_noise(self, of_model: ModelNoise) -> DiagnosisSetup:
         """A copy with this model-error noise beside the readings' own."""
         if of_model == self.fitter.noise.of_model:
             return self
-        whole, part = (f.with_noise(of_model) for f in (self.fitter, self.coarse_fitter))
-        return replace(self, fitter=whole, coarse_fitter=part)
+        whole, part = (f.with_noise(of_model) for f in (self.fitter, self.part_fitter))
+        return replace(self, fitter=whole, part_fitter=part)
 
     @property
     def without_quantiser(self) -> DiagnosisSetup:
@@ -108,9 +108,9 @@ class DiagnosisSetup:
     def _with_voltages(self, change: Callable[[PreparedRecording], PreparedRecording]) -> DiagnosisSetup:
         # A linearisation at the old voltages is invalid at the new ones: a new noise object marks it as such.
         whole, part = (
-            replace(f, prepared=change(f.prepared), noise=replace(f.noise)) for f in (self.fitter, self.coarse_fitter)
+            replace(f, prepared=change(f.prepared), noise=replace(f.noise)) for f in (self.fitter, self.part_fitter)
         )
-        return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
+        return replace(self, prepared=whole.prepared, fitter=whole, part_fitter=part)
 
     @property
     def criteria(self) -> FittingCriteria:
@@ -223,8 +223,8 @@ def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
 
 def fit_baseline(setup: DiagnosisSetup) -> Fit:
     """Fit the free map, with the intervals that a part of the recording requires, or more if the whole does."""
-    coarsest = setup.coarse_fitter.fit(baseline_model(setup, Saturated()), relinearisations=1)
-    part = with_finest_map(setup, setup.coarse_fitter, coarsest)
+    coarsest = setup.part_fitter.fit(baseline_model(setup, Saturated()), relinearisations=1)
+    part = with_finest_map(setup, setup.part_fitter, coarsest)
     if part.chi2_per_dof > MAX_CHI2_FOR_FINER_MAP:
         # Such a misfit is a missing effect, to which a fine map would adapt.
         part = coarsest
@@ -257,11 +257,8 @@ def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 
 
 def _fit_on_map(fitter: Fitter, model: Model, fit: Fit) -> Fit:
-    """Fit a model that differs from a fit's only by its map.
-
-    Where no parameter is free, the fit's linearisation still holds and only its map columns are renewed. Free effects
-    may have moved since and change the current, so that everything is linearised anew.
-    """
+    """Fit a model that differs from a fit's only by its map."""
+    # Free effects may have moved since the linearisation and change the current; without any, only map columns are new.
     return fitter.fit(model, None if fit.model.free else fit.linearisation, steps=2, relinearisations=0)
 
 
@@ -313,7 +310,7 @@ def keep_fine_grid(sharp: Fit, usual: Fit) -> bool:
 
 def _removes_much(finer: Fit, fit: Fit) -> bool:
     """Whether a finer map removes enough of the excess chi2."""
-    return _excess_chi2(finer) <= (1.0 - MIN_RESIDUAL_SHARE_OF_FINE_MAP) * _excess_chi2(fit)
+    return _excess_chi2(finer) <= (1.0 - MIN_REMOVED_SHARE_OF_FINER_MAP) * _excess_chi2(fit)
 
 
 def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:

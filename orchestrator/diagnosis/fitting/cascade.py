@@ -70,7 +70,7 @@ class Cascade:
         Returns
         -------
         change : dict
-        answers : dict
+        responses : dict
             Contribution of each inner effect to the change, where `answering` is None.
         """
         at = next((k for k, a in enumerate(self.effects) if a.name == moved.name), None)
@@ -93,7 +93,7 @@ class Cascade:
         self, behind: int, change: Change, answering: Container[str] | None = None
     ) -> tuple[Change, dict[str, Change]]:
         """Propagate a change through the effects from a place on; also each one's part where all are applied."""
-        answers = dict[str, Change]()
+        responses = dict[str, Change]()
         for k in range(behind, len(self.effects)):
             inner = self.effects[k]
             if inner.is_absent or (answering is not None and inner.name not in answering):
@@ -104,9 +104,9 @@ class Cascade:
                 continue
             carried = _less(other.signals, self.stages[k + 1].signals, names | change.keys())
             if answering is None:
-                answers[inner.name] = {n: d - change[n] if n in change else d for n, d in carried.items()}
+                responses[inner.name] = {n: d - change[n] if n in change else d for n, d in carried.items()}
             change = carried
-        return change, answers
+        return change, responses
 
 
 def step_of(active: EffectTerm, name: str) -> float:

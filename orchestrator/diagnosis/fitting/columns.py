@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.model import Answers, ColumnName, Fit, Model
+from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Model, Responses
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 
@@ -35,12 +35,12 @@ class ColumnProbe:
     ----------
     columns : array, shape (rows, columns)
         Whitened columns.
-    answers : dict
+    responses : dict
         Squared norm of an inner effect's contribution to a column, by the column's index and the effect's name.
     """
 
     columns: Array
-    answers: Mapping[tuple[int, str], float]
+    responses: Mapping[tuple[int, str], float]
 
 
 @dataclass(frozen=True)
@@ -81,12 +81,12 @@ def probe_segments(pieces: Sequence[SegmentData]) -> tuple[int, ...]:
     return tuple(sorted(k for places in stages.values() for k in places[min(every, len(places)) // 2 :: every]))
 
 
-def known_answers(model: Model, known: Fit | None) -> Answers:
+def known_responses(model: Model, known: Fit | None) -> Responses:
     """The responses found in an earlier fit; none where an effect is new or has grown since."""
     sizes = {a.name: a.relative_size for a in model.active if not a.is_absent}
-    known_before = Answers() if known is None else known.answers
+    known_before = Responses() if known is None else known.responses
     if any(size > MAX_GROWTH_BEFORE_PROBE * known_before.sizes.get(name, 0.0) for name, size in sizes.items()):
-        return Answers({}, sizes)
+        return Responses({}, sizes)
     return known_before
 
 
@@ -110,11 +110,11 @@ def column_plan(
         For columns probed before, the inner effects that respond to them.
     """
     power = sum((np.sum(p.columns**2, axis=0) for p in probes.values()), np.zeros(len(names)))
-    answers: dict[tuple[int, str], float] = {}
+    responses: dict[tuple[int, str], float] = {}
     for probe in probes.values():
-        for key, value in probe.answers.items():
-            answers[key] = answers.get(key, 0.0) + value
-    responding = {key for key, value in answers.items() if value > MIN_RESPONSE**2 * power[key[0]]}
+        for key, value in probe.responses.items():
+            responses[key] = responses.get(key, 0.0) + value
+    responding = {key for key, value in responses.items() if value > MIN_RESPONSE**2 * power[key[0]]}
     answering = tuple(
         previous[column] if column in previous else frozenset(name for j, name in responding if j == k)
         for k, column in enumerate(names)

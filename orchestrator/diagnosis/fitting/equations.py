@@ -169,11 +169,9 @@ class WeakFormEquations:
         return noises
 
     def _common_rows(self, state: BatchState, j: int, slopes: Array | None) -> Array:
-        """Change of a segment's equations by 1 A of offset in phase a or b, and by 1 V along each axis in each dwell.
-
-        Voltages are added in dwells only, as moving voltages average out quantisation. The offset also acts through the
-        inverter's slopes (n, 2, 2). Shape (rows, 2 + 2 dwells).
-        """
+        """Change of the equations by 1 A of offset in phase a or b and 1 V per axis and dwell, (rows, 2 + 2 dwells)."""
+        # Moving voltages average out quantisation: only dwells get it. The offset acts through the inverter's slopes
+        # too.
         at = state.cascade.corrected.slice_of(j)
         one, part = state.batch.singles[j], state.local.part(at)
         corrected = SignalBatch.of([state.cascade.corrected.segment(j)])
@@ -278,10 +276,7 @@ class WeakFormEquations:
         return dict(zip(FLUX, (psi_ab, smooth, i_smooth, inductance), strict=True))
 
     def _slopes(self, batch: SegmentBatch, base: SignalBatch, model: Model) -> Array | None:
-        """Sensitivity of the inverter's voltage to current noise, by finite differences.
-
-        d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2); None where no effect does.
-        """
+        """d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2); None without such effects."""
         inverter = [a for a in model.active if _multiplies_noise(a)]
         if not (inverter and batch.pieces[0].signals.bridge_on):
             return None
@@ -332,8 +327,8 @@ class WeakFormEquations:
         probes = []
         for j, cached in enumerate(at.linearisation.pieces):
             power = np.sum(cached.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)
-            answers = {key: float(p) for key, p in zip(keys, power, strict=True)}
-            probes.append(ColumnProbe(rows[j].columns, answers))
+            responses = {key: float(p) for key, p in zip(keys, power, strict=True)}
+            probes.append(ColumnProbe(rows[j].columns, responses))
         return rows, probes
 
     def _white(self, at: BatchState, columns: _Columns) -> list[SegmentRows]:
@@ -354,10 +349,10 @@ class WeakFormEquations:
     ) -> dict[str, Array]:
         """Derivative of y by one standardised parameter into `out` (rows,); returns the inner effects' parts."""
         step = step_of(active, name)
-        change, answers = at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
+        change, responses = at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
         self._difference(at, change, step, out)
         corrected = at.cascade.corrected
-        return {n: self._difference(at, c, step) for n, c in answers.items() if _beyond_rounding(c, corrected)}
+        return {n: self._difference(at, c, step) for n, c in responses.items() if _beyond_rounding(c, corrected)}
 
     def _difference(self, at: BatchState, change: Change, step: float, out: Array | None = None) -> Array:
         rows = change_of_rows(at.batch, at.cascade.corrected, change, at.local, self.pm_flux_wb, out)

@@ -25,16 +25,16 @@ from orchestrator.diagnosis.fitting.batch_evaluation import (
 )
 from orchestrator.diagnosis.fitting.budget import Budget
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
-from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, column_plan, known_answers
+from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, column_plan, known_responses
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import (
-    Answers,
     BatchLinearisation,
     Fit,
     Linearisation,
     MapSpace,
     Model,
+    Responses,
     SegmentRows,
 )
 from orchestrator.diagnosis.fitting.solution import solved
@@ -243,10 +243,10 @@ class Fitter:
         self.poll()
         wanted = [] if held else [*model.free, *extra]
         old = self._reusable(model, old)
-        linearisations, rows, answers = self._rows(model, old, True, wanted, known)
+        linearisations, rows, responses = self._rows(model, old, True, wanted, known)
         linearisation = self._linearisation_of(model, linearisations, old)
         fit = solved(self.prepared, model, linearisation, rows, [(a.name, n) for a, n in wanted], held)
-        return replace(fit, answers=answers)
+        return replace(fit, responses=responses)
 
     def evaluate(
         self,
@@ -268,11 +268,11 @@ class Fitter:
         """
         self.poll()
         wanted = [*model.free, *extra] if known is None or renew else []
-        _, rows, answers = self._rows(model, linearisation, False, wanted, known)
+        _, rows, responses = self._rows(model, linearisation, False, wanted, known)
         fit = solved(self.prepared, model, linearisation, rows, [(a.name, n) for a, n in wanted], held=False)
         if known is not None and not renew:
-            return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
-        return replace(fit, answers=answers)
+            return replace(fit, columns=known.columns, parameters=known.parameters, responses=known.responses)
+        return replace(fit, responses=responses)
 
     def _reusable(self, model: Model, old: Linearisation | None) -> Linearisation | None:
         """`old` if it has the same noise, segments and freedom of the map, else None."""
@@ -311,8 +311,8 @@ class Fitter:
 
     def _rows(
         self, model: Model, linearisation: Linearisation | None, renew: bool, wanted: Columns, known: Fit | None
-    ) -> tuple[list[BatchLinearisation], list[SegmentRows], Answers]:
-        """Each batch's linearisation, each segment's equations (with columns unless held out), and the answers."""
+    ) -> tuple[list[BatchLinearisation], list[SegmentRows], Responses]:
+        """Each batch's linearisation, each segment's equations (with columns unless held out), and the responses."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.budget.spend(samples * COLUMNS_PER_EVALUATION)
         ours = self._with_linearisations(linearisation)
@@ -321,8 +321,8 @@ class Fitter:
         self.budget.spend(samples * len(wanted))
         results = self._evaluate(model, [BatchTask(batch, before, renew, wanted) for batch, before in ours])
         rows = {k: row for result in results for k, row in result.rows_by_place.items()}
-        answers = Answers() if known is None else known.answers
-        return [result.linearisation for result in results], [rows[k] for k in sorted(rows)], answers
+        responses = Responses() if known is None else known.responses
+        return [result.linearisation for result in results], [rows[k] for k in sorted(rows)], responses
 
     def _rows_by_plan(
         self,
@@ -332,10 +332,10 @@ class Fitter:
         wanted: Columns,
         known: Fit | None,
         samples: int,
-    ) -> tuple[list[BatchLinearisation], list[SegmentRows], Answers]:
+    ) -> tuple[list[BatchLinearisation], list[SegmentRows], Responses]:
         """`_rows` that reuses the known fit's columns which have not changed on a few segments evaluated first."""
         names = [(a.name, n) for a, n in wanted]
-        before = known_answers(model, known)
+        before = known_responses(model, known)
         answering = [before.of.get(n) for n in names]
         first, later = ours[: len(self.batches.probes)], ours[len(self.batches.probes) :]
         probed = self._evaluate(model, [BatchTask(b, f, renew, wanted, answering, probing=True) for b, f in first])
@@ -348,8 +348,8 @@ class Fitter:
         for result in others:
             for k, row in result.rows_by_place.items():
                 rows[k] = row if self.prepared.pieces[k].held_out else _with_columns(row, plan, known, k)
-        answers = Answers({**before.of, **dict(zip(names, plan.answering, strict=True))}, before.sizes)
-        return [result.linearisation for result in (*probed, *others)], [rows[k] for k in sorted(rows)], answers
+        responses = Responses({**before.of, **dict(zip(names, plan.answering, strict=True))}, before.sizes)
+        return [result.linearisation for result in (*probed, *others)], [rows[k] for k in sorted(rows)], responses
 
     def hold(self, model: Model) -> Fit:
         """Evaluate a model without fitting anything.

@@ -53,13 +53,7 @@ class _Guarded:
         return partial(self._call, name, found) if name in _READS_SIGNALS else found
 
     def _call(self, name: str, method: Callable[..., object], signals: Any, *parameters: EffectParameters) -> Any:
-        """Call the effect's method with read-only signals, a batch of them, or a sequence.
-
-        Raises
-        ------
-        PluginError
-            If it writes to its arguments, or returns no correction where one is expected.
-        """
+        """Call the effect's method with read-only signals; raises `PluginError` on writing or without a correction."""
         try:
             found = method(_sealed(signals), *parameters)
         except ValueError as error:

@@ -139,8 +139,8 @@ class SegmentRows:
 
 
 @dataclass(frozen=True)
-class Answers:
-    """Which inner effects respond to which columns, as measured on a few segments.
+class Responses:
+    """Responses of inner effects (further from the sensors) to the columns, as measured on a few segments.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class Fit:
     """Effect and parameter of each column."""
     resistance: tuple[Array, ...]
     """Whitened R_s columns."""
-    answers: Answers = field(default_factory=Answers)
+    responses: Responses = field(default_factory=Responses)
     """Inner effects that respond to the columns."""
 
     @property

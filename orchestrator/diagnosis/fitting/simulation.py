@@ -91,11 +91,9 @@ def _simulate(
     min_inductance: float,
     box: Array,
 ) -> Array:
-    """Integrate psi with several steps per sample, each followed by one Newton step for the current.
-
-    A poor model may drive the current out of the map's box (lowest and highest i_d, highest i_q). There the map
-    continues with the inductances of its edge; far outside, the current is held.
-    """
+    """Integrate psi with several steps per sample, each followed by one Newton step for the current."""
+    # Beyond the map's box (lowest and highest i_d, highest i_q) its edge's inductances hold; far outside, the current
+    # is held.
     reach = 5.0 * max(-box[0], box[1], box[2])
     n = v_ab.shape[0]
     out = np.empty((n, 2))

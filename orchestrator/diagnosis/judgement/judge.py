@@ -53,7 +53,7 @@ def residual_fraction(chi2_before: float, chi2_after: float, noise_chi2: float) 
 
 def jointly_implausible(widths: Mapping[str, float | None], limits: VerdictLimits) -> list[str]:
     """Effects that are larger than in most drives, the largest first; empty unless they are implausibly many."""
-    sizes = {name: _finite(size) for name, size in widths.items()}
+    sizes = {name: _or_infinite(size) for name, size in widths.items()}
     large = [name for name in sizes if sizes[name] > limits.large_effect_widths]
     return sorted(large, key=lambda name: -sizes[name]) if len(large) >= limits.large_effects else []
 
@@ -61,7 +61,7 @@ def jointly_implausible(widths: Mapping[str, float | None], limits: VerdictLimit
 def _by_residual(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     """The verdict from the residual."""
     chance = limits.chance_sigmas * math.sqrt(2.0 / record.degrees_of_freedom)
-    excess, largest_excess = _finite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
+    excess, largest_excess = _or_infinite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
     noise, bearable = max(limits.noise_chi2 - 1.0, chance), max(limits.explained_excess_chi2, chance)
     if excess <= noise and largest_excess <= bearable:
         return "explained" if record.effects else "clean", _within_noise(record, 1.0 + noise, 1.0 + bearable)
@@ -72,13 +72,12 @@ def _by_residual(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
 
 def _without_effects(record: VerdictRecord, limits: VerdictLimits, chance: float) -> Outcome:
     """The verdict without effects: the residual is immaterial or unknown."""
-    largest_excess, voltage = _largest_chi2(record) - 1.0, _finite(record.left_of_excitation)
+    largest_excess, voltage = _largest_chi2(record) - 1.0, _or_infinite(record.left_of_excitation)
     known = max(limits.noise_accuracy_excess_chi2, chance)
     bounds = ((known, limits.material_voltage), (limits.clean_excess_chi2, limits.negligible_voltage))
     passed = [bound for bound in bounds if largest_excess <= bound[0] and voltage <= bound[1]]
     max_excess, max_part = passed[0] if passed else bounds[0 if largest_excess <= known else 1]
-    beside = "where what is left does not matter"
-    reasons = [_of_chi2(record, max_excess, f"clean {beside}"), _of_voltage(record, max_part)]
+    reasons = [_of_chi2(record, max_excess, "clean with an immaterial rest"), _of_voltage(record, max_part)]
     if passed:
         return "clean", reasons
     found = Reason(
@@ -90,8 +89,8 @@ def _without_effects(record: VerdictRecord, limits: VerdictLimits, chance: float
 
 def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     """The verdict with effects, from the ratio of the final error to the first."""
-    excess, largest_excess = _finite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
-    fraction = residual_fraction(_finite(record.chi2_before), _finite(record.chi2_after), limits.noise_chi2)
+    excess, largest_excess = _or_infinite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
+    fraction = residual_fraction(_or_infinite(record.chi2_before), _or_infinite(record.chi2_after), limits.noise_chi2)
     broken = []
     if record.fine_map and excess > limits.noise_accuracy_excess_chi2:
         broken.append(_of_fine_map(record, limits))
@@ -108,8 +107,8 @@ def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     if all(kept for kept, _ in explained):
         return "explained", [reason for _, reason in explained]
     small = largest_excess <= limits.mostly_explained_excess_chi2
-    immaterial = explained[0][0] and _finite(record.left_of_excitation) <= limits.material_voltage
-    strained = _finite(record.shape_widths) > limits.shape_widths
+    immaterial = explained[0][0] and _or_infinite(record.left_of_excitation) <= limits.material_voltage
+    strained = _or_infinite(record.shape_widths) > limits.shape_widths
     if (small or immaterial) and not strained:
         reasons = [reason for kept, reason in explained if not kept]
         reasons.append(_of_fraction(fraction, limits.mostly_explained_fraction, "mostly_explained"))
@@ -118,8 +117,8 @@ def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     broken = [_of_shape(record, limits)] if strained else []
     if not (small or immaterial):
         broken.append(_of_chi2(record, limits.mostly_explained_excess_chi2, "mostly_explained"))
-        large = _of_fraction(fraction, limits.explained_fraction, "a larger chi2")
-        broken.append(_of_voltage(record, limits.material_voltage) if explained[0][0] else large)
+        by_voltage = explained[0][0]
+        broken.append(_of_voltage(record, limits.material_voltage) if by_voltage else _of_large_chi2(fraction, limits))
     return "unknown_remains", broken
 
 
@@ -135,7 +134,7 @@ def _periodic(record: VerdictRecord) -> list[Reason]:
 
 def _gates_off(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
     """Readings with the gates off are few among thousands of equations, so that they are tested separately."""
-    volts, least = record.gates_off_v or 0.0, _finite(record.least_excitation_v)
+    volts, least = record.gates_off_v or 0.0, _or_infinite(record.least_excitation_v)
     limit = limits.material_voltage * least
     chance = 1.0 if record.gates_off_probability is None else record.gates_off_probability
     if volts <= limit or chance >= limits.chance_probability:
@@ -193,7 +192,7 @@ def _hidden_by_band(record: VerdictRecord, limits: VerdictLimits) -> list[Reason
 
 
 def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) -> list[Reason]:
-    chi2 = _finite(record.chi2_after)
+    chi2 = _or_infinite(record.chi2_after)
     value, allowed = _as_texts(chi2, limit)
     fell = f"fell from {number(record.chi2_before)} to {value}" if record.effects else f"is {value}"
     text = f"chi2 per degree of freedom {fell}; noise alone makes up to {allowed}."
@@ -210,30 +209,39 @@ def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) ->
 
 def _of_chi2(record: VerdictRecord, limit: float, claim: str) -> Reason:
     """Comparison of the larger chi2 of fitted and held-out stages with the excess that a verdict allows."""
-    fitted, largest = _finite(record.chi2_after), _largest_chi2(record)
+    fitted, largest = _or_infinite(record.chi2_after), _largest_chi2(record)
     value, allowed = _as_texts(largest, 1.0 + limit)
     name, stages = "chi2_per_dof", "The fitted stages"
     if largest > fitted:
         name, stages = "held_out_chi2_per_dof", "The stages that were not fitted"
-    text = f"{stages} have chi2 {value} per degree of freedom; {plain(claim)} is allowed up to {allowed}."
+    text = f"{stages} have chi2 {value} per degree of freedom; {plain(claim)} allows up to {allowed}."
     return Reason(quantity=name, value=largest, limit=1.0 + limit, sentence=text)
 
 
 def _of_fraction(fraction: float, limit: float, claim: str) -> Reason:
     value, allowed = _as_texts(100.0 * fraction, 100.0 * limit)
-    text = f"{value} % of the first error is left; {plain(claim)} is allowed up to {allowed} %."
+    text = f"{value} % of the first error is left; {plain(claim)} allows up to {allowed} %."
     return _percentage("left_of_first_error", fraction, limit, text)
 
 
+def _of_large_chi2(fraction: float, limits: VerdictLimits) -> Reason:
+    value, allowed = _as_texts(100.0 * fraction, 100.0 * limits.explained_fraction)
+    chi2 = number(1.0 + limits.mostly_explained_excess_chi2)
+    text = (
+        f"{value} % of the first error is left; a chi2 above {chi2} is allowed only where at most {allowed} % is left."
+    )
+    return _percentage("left_of_first_error", fraction, limits.explained_fraction, text)
+
+
 def _of_voltage(record: VerdictRecord, limit: float) -> Reason:
-    part = _finite(record.left_of_excitation)
+    part = _or_infinite(record.left_of_excitation)
     value, allowed = _as_texts(100.0 * part, 100.0 * limit)
     text = f"What is left is {value} % of the applied voltage (rms); up to {allowed} % does not matter."
     return _percentage("left_of_excitation", part, limit, text)
 
 
 def _of_fine_map(record: VerdictRecord, limits: VerdictLimits) -> Reason:
-    chi2, limit = _finite(record.chi2_after), 1.0 + limits.noise_accuracy_excess_chi2
+    chi2, limit = _or_infinite(record.chi2_after), 1.0 + limits.noise_accuracy_excess_chi2
     value, allowed = _as_texts(chi2, limit)
     text = (
         f"The map is finer than smooth iron needs, and chi2 per degree of freedom is still {value}, above {allowed}: "
@@ -243,10 +251,10 @@ def _of_fine_map(record: VerdictRecord, limits: VerdictLimits) -> Reason:
 
 
 def _of_shape(record: VerdictRecord, limits: VerdictLimits) -> Reason:
-    widths = _finite(record.shape_widths)
+    widths = _or_infinite(record.shape_widths)
     value, allowed = _as_texts(widths, limits.shape_widths)
     text = (
-        f"A shape parameter of {plain(record.shape_effect or 'an effect')} is {value} standard deviations of its prior "
+        f"A refinement of {plain(record.shape_effect or 'an effect')} is {value} standard deviations of its prior "
         f"from its usual value, and {allowed} is the limit: the effect may stand in for another one."
     )
     return Reason(quantity="shape_widths", value=widths, limit=limits.shape_widths, sentence=text)
@@ -261,10 +269,10 @@ def _percent(part: float) -> str:
 
 
 def _largest_chi2(record: VerdictRecord) -> float:
-    return max(_finite(record.chi2_after), record.held_out_chi2 or 0.0)
+    return max(_or_infinite(record.chi2_after), record.held_out_chi2 or 0.0)
 
 
-def _finite(value: float | None) -> float:
+def _or_infinite(value: float | None) -> float:
     """A record's number; None in the record stands for a number that is not finite."""
     return math.inf if value is None else value
 

@@ -12,6 +12,7 @@ import numpy as np
 from orchestrator.diagnosis.selection.contrasts import MIN_AMPLITUDE_RATIO, SAME_CURRENT
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import MIN_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentData
+from orchestrator.formatting.quantities import plural
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
@@ -38,12 +39,12 @@ _SWEEPS = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
 
 
 def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
-    """Refuse a recording with fewer equations, or fewer operating points, than any model has unknowns.
+    """Refuse a recording that is sampled too slowly, has no excitation, or has too few operating points.
 
     Raises
     ------
     NotMeasuredError
-        With the number present and the number required.
+        With the value of the recording, and the value required.
     """
     cutting = prepared.criteria.weak_form
     fs = prepared.manifest.drive.sampling_frequency_hz
@@ -58,13 +59,13 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     if reach < max(MIN_CURRENT * rated, MIN_CURRENT_SIGMAS * spread):
         problem = f"no excitation: currents stay below {reach:.3g} A"
         raise NotMeasuredError(prepared.manifest.name, "i_alpha, i_beta", problem)
-    if (views := _operating_points(prepared)) < MIN_OPERATING_POINTS:
+    if (points := _operating_points(prepared)) < MIN_OPERATING_POINTS:
         used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
         sweeps = MIN_OPERATING_POINTS // 2
         expected = f"{MIN_OPERATING_POINTS} holds or injections at different currents, or {sweeps} sweeps"
         problem = (
-            f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {views} places of the current plane: "
-            f"too little to tell a cause from; expected {expected}"
+            f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {plural(points, 'operating point')}: "
+            f"too few to name a cause; expected {expected}"
         )
         raise NotMeasuredError(prepared.manifest.name, "segments", problem)
 
@@ -83,7 +84,7 @@ def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[C
         try:
             return work(recording, *more, **named)
         except (np.linalg.LinAlgError, ZeroDivisionError) as error:
-            hint = "are nameplate, units and sampling frequency right, and an effect of your own?"
+            hint = "check nameplate, units, sampling frequency and any effect of your own"
             problem = f"its equations have no solution ({error}): {hint}"
             raise NotMeasuredError(recording.manifest.name, "", problem) from error
 
@@ -142,11 +143,11 @@ def missing_contrasts(prepared: PreparedRecording) -> list[Remark]:
         missing.append(Remark.of(code, text, **values))
 
     stages = {p.stage for p in prepared.pieces}
-    if (views := _operating_points(prepared)) < prepared.criteria.selection.few_views:
+    if (points := _operating_points(prepared)) < prepared.criteria.selection.few_views:
         add(
             "few_places",
-            "{places} places of the current plane only: what no effect explains may pass for several that do",
-            places=views,
+            "with so few operating points ({places}), one unknown effect may look like several known ones",
+            places=points,
         )
     if not stages & {*_SWEEPS, SegmentStage.INJECTION}:
         add("nothing_moves", "no sweep and no injection: flux and inductance cannot be seen, only the resistance")

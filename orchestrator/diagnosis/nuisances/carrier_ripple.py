@@ -63,10 +63,7 @@ def carrier_ripple_voltage(piece: SegmentData, signals: Signals, magnetics: Magn
 
 
 def _believable(inductance: Array, signals: Signals) -> Array:
-    """The inductances (n, 3), replaced by the nameplate's where a map under trial has implausibly small ones.
-
-    Their large ripple would make the descent diverge.
-    """
+    """The inductances (n, 3), by the nameplate where a trial map's are so small that the descent would diverge."""
     motor = signals.motor
     if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
         return inductance

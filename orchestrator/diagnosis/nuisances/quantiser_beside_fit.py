@@ -30,7 +30,7 @@ DIFFERENCE_STEPS = (0.02, 0.004)
 Rounding jumps where a held command crosses a step; wide differences bridge such jumps.
 """
 SCANNED_PHASES = 96
-"""Phases tried at a PWM frequency where the readings determine none; a dwell's commands jump as closely."""
+"""Phases tried at a PWM frequency where the readings determine none; commands of a dwell jump as often."""
 SCANNED_NEARBY = 6
 """Neighbouring phases tried after a descent, whose minimum may lie beyond a command's jump."""
 MAX_NEWTON_STEPS = 12
@@ -62,7 +62,7 @@ def quantiser_beside(
     """
     rounding = _Rounding.of(fit, estimates, pm_flux_wb)
     x = rounding.start
-    for place in rounding.unknown_places:
+    for place in rounding.undetermined_places:
         x = rounding.scanned(x, place)
     for step_ratio in DIFFERENCE_STEPS:
         x = _descended(rounding, x, step_ratio)
@@ -72,7 +72,7 @@ def quantiser_beside(
 
 def _over_jumps(rounding: _Rounding, x: Array) -> Array:
     """Descend from the likeliest neighbouring phases at each PWM frequency, where these are likelier."""
-    for place in rounding.known_places:
+    for place in rounding.used_places:
         moved = rounding.scanned(x, place, around=SCANNED_NEARBY)
         x = x if moved is x else _descended(rounding, moved, DIFFERENCE_STEPS[-1])
     return x
@@ -84,7 +84,7 @@ def _descended(rounding: _Rounding, x: Array, step_ratio: float) -> Array:
     for _ in range(MAX_NEWTON_STEPS):
         curvature, slope = rounding.linear(x, step_ratio)
         while True:
-            # Phases that no command crosses within a difference have no slope and need the damping.
+            # Phases that no command crosses have no slope: the minimum-norm solution leaves them where they are.
             move = -np.linalg.lstsq(curvature + damping * np.diag(np.diag(curvature)), slope, rcond=1e-12)[0]
             trial = rounding.cost(x + move)
             if trial < cost or damping > MAX_DAMPING:
@@ -178,20 +178,21 @@ class _Rounding:
         return cls(segments, fit.system()[0], nearest, start, unit, bus_v, pm_flux_wb)
 
     @property
-    def unknown_places(self) -> Sequence[int]:
+    def undetermined_places(self) -> Sequence[int]:
         """Indices in x of the first phases at PWM frequencies where the readings determine none."""
         known = np.diag(self.estimate.curvature) > 0.0
         return [k for k in range(1, len(known), 2) if known.any() and not known[k : k + 2].any()]
 
     @property
-    def known_places(self) -> Sequence[int]:
+    def used_places(self) -> Sequence[int]:
         """Indices in x of the first phases at PWM frequencies with a segment that depends on them."""
         return sorted({int(k) for one in self.segments for k in one.used[1:2]})
 
     def scanned(self, x: Array, place: int, around: int = SCANNED_PHASES) -> Array:
-        """x with the likeliest phases at one PWM frequency, all else adapting, of all or of `around` on either side.
+        """x with the likeliest phases at one PWM frequency, all else adapting.
 
-        Each edge contributes half of the rounding, so that both phases can be scanned separately.
+        Tries all phases, or `around` on either side. Each edge contributes half of the rounding, so that both phases
+        can be scanned separately.
         """
         phases = self.estimate.moved(x).phases[place // 2]
         if around < SCANNED_PHASES // 2:
@@ -246,8 +247,9 @@ class _Rounding:
             slope[one.used] += columns.T @ (one.residual + change)
             pull += one.columns.T @ change
         follow = np.linalg.solve(self.normal, cross)
-        say = self.estimate.curvature
-        return squares - cross.T @ follow + say, slope - follow.T @ pull + say @ x
+        curvature_of_readings = self.estimate.curvature
+        curvature = squares - cross.T @ follow + curvature_of_readings
+        return curvature, slope - follow.T @ pull + curvature_of_readings @ x
 
     def _change(self, one: _Segment, timer: ModulatorTimer) -> Array:
         return one.rows_of(one.added_by(timer, self.bus_v) - one.added_ab, self.pm_flux_wb)

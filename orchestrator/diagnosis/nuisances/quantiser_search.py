@@ -89,10 +89,7 @@ def detect_quantisation(
 
 
 def _most_certain(found: Sequence[tuple[float, QuantiserEstimate]]) -> tuple[QuantiserEstimate, ...]:
-    """The likeliest timer and its near alternatives, each once.
-
-    The few blocks establish that there is a timer; the readings' likelihood decides which one.
-    """
+    """The likeliest timer by the readings' likelihood and its near alternatives, each once."""
     certain = max((estimate.gain for _, estimate in found), default=0.0)
     best = list[QuantiserEstimate]()
     for _, one in sorted(found, key=lambda one: -one[0]):
@@ -257,11 +254,9 @@ def _refine_line(
 
 
 def _block_consistency(traces: Sequence[CommandTrace], timer: ModulatorTimer, bus_v: float) -> float:
-    """Log likelihood of the rounding from the agreement of independent blocks.
-
-    Their scatter is the uncertainty, so that a few outlying blocks do not suffice. Legs share the timer; the smallest
-    evidence of any two legs counts, as steps of a current control with coarse converters may imitate rounding in one.
-    """
+    """Log likelihood of the rounding from the agreement of independent blocks, whose scatter is the uncertainty."""
+    # Legs share the timer; the smallest evidence of any two legs counts, as steps of a current control with coarse
+    # converters may imitate rounding in one.
     phases, scores = {p.pwm_frequency_hz: p for p in timer.phases}, list[Array]()
     for trace in traces:
         at, step_v = phases[trace.pwm_hz], leg_step_of(timer.step_s, trace.pwm_hz, bus_v)
@@ -282,15 +277,8 @@ def _mean_evidence(witnesses: Array) -> float:
 def _refine_estimate(
     all_sums: Sequence[_HarmonicSums], timer: ModulatorTimer, likelier: float, certain: float
 ) -> QuantiserEstimate:
-    """The likeliest timer near one, with continuous phases, and its curvature.
-
-    Parameters
-    ----------
-    likelier : float
-        Gain in log likelihood with chance as the only background.
-    certain : float
-        Gain in log likelihood with the actual background.
-    """
+    """The likeliest timer near one, with continuous phases, and its curvature."""
+    # `likelier` and `certain`: gain in log likelihood over chance alone, and over the actual background.
     from scipy.optimize import minimize
 
     informed = [sums.informed(timer.step_s) for sums in all_sums]

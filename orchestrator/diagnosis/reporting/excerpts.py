@@ -140,10 +140,8 @@ def _excerpt(
 
 
 def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
-    """Predicted and measured current in the believed frame, (samples, 2) each.
-
-    The simulated magnetising current's error, in the true frame, is rotated back and added to the measured current.
-    """
+    """Predicted and measured current in the believed frame, (samples, 2) each."""
+    # The magnetising current's error, in the true frame, is rotated back and added to the measured current.
     piece = fit.prepared.pieces[index]
     predicted, corrected = simulated_current(fit, index, samples)
     batch, _ = fit.linearisation.base_of(index)

@@ -158,10 +158,7 @@ class _Rows:
 
 
 def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
-    """R_s at every dwell (DC holds and injection points): the model's, and with the residual's correction.
-
-    A dwell with current i and residual e = v - R i gives R + e.i / i.i.
-    """
+    """R_s at every dwell (DC holds, injection points): the model's R, and R + e.i / i.i with residual e = v - R i."""
     largest = max((float(np.linalg.norm(row.i_ab, axis=1).max(initial=0.0)) for row in rows), default=0.0)
     dwells = []
     for row in rows:

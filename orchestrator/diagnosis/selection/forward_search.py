@@ -214,10 +214,8 @@ def _free_deferred(fitter: Fitter, search: SearchResult) -> bool:
 
 
 def _outweighs_refinements(view: LinearView, inseparable: set[str]) -> bool:
-    """Whether an absent effect explains most of the residual, and more than the newest effect's refinements.
-
-    Refinements would adapt to the missing effect; they are tried again once it is in the model.
-    """
+    """Whether an absent effect explains most of the residual, and more than the newest effect's refinements."""
+    # Refinements would adapt to the missing effect; they are tried again once it is in the model.
     scores, fit = [s for s in score(view) if s.candidate.name not in inseparable], view.fit
     min_gain = MIN_SHARE_BEFORE_REFINEMENTS * (fit.chi2 - fit.dof)
     return bool(scores) and scores[0].gain > max(refinement_gain(view), min_gain)
@@ -305,10 +303,7 @@ def _refit_all(fitter: Fitter, fit: Fit, shortlist: Sequence[Score]) -> list[tup
 
 
 def _refit(fitter: Fitter, fit: Fit, scored: Score) -> Fit:
-    """The model refitted with one more effect, started at the best linear estimate, its shape free.
-
-    Shape parameters of the effects already in the model are held fixed: they have converged without it.
-    """
+    """The model refitted with one more effect from its best linear estimate, its shape free, converged shapes held."""
     active = _best_start(fitter, fit, scored)
     active = active.release(*scored.candidate.of_role(ParameterRole.SHAPE))
     with_others_fixed = [replace(a, free=a.candidate.amplitudes) for a in fit.model.active]

@@ -82,10 +82,8 @@ def _still_holds(view: LinearView, fit: Fit) -> bool:
 
 
 def _distinct(view: LinearView) -> list[int]:
-    """The columns of a view without effects whose column is parallel to that of one with a larger gain.
-
-    Two such columns would be fitted to large, meaningless values of opposite sign.
-    """
+    """The columns of a view without effects whose column is parallel to that of one with a larger gain."""
+    # Two such columns would be fitted to large, meaningless values of opposite sign.
     scale = np.sqrt(np.maximum(np.diag(view.normal), 1e-300))
     like = np.abs(view.normal / np.outer(scale, scale))
     taken = list(range(len(view.fit.model.free)))

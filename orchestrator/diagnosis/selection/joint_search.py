@@ -336,11 +336,9 @@ def merge_indistinguishable(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, li
 
 
 def _sufficient_alone(fitter: Fitter, fit: Fit, lesser: str, stays: str) -> tuple[str, Fit] | None:
-    """Which of two effects fits as well alone as both, and that fit; None where neither does.
-
-    If the two share an amplitude's name, the lesser is tried alone too where the other does not suffice, or needs more
-    refinements: the lesser may have the right form.
-    """
+    """Which of two effects fits as well alone as both, and that fit; None where neither does."""
+    # A lesser effect with the same amplitude's name may have the right form: it is tried too where the other does not
+    # suffice, or needs more refinements.
     sufficient: list[tuple[str, Fit]] = []
     is_same_kind = bool(_shared_amplitudes(fit, lesser, stays))
     for goes, keeps in ((lesser, stays), (stays, lesser))[: 2 if is_same_kind else 1]:
@@ -446,10 +444,7 @@ def _log_bayes_factor(mean: Array, covariance: Array, candidate: CandidateEffect
 
 
 def _posterior(fit: Fit, *, with_block_scatter: bool = True) -> tuple[Array, Array, list[str]]:
-    """Mean and covariance of the amplitudes with shapes fixed, and the effect that each belongs to.
-
-    The noise is inflated to the residual; the scatter between blocks is added where `with_block_scatter`.
-    """
+    """Mean and covariance of the amplitudes, shapes fixed, noise inflated to the residual, and their effects."""
     which = [k for k, (a, n) in enumerate(fit.model.free) if n in a.candidate.amplitudes]
     free = [fit.model.free[k] for k in which]
     normal = fit.projected()[0][np.ix_(which, which)] / max(fit.chi2_per_dof, 1.0)

@@ -72,15 +72,15 @@ def search_jointly(
         setup.fitter.begin(text, EVALUATIONS_LEFT_PER_EFFECT[step] * len(library))
 
     begin(f"{len(library)} effects together", "together")
-    fit = fit_full_model(setup.coarse_fitter, quick.fit.model, library)
+    fit = fit_full_model(setup.part_fitter, quick.fit.model, library)
     begin("each effect's own form", "forms")
     if is_large_misfit(fit):
         setup = with_quantiser_of_dwells(setup, fit, library)
-    fit = refine_joint_map(setup, free_own_shapes(setup.coarse_fitter, fit))
+    fit = refine_joint_map(setup, free_own_shapes(setup.part_fitter, fit))
     part_alone, whole_alone = quick.steps[0].fit, steps[0].fit
     interim.record_joint(setup, steps, (part_alone, fit), quick, {}, is_part=True)
     begin("which of them do the data ask for?", "search")
-    fit, indistinguishable = joint_search(setup.coarse_fitter, fit, library)
+    fit, indistinguishable = joint_search(setup.part_fitter, fit, library)
     setup, fit, indistinguishable = with_quantiser_of_fit(setup, fit, indistinguishable, library)
     if not fit.model.active:
         return None
@@ -124,12 +124,12 @@ def refine_joint_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
     chosen with the effects fixed, for there are many maps to try. A finer map that leaves more is not taken.
     """
     while is_large_misfit(fit) and fit.model.space.is_free:
-        fixed = setup.coarse_fitter.fit(with_fixed_effects(fit.model), fit.linearisation)
-        finer = record_finest_map(setup, setup.coarse_fitter, fixed)
+        fixed = setup.part_fitter.fit(with_fixed_effects(fit.model), fit.linearisation)
+        finer = record_finest_map(setup, setup.part_fitter, fixed)
         if finer is fixed:
             break
         trial = free_own_shapes(
-            setup.coarse_fitter, setup.coarse_fitter.relinearise(finer.model.with_active(fit.model.active))
+            setup.part_fitter, setup.part_fitter.relinearise(finer.model.with_active(fit.model.active))
         )
         if trial.objective >= fit.objective:
             break
@@ -170,7 +170,7 @@ def with_quantiser_of_fit(
         if more is not None and more[-1].objective < fit.objective:
             anew, fit = more
     gain = before.objective - fit.objective
-    anew.coarse_fitter.trace.record(
+    anew.part_fitter.trace.record(
         "quantiser", before=before, after=fit, measure="objective", score=gain, threshold=0.0, taken=gain > 0.0
     )
     return (anew, fit, others) if gain > 0.0 else (setup, before, indistinguishable)
@@ -178,8 +178,8 @@ def with_quantiser_of_fit(
 
 def _search_again(setup: DiagnosisSetup, fit: Fit, library: Library) -> tuple[Fit, dict[str, list[str]]]:
     """Repeat the joint search after the quantiser has changed."""
-    everything = setup.coarse_fitter.relinearise(with_all_effects(fit.model, library))
-    return joint_search(setup.coarse_fitter, free_own_shapes(setup.coarse_fitter, everything), library)
+    everything = setup.part_fitter.relinearise(with_all_effects(fit.model, library))
+    return joint_search(setup.part_fitter, free_own_shapes(setup.part_fitter, everything), library)
 
 
 def is_large_misfit(fit: Fit) -> bool:

@@ -32,9 +32,9 @@ def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Library) -
     quantisers = detect_quantisation(traces, bus_v, prepared.criteria.selection.log_evidence)
     if not quantisers:
         return setup
-    likelihood = likelihood_of(setup.coarse_fitter, fit, library)
+    likelihood = likelihood_of(setup.part_fitter, fit, library)
     scatter = likelihood.most_likely((True, True), dithered=False)
-    timer, _ = quantiser_of_dwells(setup.coarse_fitter.prepared, likelihood, scatter, quantisers)
+    timer, _ = quantiser_of_dwells(setup.part_fitter.prepared, likelihood, scatter, quantisers)
     return replace(setup.with_quantiser(timer), quantisers=quantisers)
 
 
@@ -43,10 +43,10 @@ def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) 
     if not setup.quantisers:
         return setup
     setup.fitter.tell("the modulator's timer, by the voltages that hold the currents")
-    likelihood = likelihood_of(setup.without_quantiser.coarse_fitter, fit, library)
+    likelihood = likelihood_of(setup.without_quantiser.part_fitter, fit, library)
     scatter = likelihood.most_likely((True, True), dithered=False)
-    timer, _ = quantiser_of_dwells(setup.coarse_fitter.prepared, likelihood, scatter, setup.quantisers)
-    setup.coarse_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
+    timer, _ = quantiser_of_dwells(setup.part_fitter.prepared, likelihood, scatter, setup.quantisers)
+    setup.part_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
     return setup.with_quantiser(timer)
 
 
@@ -60,7 +60,7 @@ def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -
         return None
     # Rounding makes the objective discontinuous in the timer's phase: the estimate by dwells is a second start.
     beside = with_quantiser_of_dwells(setup, fit, library)
-    starts = (setup, fit), (beside, beside.coarse_fitter.relinearise(fit.model))
+    starts = (setup, fit), (beside, beside.part_fitter.relinearise(fit.model))
     timed, sharper = min(starts, key=lambda start: start[1].objective)
     gained = fit.objective - sharper.objective
     for turn in range(MAX_QUANTISER_ROUNDS):
@@ -68,7 +68,7 @@ def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -
         timer, gain = quantiser_beside(sharper, timed.quantisers, timed.fitter.pm_flux_wb)
         gained += gain if turn == 0 else 0.0
         timed = timed.with_quantiser(timer)
-        sharper = refit_briefly(timed.coarse_fitter, sharper.model, sharper)
+        sharper = refit_briefly(timed.part_fitter, sharper.model, sharper)
         if gain < MIN_JOINT_GAIN:
             break
     return None if gained < 2.0 * limits.log_evidence * fit.chi2_per_dof else (timed, sharper)

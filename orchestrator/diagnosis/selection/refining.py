@@ -118,8 +118,9 @@ def _try_refinements(fitter: Fitter, fit: Fit, index: int, inflation: float) -> 
 def _alternative_starts(active: EffectTerm, best: Fit, index: int) -> list[EffectTerm]:
     """Further initial values of an effect's flexible form, where the best fit so far leaves more than noise.
 
-    They are its second form, with and without the first one's refinements, and the form without parameters that ran to
-    a bound: these compensated for something else.
+    - the alternative start (second form);
+    - the alternative start with the refinements of the first form;
+    - the form without parameters that ran to a bound: these compensated for something else.
     """
     if best.chi2_per_dof <= best.criteria.selection.detected_chi2:
         return []
@@ -134,10 +135,8 @@ def _at_bounds(active: EffectTerm) -> list[str]:
 
 
 def _extend_form(fitter: Fitter, fit: Fit, index: int, form: EffectTerm, best: Fit, inflation: float) -> Fit | None:
-    """The fit with one effect in a flexible form; None where its linear or actual gain does not beat the best fit.
-
-    Parameters that bring most of the gain are freed and fitted first, then those that still gain beside them.
-    """
+    """The fit with one effect in a flexible form; None where its linear or actual gain does not beat the best fit."""
+    # Parameters that bring most of the gain are freed and fitted first, then those that still gain beside them.
     trial, reached = None, best.objective
     for _ in range(MAX_FORM_EXTENSIONS):
         whole = fitter.evaluate(

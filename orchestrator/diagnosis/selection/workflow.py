@@ -58,16 +58,17 @@ ModelChoice = str | FluxMap | MotorModel
 A whole model's map is held fixed, and its effects are refitted to the recording.
 """
 
-(
-    EVALUATIONS_LEFT_IF_CLEAN,
-    EVALUATIONS_LEFT_WITH_QUANTISER,
-    EVALUATIONS_LEFT_FROM_SEARCH,
-    EVALUATIONS_LEFT_FROM_WHOLE,
-    EVALUATIONS_LEFT_FROM_REPORT,
-) = 45.0, 105.0, 80.0, 60.0, 22.0
-"""Evaluations of the first model that take as long as a diagnosis from there, where a few effects explain the error:
-where nothing is missing, before a modulator's timer is looked for, before effects are, before they are fitted to the
-whole, and when the search is over. Medians of benches of one and two effects."""
+# Expected remaining time, in evaluations of the first model; medians of benches of one and two effects.
+EVALUATIONS_LEFT_IF_CLEAN = 45.0
+"""At the start, where the first model leaves only noise."""
+EVALUATIONS_LEFT_WITH_QUANTISER = 105.0
+"""At the start of the detection of a modulator's timer."""
+EVALUATIONS_LEFT_FROM_SEARCH = 80.0
+"""At the start of the search for effects."""
+EVALUATIONS_LEFT_FROM_WHOLE = 60.0
+"""At the start of the fit to the whole recording."""
+EVALUATIONS_LEFT_FROM_REPORT = 22.0
+"""At the end of the search."""
 
 MAX_CHI2_RATIO_WITH_QUANTISER = 1.2
 """Largest ratio of chi2 with a detected timer's rounding to that without; a false detection had a ratio of 3.2."""
@@ -109,7 +110,7 @@ def with_map_step(setup: DiagnosisSetup, fit: Fit, baseline: Nameplate) -> Fit:
 
 
 def map_steps(
-    setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, CandidateEffect], without: Sequence[str]
+    setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, CandidateEffect], excluded: Sequence[str]
 ) -> list[AcceptedModel]:
     """`first_steps`; from a linear baseline also those that free the map, as far as the data require them."""
     steps = first_steps(setup, model, library)
@@ -118,7 +119,7 @@ def map_steps(
         return steps
     baseline = Nameplate()
     for name in (SATURATION, CROSS_SATURATION):
-        if name in without:
+        if name in excluded:
             break
         freed = freed_by(baseline, name)
         fit = with_map_step(setup, steps[-1].fit, freed)
@@ -173,11 +174,9 @@ def search_effects(
 def _search(
     setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library, interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, SearchResult]:
-    """Search in a part of the recording, refit its effects to the whole, and search there for small ones.
-
-    Where a few effects found one by one do not explain the part, sensor offsets may vary between segments: the setup
-    returned then has that as noise. Otherwise all effects are fitted together.
-    """
+    """Search in a part of the recording, refit its effects to the whole, and search there for small ones."""
+    # Where a few effects do not explain the part, sensor offsets may vary between segments, which then count as noise;
+    # otherwise all effects are fitted together.
     if not _explains(steps[-1].fit):
         setup.fitter.begin("search for a few missing effects", EVALUATIONS_LEFT_FROM_SEARCH)
     quick = _quick_search(setup, steps, library)
@@ -185,8 +184,8 @@ def _search(
     if _explains(quick.fit) or (wider := with_estimated_scatter(setup, quick.fit, library)) is None:
         return _after(quick, setup, steps, library, interim)
     steps = refit_steps(wider, steps)
-    beside = wider.coarse_fitter.fit(quick.fit.model, relinearisations=1)
-    wider.coarse_fitter.trace.record("noise", before=quick.fit, after=beside, taken=True)
+    beside = wider.part_fitter.fit(quick.fit.model, relinearisations=1)
+    wider.part_fitter.trace.record("noise", before=quick.fit, after=beside, taken=True)
     if _explains(beside):
         return _search(wider, steps, library, interim)
     # A few effects do not suffice with the segment scatter as noise either.
@@ -214,7 +213,7 @@ def _after(
     if found:
         setup.fitter.begin("the same on the whole recording", EVALUATIONS_LEFT_FROM_WHOLE)
         # Superfluous refinements are most expensive on the whole recording.
-        found = [*found[:-1], replace(found[-1], fit=converge(setup.coarse_fitter, found[-1].fit))]
+        found = [*found[:-1], replace(found[-1], fit=converge(setup.part_fitter, found[-1].fit))]
     fits = fit_to_whole(setup, steps, found)
     interim.record(setup, steps, SearchResult(fits, quick.detected_not_named, quick.indistinguishable), is_part=False)
     search = forward(setup.fitter, fits, library, indistinguishable=quick.indistinguishable)
@@ -244,27 +243,25 @@ def with_estimated_scatter(setup: DiagnosisSetup, fit: Fit, library: Library) ->
     """The setup with estimated segment scatter as noise; None where that does not help."""
     if setup.fitter.noise.of_model.scatters:
         return None
-    return with_scatter_as_noise(setup, likelihood_of(setup.coarse_fitter, fit, library))
+    return with_scatter_as_noise(setup, likelihood_of(setup.part_fitter, fit, library))
 
 
 def _quick_search(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> SearchResult:
-    """Search the first few effects in a part of the recording, on a finer map where the data require it.
-
-    The largest effect is found before a finer map can adapt to it; small ones may be due to a coarse map.
-    """
-    part = setup.coarse_fitter.fit(steps[-1].fit.model, relinearisations=0)
+    """Search the first few effects in a part of the recording, on a finer map where the data require it."""
+    # The largest effect is found before a finer map can adapt to it; small ones may be due to a coarse map.
+    part = setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0)
     before = len(part.model.active)
-    quick = forward(setup.coarse_fitter, [AcceptedModel(None, part)], library, max_effects=before + 1)
+    quick = forward(setup.part_fitter, [AcceptedModel(None, part)], library, max_effects=before + 1)
     quick = _with_last(quick, _detailed(setup, quick.fit))
     max_effects = before + FEW_EFFECTS
-    quick = _continue_search(quick, setup.coarse_fitter, library, max_effects)
-    return _finer(quick, _detailed(setup, quick.fit), setup.coarse_fitter, library, max_effects=max_effects)
+    quick = _continue_search(quick, setup.part_fitter, library, max_effects)
+    return _finer(quick, _detailed(setup, quick.fit), setup.part_fitter, library, max_effects=max_effects)
 
 
 def _detailed(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """A part's fit on a finer map, where its effects leave more than noise."""
     coarse_map = fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP and fit.model.space.is_free
-    return record_finest_map(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
+    return record_finest_map(setup, setup.part_fitter, fit) if fit.model.active and coarse_map else fit
 
 
 def _finer(
@@ -288,7 +285,7 @@ def _with_last(search: SearchResult, fit: Fit) -> SearchResult:
     return replace(search, steps=[*search.steps[:-1], replace(search.steps[-1], fit=fit)])
 
 
-def without(setup: DiagnosisSetup, search: SearchResult, name: str, *, last: Fit | None = None) -> SearchResult:
+def without_effect(setup: DiagnosisSetup, search: SearchResult, name: str, *, last: Fit | None = None) -> SearchResult:
     """The search with one effect removed and the others refitted; `last` is that fit where it is known already."""
     others = [a for a in search.fit.model.active if a.name != name]
     steps = search.baseline_models
@@ -337,7 +334,7 @@ def prune(setup: DiagnosisSetup, search: SearchResult) -> tuple[SearchResult, li
         for active in doubted:
             others = full.model.with_active([a for a in full.model.active if a.name != active.name])
             less = setup.fitter.fit(others, steps=4, relinearisations=0, tolerance=3e-3)
-            spare = _is_redundant(first, less, full, active.name)
+            is_redundant = _is_redundant(first, less, full, active.name)
             setup.fitter.trace.record(
                 "remove",
                 [active.name],
@@ -346,12 +343,12 @@ def prune(setup: DiagnosisSetup, search: SearchResult) -> tuple[SearchResult, li
                 measure="log_evidence",
                 score=-_evidence_lost(full, less),
                 threshold=-keep_threshold(full, active.candidate),
-                taken=spare,
-                note="small, uncertain, or what another effect's form makes" if spare else "",
+                taken=is_redundant,
+                note="small, uncertain, or what another effect's form makes" if is_redundant else "",
             )
-            if spare:
+            if is_redundant:
                 removed.append(active.name)
-                search = without(setup, search, active.name, last=less)
+                search = without_effect(setup, search, active.name, last=less)
                 break
         else:
             break
@@ -378,20 +375,20 @@ def _evidence_lost(full: Fit, less: Fit) -> float:
     return log_evidence(full, inflation) - log_evidence(less, inflation)
 
 
-def _is_redundant(first: Fit, without: Fit, full: Fit, name: str) -> bool:
+def _is_redundant(first: Fit, reduced: Fit, full: Fit, name: str) -> bool:
     limits, active = full.criteria.selection, next(a for a in full.model.active if a.name == name)
     size = active.relative_size
-    gained = _evidence_lost(full, without)
+    gained = _evidence_lost(full, reduced)
     if active.candidate.included_a_priori:
         return gained < keep_threshold(full, active.candidate)
     if size < MIN_EFFECT_SIZE or certainty(full)[name] < MIN_CERTAINTY:
         return True
     if gained < keep_threshold(full, active.candidate):
         return True
-    if without.chi2_per_dof < limits.detected_chi2 and size < MIN_UNDETECTED_SIZE:
+    if reduced.chi2_per_dof < limits.detected_chi2 and size < MIN_UNDETECTED_SIZE:
         return True
     # Another effect's slightly wrong form would leave a misfit; an effect that removes all of it is real.
-    to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and without.chi2_per_dof > NOTEWORTHY_CHI2
+    to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and reduced.chi2_per_dof > NOTEWORTHY_CHI2
     if len(full.model.active) < 2 or to_the_noise:
         return False
-    return without.chi2_per_dof - 1.0 < _redundancy_limit(first)
+    return reduced.chi2_per_dof - 1.0 < _redundancy_limit(first)

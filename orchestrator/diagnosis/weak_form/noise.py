@@ -122,10 +122,7 @@ def sensor_noise(pieces: Sequence[SegmentData]) -> SensorNoise:
 
 
 def _quietest(scatters: Sequence[Scatter]) -> list[Scatter]:
-    """The smallest scatter, as the curvature of a fast current only adds to it.
-
-    An unlogged axis, written as zero, does not scatter and is disregarded.
-    """
+    """The smallest scatter of a logged axis, as the curvature of a fast current only adds to it."""
     whole = [s for s in scatters if np.linalg.eigvalsh(s.covariance)[0] > 1e-6 * float(np.trace(s.covariance))]
     even = [replace(s, covariance=float(np.trace(s.covariance)) * np.eye(2)) for s in scatters]
     return sorted(whole or even, key=lambda s: float(np.trace(s.covariance)))[:1]
@@ -137,11 +134,9 @@ def _typical(scatters: Sequence[Scatter]) -> Array:
 
 
 def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], min_correlation: float) -> float:
-    """rho of the readings' noise as a first-order process; 0 where it may be chance.
-
-    Current control responds to noise and correlates readings, so that gates-off readings are preferred. Where their rho
-    is insignificant (white noise has 1 / sqrt(n)) and nearer to zero than to that of the holds, it is zero.
-    """
+    """rho of the readings' noise as a first-order process; 0 where it may be chance."""
+    # Current control responds to noise and correlates readings, so that gates-off readings are preferred. Where their
+    # rho is insignificant (white noise has 1 / sqrt(n)) and nearer to zero than to that of the holds, it is zero.
     correlated, free = ([s for s in some if math.isfinite(s.correlation)] for some in (steady, off))
     rho = float(np.median([s.correlation for s in correlated])) if correlated else 0.0
     if abs(rho) < min_correlation:
@@ -294,10 +289,7 @@ def _independent(factor: Array, rows: Array) -> Array:
 
 
 def _factored(covariance: Array) -> Array:
-    """Cholesky factor of a covariance in lower banded form.
-
-    Correlations beyond the band are neglected. Where that makes it indefinite, the off-diagonals are reduced.
-    """
+    """Cholesky factor of a covariance in lower banded form; off-diagonals shrink where it is indefinite."""
     from scipy.linalg import cholesky_banded
 
     banded = covariance.copy()

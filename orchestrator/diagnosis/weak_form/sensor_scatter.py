@@ -150,10 +150,8 @@ def scatter_beside_answer(i_ab: Array, v_ab: Array) -> Scatter:
 
 
 def _usual(d: Array) -> npt.NDArray[np.bool_]:
-    """Mask of the differences (n, 2) in blocks with the usual power; others contain a moving current.
-
-    Neighbouring blocks are excluded too, as a step may extend into them. All are used where none would remain.
-    """
+    """Mask of the differences (n, 2) in blocks without a moving current, by their power and their neighbours'."""
+    # A step may extend into neighbouring blocks. All are used where none would remain.
     starts = np.arange(0, len(d), BLOCK_READINGS)
     powers = np.add.reduceat(np.square(d).sum(axis=1), starts) / np.diff(np.append(starts, len(d)))
     moves = np.pad(powers > MAX_POWER_RATIO * np.median(powers), 1)
@@ -178,10 +176,8 @@ def _lag(d: Array, usual: npt.NDArray[np.bool_] | None = None) -> float:
 
 
 def _of_second_differences(lag: float) -> float:
-    """rho of a first-order process whose second differences have this first autocorrelation.
-
-    It is -2/3 for independent readings, and approaches -1/2 for correlated ones.
-    """
+    """rho of a first-order process whose second differences have this first autocorrelation."""
+    # It is -2/3 for independent readings, and approaches -1/2 for correlated ones.
     if np.isnan(lag):
         return lag
     low, high = -0.98, 0.98

@@ -50,11 +50,9 @@ def outliers(table: FleetTable, criteria: FleetCriteria) -> tuple[Distances | No
 
 
 def _joint_scatter(table: FleetTable, criteria: FleetCriteria) -> tuple[list[Column], Scatter | None]:
-    """The quantities of the robust distance, in the table's order, and their scatter.
-
-    A quantity is included if enough recordings have it, it scatters, enough complete rows remain for the number of
-    quantities, and it is no linear function of those before it.
-    """
+    """The quantities of the robust distance, in the table's order, and their scatter."""
+    # Enough recordings have each, it scatters, enough complete rows remain, and it is no linear function of earlier
+    # ones.
     chosen: list[Column] = []
     complete = np.ones(len(table), dtype=bool)
     for column in table.columns.values():

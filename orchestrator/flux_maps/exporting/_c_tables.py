@@ -99,10 +99,8 @@ def header_tables(products: Products) -> HeaderTables:
 
 
 def _even(axis: Array, max_nodes: int = 33) -> Array:
-    """The axis itself where it is short and evenly spaced, else evenly spaced nodes up to a header's limit.
-
-    33 nodes are 2 kB a table in Q15, 4 kB in float. The inverse has its own 51: 5 and 10 kB.
-    """
+    """The axis itself where it is short and evenly spaced, else evenly spaced nodes up to a header's limit."""
+    # 33 nodes are 2 kB a table in Q15, 4 kB in float. The inverse has its own 51: 5 and 10 kB.
     count = min(len(axis), max_nodes)
     even = np.linspace(axis[0], axis[-1], count)
     return axis if len(axis) == count and np.allclose(axis, even, rtol=0.0, atol=1e-6 * np.ptp(axis)) else even

@@ -54,10 +54,8 @@ def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[f
 
 
 def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float, resumed_s: Numbers) -> list[Stretch]:
-    """A stretch of holds or injections, split by current; the transition to a current belongs to its part.
-
-    `resumed_s` are the times after gaps; a change within the window of such a time is placed at that time.
-    """
+    """A stretch of holds or injections, split by current; the transition to a current belongs to its part."""
+    # A change within the window of a time after a gap, `resumed_s`, is placed at that time.
     if run.stage not in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
         return [run]
     first, last = np.searchsorted(time_s, [run.start_s, run.end_s])

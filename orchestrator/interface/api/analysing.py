@@ -35,11 +35,13 @@ if TYPE_CHECKING:
 
 Place = str | PathLike[str]
 """A run or recording: its directory, or `Measurements`."""
-Model = Place | FluxMap | MotorModel
+AnyPath = str | PathLike[str]
+"""A file or folder."""
+Model = AnyPath | FluxMap | MotorModel
 """``saturated``, ``linear``, a flux map or a motor model, or the file of either."""
 BASELINES = ("linear", "saturated")
 """The model before any effect: constant inductances of the nameplate, or a free map."""
-Effects = Place | Sequence[Effect]
+Effects = AnyPath | Sequence[Effect]
 """Candidates beside the installed effects: a Python file, or the effects themselves."""
 
 
@@ -48,7 +50,7 @@ def estimate(
     place: Place,
     *,
     estimators: Sequence[str] | None = None,
-    out: Place | None = None,
+    out: AnyPath | None = None,
     on_estimate: Callable[[Estimate], None] = lambda _: None,
 ) -> EstimationReport:
     """R_s, flux and inductance maps, and checks of their consistency; written to ``results/``.
@@ -78,7 +80,7 @@ def estimate(
 
 @one_thread()
 def compare(
-    place: Place, *, model: Model | None = None, effects: Effects = (), out: Place | None = None
+    place: Place, *, model: Model | None = None, effects: Effects = (), out: AnyPath | None = None
 ) -> CompareReport:
     """The errors of a model, and whether given effects help; see `orchestrator.diagnosis.compare_recording`."""
     from orchestrator.diagnosis import compare_recording
@@ -112,9 +114,9 @@ def diagnose(
     segments: Sequence[str] | None = None,
     material_flux_percent: float | None = None,
     material_voltage_percent: float | None = None,
-    out: Place | None = None,
+    out: AnyPath | None = None,
     tell: Callable[[str], None] = lambda _: None,
-    priors: FleetPriors | Place | None = None,
+    priors: FleetPriors | AnyPath | None = None,
     workers: int | None = None,
     on_interim: Callable[[InterimResult], None] = lambda _: None,
     report_early: bool = False,
@@ -127,7 +129,8 @@ def diagnose(
         Ids of the segments to use; all by default. The result is stored as if they were the whole recording; use a
         separate folder `out` for it.
     material_flux_percent, material_voltage_percent : float, optional
-        Change of the map, of the rated flux, or voltage, of the excitation's, from which an effect is material.
+        Smallest change of the map in % of the rated flux, and of the voltage in % of the applied one, that makes an
+        effect material.
     tell : callable
         Called with the current step, in a few words.
     priors : FleetPriors or path, optional
@@ -195,7 +198,7 @@ def add(
     *names: str,
     model: Model | None = None,
     effects: Effects = (),
-    out: Place | None = None,
+    out: AnyPath | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
     """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Stored in `model.json`.
@@ -218,7 +221,7 @@ def remove(
     name: str,
     *,
     effects: Effects = (),
-    out: Place | None = None,
+    out: AnyPath | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
     """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Stored in `model.json`.
@@ -233,7 +236,7 @@ def remove(
     return remove_effect(open_any(Path(place)), name, chosen_effects(effects), out=_directory(out), tell=tell)
 
 
-def map_of(model: MotorModel | Place) -> xr.Dataset:
+def map_of(model: MotorModel | AnyPath) -> xr.Dataset:
     """The map of a model, without effects, over ``i_d`` and ``i_q``; NaN where nothing was measured.
 
     Parameters
@@ -294,7 +297,7 @@ def _file_of(effect: Effect) -> Path:
     return Path(inspect.getfile(type(effect))).resolve()
 
 
-def _chosen_priors(choice: FleetPriors | Place | None) -> FleetPriors | None:
+def _chosen_priors(choice: FleetPriors | AnyPath | None) -> FleetPriors | None:
     if not isinstance(choice, str | PathLike):
         return choice
     from orchestrator.recording import read_json
@@ -311,7 +314,7 @@ def _instance(kind: type[Any], where: str) -> Effect:
     return effect
 
 
-def _directory(out: Place | None) -> Path | None:
+def _directory(out: AnyPath | None) -> Path | None:
     if out is None:
         return None
     refuse_file(Path(out))

@@ -76,10 +76,7 @@ def _motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) 
 
 
 def _folder_of(path: Path) -> str:
-    """Name of the run or recording that a path is, or is a file of; else the file's own.
-
-    A manifest's name is the procedure's, and the same in all runs of it.
-    """
+    """Folder of the run or recording that a path is or belongs to; else the file's own name."""
     from orchestrator.recording import MANIFEST_NAME
     from orchestrator.runs import is_run
 

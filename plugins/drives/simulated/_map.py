@@ -1,6 +1,6 @@
 """Flux maps of real machines as energies: a table psi(i) becomes a spline H(psi) with grad H = i.
 
-`orchestrator.flux_maps.load_map` reads the files; a map whose magnet does not lie on d is rotated until it does.
+`orchestrator.flux_maps.load_map` reads the files; a user's map is rotated onto its magnet, if it includes zero current.
 The spline is fitted to the currents, so that the model is free of curl and even in psi_q despite
 measurement errors. A penalty on third differences smooths noise and extrapolates H quadratically (constant
 inductances) where the table has no points.
@@ -167,7 +167,7 @@ def usable_reach(table: FluxTable, magnetics: Magnetics, *, positive_d: bool) ->
     """Radius of the circle (or of its half with i_d <= 0) in which the model is physical [A].
 
     Within the table's range on both axes, and where a one-sided table had to be extrapolated, as far
-    as the inductances stay within 1/3 to 3 times those at the table's points.
+    as the eigenvalues of H stay within 0.3 and 3 times the extremes at the table's points.
     """
     energy = magnetics.energy
 

@@ -59,7 +59,7 @@ def _effects(model: MotorModel) -> Effects:
 def flux_table(model: MotorModel, source: Path, nodes: int = 25) -> FluxTable:
     """The model's map at `nodes` x `nodes` currents over its rectangle, within the measured hull.
 
-    A model's spline has some ten intervals per axis, so 25 nodes put two or more in each.
+    A usual spline has at most ten intervals per axis, each with two nodes or more; those with up to 40 are smoothed.
     """
     from scipy.spatial import Delaunay
 

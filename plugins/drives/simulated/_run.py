@@ -108,10 +108,7 @@ class Piece(NamedTuple):
 def _control(
     c: ControlParameters, w: Piece, k: int, x: Array, i_d: float, i_q: float, turned: float
 ) -> tuple[float, float]:
-    """v_dq of the PI control, with anti-windup by back-calculation.
-
-    The nameplate's back-EMF is fed forward for a frame that turns by `turned` rad per sample.
-    """
+    """v_dq of the PI control with back-calculation, back-EMF fed forward in a frame that turns by `turned` a sample."""
     target_d, target_q = w.d + w.slope_d * k, w.q + w.slope_q * k
     error_d, error_q = target_d - i_d, target_q - i_q
     forward_d = c.resistance_ohm * target_d + c.inductance_d * w.slope_d

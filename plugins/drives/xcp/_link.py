@@ -252,11 +252,9 @@ class Link:
             answer = self._answer()[1:]
 
     def _answer(self) -> Any:
-        """The next answer, in place of pyxcp's own wait.
-
-        Each received row prolongs pyxcp's wait, so that it never ends after a lost answer. It also counts time in which
-        this process was suspended.
-        """
+        """The next answer, in place of pyxcp's own wait."""
+        # Each received row prolongs pyxcp's wait, so that it never ends after a lost answer. It also counts time in
+        # which this process was suspended.
         transport, waited_s = self._master.transport, ProcessClock()
         with transport.resQueue_condition:
             while not transport.resQueue:

@@ -169,10 +169,7 @@ def _paths(
     budget: int = 6_000_000,
     path_points: int = 200,
 ) -> Paths:
-    """Trajectories of sweeps and voltage steps, and the mean current of each segment of injection or a turning rotor.
-
-    No more than `budget` rows of waveforms are read, some seconds' worth.
-    """
+    """Trajectories of sweeps and steps, mean currents of injection and spin; reads at most `budget` rows."""
     trajectories: dict[SegmentStage, list[RealArray]] = {SegmentStage.CLASSICAL: [], SegmentStage.STEPS: []}
     means: dict[SegmentStage, list[tuple[float, float]]] = {SegmentStage.INJECTION: [], SegmentStage.SPIN: []}
     left_out = 0

@@ -18,14 +18,14 @@ def motor(ohm: float, henry: float) -> Motor:
 
 def test_telemetry_slower_than_the_winding_is_told_in_samples() -> None:
     (note,) = time_constant_notes(motor(0.45, 0.2e-3), 1000.0)
-    assert "L / R is 0.44 of a sample" in note
+    assert "L / R is 0.44 samples" in note
     assert "decays to 11%" in note
     assert "sample at 6750 Hz or more" in note
 
 
 def test_a_resistance_above_the_reactance_is_told_with_what_it_does_to_the_inductance() -> None:
     samples, reactance = time_constant_notes(motor(5.85, 360e-6), 20e3, [1000.0])
-    assert "L / R is 1.2 of a sample" in samples
+    assert "L / R is 1.2 samples" in samples
     assert "R is 2.6 times omega L at the injected 1000 Hz" in reactance
     assert "2.6 % of L" in reactance
 
@@ -55,6 +55,6 @@ def test_a_plan_s_notes_state_the_settings_that_end_them(drive: str, faster: str
     at = next(k for k, stage in enumerate(demo.stages) if stage.kind == "injection")
     named = plan.procedure.model_copy(update={"drive": DriveChoice(name=drive)})
     samples, reactance = plan_notes(replace(plan, procedure=named), pm400.capabilities())
-    assert "L / R is 2.8 of a sample" in samples
+    assert "L / R is 2.8 samples" in samples
     assert samples.endswith(f"or log the control's own rows{faster}")
     assert reactance.endswith(f"inject at up to 2500 Hz (`--set stages.{at}.frequency_hz=2500`)")

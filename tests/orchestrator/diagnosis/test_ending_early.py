@@ -123,8 +123,8 @@ def test_effects_that_were_fitted_together_to_a_part_have_a_ladder_of_the_whole(
     hidden = with_free(free_model(), maker, VoltageBias(), bias_a_v=0.2).active
     setup = setup_of(made_of.with_effects(made, list(hidden)), maker.noise)
     absent = [c.absent() for c in scaled_library([VoltageBias(), VoltageDelay()], made.manifest)]
-    bare, part = setup.fitter.fit(free_model()), setup.coarse_fitter.fit(free_model())
-    both = setup.coarse_fitter.fit(part.model.with_active(absent))
+    bare, part = setup.fitter.fit(free_model()), setup.part_fitter.fit(free_model())
+    both = setup.part_fitter.fit(part.model.with_active(absent))
     first, search = (AcceptedModel(None, bare),), SearchResult([AcceptedModel(None, part), AcceptedModel(None, both)])
     for is_part, fit in ((True, both), (False, setup.fitter.fit(both.model))):
         kept = SearchResult([search.steps[0], AcceptedModel(None, fit)])

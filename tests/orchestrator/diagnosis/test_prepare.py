@@ -65,7 +65,7 @@ def test_too_little_is_refused_in_one_line(
 ) -> None:
     little = _with(clean, tmp_path / "little", wanted, samples)
     for held in (compare_recording, diagnose_recording):
-        with pytest.raises(NotMeasuredError, match=r"too little|long enough") as caught:
+        with pytest.raises(NotMeasuredError, match=r"too few|long enough") as caught:
             held(little, [])
         assert "\n" not in str(caught.value)
     assert not (little.path / "model.json").exists()
@@ -78,7 +78,7 @@ def test_one_point_measured_again_and_again_is_one_place(clean: Recording, tmp_p
     for copy in copies:
         (tmp_path / "captures" / f"{copy.id}.parquet").symlink_to(clean.path / "captures" / f"{hold.id}.parquet")
     write_manifest(tmp_path, clean.manifest.model_copy(update={"segments": copies}))
-    with pytest.raises(NotMeasuredError, match="show 1 places"):
+    with pytest.raises(NotMeasuredError, match="show 1 operating point:"):
         open_for_diagnosis(open_recording(tmp_path))
 
 

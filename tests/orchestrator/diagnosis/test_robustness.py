@@ -76,5 +76,5 @@ def test_dead_time_without_a_sweep_is_named_with_its_twin(with_dead_time: Record
 def test_too_few_holds_are_refused(clean: Recording, tmp_path: Path) -> None:
     holds = [s.id for s in clean.manifest.segments if s.stage is SegmentStage.RESISTANCE][:3]
     few = _with(clean, tmp_path / "few", lambda s: s.id in holds)
-    with pytest.raises(NotMeasuredError, match="too little"):
+    with pytest.raises(NotMeasuredError, match="too few"):
         diagnose_recording(few, LIBRARY)

@@ -82,7 +82,7 @@ def test_another_question_is_another_row_and_what_was_found_before_a_step_fails_
     assert len(read_table(tmp_path / "table")) == 2
     assert row.R_s_ohm is not None
     assert row.failed is not None
-    assert "too little to tell a cause from" in row.failed
+    assert "too few to name a cause" in row.failed
 
 
 def test_what_failed_is_tried_again_on_request_alone(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ def test_the_modes_are_those_of_generalised_least_squares() -> None:
     penalty = np.diag([0.0] * FREE + [2.0] * (rows.shape[1] - FREE))
     covariance = np.linalg.inv(rows.T @ rows + penalty)
     found = RestrictedLikelihood(rows, target, FREE).solution(2.0)
-    np.testing.assert_allclose(found.modes, covariance @ rows.T @ target, rtol=1e-8)
+    np.testing.assert_allclose(found.coefficients, covariance @ rows.T @ target, rtol=1e-8)
     size = float(np.diag(covariance).max())
     np.testing.assert_allclose(found.root @ found.root.T, covariance, rtol=0.0, atol=1e-10 * size)
 
@@ -61,7 +61,7 @@ def test_the_free_modes_unit_changes_nothing() -> None:
     rows, target, _ = made(0.5, 3)
     scales = np.where(np.arange(rows.shape[1]) < FREE, 1e6, 1.0)
     one, other = most_likely(rows, target, FREE), most_likely(rows * scales, target, FREE)
-    np.testing.assert_allclose(other.modes * scales, one.modes, rtol=1e-6)
+    np.testing.assert_allclose(other.coefficients * scales, one.coefficients, rtol=1e-6)
 
 
 def test_intervals_hold_free_modes_and_others() -> None:
@@ -70,7 +70,7 @@ def test_intervals_hold_free_modes_and_others() -> None:
         rows, target, modes = made(0.5, seed)
         found = most_likely(rows, target, FREE)
         std = np.linalg.norm(found.root, axis=1)
-        inside.append(np.abs(found.modes - modes) < 1.96 * std)
+        inside.append(np.abs(found.coefficients - modes) < 1.96 * std)
     assert 0.92 < np.mean(inside) < 0.98
 
 
@@ -78,13 +78,13 @@ def test_modes_that_are_not_there_are_nearly_zero() -> None:
     rows, target, modes = made(0.0, 1)
     found = most_likely(rows, target, FREE)
     std = np.linalg.norm(found.root, axis=1)
-    assert np.abs(found.modes[FREE:]).max() < 0.1 * np.abs(modes).max() / 100.0
-    assert (np.abs(found.modes[:FREE] - modes[:FREE]) < 4.0 * std[:FREE]).all()
+    assert np.abs(found.coefficients[FREE:]).max() < 0.1 * np.abs(modes).max() / 100.0
+    assert (np.abs(found.coefficients[:FREE] - modes[:FREE]) < 4.0 * std[:FREE]).all()
 
 
 def test_a_free_mode_that_no_datum_sees_stays_zero() -> None:
     rows, target, _ = made(0.5, 2)
     rows[:, 1] = 0.0
     found = most_likely(rows, target, FREE)
-    assert np.isfinite(found.modes).all()
-    assert found.modes[1] == 0.0
+    assert np.isfinite(found.coefficients).all()
+    assert found.coefficients[1] == 0.0

@@ -73,7 +73,7 @@ def test_currents_that_miss_their_set_points_and_the_nameplate_alike_are_a_conve
 def test_factors_that_differ_are_no_scale_of_the_readings(right: Rewritten) -> None:
     remark = only_remark(scaled(right, 1.0, 10.0))
     assert remark.code == "nameplate_inconsistent"
-    assert "one of the nameplate's values is wrong" in remark.text
+    assert "one of the nameplate's values or the sampling frequency is wrong" in remark.text
 
 
 @pytest.mark.parametrize("settings", [(), SET_POINTS])

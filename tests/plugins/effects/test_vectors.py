@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.numerics.types import Array
-from plugins.effects._vectors import less_constant, less_of_means, plus_along_d, stretched
+from plugins.effects._vectors import less_constant, minus_interval_means, plus_along_d, times_matrix
 from protocols import RealArray
 
 RNG = np.random.default_rng(5)
@@ -26,10 +26,10 @@ NEXT = Y[[1, 2, 3, 3, 4, 6, 7, 8, 8]]
     [
         (lambda x: less_constant(x, STARTS, CONSTANTS), X - CONSTANTS[SEGMENT]),
         (lambda x: plus_along_d(x, STARTS, SIZES, THETA), X + SIZES[:, None] * ALONG),
-        (lambda x: stretched(x, STARTS, MATRICES), np.einsum("ki,kij->kj", X, MATRICES[SEGMENT])),
-        (lambda x: less_of_means(x, STARTS, Y, MATRIX), X - 0.5 * (Y + NEXT) @ MATRIX),
+        (lambda x: times_matrix(x, STARTS, MATRICES), np.einsum("ki,kij->kj", X, MATRICES[SEGMENT])),
+        (lambda x: minus_interval_means(x, STARTS, Y, MATRIX), X - 0.5 * (Y + NEXT) @ MATRIX),
     ],
-    ids=["less_constant", "plus_along_d", "stretched", "less_of_means"],
+    ids=["less_constant", "plus_along_d", "times_matrix", "minus_interval_means"],
 )
 def test_it_is_what_numpy_makes_of_it(work: Callable[[RealArray], Array], expected: Array) -> None:
     given = X.copy()

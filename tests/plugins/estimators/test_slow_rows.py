@@ -105,4 +105,4 @@ def test_an_estimate_of_slow_telemetry_names_what_is_in_the_way(tmp_path: Path) 
     assert not report.usable
     assert "uncertain_map" in {remark.code for remark in report.remarks}
     assert "far_from_nameplate" not in {remark.code for remark in report.remarks}
-    assert any("L / R is 0.44 of a sample" in remark.text for remark in report.remarks)
+    assert any("L / R is 0.44 samples" in remark.text for remark in report.remarks)

@@ -245,7 +245,7 @@ def test_a_segment_with_clipped_rows_is_marked_and_the_run_says_so(tmp_path: Pat
         result = run_tiny(tmp_path, drive=drive, stages=STAGES[:1], motor=THIS_MOTOR)
     assert result.outcome.ending == "finished", result.outcome.reason
     notes = [m.text for m in messages_of(tmp_path / "run") if isinstance(m, Note) and m.level == "warning"]
-    assert notes == ["gates_off-000: 3 of 40 rows stand at the end of the drive's scale: clipped"]
+    assert notes == ["gates_off-000: 3 of 40 rows are at the end of the drive's scale (clipped)"]
     assert '"clipped_rows": 3' in (tmp_path / "run" / "recording.json").read_text()
 
 

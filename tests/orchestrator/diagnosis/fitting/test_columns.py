@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.columns import (
     MIN_RESPONSE,
     ColumnProbe,
     column_plan,
-    known_answers,
+    known_responses,
     probe_segments,
 )
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -86,12 +86,12 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
 def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_grown(maker: Fitter) -> None:
     first = all_effects(maker)
     known = maker.evaluate(first, maker.linearise(first))
-    assert set(known.answers.of) == set(known.parameters)
-    assert known_answers(all_effects(maker, 1.05), known) is known.answers
-    grown = known_answers(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known)
+    assert set(known.responses.of) == set(known.parameters)
+    assert known_responses(all_effects(maker, 1.05), known) is known.responses
+    grown = known_responses(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known)
     assert not grown.of
     assert set(grown.sizes) == {candidate.name for candidate in scaled_library(EFFECTS, maker.prepared.manifest)}
-    assert not known_answers(first, None).of
+    assert not known_responses(first, None).of
 
 
 @pytest.mark.slow
@@ -114,12 +114,12 @@ def test_segments_of_every_stage_are_probed_and_none_that_is_held_out(maker: Fit
 
 def test_an_answer_counts_by_its_share_of_the_column() -> None:
     columns = np.array([[3.0, 0.0], [4.0, 1.0]])
-    answers = {
+    responses = {
         (0, "loud"): (2.0 * MIN_RESPONSE * 5.0) ** 2,
         (0, "silent"): (0.5 * MIN_RESPONSE * 5.0) ** 2,
         (1, "silent"): (0.5 * MIN_RESPONSE) ** 2,
     }
-    plan = column_plan([("one", "x"), ("two", "y")], {0: ColumnProbe(columns, answers)}, None)
+    plan = column_plan([("one", "x"), ("two", "y")], {0: ColumnProbe(columns, responses)}, None)
     assert plan.answering == (frozenset({"loud"}), frozenset())
     assert plan.anew == [0, 1]
     assert not plan.kept

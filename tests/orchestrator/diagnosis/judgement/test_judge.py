@@ -100,7 +100,7 @@ def test_other_limits_make_another_verdict_of_the_same_record() -> None:
 def test_two_numbers_that_round_alike_are_written_apart() -> None:
     (reason, *_) = judge(a_record(chi2_after=1.4000001, held_out_chi2=None)).reasons
     assert "chi2 1.4000001 per degree of freedom" in reason.sentence
-    assert "is allowed up to 1.4." in reason.sentence
+    assert "allows up to 1.4." in reason.sentence
 
 
 def test_a_fit_without_a_finite_error_explains_nothing() -> None:

@@ -28,13 +28,13 @@ def test_a_whole_campaign_is_enough() -> None:
 
 def test_fewer_places_than_asked_for_are_refused_and_counted() -> None:
     two = prepared([Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0)), Plan(SegmentStage.RESISTANCE, hold(0.0, 1.0))])
-    with pytest.raises(NotMeasuredError, match="show 2 places of the current plane"):
+    with pytest.raises(NotMeasuredError, match="show 2 operating points"):
         require_enough(two, NOISE)
 
 
 def test_the_same_place_again_is_no_other() -> None:
     again = prepared([Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0)) for _ in range(20)])
-    with pytest.raises(NotMeasuredError, match="show 1 places"):
+    with pytest.raises(NotMeasuredError, match="show 1 operating point:"):
         require_enough(again, NOISE)
 
 
@@ -42,7 +42,7 @@ def test_a_sweep_counts_as_two_operating_points(monkeypatch: pytest.MonkeyPatch)
     sweeps = _only(SegmentStage.CLASSICAL)
     require_enough(sweeps, NOISE)
     monkeypatch.setattr(sufficiency, "OPERATING_POINTS_PER_SWEEP", 1)
-    with pytest.raises(NotMeasuredError, match="show 3 places"):
+    with pytest.raises(NotMeasuredError, match="show 3 operating points"):
         require_enough(sweeps, NOISE)
 
 
@@ -77,5 +77,5 @@ def test_a_segment_that_holds_many_sweeps_shows_as_many_places() -> None:
     d = 2.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 600))
     beside = [np.stack([d, np.full_like(d, q)], axis=1) for q in (-2.0, -1.0, 0.0, 1.0, 2.0)]
     require_enough(prepared([Plan(SegmentStage.CLASSICAL, np.concatenate(beside))]), NOISE)
-    with pytest.raises(NotMeasuredError, match="show 2 places"):
+    with pytest.raises(NotMeasuredError, match="show 2 operating points"):
         require_enough(prepared([Plan(SegmentStage.CLASSICAL, np.concatenate(beside[2:3] * 5))]), NOISE)

@@ -123,7 +123,7 @@ def test_what_a_recording_lacks_stands_in_the_words(search: SearchResult) -> Non
 def test_an_unknown_of_a_winding_too_fast_for_its_samples_asks_for_faster_ones_first(
     search: SearchResult,
 ) -> None:
-    note = "L / R is 2.8 of a sample; sample at 10800 Hz or more"
+    note = "L / R is 2.8 samples; sample at 10800 Hz or more"
     remarks = [{"code": "time_constant", "values": {}, "text": note}]
     words = said(search, verdict="unknown_remains", effects=[], remarks=remarks)
     assert words.likely_cause == "not known: the readings are too slow for this winding to tell"

@@ -32,7 +32,7 @@ def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkey
     setup = setup_of(made, sensor_noise(made.pieces))
     library = scaled_library([VoltageDelay()], made.manifest)
     bare = setup.fitter.fit(free_model())
-    of_a_part = setup.coarse_fitter.fit(free_model().with_active([library[0].absent()]))
+    of_a_part = setup.part_fitter.fit(free_model().with_active([library[0].absent()]))
     monkeypatch.setattr(joint_workflow, "joint_search", lambda *_: (of_a_part, {}))
     steps = [AcceptedModel(None, bare)]
     assert joint_workflow.search_jointly(setup, steps, SearchResult(steps), library, InterimRecorder()) is None
@@ -136,7 +136,7 @@ def test_a_sharper_map_is_tried_where_the_forms_leave_something_and_taken_where_
     chi2: float, sharper: float, asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    part = setup.coarse_fitter.fit(whole.model)
+    part = setup.part_fitter.fit(whole.model)
     finer, tried = replace(part.model.space, roughness=9.0), list[Fit]()
     fit = replace(part, chi2=chi2 * part.dof, objective=chi2 * part.dof)
     taken = asked and sharper < 1.0

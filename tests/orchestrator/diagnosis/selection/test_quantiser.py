@@ -36,7 +36,7 @@ def test_a_timer_is_told_again_where_a_fit_with_it_leaves_something() -> None:
     felt = felt_through(true, plan(), noise_a=0.002)
     given = replace(setup_of(fitter(felt)), quantisers=(QuantiserEstimate(off, 9.0, np.zeros((3, 3))),))
     setup = given.with_quantiser(off)
-    fit = setup.coarse_fitter.fit(free_model())
+    fit = setup.part_fitter.fit(free_model())
     assert fit.chi2_per_dof > 1.08
     timer_and_fit = refine_quantiser_by_fit(setup, fit, [])
     assert timer_and_fit is not None
@@ -58,7 +58,7 @@ def test_where_a_descent_meets_a_command_s_jump_it_goes_on_beyond(rounding: int)
     felt = felt_through(timer(21.7e-9, 0.35, 0.62), plan(), noise_a=NOISE_A * (1.0 + 1e-9 * rounding))
     given = replace(setup_of(fitter(felt)), quantisers=(QuantiserEstimate(off, 9.0, np.zeros((3, 3))),))
     setup = given.with_quantiser(off)
-    timer_and_fit = refine_quantiser_by_fit(setup, setup.coarse_fitter.fit(free_model()), [])
+    timer_and_fit = refine_quantiser_by_fit(setup, setup.part_fitter.fit(free_model()), [])
     assert timer_and_fit is not None
     timed, beside = timer_and_fit
     assert beside.chi2_per_dof < 1.06
@@ -83,7 +83,7 @@ def test_a_timer_is_taken_out_of_every_voltage() -> None:
     timed = with_detected_quantiser(setup, fit, [])
     assert timed.prepared.quantiser is not None
     assert timed.prepared.quantiser.step_s == pytest.approx(21.7e-9, rel=1e-4)
-    assert timed.coarse_fitter.prepared.quantiser == timed.prepared.quantiser
+    assert timed.part_fitter.prepared.quantiser == timed.prepared.quantiser
     with_it = timed.fitter.fit(free_model())
     assert with_it.chi2_per_dof - 1.0 < 0.1 * (fit.chi2_per_dof - 1.0)
     # As commanded again, the timer is not in the voltages.
