@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.diagnosis._diagnose import Diagnosis
 from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
@@ -84,17 +84,18 @@ def _looks(diagnosis: Diagnosis) -> str:
 def _signature(diagnosis: Diagnosis, found: FoundEffect, signature: str) -> str:
     if not found.twins:
         return signature
-    needed = "".join(f", {text}," for text in _needed(diagnosis, found))
-    return f"{signature} What would tell it from {listed(found.twins)}{needed} was not measured."
+    needed = _needed(diagnosis, found)
+    if not needed:
+        return f"{signature} At this size the recording does not tell it from {listed(found.twins)}."
+    return f"{signature} What would tell it from {listed(found.twins)}, {', '.join(needed)}, was not measured."
 
 
 def _needed(diagnosis: Diagnosis, found: FoundEffect) -> list[str]:
-    """Measurements that separate an effect from its alternatives."""
-    effects = {c.name: c.effect for c in diagnosis.library}
+    """Measurements that separate an effect from its alternatives and that the recording lacks."""
+    effects, prepared = {c.name: c.effect for c in diagnosis.library}, diagnosis.search.fit.prepared
     twins = [effects[name] for name in found.twins]
-    return list(
-        dict.fromkeys(CONTRASTS[c].text for twin in twins for c in separating_contrasts(effects[found.name], twin))
-    )
+    contrasts = dict.fromkeys(c for twin in twins for c in separating_contrasts(effects[found.name], twin))
+    return [CONTRASTS[c].text for c in contrasts if not holds(prepared, c)]
 
 
 def _cause(diagnosis: Diagnosis) -> str:
@@ -166,6 +167,8 @@ def _next(diagnosis: Diagnosis) -> str:
     for found in diagnosis.report.effects:
         if needed := _needed(diagnosis, found):
             return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"
+    if twins := [found for found in diagnosis.report.effects if found.twins]:
+        return f"{twins[0].name} or {listed(twins[0].twins)}: too small to be told apart by what was measured"
     if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):
         return "the same once more, the rotor locked at a second angle"
     if diagnosis.report.verdict == "cannot_tell":

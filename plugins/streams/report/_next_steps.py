@@ -57,13 +57,19 @@ def _about_model(material: Material) -> str:
         case "clean":
             return "nothing is missing in it."
         case "explained":
-            return f"nothing is left to measure; {_remedy([effect.name for effect in report.effects])}."
+            if twins := [effect for effect in report.effects if effect.twins]:
+                names = " or ".join(plain(name) for name in (twins[0].name, *twins[0].twins))
+                return f"compensate nothing until it is known whether it is {names}; model.json serves for either."
+            causes = [effect.name for effect in report.effects if effect.material is not False]
+            return f"nothing is left to measure; {_remedy(causes)}."
         case _:
             return f"{typographic(material.diagnosis.words.to_decide)}."
 
 
 def _remedy(causes: Sequence[str]) -> str:
     """Compensation in the drive for those causes that allow it, and the model for all."""
+    if not causes:
+        return "no effect is large enough to be compensated; model.json includes them"
     in_drive = [plain(name) for name in causes if _is_compensable(name)]
     others = [plain(name) for name in causes if not _is_compensable(name)]
     if not others:

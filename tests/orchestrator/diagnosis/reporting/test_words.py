@@ -83,12 +83,21 @@ def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: SearchRe
     assert said(search, ladder=nothing).if_added.startswith("error ")
 
 
-def test_twins_are_named_with_what_would_tell_them_apart(search: SearchResult) -> None:
+def test_twins_are_named_with_what_would_tell_them_apart(
+    search: SearchResult, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orchestrator.diagnosis.reporting.words.holds", lambda *_: False)
     words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     needed = CONTRASTS[Contrast.GATES_OFF].text
     assert "indistinguishable from current_offset here" in words.likely_cause
     assert f"What would tell it from current_offset, {needed}, was not measured." in words.what_it_looks_like
     assert needed in words.to_decide
+
+
+def test_twins_that_no_measurement_has_told_apart_are_too_small_for_it(search: SearchResult) -> None:
+    words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
+    assert "At this size the recording does not tell it from current_offset." in words.what_it_looks_like
+    assert words.to_decide == "voltage_bias or current_offset: too small to be told apart by what was measured"
 
 
 def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: SearchResult) -> None:

@@ -63,6 +63,20 @@ def test_only_what_a_drive_can_compensate_is_advised_to_be_compensated(causes: l
     assert lines[-1].text == f"nothing is left to measure; {advice}"
 
 
+@pytest.mark.parametrize(
+    ("change", "advice"),
+    [
+        ({"twins": ("device_drop",)}, "compensate nothing until it is known whether it is dead time or device drop"),
+        ({"twins": (), "material": False}, "nothing is left to measure; no effect is large enough to be compensated"),
+    ],
+)
+def test_twins_and_immaterial_effects_are_not_to_be_compensated(change: dict[str, object], advice: str) -> None:
+    effect = a_diagnosis().effects[0].model_copy(update={"name": "dead_time", **change})
+    saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), WORDS, ())
+    lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
+    assert lines[-1].text.startswith(advice)
+
+
 def test_a_model_that_was_changed_since_the_diagnosis_is_told() -> None:
     saved, changes = SavedDiagnosis(a_diagnosis(), WORDS, ()), ("+ dead time (does not help)",)
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, (), changes))
