@@ -59,6 +59,8 @@ def mystery(
         _print_verdict(verdict)
     if hidden is not None:
         _print_hidden(hidden)
+        for name in caused_effects(path):
+            _print_line(f"{name}: not hidden; the run itself caused it")
     return 0
 
 

@@ -83,9 +83,7 @@ def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: SearchRe
     assert said(search, ladder=nothing).if_added.startswith("error ")
 
 
-def test_twins_are_named_with_what_would_tell_them_apart(
-    search: SearchResult, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_twins_are_named_with_what_would_tell_them_apart(search: SearchResult, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("orchestrator.diagnosis.reporting.words.holds", lambda *_: False)
     words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     needed = CONTRASTS[Contrast.GATES_OFF].text
