@@ -74,6 +74,15 @@ def test_reveal_tells_names_and_sizes(run: Path, capsys: pytest.CaptureFixture[s
         assert found["hidden"][name].items() >= parameters.items()
 
 
+def test_reveal_tells_too_what_the_run_itself_caused(
+    run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turned = {"rotor_misalignment": {"angle_rad": 0.02}}
+    monkeypatch.setattr("plugins.commands.mystery._guessing.caused_effects", lambda _: turned)
+    told = verdict_on(capsys, run, "--reveal")
+    assert "rotor_misalignment: not hidden; the run itself caused it" in told
+
+
 def test_asked_again_it_is_not_measured_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (run / "journal.jsonl").read_bytes()
     assert "fluxbench diagnose" in verdict_on(capsys, run)
