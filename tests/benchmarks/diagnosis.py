@@ -54,7 +54,7 @@ class Cost:
 
 
 class Bench:
-    """Recordings and the reference's tree, each made when it is asked for first.
+    """Recordings and the reference's tree, each made when it is requested first.
 
     Parameters
     ----------
@@ -264,20 +264,20 @@ def parsed(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--against", default=REFERENCE, metavar="COMMIT", help="the reference (default %(default)s)")
     cache = Path(tempfile.gettempdir()) / "fluxbench-benchmarks"
     parser.add_argument("--cache", type=Path, default=cache, metavar="DIR", help="recordings (default %(default)s)")
-    asked = parser.parse_args(words)
-    unknown = [part for part in asked.parts if part not in PARTS]
+    requested = parser.parse_args(words)
+    unknown = [part for part in requested.parts if part not in PARTS]
     if unknown:
         parser.error(f"no part {unknown[0]!r}: there is {', '.join(PARTS)}")
-    asked.parts = asked.parts or list(PARTS)
-    return asked
+    requested.parts = requested.parts or list(PARTS)
+    return requested
 
 
 def main(words: Sequence[str] = ()) -> None:
     """Print the table of the parts that are named, of all by default."""
-    asked = parsed(words)
-    with tree_of(asked.against) as reference:
-        bench = Bench(asked.cache, reference)
-        rows = [cells(row) for part in asked.parts for row in PARTS[part](bench)]
+    requested = parsed(words)
+    with tree_of(requested.against) as reference:
+        bench = Bench(requested.cache, reference)
+        rows = [cells(row) for part in requested.parts for row in PARTS[part](bench)]
     print(text_table(("what", "here", "reference", "ratio", "aim"), rows))
 
 

@@ -27,7 +27,7 @@ MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
 class InstantDrive:
-    """Hands out the same block whatever it is asked."""
+    """Hands out the same block whatever it is requested."""
 
     name: ClassVar[str] = "instant"
     Options: ClassVar[type[BaseModel]] = NoOptions

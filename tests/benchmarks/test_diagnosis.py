@@ -12,15 +12,15 @@ HERE = Path(__file__).parents[2]
 
 
 def test_all_parts_are_run_where_none_is_named() -> None:
-    asked = parsed([])
-    assert asked.parts == list(PARTS)
-    assert asked.against == REFERENCE
-    assert HERE not in asked.cache.parents
+    requested = parsed([])
+    assert requested.parts == list(PARTS)
+    assert requested.against == REFERENCE
+    assert HERE not in requested.cache.parents
 
 
 def test_parts_commit_and_cache_are_chosen_by_words(tmp_path: Path) -> None:
-    asked = parsed(["size", "memory", "--against", "HEAD", "--cache", str(tmp_path)])
-    assert (asked.parts, asked.against, asked.cache) == (["size", "memory"], "HEAD", tmp_path)
+    requested = parsed(["size", "memory", "--against", "HEAD", "--cache", str(tmp_path)])
+    assert (requested.parts, requested.against, requested.cache) == (["size", "memory"], "HEAD", tmp_path)
 
 
 def test_a_part_that_there_is_not_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -50,7 +50,7 @@ def test_the_size_of_a_tree_is_lines_files_and_fields(tmp_path: Path) -> None:
     assert size_of(tmp_path) == (4, 2, 1)
 
 
-def test_a_command_s_cost_is_its_own_and_its_failure_is_said(tmp_path: Path) -> None:
+def test_a_command_s_cost_is_its_own_and_its_failure_is_stated(tmp_path: Path) -> None:
     busy = "import time\nwhile time.process_time() < 0.3: pass"
     cost = python(tmp_path, "-c", busy)
     assert 0.3 <= cost.cpu_s < 3.0

@@ -30,37 +30,38 @@ USUAL = {
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    asked = _parser().parse_args(words)
+    requested = _parser().parse_args(words)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    seed = asked.seed if asked.seed is not None else secrets.randbelow(10**8)
-    if asked.make is not None:
-        return _make(asked.make, seed, asked.out)
+    seed = requested.seed if requested.seed is not None else secrets.randbelow(10**8)
+    if requested.make is not None:
+        return _make(requested.make, seed, requested.out)
     from tests.blind.examine import examine_all, keep, kept
-    from tests.blind.score import judge, said
+    from tests.blind.score import judge, stated
     from tests.blind.table import page
 
-    answers = kept(asked.answers, seed)
-    if asked.recordings is not None:
-        asked.recordings.mkdir(parents=True, exist_ok=True)
-    wanted = _wanted(asked.classes or KINDS, asked.count, asked.first)
+    answers = kept(requested.answers, seed)
+    if requested.recordings is not None:
+        requested.recordings.mkdir(parents=True, exist_ok=True)
+    wanted = _wanted(requested.classes or KINDS, requested.count, requested.first)
     todo = [case for case in wanted if case not in answers]
-    for answer in examine_all(todo, seed, asked.jobs, asked.recordings):
+    for answer in examine_all(todo, seed, requested.jobs, requested.recordings):
         answers[answer.case.kind, answer.case.index] = answer
-        keep(asked.answers, seed, answer)
+        keep(requested.answers, seed, answer)
         mark = "MISS" if judge(answer).wrong else "ok"
         print(
-            f"{mark:<5}{answer.case.label:<34}{answer.cpu_s:5.1f} s  {answer.case.hidden} -> {said(answer)}", flush=True
+            f"{mark:<5}{answer.case.label:<34}{answer.cpu_s:5.1f} s  {answer.case.hidden} -> {stated(answer)}",
+            flush=True,
         )
     text = page([judge(answer) for answer in answers.values()], seed, time.strftime("%Y-%m-%d"), sum(USUAL.values()))
-    if asked.write is not None:
-        asked.write.write_text(text, encoding="utf-8")
+    if requested.write is not None:
+        requested.write.write_text(text, encoding="utf-8")
     else:
         print(text)
     return 0
 
 
 def _wanted(kinds: Sequence[str], count: int | None, first: int) -> list[tuple[str, int]]:
-    """The cases asked for, all classes in turn, so that one that is broken off is balanced."""
+    """The cases requested, all classes in turn, so that one that is broken off is balanced."""
     counts = {kind: USUAL[kind] if count is None else count for kind in kinds}
     cases = [(kind, first + n) for kind in kinds for n in range(counts[kind])]
     return sorted(cases, key=lambda case: (case[1] - first) / counts[case[0]])
@@ -84,7 +85,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--first", type=int, default=0, help="index of the first recording of each class")
     parser.add_argument("--classes", nargs="+", choices=KINDS, help="only these")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--answers", type=Path, help="keep the answers there; those that are there are not asked again")
+    parser.add_argument(
+        "--answers", type=Path, help="keep the answers there; those that are there are not requested again"
+    )
     parser.add_argument("--recordings", type=Path, help="keep the recordings there; those that are there are read")
     parser.add_argument("--write", type=Path, help="the page to write; without it, it is printed")
     parser.add_argument("--make", metavar="CASE", help="only make this recording, e.g. single:3")

@@ -25,7 +25,7 @@ from typing import Any
 
 from tests.blind.examine import Answer, examine, keep, kept
 from tests.blind.hidden import KINDS, draw_case
-from tests.blind.score import judge, said
+from tests.blind.score import judge, stated
 
 ROOM = "orchestrator.diagnosis"
 
@@ -171,44 +171,44 @@ def ask(
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
-    asked = _parser().parse_args(words)
+    requested = _parser().parse_args(words)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    for label in asked.without:
+    for label in requested.without:
         if label not in BY_LABEL:
             print(f"--without {label}: no such rule; one of {', '.join(BY_LABEL)}", file=sys.stderr)
             return 2
-    asked.recordings.mkdir(parents=True, exist_ok=True)
-    known = kept(asked.answers, asked.seed)
-    cases = [case for case in _cases(asked) if case not in known]
-    question = partial(ask, seed=asked.seed, recordings=asked.recordings, without=tuple(asked.without))
-    with ProcessPoolExecutor(asked.jobs, mp_context=get_context("spawn")) as pool:
+    requested.recordings.mkdir(parents=True, exist_ok=True)
+    known = kept(requested.answers, requested.seed)
+    cases = [case for case in _cases(requested) if case not in known]
+    question = partial(ask, seed=requested.seed, recordings=requested.recordings, without=tuple(requested.without))
+    with ProcessPoolExecutor(requested.jobs, mp_context=get_context("spawn")) as pool:
         tasks = [pool.submit(question, *case) for case in cases]
         for task in as_completed(tasks):
             answer, rules = task.result()
-            keep(asked.answers, asked.seed, answer, rules=rules)
+            keep(requested.answers, requested.seed, answer, rules=rules)
             mark = "MISS" if judge(answer).wrong else "ok"
             print(
-                f"{mark:<5}{answer.case.label:<34}{answer.cpu_s:6.1f} s  {answer.case.hidden} -> {said(answer)}",
+                f"{mark:<5}{answer.case.label:<34}{answer.cpu_s:6.1f} s  {answer.case.hidden} -> {stated(answer)}",
                 flush=True,
             )
-    print(table(asked.answers))
+    print(table(requested.answers))
     return 0
 
 
-def _cases(asked: argparse.Namespace) -> list[tuple[str, int]]:
+def _cases(requested: argparse.Namespace) -> list[tuple[str, int]]:
     """Those named, or all whose recordings are stored; where rules are left out, of those that they had a part in."""
-    if asked.cases:
-        return [(kind, int(index)) for kind, index in (case.split(":") for case in asked.cases)]
-    stored = [path.name.rpartition("-") for path in asked.recordings.iterdir() if not path.name.startswith(".")]
+    if requested.cases:
+        return [(kind, int(index)) for kind, index in (case.split(":") for case in requested.cases)]
+    stored = [path.name.rpartition("-") for path in requested.recordings.iterdir() if not path.name.startswith(".")]
     cases = sorted(
         ((kind, int(index)) for kind, _, index in stored if kind in KINDS), key=lambda case: (case[1], case[0])
     )
-    if asked.observed is None:
+    if requested.observed is None:
         return cases
     concerned = {
         tuple(row["case"])
-        for row in map(json.loads, asked.observed.read_text(encoding="utf-8").splitlines())
-        if any(row["rules"].get(label, {}).get("changed") for label in asked.without)
+        for row in map(json.loads, requested.observed.read_text(encoding="utf-8").splitlines())
+        if any(row["rules"].get(label, {}).get("changed") for label in requested.without)
     }
     return [case for case in cases if case in concerned]
 
@@ -233,7 +233,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--answers", type=Path, required=True, help="file to keep the answers in, a line each")
     parser.add_argument("--without", nargs="*", default=[], metavar="RULE", help="rules that do nothing")
     parser.add_argument(
-        "--observed", type=Path, help="answers with all rules: only recordings that RULE changed are asked"
+        "--observed", type=Path, help="answers with all rules: only recordings that RULE changed are requested"
     )
     parser.add_argument("--cases", nargs="*", metavar="CASE", help="only these, e.g. single:3")
     parser.add_argument("--jobs", type=int, default=2)

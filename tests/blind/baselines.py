@@ -1,7 +1,7 @@
 """What simpler searches name on the same recording: all of them linear, over the same columns.
 
-The error of the saturated model is told by the amplitudes of the whole library, one step from absent, R_s and the map
-following: y = X x + noise, as large as the best of all explanations leaves it. Each search offers sets of columns, and
+The error of the saturated model is explained by the amplitudes of the whole library, one step from absent, R_s and the
+map following: y = X x + noise, as large as the best of all explanations leaves it. Each search offers sets of columns, and
 takes that of the least Bayesian information criterion, chi2 + k log n.
 """
 

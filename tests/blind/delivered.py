@@ -23,7 +23,7 @@ class Delivered:
     resistance_percent : float
         Error of R_s.
     usable : bool
-        Whether nothing was said against it.
+        Whether nothing was stated against it.
     """
 
     map_percent: float

@@ -1,4 +1,4 @@
-"""Make a case's recording, ask the diagnosis about it, and keep what it said. Nothing is judged here."""
+"""Make a case's recording, ask the diagnosis about it, and keep what it stated. Nothing is judged here."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.blind.removal import removals
 
 @dataclass(frozen=True)
 class Answer:
-    """What the diagnosis said of a case."""
+    """What the diagnosis stated of a case."""
 
     case: Case
     report: dict[str, Any] | None
@@ -52,7 +52,7 @@ def examine(case: Case, recordings: Path | None = None, *, held_against_others: 
     recordings : Path, optional
         Where recordings are stored, by `stored_recording`; by default each is made in a temporary place.
     held_against_others : bool
-        Whether simpler searches and the plant are asked too, which takes as long as a quick diagnosis.
+        Whether simpler searches and the plant are requested too, which takes as long as a quick diagnosis.
     """
     from orchestrator.diagnosis import diagnose_recording
     from orchestrator.recording import open_recording

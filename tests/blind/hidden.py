@@ -84,7 +84,7 @@ KINDS = (
     "foreign_behind", "switched_clean", "switched", "switched_foreign",
 )  # fmt: skip
 MANY = ("clutter", "ordinary")
-"""Classes that hide every effect of the catalogue: what each does is asked of the plant (`tests.blind.removal`)."""
+"""Classes that hide every effect of the catalogue: what each does is requested of the plant (`tests.blind.removal`)."""
 FAINT = (0.02, 0.2)
 """Sizes of faint effects, in units of the typical one."""
 BEHIND = 1.0

@@ -60,14 +60,14 @@ def removals(case: Case) -> dict[str, Removal]:
     space = _Space(bench, case.campaign)
     error, columns, volts = space.error_of(bench), space.columns, space.volts
     whole = {kind: _rms(rows) for kind, rows in _without_map(error, columns)[0].items()}
-    told = [kind for kind in whole if whole[kind] > NOTHING * volts[kind]]
+    reported = [kind for kind in whole if whole[kind] > NOTHING * volts[kind]]
     found = {}
     for truth in case.truths:
         rest = space.error_of(without(bench, truth))
         left, follows = _without_map({kind: error[kind] - rest[kind] for kind in error}, columns)
         sizes = {kind: _rms(rows) for kind, rows in left.items()}
         found[truth.name] = Removal(
-            of_error=max((sizes[kind] / whole[kind] for kind in told), default=0.0),
+            of_error=max((sizes[kind] / whole[kind] for kind in reported), default=0.0),
             of_excitation=max(sizes[kind] / volts[kind] for kind in sizes),
             of_flux=space.moved(follows[1:]),
         )
@@ -88,7 +88,7 @@ def _without_slots(table: Table) -> Table:
 
 
 class _Space:
-    """What R_s and a map can follow on one bench, in the rows in which errors are told."""
+    """What R_s and a map can follow on one bench, in the rows in which errors are reported."""
 
     def __init__(self, bench: Bench, campaign: Campaign) -> None:
         self._healthy, self._campaign = bench, campaign
@@ -108,7 +108,7 @@ class _Space:
         return (one for one in rows_of(bench, self._campaign) if one[0] != "gates_off")
 
     def _rows(self, samples: Iterable[tuple[str, Array]]) -> dict[str, Array]:
-        """Of segments' samples, each with its stage, what is told of them, by kind; shape (rows, columns)."""
+        """Of segments' samples, each with its stage, what is reported of them, by kind; shape (rows, columns)."""
         parts: dict[str, list[Array]] = {}
         for stage, values in samples:
             ripple = self._healthy.machine.injection_hz if stage == "injection" else None

@@ -18,7 +18,7 @@ from tests.blind.hidden import SILENT, SLOW_LEG, Case
 from tests.blind.removal import Removal
 
 FLOORS = 3.0
-"""A held-out error is said to close only where it was this many noise floors before."""
+"""A held-out error is stated to close only where it was this many noise floors before."""
 
 FOUND_FIRST = "clutter: first name right"
 """Right is the name of what makes the largest part of the error by the plant itself, ..."""
@@ -40,7 +40,7 @@ FAINT_LISTED = tuple(f"{figure}, or listed as smaller" for figure in FAINT_FIGUR
 ABOUT_FOREIGN = {
     "foreign": "foreign: unknown flagged",
     "foreign_behind": "foreign behind 8 V of dead time: unknown flagged",
-    "switched_foreign": "switched, one slow leg: told within 20 %, or unknown flagged",
+    "switched_foreign": "switched, one slow leg: reported within 20 %, or unknown flagged",
 }
 """Figures of the classes that hide what no catalogue has."""
 TWINS_HERE = {"voltage_delay", "current_filter"}
@@ -78,7 +78,7 @@ def judge(answer: Answer) -> Judgement:
     case, report = answer.case, answer.report
     if case.nuisance in SILENT:
         numberless = report is None or (not report["effects"] and bool(report["notes"]))
-        return Judgement(answer, {"too little to say: said so": numberless})
+        return Judgement(answer, {"too little to say: stated so": numberless})
     if report is None:
         return Judgement(answer, {"answered at all": False})
     right = _right(case, report)
@@ -127,7 +127,7 @@ def exact(case: Case, found: Sequence[set[str]]) -> tuple[bool, int]:
     return _matches(found, names), sum(not one & set(names) for one in found)
 
 
-def said(answer: Answer) -> str:
+def stated(answer: Answer) -> str:
     """An answer in a line."""
     if answer.report is None:
         return f"refused: {answer.error}"
@@ -153,7 +153,7 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     right: dict[str, bool] = {}
     if case.kind == "clean":
         right["clean: no false name"] = not listed
-        right["clean: said to be clean"] = report["verdict"] == "clean"
+        right["clean: stated to be clean"] = report["verdict"] == "clean"
     elif case.kind == "single":
         right["single: first name right"] = bool(found) and names[0] in found[0]
     elif case.kind == "clutter":
@@ -163,7 +163,7 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
         right["ordinary: no false name"] = all(one & set(names) for one in found)
     elif case.kind == "switched_clean":
         right["switched, clean: no false name"] = not listed
-        right["switched, clean: said to be clean"] = report["verdict"] == "clean"
+        right["switched, clean: stated to be clean"] = report["verdict"] == "clean"
     elif case.kind == "switched":
         right["switched: no false name"] = all(one & {*names, *case.brought} for one in found)
         right |= _dead_time(case, report)
@@ -193,8 +193,8 @@ def _of_clutter(removal: dict[str, dict[str, float]], report: dict[str, Any]) ->
     """Whether the first name is of what does most to the error."""
     most = max(done["of_error"] for done in removal.values())
     largest = [name for name, done in removal.items() if done["of_error"] >= AS_LARGE * most]
-    said = [effect["name"] for effect in report["effects"][:1]]
-    return {FOUND_FIRST: any(_alike(true, name) for true in largest for name in said)}
+    stated = [effect["name"] for effect in report["effects"][:1]]
+    return {FOUND_FIRST: any(_alike(true, name) for true in largest for name in stated)}
 
 
 def _material(answer: Answer) -> Iterable[tuple[str, bool]]:
@@ -206,27 +206,27 @@ def _material(answer: Answer) -> Iterable[tuple[str, bool]]:
     causes = set().union(*(_or_twins(answer.case, effect) for effect in report["effects"]))
     for name, done in answer.removal.items():
         if Removal(**done).is_material(flux, voltage):
-            yield name, any(_alike(name, said) for said in causes)
+            yield name, any(_alike(name, stated) for stated in causes)
 
 
 def _slow_leg_told(case: Case, report: dict[str, Any]) -> bool:
     """Whether the dead time's form says by how much longer leg a's is than the mean."""
-    bridge, said = case.bench.bridge, next((e for e in report["effects"] if e["name"] == "dead_time"), None)
-    if case.foreign != SLOW_LEG or said is None:
+    bridge, stated = case.bench.bridge, next((e for e in report["effects"] if e["name"] == "dead_time"), None)
+    if case.foreign != SLOW_LEG or stated is None:
         return False
     longer = 3.0 * bridge.dead_a_s / (bridge.dead_a_s + 2.0 * bridge.dead_s) - 1.0
-    leg = said["parameters"].get("leg_a_longer")
+    leg = stated["parameters"].get("leg_a_longer")
     return leg is not None and abs(leg["value"] - longer) <= WITHIN * longer
 
 
 def _dead_time(case: Case, report: dict[str, Any]) -> dict[str, bool]:
-    """Whether what dead time is said to cost at large currents is right, where it is sizeable."""
+    """Whether what dead time is stated to cost at large currents is right, where it is sizeable."""
     (truth,) = (t for t in case.truths if t.name == "dead_time")
     if truth.size < SIZEABLE:
         return {}
-    said = [e["parameters"]["voltage_v"]["value"] for e in report["effects"] if e["name"] == truth.name]
+    stated = [e["parameters"]["voltage_v"]["value"] for e in report["effects"] if e["name"] == truth.name]
     true = truth.parameters["voltage_v"]
-    return {"switched: dead time within 20 %": bool(said) and abs(said[0] - true) <= WITHIN * true}
+    return {"switched: dead time within 20 %": bool(stated) and abs(stated[0] - true) <= WITHIN * true}
 
 
 def _in_the_rows(case: Case, report: dict[str, Any]) -> bool:
@@ -245,9 +245,9 @@ def _or_twins(case: Case, effect: dict[str, Any]) -> set[str]:
     return names
 
 
-def _alike(true: str, said: str) -> bool:
+def _alike(true: str, stated: str) -> bool:
     """Whether a name of the joint fit is the hidden one; of two identical columns it keeps either."""
-    return said == true or {said, true} == TWINS_HERE
+    return stated == true or {stated, true} == TWINS_HERE
 
 
 def _matches(found: Sequence[set[str]], names: Sequence[str]) -> bool:

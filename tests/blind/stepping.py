@@ -51,8 +51,8 @@ def record_steps(bench: Bench, plan: Sequence[Steps], directory: Path, gates_off
     (directory / "captures").mkdir(parents=True)
     clock, rng, segments = _Clock(), np.random.default_rng(bench.seed), []
     off = round(gates_off_s * bench.machine.sampling_hz)
-    asked: list[Steps | None] = [None, *plan] if off else list(plan)
-    for number, steps in enumerate(asked):
+    requested: list[Steps | None] = [None, *plan] if off else list(plan)
+    for number, steps in enumerate(requested):
         stage, start = "gates_off" if steps is None else "steps", clock.time_s
         rows = (
             _stretch(bench, OFF, np.zeros((off, 2)), clock, rng) if steps is None else _swung(bench, steps, clock, rng)

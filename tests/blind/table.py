@@ -18,7 +18,7 @@ from tests.blind.score import (
     Judgement,
     exact,
     named_by,
-    said,
+    stated,
     wilson,
 )
 
@@ -34,19 +34,19 @@ AIMS = {
     FAINT_FIGURES[2]: "95 %",
 }
 ORDER = (
-    "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
+    "clean: no false name", "clean: stated to be clean", "single: first name right", "single: exact set",
     FOUND_FIRST, "clutter: named, or listed as smaller",
     "clutter: no false name", "double: exact set", "double: first name right",
     "left out: unknown flagged", *ABOUT_FOREIGN.values(), "explained, and not flagged unknown",
-    ACCEPTED, "ordinary: no false name", "switched, clean: no false name", "switched, clean: said to be clean",
+    ACCEPTED, "ordinary: no false name", "switched, clean: no false name", "switched, clean: stated to be clean",
     f"switched, clean: {SWITCHED_MAP}", "switched: no false name", "switched: dead time within 20 %",
     f"switched: {SWITCHED_MAP}", "nuisance: no false name", "nuisance: first name right",
-    "faint: no wrong name", *FAINT_FIGURES, *FAINT_LISTED[:-1], "too little to say: said so", "answered at all",
+    "faint: no wrong name", *FAINT_FIGURES, *FAINT_LISTED[:-1], "too little to say: stated so", "answered at all",
 )  # fmt: skip
 
 
 def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> str:
-    """The whole page, as Markdown; `usual` is how many recordings the command makes unless it is told otherwise."""
+    """The whole page, as Markdown; `usual` is how many recordings the command makes unless it is reported otherwise."""
     ordered = sorted(judgements, key=lambda j: _order(j.answer.case.label))
     kinds = [j.answer.case.kind for j in ordered]
     counts = ", ".join(f"{kinds.count(kind)} {kind.replace('_', ' ')}" for kind in dict.fromkeys(kinds))
@@ -156,13 +156,13 @@ def _probabilities(judgements: Sequence[Judgement]) -> list[str]:
     stated = [one for j in judgements for one in j.stated]
     if not stated:
         return []
-    told, there = np.array([p for p, _ in stated]), np.array([right for _, right in stated])
-    tenth = np.minimum((10 * told).astype(int), 9)
+    chance, there = np.array([p for p, _ in stated]), np.array([right for _, right in stated])
+    tenth = np.minimum((10 * chance).astype(int), 9)
     rows = []
     for k in np.unique(tenth):
         own = tenth == k
         rows.append(
-            f"| {k / 10:.1f} to {(k + 1) / 10:.1f} | {own.sum()} | {told[own].mean():.3f} | {there[own].mean():.3f} |"
+            f"| {k / 10:.1f} to {(k + 1) / 10:.1f} | {own.sum()} | {chance[own].mean():.3f} | {there[own].mean():.3f} |"
         )
     largest = [j.of_largest for j in judgements if j.of_largest is not None]
     about = (
@@ -182,9 +182,9 @@ def _beside(judgements: Sequence[Judgement]) -> list[str]:
     for method in named_by(answers[0]) if answers else ():
         cells, false = [], 0
         for kind in kinds:
-            told = [exact(a.case, named_by(a)[method]) for a in answers if a.case.kind == kind]
-            cells.append(f"{sum(right for right, _ in told)} of {len(told)}")
-            false += sum(wrong for _, wrong in told)
+            reported = [exact(a.case, named_by(a)[method]) for a in answers if a.case.kind == kind]
+            cells.append(f"{sum(right for right, _ in reported)} of {len(reported)}")
+            false += sum(wrong for _, wrong in reported)
         rows.append(f"| {method} | {' | '.join(cells)} | {false / len(answers):.2f} |")
     about = (
         "Recordings with exactly the hidden effects named, beside linear searches over the library's columns "
@@ -233,9 +233,11 @@ def _by_effect(judgements: Sequence[Judgement]) -> list[str]:
 
 def _misses(judgements: Sequence[Judgement], seed: int) -> list[str]:
     lines = [f"`python -m tests.blind --make CASE --seed {seed} --out DIR` makes a recording again.", ""]
-    lines += ["| case | hidden | said | missed |", "| --- | --- | --- | --- |"]
+    lines += ["| case | hidden | stated | missed |", "| --- | --- | --- | --- |"]
     for j in judgements:
         if j.wrong:
             case = j.answer.case
-            lines.append(f"| {case.label} | {case.hidden} ({case.family}) | {said(j.answer)} | {'; '.join(j.wrong)} |")
+            lines.append(
+                f"| {case.label} | {case.hidden} ({case.family}) | {stated(j.answer)} | {'; '.join(j.wrong)} |"
+            )
     return lines

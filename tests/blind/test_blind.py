@@ -22,7 +22,7 @@ from tests.blind.campaign import record
 from tests.blind.effects import CATALOGUE, FOREIGN
 from tests.blind.examine import examine, examine_all, forget_peak
 from tests.blind.hidden import KINDS, NUISANCES, Case, draw_case
-from tests.blind.score import judge, said, wilson
+from tests.blind.score import judge, stated, wilson
 
 SEED = int(hashlib.sha256(b"fluxbench, examined blind").hexdigest()[:8], 16)
 AIMS = {"clean: no false name": 0.99, "single: first name right": 0.98, "clutter: first name right": 0.97,
@@ -88,9 +88,9 @@ def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.Capture
         pytest.param("foreign", number_of("mains_hum", FOREIGN), marks=pytest.mark.slow),
     ],
 )
-def test_the_right_thing_is_said(kind: str, index: int) -> None:
+def test_the_right_thing_is_stated(kind: str, index: int) -> None:
     answer = examine(draw_case(kind, index, SEED))
-    assert judge(answer).wrong == [], f"{answer.case.hidden}: {said(answer)}"
+    assert judge(answer).wrong == [], f"{answer.case.hidden}: {stated(answer)}"
 
 
 @pytest.mark.slow
@@ -124,10 +124,10 @@ def test_figures_are_not_significantly_below_their_aims(kind: str) -> None:
     judgements = [judge(answer) for answer in examine_all(wanted, SEED, jobs=2)]
     for figure, aim in AIMS.items():
         outcomes = [j.right[figure] for j in judgements if figure in j.right]
-        told = "; ".join(
-            f"{j.answer.case.label}: {said(j.answer)}" for j in judgements if not j.right.get(figure, True)
+        reported = "; ".join(
+            f"{j.answer.case.label}: {stated(j.answer)}" for j in judgements if not j.right.get(figure, True)
         )
-        assert wilson(sum(outcomes), len(outcomes))[1] >= aim, f"{figure}: {told}"
+        assert wilson(sum(outcomes), len(outcomes))[1] >= aim, f"{figure}: {reported}"
 
 
 @pytest.mark.skipif(

@@ -9,7 +9,7 @@ import pytest
 
 from tests.blind.examine import Answer
 from tests.blind.hidden import Case, draw_case
-from tests.blind.score import FOUND_FIRST, judge, said, wilson
+from tests.blind.score import FOUND_FIRST, judge, stated, wilson
 from tests.blind.table import page
 
 SEED = 5
@@ -128,7 +128,7 @@ def test_what_nothing_explains_has_to_be_flagged(kind: str) -> None:
     assert judge(answered(case, report("bus_sag"))).wrong != []
 
 
-def test_one_slow_leg_is_told_by_its_size_or_flagged() -> None:
+def test_one_slow_leg_is_reported_by_its_size_or_flagged() -> None:
     case = draw_case("switched_foreign", 1, SEED)
     bridge = case.bench.bridge
     longer = bridge.dead_a_s / ((bridge.dead_a_s + 2.0 * bridge.dead_s) / 3.0) - 1.0
@@ -196,4 +196,4 @@ def test_the_page_lists_figures_and_every_wrong_answer() -> None:
     assert "| clean: no false name | 1 | 1 | 100 |" in text
     assert "| single: first name right | 0 | 1 | 0 |" in text
     assert f"| {wrong.answer.case.label} |" in text
-    assert said(wrong.answer) in text
+    assert stated(wrong.answer) in text

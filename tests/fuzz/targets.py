@@ -143,12 +143,12 @@ def block_requests(choices: Choices) -> None:
     layout = choices.one_of(LAYOUTS)
     source = CaptureSource(1, len(data), memory_bytes=choices.one_of((None, 64, 4096)))
     source.append(data[: choices.below(512)])
-    asked = ReadBlock(choices.whole(2) << choices.below(11), choices.below(64), choices.whole(2), choices.below(3))
-    answer = source.answer(asked, layout)
+    requested = ReadBlock(choices.whole(2) << choices.below(11), choices.below(64), choices.whole(2), choices.below(3))
+    answer = source.answer(requested, layout)
     if not isinstance(answer, Answer):
         return
     sent = b"".join(payload[layout.header :] for payload in answer.payloads)
-    there = data[: source.captured][asked.offset : asked.offset + len(sent)]
+    there = data[: source.captured][requested.offset : requested.offset + len(sent)]
     if sent[: len(there)] != there or any(sent[len(there) :]):
         raise Wrong("blocks that are not the capture's")
 

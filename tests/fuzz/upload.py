@@ -80,7 +80,7 @@ class Upload:
         self._decoder = decoder() if layout.name == "BulkFD" and choices.below(2) else None
         self._sent: set[Frame] = set()
         self._forged: set[int] = set()
-        self._asked, self._harmed = 0, memory is not None or self._decoder is not None
+        self._requested, self._harmed = 0, memory is not None or self._decoder is not None
         self._happenings: tuple[Callable[[], object], ...] = (
             self._ask, self._capture, self._deliver, self._deliver, self._deliver_late, self._lose,
             self._repeat, self._damage, self._stranger, self._stale, self._assembly.give_up, self._look,
@@ -93,7 +93,7 @@ class Upload:
                 self._choices.one_of(self._happenings)()
             self._come_to_an_end()
         except DriveFault as refusal:
-            if not self._harmed and self._asked < _TAGS:
+            if not self._harmed and self._requested < _TAGS:
                 raise Wrong("refused, though the link only lost, repeated and reordered") from refusal
             raise
 
@@ -119,7 +119,7 @@ class Upload:
         """The host asks, and the drive answers."""
         available = None if self._source.complete else self._source.captured
         for request in self._assembly.requests(available):
-            self._asked += 1
+            self._requested += 1
             self._answer(request, self._source)
 
     def _stale(self) -> None:

@@ -23,12 +23,12 @@ def main(words: list[str]) -> int:
     parser.add_argument("runs", type=Path)
     parser.add_argument("--bench", choices=[bench.words for bench in BENCHES], action="append")
     parser.add_argument("--plans", type=lambda text: tuple(text.split(",")), default=PLANS)
-    asked = parser.parse_args(words)
+    requested = parser.parse_args(words)
     found = {}
     for bench in BENCHES:
-        if asked.bench and bench.words not in asked.bench:
+        if requested.bench and bench.words not in requested.bench:
             continue
-        found[bench.words] = list(measured(bench, asked.runs / bench.words.replace(", ", "-"), asked.plans))
+        found[bench.words] = list(measured(bench, requested.runs / bench.words.replace(", ", "-"), requested.plans))
         print(
             f"{table({bench.words: found[bench.words]})}\n\n{course({bench.words: found[bench.words]})}\n", flush=True
         )

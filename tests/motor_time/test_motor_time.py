@@ -1,4 +1,4 @@
-"""The benches whose motor time is measured, and the tables that it is told in; the runs themselves take too long."""
+"""The benches whose motor time is measured, and the tables of it; the runs themselves take too long."""
 
 from __future__ import annotations
 

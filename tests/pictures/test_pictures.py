@@ -53,5 +53,5 @@ def test_no_picture_is_much_older_than_what_draws_it(picture: Path) -> None:
         pytest.skip("there is no history here")
     sources = next(drawn_by for begins, drawn_by in DRAWN_BY.items() if picture.name.startswith(begins))
     behind_days = (committed_s(*sources) - committed_s(str(picture))) / 86400.0
-    told = f"{picture.name} is {behind_days:.0f} days behind: `make pictures`, or `make motor-time`"
-    assert behind_days <= OLDEST_DAYS, told
+    reported = f"{picture.name} is {behind_days:.0f} days behind: `make pictures`, or `make motor-time`"
+    assert behind_days <= OLDEST_DAYS, reported

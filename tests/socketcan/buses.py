@@ -43,8 +43,8 @@ def report_error(bus: str, kind: int) -> None:
 def set_up(bus: str, up: bool) -> None:
     """Take the interface down, or up again."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as control:
-        asked = _REQUEST.pack(bus.encode(), 0)
-        flags = _REQUEST.unpack(fcntl.ioctl(control, _GET_FLAGS, asked))[1]
+        requested = _REQUEST.pack(bus.encode(), 0)
+        flags = _REQUEST.unpack(fcntl.ioctl(control, _GET_FLAGS, requested))[1]
         flags = flags | _UP if up else flags & ~_UP
         fcntl.ioctl(control, _SET_FLAGS, _REQUEST.pack(bus.encode(), flags))
 

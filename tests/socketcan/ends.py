@@ -76,7 +76,7 @@ class HostPort(CanPort):
 class Peer:
     """The drive's process; its last word is there when it has ended."""
 
-    told: Any = None
+    reported: Any = None
 
 
 @contextmanager
@@ -87,9 +87,9 @@ def peer(work: Work, bus: str) -> Iterator[Peer]:
     def live() -> None:
         port = DevicePort("socketcan", bus, fd=is_fd(bus), bitrate=BIT_RATE, data_bitrate=DATA_BIT_RATE, settings={})
         its.send("ready")
-        told = work(port, its.poll)
+        reported = work(port, its.poll)
         port.close()
-        its.send(told)
+        its.send(reported)
 
     process = multiprocessing.get_context("fork").Process(target=live, daemon=True)
     process.start()
@@ -100,7 +100,7 @@ def peer(work: Work, bus: str) -> Iterator[Peer]:
     finally:
         with suppress(OSError):
             mine.send("over")
-            made.told = mine.recv() if mine.poll(30.0) else None
+            made.reported = mine.recv() if mine.poll(30.0) else None
         process.join(10.0)
         process.kill()
         mine.close()

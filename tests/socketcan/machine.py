@@ -137,14 +137,14 @@ def _newest_kernel(root: Path) -> tuple[Path, Path] | None:
 
 def _followed(command: list[str]) -> int:
     """Show what comes as it comes; the exit code is its last line."""
-    deadline, told = time.monotonic() + LONGEST_S, b""
+    deadline, reported = time.monotonic() + LONGEST_S, b""
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         while data := os.read(process.stdout.fileno(), 4096):
             sys.stdout.write(data.decode(errors="replace").replace("\r", ""))
             sys.stdout.flush()
-            told = (told + data)[-200:]
+            reported = (reported + data)[-200:]
             if time.monotonic() > deadline:
                 process.kill()
-    last = told.decode(errors="replace").rpartition(_ENDED)[2].split()
+    last = reported.decode(errors="replace").rpartition(_ENDED)[2].split()
     return int(last[0]) if last and last[0].isdigit() else 1

@@ -57,7 +57,7 @@ def test_what_is_captured_is_what_the_drive_did(bus: str) -> None:
         require_the_hold(drive)
         drive.ramp_down()
         drive.disarm()
-    assert (other.told.arms, other.told.cause, other.told.energised) == (1, "none", False)
+    assert (other.reported.arms, other.reported.cause, other.reported.energised) == (1, "none", False)
 
 
 @pytest.mark.parametrize("bus", BUSES)
@@ -78,7 +78,7 @@ def test_reports_of_errors_alone_stop_nothing(bus: str) -> None:
             over.set()
             thread.join()
         drive.disarm()
-    assert other.told.cause == "none"
+    assert other.reported.cause == "none"
 
 
 @pytest.mark.parametrize("bus", BUSES)
@@ -100,4 +100,4 @@ def test_after_bus_off_the_link_is_lost_and_nothing_is_armed_again(bus: str) -> 
             with pytest.raises(DriveFault):
                 again()
         time.sleep(1.0)
-    assert (other.told.arms, other.told.cause, other.told.energised) == (1, "watchdog", False)
+    assert (other.reported.arms, other.reported.cause, other.reported.energised) == (1, "watchdog", False)

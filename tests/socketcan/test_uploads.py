@@ -60,7 +60,7 @@ def test_damage_that_no_controller_sees_is_never_taken_for_data(bus: str, unseen
 
 
 @pytest.mark.parametrize("bus", BUSES)
-def test_what_a_host_that_slept_has_lost_is_asked_for_again(bus: str) -> None:
+def test_what_a_host_that_slept_has_lost_is_requested_again(bus: str) -> None:
     data = ROWS[: 60_000 if is_fd(bus) else 12_000]
     port = HostPort(bus, sleep_s=0.3, every=4, buffer_bytes=16_384)
     with peer(handing_out(data, Mix()), bus):
@@ -93,7 +93,7 @@ def test_error_frames_are_passed_over(bus: str) -> None:
 def test_error_frames_reach_those_who_listen(bus: str) -> None:
     with can.Bus(interface="socketcan", channel=bus, fd=is_fd(bus), ignore_config=True) as listener:
         report_error(bus, BUS_OFF)
-        heard = listener.recv(5.0)
-    assert heard is not None
-    assert heard.is_error_frame
-    assert heard.arbitration_id == BUS_OFF
+        received = listener.recv(5.0)
+    assert received is not None
+    assert received.is_error_frame
+    assert received.arbitration_id == BUS_OFF

@@ -42,10 +42,10 @@ class Tab:
 
     def value(self, expression: str) -> Any:
         """What an expression of JavaScript comes to; a promise is waited for."""
-        told = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
-        if "exceptionDetails" in told:
-            raise RuntimeError(json.dumps(told["exceptionDetails"])[:500])
-        return told["result"].get("value")
+        reported = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in reported:
+            raise RuntimeError(json.dumps(reported["exceptionDetails"])[:500])
+        return reported["result"].get("value")
 
     def until(self, expression: str, timeout_s: float = 60.0) -> None:
         """Wait until an expression is true."""
@@ -60,8 +60,8 @@ class Tab:
 
     def shot(self, to: Path, *, whole: bool = False) -> Path:
         """A picture of what is seen, or of the whole page."""
-        told = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
-        to.write_bytes(base64.b64decode(told["data"]))
+        reported = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)
+        to.write_bytes(base64.b64decode(reported["data"]))
         return to
 
     def close(self) -> None:
@@ -102,18 +102,18 @@ class Chromium:
             message["sessionId"] = session
         os.write(self._writing, json.dumps(message).encode() + b"\0")
         while True:
-            told = self._next()
-            if told.get("id") == self._count:
-                if "error" in told:
-                    raise RuntimeError(f"{method}: {told['error']}")
-                return dict(told["result"])
-            self._listen(told)
+            reported = self._next()
+            if reported.get("id") == self._count:
+                if "error" in reported:
+                    raise RuntimeError(f"{method}: {reported['error']}")
+                return dict(reported["result"])
+            self._listen(reported)
 
-    def _listen(self, told: dict[str, Any]) -> None:
-        if told.get("method") == "Log.entryAdded" and told["params"]["entry"]["level"] == "error":
-            self.complaints.append(told["params"]["entry"]["text"])
-        elif told.get("method") == "Runtime.exceptionThrown":
-            self.complaints.append(json.dumps(told["params"]["exceptionDetails"])[:500])
+    def _listen(self, reported: dict[str, Any]) -> None:
+        if reported.get("method") == "Log.entryAdded" and reported["params"]["entry"]["level"] == "error":
+            self.complaints.append(reported["params"]["entry"]["text"])
+        elif reported.get("method") == "Runtime.exceptionThrown":
+            self.complaints.append(json.dumps(reported["params"]["exceptionDetails"])[:500])
 
     def _next(self) -> dict[str, Any]:
         while b"\0" not in self._kept:

@@ -38,7 +38,7 @@ LONGEST_REQUEST = 1 << 17
 
 
 class ForkedCommand:
-    """A command of `fluxbench` that runs; it is asked as a `subprocess.Popen` is.
+    """A command of `fluxbench` that runs; it is requested as a `subprocess.Popen` is.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class ForkedCommand:
         self.returncode: int | None = None
         self._outputs = [os.memfd_create(name) for name in ("stdout", "stderr")]
         self._printed = ("", "")
-        self._told, telling = os.pipe()
+        self._reported, telling = os.pipe()
         around = {**os.environ, **(environment or {})}
         request = json.dumps({"words": list(words), "cwd": str(cwd or Path.cwd()), "environment": around})
         socket.send_fds(_server(preload), [request.encode()], [*self._outputs, telling])
@@ -76,7 +76,7 @@ class ForkedCommand:
         return code
 
     def communicate(self, timeout: float | None = None) -> tuple[str, str]:
-        """All that it printed, and all that it said on stderr; raises `subprocess.TimeoutExpired`."""
+        """All that it printed, and all that it stated on stderr; raises `subprocess.TimeoutExpired`."""
         self.wait(timeout)
         return self._printed
 
@@ -96,18 +96,18 @@ class ForkedCommand:
         self.send_signal(signal.SIGKILL)
 
     def _look(self, timeout: float | None) -> int | None:
-        if self.returncode is None and select.select([self._told], [], [], timeout)[0]:
+        if self.returncode is None and select.select([self._reported], [], [], timeout)[0]:
             self.returncode = self._hear()
-            os.close(self._told)
+            os.close(self._reported)
             out, err = (_all_of(output) for output in self._outputs)
             self._printed = out, err
         return self.returncode
 
     def _hear(self) -> int:
-        told = os.read(self._told, NUMBER.size)
-        if len(told) < NUMBER.size:
+        reported = os.read(self._reported, NUMBER.size)
+        if len(reported) < NUMBER.size:
             raise ChildProcessError("who started the command is gone")
-        return int(NUMBER.unpack(told)[0])
+        return int(NUMBER.unpack(reported)[0])
 
 
 def _all_of(output: int) -> str:

@@ -17,7 +17,7 @@ def test_it_prints_what_a_new_interpreter_prints(tmp_path: Path) -> None:
     assert wrong.returncode == 2
 
 
-def test_signals_reach_it_alone_and_its_end_is_told(tmp_path: Path) -> None:
+def test_signals_reach_it_alone_and_its_end_is_reported(tmp_path: Path) -> None:
     commands = [
         start_fluxbench("emulate", "--serial", tmp_path / name, "--log", tmp_path / f"{name}.jsonl") for name in "ab"
     ]

@@ -26,27 +26,27 @@ Kept = dict[str, Any]
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point: 0 where nothing was found, 1 where something was."""
-    asked = _parser().parse_args(words)
+    requested = _parser().parse_args(words)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    log: Path = asked.log
+    log: Path = requested.log
     log.parent.mkdir(parents=True, exist_ok=True)
     kept = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()] if log.exists() else []
-    seed = kept[0]["seed"] if kept else asked.seed if asked.seed is not None else secrets.randbelow(10**8)
-    chosen = [attack for attack in ATTACKS if not asked.only or attack.name in asked.only]
+    seed = kept[0]["seed"] if kept else requested.seed if requested.seed is not None else secrets.randbelow(10**8)
+    chosen = [attack for attack in ATTACKS if not requested.only or attack.name in requested.only]
     for attack in chosen:
-        times = max(1, round(asked.part * attack.usual))
+        times = max(1, round(requested.part * attack.usual))
         done = {one["k"] for one in kept if one["attack"] == attack.name}
         left = [k for k in range(times) if k not in done]
-        for one in attempts(attack, seed, left, 60.0 * asked.minutes / len(chosen)):
+        for one in attempts(attack, seed, left, 60.0 * requested.minutes / len(chosen)):
             kept.append(one)
             with log.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(one) + "\n")
             if one["finding"]:
                 print(f"{attack.name} {one['k']} (seed {seed}): {one['finding']}", file=sys.stderr, flush=True)
         print(f"{attack.name}: {told_of([one for one in kept if one['attack'] == attack.name])}", flush=True)
-    if asked.write is not None:
-        text = asked.write.read_text(encoding="utf-8").split(HEADING)[0].rstrip()
-        asked.write.write_text(f"{text}\n\n{section(kept, seed)}", encoding="utf-8")
+    if requested.write is not None:
+        text = requested.write.read_text(encoding="utf-8").split(HEADING)[0].rstrip()
+        requested.write.write_text(f"{text}\n\n{section(kept, seed)}", encoding="utf-8")
     return int(any(one["finding"] for one in kept))
 
 
@@ -88,7 +88,9 @@ def section(kept: Sequence[Kept], seed: int) -> str:
         came, _, findings = rest.rpartition("; ")
         minutes = sum(one["seconds"] for one in mine) / 60.0
         count = findings.split()[0] if mine else "0"
-        rows.append(f"| {attack.name} | {times} of {attack.usual} | {attack.told} | {came} | {minutes:.0f} | {count} |")
+        rows.append(
+            f"| {attack.name} | {times} of {attack.usual} | {attack.reported} | {came} | {minutes:.0f} | {count} |"
+        )
     return f"""{HEADING}
 
     make torture

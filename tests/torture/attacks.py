@@ -43,8 +43,8 @@ class Attack:
 
     name: str
     usual: int
-    """How often it is made, where nothing else is asked for."""
-    told: str
+    """How often it is made, where nothing else is requested."""
+    reported: str
     """What must hold afterwards."""
     once: Callable[[random.Random, Path], str]
     """Made in an empty folder; gives what came of it in a word or two."""
@@ -169,7 +169,7 @@ def lied(rng: random.Random, folder: Path) -> str:
         script.lie = _lie(rng)
         named = [_named(lambda: _require_true(b, excitation)) for _ in range(2)]
         named += [_named(b.drive.ramp_down), _named(b.drive.disarm)]
-        # What is told to a drive that is given up for lost is not waited for, and at the latest its watchdog ends it.
+        # What is sent to a drive that is given up for lost is not waited for; its watchdog ends it.
         wait_until(lambda: b.device.state in (PowerState.DISARMED, PowerState.FAULTED), 5.0)
     assert time.monotonic() - begun_s < 60.0
     return "named" if any(named) else "harmless"
@@ -187,11 +187,11 @@ def _named(call: Callable[[], object]) -> str:
     try:
         call()
     except DriveError as error:
-        told = str(error)
+        reported = str(error)
     else:
         return ""
-    assert "\n" not in told
-    return told
+    assert "\n" not in reported
+    return reported
 
 
 def _lie(rng: random.Random) -> Callable[[Message], Message]:

@@ -168,7 +168,7 @@ def _next(diagnosis: Diagnosis) -> str:
         if needed := _needed(diagnosis, found):
             return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"
     if twins := [found for found in diagnosis.report.effects if found.twins]:
-        return f"{twins[0].name} or {listed(twins[0].twins)}: too small to be told apart by what was measured"
+        return f"{twins[0].name} or {listed(twins[0].twins)}: too small to be separated by the measurements"
     if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):
         return "the same once more, the rotor locked at a second angle"
     if diagnosis.report.verdict == "cannot_tell":

@@ -80,7 +80,7 @@ def test_difference_of_maps_does_not_see_the_magnet() -> None:
     assert found == pytest.approx(1.0 / 0.14 * float(np.sqrt(np.nanmean(one.psi_q**2))), rel=1e-3)
 
 
-def test_a_map_that_stops_early_is_told_in_percent_of_the_flux_at_its_edge() -> None:
+def test_a_map_that_stops_early_is_reported_in_percent_of_the_flux_at_its_edge() -> None:
     flux_map, motor = exact_map(), Motor(name="m", pole_pairs=2, rated_current_rms_a=1.66, pm_flux_wb=0.3)
     assert reference_flux_wb(flux_map, motor) == rated_flux_wb(flux_map, motor.rated_current_a)
     larger = motor.model_copy(update={"rated_current_rms_a": 9.0})

@@ -19,18 +19,18 @@ def found() -> dict[str, Coverage]:
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_and_are_not_vacuous(found: dict[str, Coverage]) -> None:
-    told = "\n".join(f"{name}: {coverage}" for name, coverage in found.items())
+    reported = "\n".join(f"{name}: {coverage}" for name, coverage in found.items())
     every = together(found.values())
     maps = slice(0, QUANTITIES.index("R_s"))
-    assert (every.share[maps] > 0.90).all(), told
-    assert (every.share[OTHERS] < 0.99).all(), told
+    assert (every.share[maps] > 0.90).all(), reported
+    assert (every.share[OTHERS] < 0.99).all(), reported
     # Of so few runs a share of 95 % may show as a little less.
-    assert every.share[QUANTITIES.index("R_s")] > 0.9, told
+    assert every.share[QUANTITIES.index("R_s")] > 0.9, reported
     for coverage in found.values():
-        assert (coverage.share[maps] > 0.85).all(), told
+        assert (coverage.share[maps] > 0.85).all(), reported
         # Neither too good to be true nor too wide to be of use.
-        assert (coverage.width_over_error[maps] > 0.4).all(), told
-        assert (coverage.width_over_error[maps] < 3.0).all(), told
+        assert (coverage.width_over_error[maps] > 0.4).all(), reported
+        assert (coverage.width_over_error[maps] < 3.0).all(), reported
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ def path(axis: int, held: float, constant: tuple[float, float] = (0.0, 0.0)) -> 
     return FluxPath(current, current @ INDUCTANCE + constant, np.zeros(2))
 
 
-def test_differences_are_told_where_paths_cross_with_their_constants_left_as_they_are() -> None:
+def test_differences_are_reported_where_paths_cross_with_their_constants_left_as_they_are() -> None:
     found = crossings_of([path(0, 1.0), path(1, -2.0, (0.001, -0.002)), path(0, 2.0)])
     assert found.pairs == ((0, 1), (1, 2))
     assert found.difference == pytest.approx(np.array([[-0.001, 0.002], [0.001, -0.002]]), abs=1e-12)

@@ -133,10 +133,10 @@ def test_what_hysteresis_adds_to_the_ripples_hessian_is_taken_out() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("std", "told"), [(1e-3, 3.0), (1e-1, 0.0)])
-def test_sweeps_tell_of_hysteresis_and_a_ripple_alone_does_not(std: float, told: float) -> None:
+@pytest.mark.parametrize(("std", "reported"), [(1e-3, 3.0), (1e-1, 0.0)])
+def test_sweeps_tell_of_hysteresis_and_a_ripple_alone_does_not(std: float, reported: float) -> None:
     """What bends a ripple until it is no Hessian may look like it; of what uncertain sweeps say nothing, nothing is."""
-    assert fit_energy(measured(stiffening=3.0), paths(std)).stiffening_per_h == pytest.approx(told, rel=0.05)
+    assert fit_energy(measured(stiffening=3.0), paths(std)).stiffening_per_h == pytest.approx(reported, rel=0.05)
 
 
 def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
@@ -156,7 +156,7 @@ def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
 
 @pytest.mark.slow
 def test_noise_is_not_taken_for_a_gain() -> None:
-    """A gain that all points have in common cannot be told from the points themselves, however many there are."""
+    """A gain that all points have in common cannot be reported from the points themselves, however many there are."""
     random = np.random.default_rng(3)
     places = random.uniform(-3.0, 3.0, (300, 2))
     clean = exact(places, 0.05)

@@ -1,4 +1,4 @@
-"""The polynomial energy: a motor that is one gives its coefficients back; one that is not is told."""
+"""The polynomial energy: a motor that is one gives its coefficients back; one that is not is reported."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_repeated_points_do_no_harm() -> None:
     assert_close(integrate(exact(twice), "test").psi[:25], integrate(exact(PLANE), "test").psi, 4e-4)
 
 
-def test_zero_current_outside_the_points_is_said() -> None:
+def test_zero_current_outside_the_points_is_stated() -> None:
     found = integrate(exact(PLANE + np.array([3.5, 0.0])), "test")
     assert not found.anchored
     truth = flux_for(PLANE + np.array([3.5, 0.0]), saturated_current)
@@ -87,8 +87,8 @@ def test_standard_deviations_are_those_of_repetitions() -> None:
         symmetric = noise[:, [[0, 1], [1, 2]]]
         noisy = np.linalg.inv(np.linalg.inv(clean.matrix) + symmetric).astype(np.float64)
         fluxes.append(integrate(Inductances(clean.current, noisy, clean.slope, clean.covariance), "test").psi)
-    told = integrate(clean, "test").std
-    ratio = np.std(fluxes, axis=0)[told > 1e-5] / told[told > 1e-5]
+    reported = integrate(clean, "test").std
+    ratio = np.std(fluxes, axis=0)[reported > 1e-5] / reported[reported > 1e-5]
     assert 0.7 < np.median(ratio) < 1.3
 
 

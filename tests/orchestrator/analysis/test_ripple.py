@@ -168,8 +168,8 @@ def test_standard_deviations_are_those_of_repetitions() -> None:
         for n in range(60)
     ]
     seen = np.std([[r.hessian[0, 0], r.hessian[0, 1], r.hessian[1, 1], *r.third] for r in repeated], axis=0)
-    told = np.sqrt(np.diag(repeated[0].covariance))
-    np.testing.assert_allclose(seen, told, rtol=0.35)
+    reported = np.sqrt(np.diag(repeated[0].covariance))
+    np.testing.assert_allclose(seen, reported, rtol=0.35)
 
 
 PHASES = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]])
@@ -291,8 +291,10 @@ def test_a_rotating_vector_tells_inductances_beside_a_resistance_that_is_known(p
 
 def test_a_resistance_that_is_known_changes_nothing_where_the_wave_tells_it() -> None:
     capture = capture_of(injected(), 1)
-    told, known = (demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S, resistance_ohm=r) for r in (None, 5 * R_S))
-    np.testing.assert_array_equal(told.hessian, known.hessian)
+    reported, known = (
+        demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S, resistance_ohm=r) for r in (None, 5 * R_S)
+    )
+    np.testing.assert_array_equal(reported.hessian, known.hessian)
 
 
 @pytest.mark.parametrize("noise_a", [0.0, 0.003])

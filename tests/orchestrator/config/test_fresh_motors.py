@@ -27,13 +27,13 @@ def jittered(values: dict[str, float], random: np.random.Generator) -> dict[str,
     return {**out, **followed, "pole_pairs": pairs}
 
 
-def test_of_nameplates_that_are_a_quarter_off_one_in_twenty_at_most_is_asked_about_a_slip() -> None:
+def test_of_nameplates_that_are_a_quarter_off_one_in_twenty_at_most_is_requested_about_a_slip() -> None:
     random = np.random.default_rng(5)
     drawn = [jittered(values, random) for values in MOTORS for _ in range(DRAWS)]
     assert sum(bool(likely_slips(values)) for values in drawn) <= 0.05 * len(drawn)
 
 
-def test_exact_nameplates_are_not_asked_about_a_slip() -> None:
+def test_exact_nameplates_are_not_requested_about_a_slip() -> None:
     assert [values for values in MOTORS if likely_slips(values)] == []
 
 

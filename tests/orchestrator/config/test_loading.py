@@ -405,7 +405,7 @@ def test_any_value_at_any_key_gives_a_procedure_or_the_projects_error(
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("override", "reported"),
     [
         ("motor.pole_pairs=100000", "motor.pole_pairs: 100000 is not between 1 and 500"),
         ("motor.d_inductance_h=1e30", "motor.d_inductance_h"),
@@ -414,8 +414,8 @@ def test_any_value_at_any_key_gives_a_procedure_or_the_projects_error(
         ("drive.name=nan", "no drive plugin 'nan'"),
     ],
 )
-def test_what_cannot_be_meant_is_refused(override: str, told: str) -> None:
-    with pytest.raises(ProcedureError, match=re.escape(told)):
+def test_what_cannot_be_meant_is_refused(override: str, reported: str) -> None:
+    with pytest.raises(ProcedureError, match=re.escape(reported)):
         load_procedure("demo", overrides=[override])
 
 
@@ -426,7 +426,7 @@ def test_an_effect_that_is_taken_out_has_to_be_there() -> None:
     load_procedure("demo", overrides=["stages.0={kind: diagnose, without: [dead_time, saturation]}"])
 
 
-def test_an_error_found_while_planning_is_told_with_file_and_line(tmp_path: Path) -> None:
+def test_an_error_found_while_planning_is_reported_with_file_and_line(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(shipped_procedure("demo").replace("pattern: grid", "amplitudes_v: [4000.0]"))
     loaded = read_procedure(str(file))

@@ -14,7 +14,7 @@ MOTOR = load_procedure("demo").motor
 
 
 def doubts(**slips: float) -> str:
-    """What is said of the demo's motor with some fields times a factor."""
+    """What is stated of the demo's motor with some fields times a factor."""
     changed = {name: getattr(MOTOR, name) * factor for name, factor in slips.items()}
     return "\n".join(nameplate_doubts(Motor.model_validate({**MOTOR.model_dump(), **changed})))
 
@@ -30,10 +30,10 @@ def test_a_sound_nameplate_is_as_usual_within_chance(name: str) -> None:
     assert mismatch(stated_values(SOUND[name])) < 27.9
 
 
-def test_both_numbers_are_said_where_no_slip_explains_them() -> None:
-    said = doubts(rated_speed_rpm=1.4)
-    assert "60 x 60 Hz / 2 pole pairs = 1800 rpm, and rated_speed_rpm is 2520" in said
-    assert "would fit" not in said
+def test_both_numbers_are_stated_where_no_slip_explains_them() -> None:
+    stated = doubts(rated_speed_rpm=1.4)
+    assert "60 x 60 Hz / 2 pole pairs = 1800 rpm, and rated_speed_rpm is 2520" in stated
+    assert "would fit" not in stated
 
 
 def test_what_is_missing_is_not_held_against_anything() -> None:
@@ -44,14 +44,14 @@ def test_what_follows_from_other_values_is_held_against_the_rest() -> None:
     values = {"pole_pairs": 2.0, "rated_speed_rpm": 1800.0, "rated_power_w": 400.0}
     assert completed(values)["rated_frequency_hz"] == pytest.approx(60.0)
     assert completed(values)["rated_torque_nm"] == pytest.approx(2.122, rel=1e-3)
-    (told,) = broken_relations({**values, "rated_current_rms_a": 1.66, "pm_flux_wb": 3.0})
-    assert "rated_torque_nm from the others is 2.122" in told
+    (reported,) = broken_relations({**values, "rated_current_rms_a": 1.66, "pm_flux_wb": 3.0})
+    assert "rated_torque_nm from the others is 2.122" in reported
 
 
-def test_a_q_axis_of_less_inductance_is_asked_for() -> None:
-    said = doubts(d_inductance_h=3.0)
-    assert "q_inductance_h / d_inductance_h = 0.06905 H / 0.1297 H = 0.5322" in said
-    assert "d and q exchanged" in said
+def test_a_q_axis_of_less_inductance_is_requested() -> None:
+    stated = doubts(d_inductance_h=3.0)
+    assert "q_inductance_h / d_inductance_h = 0.06905 H / 0.1297 H = 0.5322" in stated
+    assert "d and q exchanged" in stated
     slightly = doubts(d_inductance_h=2.0)
     assert "q_inductance_h / d_inductance_h = 0.06905 H / 0.0865 H = 0.7983" in slightly
     assert "exchanged" not in slightly  # values of a nameplate are a quarter off without any slip
@@ -72,7 +72,7 @@ def test_a_refusal_names_the_slip_beside_what_is_refused() -> None:
     assert "motor.stator_resistance_ohm: 4.25 would fit: is the stated value in milliohm?" in refused.stderr
 
 
-def test_a_value_out_of_all_bounds_is_asked_for_its_unit() -> None:
+def test_a_value_out_of_all_bounds_is_requested_its_unit() -> None:
     refused = called("check", "quick", "--set", "motor.d_inductance_h=43.25")
     assert refused.returncode == 2
     assert "(L / R = 10.2 s): is it in mH? Then write 0.04325" in refused.stderr
@@ -86,11 +86,11 @@ def test_a_value_out_of_all_bounds_is_asked_for_its_unit() -> None:
     ],
 )
 def test_a_current_limit_below_the_rated_peak_is_noted(limit_a: float, words: str) -> None:
-    said = called("check", "demo", "--set", f"limits.current_a={limit_a}").stdout
-    assert words in said
+    stated = called("check", "demo", "--set", f"limits.current_a={limit_a}").stdout
+    assert words in stated
     assert "rated current's peak" not in called("check", "demo").stdout
 
 
 def test_check_says_what_is_measured_between_two_terminals() -> None:
-    said = called("check", "demo").stdout
-    assert "between two terminals an ohmmeter should read 8.5 Ω and a bridge 86.5 mH" in said
+    stated = called("check", "demo").stdout
+    assert "between two terminals an ohmmeter should read 8.5 Ω and a bridge 86.5 mH" in stated

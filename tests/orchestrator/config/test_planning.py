@@ -56,7 +56,9 @@ def test_a_second_amplitude_is_a_second_sweep_backwards(pm400: Bench) -> None:
     ]
 
 
-def test_resistance_points_repeat_at_each_pwm_frequency_and_only_another_than_the_drives_is_said(pm400: Bench) -> None:
+def test_resistance_points_repeat_at_each_pwm_frequency_and_only_another_than_the_drives_is_stated(
+    pm400: Bench,
+) -> None:
     stage = {"kind": "resistance", "points_a": [[1.0, 0.0]], "pwm_frequencies_hz": [10_000.0, 20_000.0]}
     own, other = plan_of(pm400, stage).points
     assert own.settings == {"current_d_a": 1.0, "current_q_a": 0.0}
@@ -74,7 +76,7 @@ def test_an_anchor_is_one_point_and_marked(pm400: Bench) -> None:
     assert plan.points[0].excitation == plan.points[2].excitation
 
 
-def test_settings_say_what_was_asked_for_as_the_recording_format_has_them(pm400: Bench) -> None:
+def test_settings_say_what_was_requested_as_the_recording_format_has_them(pm400: Bench) -> None:
     stages = [
         {"kind": "gates_off", "duration_s": 2.0},
         {"kind": "alignment", "current_a": 2.0},

@@ -85,14 +85,14 @@ def test_of_the_slips_that_show_nine_in_ten_are_named_first_or_second() -> None:
         ("d and q exchanged", "d and q exchanged"),
     ],
 )
-def test_an_interior_magnet_machine_of_55_kw_is_told_its_slip(slip: str, words: str) -> None:
+def test_an_interior_magnet_machine_of_55_kw_is_reported_its_slip(slip: str, words: str) -> None:
     written = wrong(slip, "interior 55 kW")[1]
-    said = "\n".join(nameplate_doubts(Motor.model_validate({"name": "IPM", **written})))
-    assert words in said
-    assert "in mH" not in said
+    stated = "\n".join(nameplate_doubts(Motor.model_validate({"name": "IPM", **written})))
+    assert words in stated
+    assert "in mH" not in stated
 
 
-def test_a_resistance_from_line_to_line_is_asked_for_where_it_shows() -> None:
+def test_a_resistance_from_line_to_line_is_requested_where_it_shows() -> None:
     assert is_named("R line to line", "servo 250 W")
 
 

@@ -1,4 +1,4 @@
-"""A winding that is too fast for its samples, or whose resistance hides its inductance, is told with numbers."""
+"""A winding that is too fast for its samples, or whose resistance hides its inductance, is reported with numbers."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ def motor(ohm: float, henry: float) -> Motor:
     return Motor(name="m", pole_pairs=2, stator_resistance_ohm=ohm, d_inductance_h=henry, q_inductance_h=1.05 * henry)
 
 
-def test_telemetry_slower_than_the_winding_is_told_in_samples() -> None:
+def test_telemetry_slower_than_the_winding_is_reported_in_samples() -> None:
     (note,) = time_constant_notes(motor(0.45, 0.2e-3), 1000.0)
     assert "L / R is 0.44 samples" in note
     assert "decays to 11%" in note
     assert "sample at 6750 Hz or more" in note
 
 
-def test_a_resistance_above_the_reactance_is_told_with_what_it_does_to_the_inductance() -> None:
+def test_a_resistance_above_the_reactance_is_reported_with_what_it_does_to_the_inductance() -> None:
     samples, reactance = time_constant_notes(motor(5.85, 360e-6), 20e3, [1000.0])
     assert "L / R is 1.2 samples" in samples
     assert "R is 2.6 times omega L at the injected 1000 Hz" in reactance
@@ -35,7 +35,7 @@ def test_usual_windings_are_not_spoken_of(ohm: float, henry: float, hz: float) -
     assert time_constant_notes(motor(ohm, henry), hz, [hz / 20.0]) == ()
 
 
-def test_nothing_is_told_of_a_nameplate_without_r_or_l() -> None:
+def test_nothing_is_reported_of_a_nameplate_without_r_or_l() -> None:
     assert time_constant_notes(Motor(name="m", pole_pairs=2), 1000.0, [50.0]) == ()
 
 

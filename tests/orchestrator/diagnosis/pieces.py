@@ -122,21 +122,21 @@ def many_holds() -> list[Plan]:
     ]
 
 
-def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array | None = None) -> SegmentData:
+def piece(requested: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array | None = None) -> SegmentData:
     """A segment as the diagnosis has it; `noise` (n, 2) is added to the readings in the stator frame."""
     c, s = math.cos(angle), math.sin(angle)
     to_stator = np.array([[c, s], [-s, c]])
-    v_ab = asked.v_dq @ to_stator
-    first = asked.v_dq.mean(axis=0) / R_S
-    i_ab = response(asked.v_dq, first) @ to_stator + (0.0 if noise is None else noise)
-    n, on = len(v_ab), asked.stage is not SegmentStage.GATES_OFF
+    v_ab = requested.v_dq @ to_stator
+    first = requested.v_dq.mean(axis=0) / R_S
+    i_ab = response(requested.v_dq, first) @ to_stator + (0.0 if noise is None else noise)
+    n, on = len(v_ab), requested.stage is not SegmentStage.GATES_OFF
     segment = Segment(
-        id=f"{asked.stage.value}-{start_s:.4f}",
-        stage=asked.stage,
+        id=f"{requested.stage.value}-{start_s:.4f}",
+        stage=requested.stage,
         start_s=start_s,
         samples=n,
         rotor_angle_rad=angle,
-        settings=dict(asked.settings),
+        settings=dict(requested.settings),
     )
     signals = Signals(
         start_s=start_s,
@@ -156,8 +156,10 @@ def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array
     cutting = CRITERIA.weak_form
     windows = windows_of(segment, FS, i_ab, v_ab, cutting)
     assert windows is not None
-    period = injection_period(segment, FS, v_ab) if asked.stage is SegmentStage.INJECTION else None
-    return SegmentData(segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], i_ab, v_ab, 0.0)
+    period = injection_period(segment, FS, v_ab) if requested.stage is SegmentStage.INJECTION else None
+    return SegmentData(
+        segment, requested.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], i_ab, v_ab, 0.0
+    )
 
 
 def prepared(
@@ -166,10 +168,10 @@ def prepared(
     """A campaign, its readings noisy."""
     rng = np.random.default_rng(seed)
     pieces, clock = [], 0.0
-    for asked in plans:
-        noise = rng.normal(0.0, noise_a, asked.v_dq.shape)
-        pieces.append(piece(asked, start_s=clock, angle=angle, noise=noise))
-        clock += len(asked.v_dq) / FS + 0.05
+    for requested in plans:
+        noise = rng.normal(0.0, noise_a, requested.v_dq.shape)
+        pieces.append(piece(requested, start_s=clock, angle=angle, noise=noise))
+        clock += len(requested.v_dq) / FS + 0.05
     segments = tuple(p.segment for p in pieces)
     manifest = Manifest(
         format="fluxbench-recording",
@@ -218,9 +220,9 @@ def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan], *, noise_a: f
     let_through = [p if p.stage is SegmentStage.GATES_OFF else replace(p, v_dq=felt(p.v_dq)) for p in plans]
     made = prepared(let_through, noise_a=noise_a)
     pieces = []
-    for piece, asked in zip(made.pieces, plans, strict=True):
-        signals = replace(piece.signals, v_ab=asked.v_dq)
-        pieces.append(replace(piece, signals=signals, command_ab=asked.v_dq))
+    for piece, requested in zip(made.pieces, plans, strict=True):
+        signals = replace(piece.signals, v_ab=requested.v_dq)
+        pieces.append(replace(piece, signals=signals, command_ab=requested.v_dq))
     return replace(made, pieces=tuple(pieces))
 
 

@@ -64,7 +64,7 @@ def test_the_model_that_lies_there_is_taken_as_it_is(misaligned: Recording, line
     assert [remark.code for remark in report.remarks] == ALWAYS
 
 
-def test_a_model_of_another_recording_is_said_to_be_one(clean: Recording, linear: Path) -> None:
+def test_a_model_of_another_recording_is_stated_to_be_one(clean: Recording, linear: Path) -> None:
     model: MotorModel = read_model(linear).model_copy(update={"recording": "another"})
     report = compare_recording(clean, [RotorMisalignment()], model=model)
     assert [remark.code for remark in report.remarks] == [*ALWAYS, "model_of_another"]

@@ -100,14 +100,14 @@ def diagnosed(
 
 
 @pytest.mark.slow
-def test_a_zero_that_wanders_a_little_is_noise_of_a_size_that_is_said(wandering: Recording, tmp_path: Path) -> None:
+def test_a_zero_that_wanders_a_little_is_noise_of_a_size_that_is_stated(wandering: Recording, tmp_path: Path) -> None:
     diagnosis = diagnose_recording(wandering, LIBRARY, out=tmp_path)
     report = diagnosis.report
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["rotor_misalignment"]
     assert report.ladder[-1].chi2 == pytest.approx(1.0, abs=0.08)
-    (said,) = [r for r in report.remarks if r.code == "offset_scatter"]
-    assert said.values["scatter_ma"] == pytest.approx(2.0, rel=0.3)
+    (stated,) = [r for r in report.remarks if r.code == "offset_scatter"]
+    assert stated.values["scatter_ma"] == pytest.approx(2.0, rel=0.3)
     # The model that is kept knows of it: a comparison finds what the diagnosis left.
     assert compare_recording(wandering, LIBRARY, out=tmp_path).chi2 == pytest.approx(1.0, abs=0.08)
 
@@ -258,7 +258,7 @@ def test_a_third_sensor_that_reads_more_is_named_and_nothing_beside_it(
 
 
 @pytest.mark.slow
-def test_gains_that_three_readings_prove_are_not_told_as_a_resistance(
+def test_gains_that_three_readings_prove_are_not_reported_as_a_resistance(
     first_of_three_sensors: Recording, tmp_path: Path
 ) -> None:
     """Phase a lies on the d axis, where the map would take its gain."""

@@ -60,7 +60,7 @@ def test_with_two_pwm_frequencies_they_are_parted(at_two_pwm_frequencies: Record
 def test_no_effect_s_name_is_in_the_orchestrator() -> None:
     names = [info.name for info in installed(PluginKind.EFFECTS)]
     assert len(names) >= 18
-    # One of them is a word of the language too: it may be said, but is no key or entry of anything.
+    # One of them is a word of the language too: it may be stated, but is no key or entry of anything.
     spelt = re.compile("|".join(rf"\b{n}\b" if "_" in n else f"[\"']{n}[\"']" for n in names))
     for file in sorted((ROOT / "orchestrator").rglob("*")):
         if file.suffix in (".py", ".txt"):

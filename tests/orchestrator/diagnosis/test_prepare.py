@@ -1,4 +1,4 @@
-"""What the diagnosis lets in: too little is refused in one line, and what cannot be told is said."""
+"""What the diagnosis lets in: too little is refused in one line, and what cannot be reported is stated."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ def test_one_point_measured_again_and_again_is_one_place(clean: Recording, tmp_p
         open_for_diagnosis(open_recording(tmp_path))
 
 
-def test_what_few_places_cannot_tell_is_said(clean: Recording, tmp_path: Path) -> None:
-    told = {remark.code for remark in open_for_diagnosis(_with(clean, tmp_path / "holds", _of(HOLDS))).remarks}
-    assert {"few_places", "nothing_moves", "no_gates_off", "no_injection"} <= told
+def test_what_few_places_cannot_tell_is_stated(clean: Recording, tmp_path: Path) -> None:
+    reported = {remark.code for remark in open_for_diagnosis(_with(clean, tmp_path / "holds", _of(HOLDS))).remarks}
+    assert {"few_places", "nothing_moves", "no_gates_off", "no_injection"} <= reported
     assert "few_places" not in {remark.code for remark in open_for_diagnosis(clean).remarks}
 
 

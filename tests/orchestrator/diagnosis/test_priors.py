@@ -28,20 +28,20 @@ def expecting(
     name: str, sizes: Mapping[str, tuple[float, float, str]], found: int = 50, motor: str | None = None
 ) -> FleetPriors:
     """What fifty recordings let expect of one effect."""
-    told = {p: NormalPrior(mean=m, std=s, unit=unit, recordings=found) for p, (m, s, unit) in sizes.items()}
-    effect = EffectPrior(probability=(found + 1) / 52, found=found, asked=50, sizes=told)
+    reported = {p: NormalPrior(mean=m, std=s, unit=unit, recordings=found) for p, (m, s, unit) in sizes.items()}
+    effect = EffectPrior(probability=(found + 1) / 52, found=found, asked=50, sizes=reported)
     return FleetPriors(motor=motor, table="line", recordings=50, diagnosed=50, effects={name: effect})
 
 
 def half_width(effect: FoundEffect, parameter: str) -> float:
-    told = effect.parameters[parameter]
-    assert told.low is not None
-    assert told.high is not None
-    return 0.5 * (told.high - told.low)
+    reported = effect.parameters[parameter]
+    assert reported.low is not None
+    assert reported.high is not None
+    return 0.5 * (reported.high - reported.low)
 
 
 @pytest.mark.slow
-def test_a_motor_of_the_fleet_is_told_more_sharply_and_the_report_says_by_what(
+def test_a_motor_of_the_fleet_is_reported_more_sharply_and_the_report_says_by_what(
     with_dead_time: Recording, tmp_path: Path
 ) -> None:
     plain = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path).report
@@ -127,10 +127,10 @@ def test_what_is_strong_when_small_has_its_inverses_prior(clean: Recording) -> N
 
 
 def test_priors_of_something_else_are_refused_in_one_line(clean: Recording, tmp_path: Path) -> None:
-    for priors, told in (
+    for priors, reported in (
         (expecting("dead_time", {"voltage_v": (0.8, 0.1, "V")}, motor="pm750"), "motor: they are of 'pm750'"),
         (expecting("dead_time", {"voltage_v": (0.8, 0.1, "mV")}), "voltage_v.unit: expected V, got mV"),
         (expecting("dead_time", {"threshold_a": (0.1, 0.1, "A")}), "threshold_a: no amplitude of that effect"),
     ):
-        with pytest.raises(InputError, match=told):
+        with pytest.raises(InputError, match=reported):
             diagnose_recording(clean, LIBRARY, out=tmp_path, priors=priors)

@@ -1,4 +1,4 @@
-"""A published map of a motor whose bridges saturate sharply, commissioned by the demo's plan: what is said of it."""
+"""A published map of a motor whose bridges saturate sharply, commissioned by the demo's plan: what is stated of it."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ SERVO = Path(__file__).parents[3] / "docs" / "motors" / "servo-48v.yaml"
 
 @pytest.mark.slow
 @pytest.mark.parametrize("offset_us", [0.0, 3.0, -3.0])
-def test_a_reading_beside_the_turning_point_is_told_from_the_ripple(offset_us: float, tmp_path: Path) -> None:
+def test_a_reading_beside_the_turning_point_is_reported_from_the_ripple(offset_us: float, tmp_path: Path) -> None:
     offset = f"drive.plant.switching.sampling_offset_s={1e-6 * offset_us:g}"
     run(tmp_path / "run", ("drive.plant.inverter=switched", "drive.plant.effects={}", offset), motor=SERVO)
     library = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]

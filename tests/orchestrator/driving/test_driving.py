@@ -43,7 +43,7 @@ LOST = DriveFault(FaultCause.LINK_LOST, "unplugged")
 
 
 class Recorder(DriveShell):
-    """Writes down which of its own parts were asked for."""
+    """Writes down which of its own parts were requested."""
 
     name: ClassVar[str] = "recorder"
     why_not: ClassVar = {"gates_off": "its gates are welded"}
@@ -130,11 +130,13 @@ def test_nothing_is_done_before_connecting_and_after_closing() -> None:
     assert drive.done == []
 
 
-@pytest.mark.parametrize(("limit", "told"), [("current_a", "current limit 21 A"), ("voltage_v", "voltage limit 21 V")])
-def test_a_limit_above_the_drive_s_own_is_refused(limit: str, told: str) -> None:
+@pytest.mark.parametrize(
+    ("limit", "reported"), [("current_a", "current limit 21 A"), ("voltage_v", "voltage limit 21 V")]
+)
+def test_a_limit_above_the_drive_s_own_is_refused(limit: str, reported: str) -> None:
     drive = Recorder()
     drive.connect()
-    with pytest.raises(DriveRefused, match=told):
+    with pytest.raises(DriveRefused, match=reported):
         drive.arm(LIMITS.model_copy(update={limit: 21.0}))
     assert (drive.state, drive.done) == (DriveState.DISARMED, [])
 
@@ -149,7 +151,7 @@ def test_a_drive_that_refuses_to_be_armed_is_disarmed() -> None:
 
 
 @pytest.mark.parametrize(
-    ("excitation", "told"),
+    ("excitation", "reported"),
     [
         (GatesOff(duration_s=1.0), "no gates_off: its gates are welded"),
         (HOLD.model_copy(update={"current_d_a": float("nan")}), "current_d_a is not a finite number"),
@@ -160,9 +162,9 @@ def test_a_drive_that_refuses_to_be_armed_is_disarmed() -> None:
         (INJECTION, "needs 11 V, above the limit of 10 V"),
     ],
 )
-def test_what_does_not_fit_is_refused_before_it_is_begun(excitation: Excitation, told: str) -> None:
+def test_what_does_not_fit_is_refused_before_it_is_begun(excitation: Excitation, reported: str) -> None:
     drive = armed()
-    with pytest.raises(DriveRefused, match=told):
+    with pytest.raises(DriveRefused, match=reported):
         drive.execute(excitation)
     assert drive.done == ["energise"]
 
@@ -217,7 +219,7 @@ def test_a_trip_switches_off_and_is_latched_until_cleared() -> None:
     drive.arm(LIMITS)
 
 
-def test_a_drive_that_could_not_be_switched_off_is_told_again() -> None:
+def test_a_drive_that_could_not_be_switched_off_is_reported_again() -> None:
     drive = armed()
     drive.lost = True
     drive.trip(LOST)

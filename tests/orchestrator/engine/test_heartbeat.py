@@ -64,7 +64,7 @@ def test_beats_go_on_while_this_interpreter_is_held_up(drive: PipedDrive) -> Non
     assert drive.beats_here == 1, "the one that arming begins with"
 
 
-def test_nothing_is_said_beyond_the_lease(drive: PipedDrive, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_stated_beyond_the_lease(drive: PipedDrive, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(_heartbeat, "LEASE_S", 0.3)
     with HeartbeatKeeper(drive, 0.1) as keeper:  # type: ignore[arg-type]
         begun = time.monotonic()
@@ -74,7 +74,7 @@ def test_nothing_is_said_beyond_the_lease(drive: PipedDrive, monkeypatch: pytest
         wait_until(lambda: bool(drive.beats()))
 
 
-def test_nothing_is_said_after_the_end(drive: PipedDrive) -> None:
+def test_nothing_is_stated_after_the_end(drive: PipedDrive) -> None:
     with HeartbeatKeeper(drive, 0.1):  # type: ignore[arg-type]
         wait_until(lambda: bool(drive.beats()))
     drive.beats()

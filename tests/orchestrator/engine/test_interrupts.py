@@ -12,7 +12,7 @@ from orchestrator.engine import Interrupts, handling_signals
 from protocols import RunInterrupted
 
 
-def test_nothing_is_raised_before_a_stop_is_asked_for() -> None:
+def test_nothing_is_raised_before_a_stop_is_requested() -> None:
     Interrupts().check()
 
 

@@ -58,7 +58,7 @@ def answers(folder: Path) -> list[OperatorAnswered]:
 
 
 @pytest.mark.usefixtures("real")
-def test_on_a_real_drive_a_person_is_asked_whatever_the_procedure_answers(tmp_path: Path) -> None:
+def test_on_a_real_drive_a_person_is_requested_whatever_the_procedure_answers(tmp_path: Path) -> None:
     person = Person()
     result = run_with(person, tmp_path)
     assert person.prompts == ["Release the brake"]

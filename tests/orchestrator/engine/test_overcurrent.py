@@ -90,7 +90,7 @@ def test_a_run_that_trips_on_noise_says_so(tmp_path: Path, noise_a: float, hint:
     assert hint in result.outcome.reason, result.outcome.reason
 
 
-def test_a_nameplate_inductance_ten_times_too_large_is_told_with_the_right_one(tmp_path: Path) -> None:
+def test_a_nameplate_inductance_ten_times_too_large_is_reported_with_the_right_one(tmp_path: Path) -> None:
     lock = {"torque_current_a": 3.4, "amplitude_v": 100.0, "frequency_hz": 312.5, "settle_s": 0.2, "duration_s": 0.2}
     result = run_tiny(
         tmp_path,

@@ -53,7 +53,7 @@ def test_the_whole_range_is_reached_within_the_limit(swept: Path) -> None:
         assert np.linalg.norm(recording.load(segment).i_ab, axis=1).max() < LIMIT_A, segment.id
 
 
-def test_what_was_asked_for_is_what_the_segments_say(swept: Path) -> None:
+def test_what_was_requested_is_what_the_segments_say(swept: Path) -> None:
     recording = open_recording(swept)
     amplitudes = [segment.settings["amplitude_v"] for segment in recording.segments()]
     strong, weak = amplitudes[0], amplitudes[-1]
@@ -65,7 +65,7 @@ def test_what_was_asked_for_is_what_the_segments_say(swept: Path) -> None:
     assert np.linalg.norm(capture.v_ab - capture.v_ab.mean(axis=0), axis=1).max() == pytest.approx(strong, rel=0.05)
 
 
-def test_a_person_is_told_by_how_much(swept: Path) -> None:
+def test_a_person_is_reported_by_how_much(swept: Path) -> None:
     (note,) = [m.text for m in messages_of(swept) if isinstance(m, Note) and "of the plan" in m.text]
     assert "% of the plan" in note
 

@@ -20,19 +20,19 @@ from tests.support.processes import wait_until
 
 
 class Listening:
-    """Remembers what it was told."""
+    """Remembers what it was reported."""
 
     name: ClassVar[str] = "listening"
     Options: ClassVar[type[BaseModel]] = NoOptions
     wants_samples: ClassVar[bool] = False
 
     def __init__(self, setup: StreamSetup | None = None) -> None:
-        self.heard: list[Message] = []
+        self.received: list[Message] = []
         self.closed = False
         self.thread = threading.current_thread()
 
     def receive(self, message: Message) -> None:
-        self.heard.append(message)
+        self.received.append(message)
 
     def close(self) -> None:
         self.closed = True
@@ -60,7 +60,7 @@ def note(text: str) -> Note:
 
 
 def texts(stream: Listening) -> list[str]:
-    return [message.text for message in stream.heard if isinstance(message, Note)]
+    return [message.text for message in stream.received if isinstance(message, Note)]
 
 
 def waits(dispatcher: Dispatcher) -> None:
@@ -116,7 +116,7 @@ def test_a_stream_that_never_returns_is_left_behind_at_the_end() -> None:
     assert time.monotonic() - begun < 2.0
 
 
-def test_what_a_stream_raises_is_counted_and_told() -> None:
+def test_what_a_stream_raises_is_counted_and_reported() -> None:
     dispatcher = Dispatcher({"failing": Failing})
     dispatcher.publish(note("a"))
     dispatcher.publish(note("b"))
@@ -124,7 +124,7 @@ def test_what_a_stream_raises_is_counted_and_told() -> None:
     assert (tally.delivered, tally.errors, tally.first_error) == (0, 2, "ValueError: no display")
 
 
-def test_a_stream_that_cannot_be_made_is_told_and_loses_everything() -> None:
+def test_a_stream_that_cannot_be_made_is_reported_and_loses_everything() -> None:
     def refuse() -> Listening:
         raise RuntimeError("no such terminal")
 
@@ -149,7 +149,7 @@ def test_samples_go_only_where_they_are_wanted(wanted: bool) -> None:
     dispatcher.publish(SamplesCaptured(segment="hold-000", rotor_angle_rad=0.0, capture=capture))
     dispatcher.publish(note("end"))
     dispatcher.close()
-    assert [message.kind for message in stream.heard] == (["samples_captured", "note"] if wanted else ["note"])
+    assert [message.kind for message in stream.received] == (["samples_captured", "note"] if wanted else ["note"])
 
 
 def test_a_drained_dispatcher_has_delivered_everything() -> None:
@@ -172,20 +172,20 @@ class Slow(Listening):
         self._release.wait(10.0)
 
 
-def test_closing_that_takes_long_is_told_and_only_then() -> None:
-    told: list[str] = []
+def test_closing_that_takes_long_is_reported_and_only_then() -> None:
+    reported: list[str] = []
     release = threading.Event()
 
     def tell(line: str) -> None:
-        told.append(line)
+        reported.append(line)
         release.set()
 
     quick = Dispatcher({"quick": Listening}).close(tell=tell)
-    assert told == []
+    assert reported == []
     slow = Dispatcher({"report": lambda: Slow(release), "quick": Listening}).close(tell=tell, silent_s=0.1)
-    assert len(told) == 1
-    assert "report" in told[0]
-    assert "quick" not in told[0]
+    assert len(reported) == 1
+    assert "report" in reported[0]
+    assert "quick" not in reported[0]
     assert all(tally.closed for tally in (*quick, *slow))
 
 
@@ -212,7 +212,7 @@ from orchestrator.interface.cli._process import leave
 from orchestrator.engine.streaming import Dispatcher, has_unfinished_streams
 {stream}
 atexit.register(time.sleep, 60.0)  # as a library that waits for its own thread
-print("all said")
+print("all stated")
 leave(3)
 """
 STUCK = "Dispatcher({'stuck': threading.Event().wait}).close(timeout_s=0.1)"
@@ -221,4 +221,4 @@ STUCK = "Dispatcher({'stuck': threading.Event().wait}).close(timeout_s=0.1)"
 def test_a_process_ends_though_the_library_of_a_stream_that_was_given_up_waits_for_it() -> None:
     words = [sys.executable, "-c", LEAVING.replace("{stream}", STUCK)]
     ended = subprocess.run(words, capture_output=True, text=True, timeout=20.0, check=False)
-    assert (ended.returncode, ended.stdout, ended.stderr) == (3, "all said\n", "")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (3, "all stated\n", "")

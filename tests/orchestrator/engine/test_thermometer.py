@@ -87,7 +87,7 @@ def test_its_readings_are_in_the_recording(tmp_path: Path, monkeypatch: pytest.M
     np.testing.assert_array_equal([first.min(), second.min(), second.max()], [25.0, 31.0, 31.0])
 
 
-def test_one_that_says_nothing_is_said_once_and_the_run_goes_on(tmp_path: Path) -> None:
+def test_one_that_says_nothing_is_stated_once_and_the_run_goes_on(tmp_path: Path) -> None:
     file = tmp_path / "logger.csv"
     file.write_text("no sensor\n")
     procedure = tiny_procedure(tmp_path, stages=STAGES)

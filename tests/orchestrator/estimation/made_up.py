@@ -103,8 +103,8 @@ class Mapper:
         exact = exact_map(self.name)
         scaled = {"psi_d": 0.3 + self.factor * (exact.psi_d - 0.3), "psi_q": self.factor * exact.psi_q}
         made = exact.model_copy(update={**scaled, "basis": self.basis})
-        said = (Remark(code="noted", text="a note"),)
-        fields = {"checks": self.checks, "remarks": said, "incremental": self.incremental}
+        stated = (Remark(code="noted", text="a note"),)
+        fields = {"checks": self.checks, "remarks": stated, "incremental": self.incremental}
         return type(self).produces(map=made, points=points, **fields)
 
 

@@ -76,7 +76,7 @@ def test_a_later_model_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) 
     assert files == {"flux_map.nc", *(f"flux_map_{method}.nc" for method in own.maps)}
 
 
-def test_a_model_is_delivered_where_no_estimator_was_asked(tmp_path: Path) -> None:
+def test_a_model_is_delivered_where_no_estimator_was_requested(tmp_path: Path) -> None:
     report = deliver(tmp_path)
     assert (report.method, report.usable, report.estimators) == ("model", True, None)
     assert {path.name for path in (tmp_path / "results").iterdir()} == {"flux_map.nc", "estimates.json"}
@@ -123,7 +123,7 @@ def test_each_map_file_says_which_model_it_is_of(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("times", "codes"), [(1.0, []), (1.38, ["far_from_nameplate"])])
 def test_the_models_resistance_is_held_beside_the_nameplate(tmp_path: Path, times: float, codes: list[str]) -> None:
     plate = Motor.model_validate({**MOTOR.model_dump(), "stator_resistance_ohm": R_S.value_ohm / times})
-    # What was said of the estimators' own is not said again.
+    # What was stated of the estimators' own is not stated again.
     estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
     report = deliver(tmp_path, motor=plate)
     assert report.usable

@@ -35,14 +35,14 @@ def numbers(value: Any) -> list[float]:
 
 
 def test_resistance_comes_first_and_the_rest_sees_it(tmp_path: Path) -> None:
-    mapper, heard = Sweeps(), list[Estimate]()
-    estimate_recording(RECORDING, [mapper, Resistance()], tmp_path, on_estimate=heard.append)
+    mapper, received = Sweeps(), list[Estimate]()
+    estimate_recording(RECORDING, [mapper, Resistance()], tmp_path, on_estimate=received.append)
     assert mapper.saw is not None
     assert mapper.saw.resistance is R_S
-    assert [type(estimate) for estimate in heard] == [ResistanceEstimate, Swept]
+    assert [type(estimate) for estimate in received] == [ResistanceEstimate, Swept]
 
 
-def test_an_estimator_of_rare_stages_is_asked_only_where_there_is_one(tmp_path: Path) -> None:
+def test_an_estimator_of_rare_stages_is_requested_only_where_there_is_one(tmp_path: Path) -> None:
     class Rare(Sweeps):
         reads: ClassVar[tuple[SegmentStage, ...]] = (SegmentStage.SPIN,)
 
@@ -69,15 +69,15 @@ def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -
     assert EstimationReport.model_validate_json(text) == report
     written = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
     assert all(math.isfinite(n) for n in numbers(written))
-    told = written["resistance"]
-    assert {key: told[key] for key in ("value_ohm", "low", "high", "first_ohm", "last_ohm")} == {
+    reported = written["resistance"]
+    assert {key: reported[key] for key in ("value_ohm", "low", "high", "first_ohm", "last_ohm")} == {
         "value_ohm": 4.0,
         "low": 3.9,
         "high": 4.1,
         "first_ohm": 4.0,
         "last_ohm": 4.2,
     }
-    assert told["readings"] == [
+    assert reported["readings"] == [
         {"start_s": 1.0, "value_ohm": 4.0, "std_ohm": 0.01},
         {"start_s": 9.0, "value_ohm": 4.2, "std_ohm": 0.01},
     ]
@@ -93,9 +93,9 @@ def test_what_could_not_be_measured_is_a_reason(tmp_path: Path) -> None:
 
 
 def test_nothing_at_all_is_one_clear_line_and_no_file(tmp_path: Path) -> None:
-    with pytest.raises(NotMeasuredError, match=r"made up: nothing can be estimated: .*no ripples here") as told:
+    with pytest.raises(NotMeasuredError, match=r"made up: nothing can be estimated: .*no ripples here") as reported:
         estimate_recording(RECORDING, [Ripples(missing=True)], tmp_path)
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(reported.value)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -107,10 +107,10 @@ def test_equations_without_a_solution_are_one_clear_line(tmp_path: Path) -> None
             np.linalg.inv(np.zeros((2, 2)))
             return super().estimate(recording, context)
 
-    with pytest.raises(NotMeasuredError, match="do not determine the equations") as told:
+    with pytest.raises(NotMeasuredError, match="do not determine the equations") as reported:
         estimate_recording(RECORDING, [Singular()], tmp_path)
-    assert "\n" not in str(told.value)
-    assert told.value.exit_code == 2
+    assert "\n" not in str(reported.value)
+    assert reported.value.exit_code == 2
     report = estimate_recording(RECORDING, [Singular(), Ripples()], tmp_path)
     assert report.method == "ripples"
     assert "singular.no_solution" in {remark.code for remark in report.remarks}

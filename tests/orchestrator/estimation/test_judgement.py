@@ -1,4 +1,4 @@
-"""Which map is recommended, whether it can be relied on, and what is said of it."""
+"""Which map is recommended, whether it can be relied on, and what is stated of it."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def judged(folder: Path, *estimators: Estimator, **criteria: float) -> Estimatio
     return estimate_recording(RECORDING, estimators, folder, criteria=MapCriteria(**criteria))
 
 
-def said(report: EstimationReport, code: str) -> Remark:
+def stated(report: EstimationReport, code: str) -> Remark:
     (found,) = (remark for remark in report.remarks if remark.code == code)
     return found
 
@@ -73,7 +73,7 @@ def test_an_energy_beside_nothing_is_recommended(tmp_path: Path) -> None:
     assert judged(tmp_path, OneEnergy(factor=0.5)).method == "one_energy"
 
 
-def test_symmetry_is_told_of_a_map_that_does_not_have_it_by_construction(tmp_path: Path) -> None:
+def test_symmetry_is_reported_of_a_map_that_does_not_have_it_by_construction(tmp_path: Path) -> None:
     checks = MapChecks(parity=AxisPercent(d_percent=0.7, q_percent=0.8), reciprocity_percent=0.4)
     report = judged(tmp_path, OneEnergy(), Sweeps(), Ripples(checks=checks))
     assert report.recommended is not None
@@ -89,10 +89,10 @@ def test_a_difference_of_the_methods_is_put_in_words(factor: float, percent: flo
     assert report.usable == (percent is None)
     assert ("flux_ratio" in {remark.code for remark in report.remarks}) == (percent is not None)
     if percent is not None:
-        told = said(report, "flux_ratio")
-        assert told.values["apart_percent"] == pytest.approx(percent)
-        assert told.text.endswith("`fluxbench diagnose` finds the cause")
-        assert (told.values["size"] == "less") == (factor < 1.0)
+        reported = stated(report, "flux_ratio")
+        assert reported.values["apart_percent"] == pytest.approx(percent)
+        assert reported.text.endswith("`fluxbench diagnose` finds the cause")
+        assert (reported.values["size"] == "less") == (factor < 1.0)
 
 
 def test_an_energys_map_is_not_usable_where_what_it_was_fitted_to_is_not_even(tmp_path: Path) -> None:
@@ -100,7 +100,7 @@ def test_an_energys_map_is_not_usable_where_what_it_was_fitted_to_is_not_even(tm
     report = judged(tmp_path, OneEnergy(), Sweeps(), Ripples(checks=uneven))
     assert report.method == "one_energy"
     assert not report.usable
-    assert said(report, "bad_parity").values == {"axis": "q", "off_percent": 9.0}
+    assert stated(report, "bad_parity").values == {"axis": "q", "off_percent": 9.0}
 
 
 def test_methods_that_differ_much_leave_no_map_usable(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_methods_that_differ_much_leave_no_map_usable(tmp_path: Path) -> None:
     assert not report.usable
     difference = report.classical_against_injection_percent
     assert difference is not None
-    assert said(report, "methods_differ").values["apart_percent"] == difference
+    assert stated(report, "methods_differ").values["apart_percent"] == difference
     assert judged(tmp_path, Sweeps(), Mapper("other", factor=0.8)).classical_against_injection_percent is None
 
 
@@ -133,11 +133,11 @@ def test_a_map_that_contradicts_itself_is_not_usable(checks: MapChecks, code: st
 def test_without_a_map_nothing_is_usable(tmp_path: Path) -> None:
     report = judged(tmp_path, Resistance())
     assert not report.usable
-    assert said(report, "no_map")
+    assert stated(report, "no_map")
     assert report.recommended is None
 
 
-def test_of_two_resistances_the_narrower_interval_is_used_and_the_other_told(tmp_path: Path) -> None:
+def test_of_two_resistances_the_narrower_interval_is_used_and_the_other_reported(tmp_path: Path) -> None:
     class Rough(Resistance):
         def estimate(self, recording: object, context: object) -> Estimate:
             return R_S.model_copy(update={"value_ohm": 4.5, "low": 4.0, "high": 5.0})
@@ -145,7 +145,7 @@ def test_of_two_resistances_the_narrower_interval_is_used_and_the_other_told(tmp
     Rough.name = "rough"
     report = judged(tmp_path, Rough(), Resistance())
     assert report.resistance == R_S
-    assert said(report, "rough.wider_interval").values == {"value_ohm": 4.5, "low": 4.0, "high": 5.0}
+    assert stated(report, "rough.wider_interval").values == {"value_ohm": 4.5, "low": 4.0, "high": 5.0}
 
 
 def test_inductances_are_summed_up_where_they_are_known(tmp_path: Path) -> None:
@@ -197,7 +197,7 @@ def test_a_map_that_stops_before_the_rated_current_is_checked_against_its_own_ed
     motor = RECORDING.manifest.motor.model_copy(update={"rated_current_rms_a": 2.5})
     recording = MemoryRecording(RECORDING.manifest.model_copy(update={"motor": motor}), {})
     report = estimate_recording(recording, [Sweeps(), Ripples(factor=0.8)], tmp_path)
-    assert said(report, "rated_current_not_reached").values["reference_wb"] is not None
+    assert stated(report, "rated_current_not_reached").values["reference_wb"] is not None
     assert report.classical_against_injection_percent is not None
     assert not report.usable
 
@@ -259,4 +259,4 @@ def test_a_flux_whose_band_is_wider_than_the_promise_is_not_usable(tmp_path: Pat
 def test_slopes_that_contradict_each_other_leave_no_map_usable(beside: tuple[Mapper, ...], tmp_path: Path) -> None:
     report = judged(tmp_path, Ripples(checks=MapChecks(reciprocity_percent=30.0)), *beside)
     assert not report.usable
-    assert said(report, "bad_reciprocity").values["apart_percent"] == 30.0
+    assert stated(report, "bad_reciprocity").values["apart_percent"] == 30.0

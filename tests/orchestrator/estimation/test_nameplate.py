@@ -1,4 +1,4 @@
-"""Estimates far from the nameplate are said to be, and a scale of all of them is an objection."""
+"""Estimates far from the nameplate are stated to be, and a scale of all of them is an objection."""
 
 from __future__ import annotations
 
@@ -59,11 +59,11 @@ def test_what_is_near_the_nameplate_needs_no_word(tmp_path: Path) -> None:
 def test_what_is_a_fifth_off_stands_in_the_verdict_with_both_numbers(tmp_path: Path) -> None:
     found = report(tmp_path, stator_resistance_ohm=0.8, d_inductance_h=1.0, q_inductance_h=1.0)
     assert far(found) == {"R_s": pytest.approx(1.25)}
-    (said,) = [remark.text for remark in found.remarks if remark.code == "far_from_nameplate"]
-    assert f"{R_S.value_ohm:.4g} ohm, 1.25 times the nameplate's {0.8 * R_S.value_ohm:.4g} ohm" in said
+    (stated,) = [remark.text for remark in found.remarks if remark.code == "far_from_nameplate"]
+    assert f"{R_S.value_ohm:.4g} ohm, 1.25 times the nameplate's {0.8 * R_S.value_ohm:.4g} ohm" in stated
 
 
-def test_a_resistance_far_off_is_said_and_the_map_may_be_used(tmp_path: Path) -> None:
+def test_a_resistance_far_off_is_stated_and_the_map_may_be_used(tmp_path: Path) -> None:
     found = report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=1.0, q_inductance_h=1.0)
     assert far(found) == {"R_s": pytest.approx(2.0)}
     assert found.usable

@@ -36,6 +36,6 @@ def test_a_circle_is_named() -> None:
         requires: ClassVar[tuple[type[Estimate], ...]] = (Injected,)
         produces: ClassVar[type[Estimate]] = Sweeps.produces
 
-    with pytest.raises(PluginError, match=r"circle: .*backwards.*") as told:
+    with pytest.raises(PluginError, match=r"circle: .*backwards.*") as reported:
         in_order([Backwards(), Ripples()])
-    assert "ripples" in str(told.value)
+    assert "ripples" in str(reported.value)

@@ -78,14 +78,14 @@ def test_a_kill_leaves_no_report_beside_maps_of_another_pass(
     file = tmp_path / "results" / "estimates.json"
     if not file.exists():
         return
-    told = EstimationReport.model_validate_json(file.read_bytes())
+    reported = EstimationReport.model_validate_json(file.read_bytes())
     is_old = file.read_bytes() == before
-    for name, path in told.files.items():
+    for name, path in reported.files.items():
         if name != "estimates":
             with xr.open_dataset(tmp_path / "results" / path, engine="h5netcdf") as dataset:
                 assert dataset.attrs["recording"] == ("first" if is_old else "second")
     maps = {path.name for path in (tmp_path / "results").glob("flux_map*.nc")}
-    assert maps == {Path(path).name for name, path in told.files.items() if name != "estimates"}
+    assert maps == {Path(path).name for name, path in reported.files.items() if name != "estimates"}
 
 
 def test_a_kill_was_really_tried_at_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

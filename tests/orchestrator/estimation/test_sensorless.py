@@ -37,7 +37,7 @@ def ripple(inductance: Array, current: Array = POINTS, frequency_hz: float = 500
     )
 
 
-def test_a_ripple_that_sees_less_on_one_axis_is_told_by_frequency() -> None:
+def test_a_ripple_that_sees_less_on_one_axis_is_reported_by_frequency() -> None:
     slow, fast = (
         ripple(slopes(POINTS) * np.array([f, f, 1.0]), frequency_hz=hz) for f, hz in ((0.98, 250), (0.95, 1e3))
     )

@@ -53,7 +53,7 @@ def test_what_measures_nothing_stays_in_its_place(designed: ProcedureDesign) -> 
     assert other_stages(plan(GATES_OFF, BEFORE, HOLDS, SWEEPS, AFTER)) == ([1], [4])
 
 
-def test_a_pair_that_nothing_tells_apart_is_said() -> None:
+def test_a_pair_that_nothing_tells_apart_is_stated() -> None:
     pair = effects("rotor_misalignment", "slot_harmonics")
     with pytest.raises(ProcedureError, match="rotor_misalignment or slot_harmonics"):
         design(plan(HOLDS, SWEEPS), DRIVE, machine(), pair, noise_a=NOISE_A)

@@ -90,7 +90,7 @@ def test_company_never_makes_anything_easier_and_every_pair_is_there_once() -> N
     assert set(result.separation) == set(combinations(result.names, 2))
 
 
-def test_pairs_of_effects_that_are_not_found_are_not_asked_about() -> None:
+def test_pairs_of_effects_that_are_not_found_are_not_requested_about() -> None:
     result = Isolability(("a", "b", "c"), {"a": 0.1, "b": 3.0, "c": 0.1}, {}, {("a", "b"): 9.0, ("a", "c"): math.inf})
     assert result.beyond(1.0) == [("b",), ("a", "c")]
 

@@ -13,7 +13,7 @@ from tests.orchestrator.experiment_design.plans import machine
 
 
 @pytest.mark.parametrize("waveform", ["square", "sine"])
-def test_a_ripple_has_the_voltage_that_was_asked_for(waveform: str) -> None:
+def test_a_ripple_has_the_voltage_that_was_requested(waveform: str) -> None:
     excitation = Injection.model_validate(
         {
             "target_d_a": 1.0,

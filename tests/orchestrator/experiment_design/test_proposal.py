@@ -60,7 +60,7 @@ def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_on
     assert two > 100.0 * max(one, 1.0)
 
 
-def test_what_is_already_told_apart_gains_little_by_reading_gates_off(
+def test_what_is_already_separated_gains_little_by_reading_gates_off(
     setup: DiagnosisSetup, fit: Fit, library: dict[str, CandidateEffect]
 ) -> None:
     pair = confounded_pair(setup, fit, fit.model.active[-1], library["device_drop"])
@@ -86,7 +86,7 @@ def test_the_best_a_minute_is_proposed_within_a_second(
     assert proposal.minutes == pytest.approx(8 * 2 * 1.0 / 60.0, abs=0.01)
 
 
-def test_an_effect_that_is_not_in_the_model_is_told_apart_as_large_as_it_would_be(
+def test_an_effect_that_is_not_in_the_model_is_separated_as_large_as_it_would_be(
     setup: DiagnosisSetup, library: dict[str, CandidateEffect]
 ) -> None:
     bare = first_steps(setup, "saturated", library)[-1].fit

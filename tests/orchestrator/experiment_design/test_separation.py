@@ -75,7 +75,7 @@ def test_an_effect_is_no_rival_of_itself(setup: DiagnosisSetup) -> None:
     assert confounded_pair(setup, fit, fit.model.active[0], bias) is None
 
 
-def test_planned_segments_have_the_currents_that_were_asked_for(setup: DiagnosisSetup) -> None:
+def test_planned_segments_have_the_currents_that_were_requested(setup: DiagnosisSetup) -> None:
     stage = {"kind": "resistance", "points_a": [[1.0, -0.5]], "duration_s": 0.5}
     ((one, weight),) = planned_pieces(setup, free_model(), stage)
     np.testing.assert_allclose(one.signals.i_ab.mean(axis=0), [1.0, -0.5], rtol=1e-9)

@@ -64,7 +64,7 @@ def test_a_smaller_size_takes_more_time(whole: Offer) -> None:
     assert small > large
 
 
-def test_what_is_offered_in_vain_is_said() -> None:
+def test_what_is_offered_in_vain_is_stated() -> None:
     assert out_of_reach(offer(HOLDS, SWEEPS), 1.0, CRITERIA) == [("current_offset", "voltage_bias")]
 
 

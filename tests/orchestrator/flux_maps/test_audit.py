@@ -59,7 +59,7 @@ def test_a_flux_that_no_energy_has_is_named_with_its_size() -> None:
 
 
 @few("degrees", [-1.9, 3.7, -90.0, -86.3], fast=2)
-def test_a_turned_frame_is_told_to_a_hundredth_of_a_degree_and_turned_back(degrees: float) -> None:
+def test_a_turned_frame_is_reported_to_a_hundredth_of_a_degree_and_turned_back(degrees: float) -> None:
     flux_map = turned(degrees)
     found = audit_map(flux_map)
     assert found.axis_rad is not None
@@ -120,7 +120,7 @@ def test_a_torque_of_another_scale_is_named_by_what_makes_such_scales(factor: fl
     assert codes(m, torque) == []
 
 
-def test_what_cannot_be_asked_is_said() -> None:
+def test_what_cannot_be_requested_is_stated() -> None:
     codes = {remark.code for remark in audit_map(shipped("ipm-femm-60c")).remarks}
     assert codes == {"parity_unasked", "rest_unknown", "torque_unasked"}
 

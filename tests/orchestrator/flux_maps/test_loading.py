@@ -107,7 +107,7 @@ def test_a_csv_that_is_no_map_is_one_line_that_names_the_column(tmp_path: Path, 
         (".", "results/flux_map.nc: no such file; `fluxbench estimate` makes it"),
     ],
 )
-def test_what_is_not_there_is_said(tmp_path: Path, name: str, message: str) -> None:
+def test_what_is_not_there_is_stated(tmp_path: Path, name: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         load_map(tmp_path / name)
     assert message in str(caught.value)

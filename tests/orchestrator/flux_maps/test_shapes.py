@@ -82,7 +82,7 @@ def over_axes(machine: Machine) -> tuple[Array, Array]:
 
 
 @given(machine=machines(), along_columns=st.booleans())
-def test_square_tables_are_told_by_their_values(machine: Machine, along_columns: bool) -> None:
+def test_square_tables_are_reported_by_their_values(machine: Machine, along_columns: bool) -> None:
     psi_d, psi_q = (table.T if along_columns else table for table in over_axes(machine))
     found = read(AXES, ID=machine.axis, IQ=machine.axis, FD=psi_d, FQ=psi_q)
     assert error_of(machine, found.flux_map) < EXACT

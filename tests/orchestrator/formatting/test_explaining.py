@@ -34,7 +34,7 @@ def test_a_move_is_a_line() -> None:
     assert lines[4] == "5. quantiser; gain chi2 1.23 (threshold chi2 1.5); taken"
 
 
-def test_how_well_the_model_does_is_said_where_it_is_known() -> None:
+def test_how_well_the_model_does_is_stated_where_it_is_known() -> None:
     current, flux = accuracy_sentences(a_diagnosis(reproduces_current_percent=0.0558, map_error_percent=0.12))
     assert "0.056 % of its range" in current
     assert "±0.12 % of the rated flux" in flux

@@ -30,7 +30,7 @@ def test_slots_that_are_filled_come_in_their_order() -> None:
         ("leg_a_longer", "leg a longer"),
     ],
 )
-def test_a_parameter_is_told_without_its_unit(name: str, words: str) -> None:
+def test_a_parameter_is_reported_without_its_unit(name: str, words: str) -> None:
     assert parameter_words(name) == words
 
 

@@ -204,7 +204,7 @@ def section(outcomes: Mapping[tuple[str, str], Outcome], seed: int) -> str:
     for brought in SHAPES:
         if (brought.words, "nothing") in outcomes:
             each = [outcomes[brought.words, fault] for fault in FAULTS]
-            cells = ["; ".join(one.reported) or "nothing said" for one in each]
+            cells = ["; ".join(one.reported) or "nothing stated" for one in each]
             first = each[0]
             lines.append(
                 f"| {brought.words} | {first.lines} | {first.map_percent:.3f} ({first.std_percent:.3f}) "

@@ -1,4 +1,4 @@
-"""The waveforms of a recording as somebody who has never heard of this project would have logged them."""
+"""The waveforms of a recording as somebody who has never received of this project would have logged them."""
 
 from __future__ import annotations
 

@@ -412,7 +412,7 @@ def test_a_sines_lag_is_noted_where_the_nameplate_has_the_resistance(bench: Benc
 
 
 @few("late", [0.0, 1.0, 1.5])
-def test_a_lag_that_the_mapping_knows_of_is_not_said(bench: Bench, late: float) -> None:
+def test_a_lag_that_the_mapping_knows_of_is_not_stated(bench: Bench, late: float) -> None:
     as_injection(bench, late)
     bench.mapping["drive"]["voltage_delay_samples"] = late
     assert bench.run().notes == ()
@@ -455,7 +455,7 @@ def test_what_no_command_would_read_is_refused_even_where_it_is_accepted(bench: 
     assert not (bench.folder / "recording").exists()
 
 
-def test_the_same_note_is_said_once_and_counted(bench: Bench) -> None:
+def test_the_same_note_is_stated_once_and_counted(bench: Bench) -> None:
     files: dict[str, dict[str, Any]] = {f"{k}.csv": bench.columns for k in range(4)}
     bench.files = files
     (note,) = bench.run().notes

@@ -128,7 +128,7 @@ def test_what_was_written_is_read(tmp_path: Path, name: str, write: Callable[[Pa
         ("v73.mat", series("v7.3", False), "matio", "matlab"),
     ],
 )
-def test_without_its_library_the_way_to_get_it_is_said(
+def test_without_its_library_the_way_to_get_it_is_stated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, write: Callable[[Path], str], library: str, extra: str
 ) -> None:
     desk = Desk(tmp_path, write(tmp_path / name), [tmp_path / name])
@@ -160,7 +160,7 @@ def test_a_table_of_channels_larger_than_any_is_not_read_to_its_end(tmp_path: Pa
         desk.run()
 
 
-def test_a_whole_object_and_a_wrong_shape_are_said(tmp_path: Path) -> None:
+def test_a_whole_object_and_a_wrong_shape_are_stated(tmp_path: Path) -> None:
     path = tmp_path / "v7.mat"
     desk = Desk(tmp_path, series("v7", True)(path).replace("ia.Data", "ia"), [path])
     with pytest.raises(InputError, match=r"v7.mat: ia: is a MATLAB object; give a property of it, e.g. ia.Data"):

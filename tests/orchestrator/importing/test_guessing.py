@@ -114,7 +114,7 @@ def dspace(path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "write"), [("log.h5", hdf5), ("log.mat", matlab), ("rec.mat", dspace), ("log.parquet", parquet)]
 )
-def test_stages_are_told_from_the_waveforms(tmp_path: Path, name: str, write: Any) -> None:
+def test_stages_are_reported_from_the_waveforms(tmp_path: Path, name: str, write: Any) -> None:
     write(tmp_path / name)
     guessed = guess_mapping(tmp_path / name)
     (tmp_path / "m.yaml").write_text(guessed.text)
@@ -130,10 +130,10 @@ def test_each_line_says_why_and_what_to_look_at(tmp_path: Path) -> None:
     assert any(doubt.startswith("motor: not in the file") for doubt in guessed.doubts)
 
 
-def test_the_pwm_frequency_is_asked_for_with_what_it_is_good_for(tmp_path: Path) -> None:
+def test_the_pwm_frequency_is_requested_with_what_it_is_good_for(tmp_path: Path) -> None:
     guessed = guess_mapping(german(tmp_path / "log.csv"))
-    asked = "drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too"
-    assert asked in guessed.doubts
+    requested = "drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too"
+    assert requested in guessed.doubts
     assert "pwm_frequency_hz: null}" in guessed.text
 
 
@@ -205,7 +205,7 @@ def test_the_command_writes_a_mapping_that_imports(
     assert run_app(["import", "log.yaml"]) == 2
 
 
-def test_holds_and_injections_of_one_log_are_told_by_their_currents(tmp_path: Path) -> None:
+def test_holds_and_injections_of_one_log_are_reported_by_their_currents(tmp_path: Path) -> None:
     levels = [(1.0, 0.0), (-1.0, 0.5), (2.0, 0.0), (0.0, 2.0)]
     held = np.repeat(np.array(levels), 2500, axis=0)
     held += 1e-3 * np.random.default_rng(5).normal(size=held.shape)
@@ -242,7 +242,7 @@ def test_a_voltage_that_drives_the_current_to_and_fro_is_no_injection(tmp_path: 
     assert found == [("gates_off", 0.2), ("steps", 0.4), ("gates_off", 0.4)]
 
 
-def test_effective_values_are_told_by_their_unit(tmp_path: Path) -> None:
+def test_effective_values_are_reported_by_their_unit(tmp_path: Path) -> None:
     names = "Time [ms];Id_act [Arms];Iq_act [Arms];Ud_ref [V];Uq_ref [V]"
     rows = [1e3 * SOME.t, *(x / np.sqrt(2.0) for x in SOME.i.T), *SOME.v.T]
     path = text(tmp_path / "log.csv", names + "\n", rows, ";", ",")

@@ -81,7 +81,7 @@ def test_files_with_one_clock_keep_their_times_in_any_order(bench: Bench) -> Non
     assert report.notes == ()
 
 
-def test_a_column_of_labels_splits_and_what_fits_no_rule_is_said(bench: Bench) -> None:
+def test_a_column_of_labels_splits_and_what_fits_no_rule_is_stated(bench: Bench) -> None:
     bench.columns["what"] = np.repeat(["R1", "idle", "R2", "R1"], 100)
     bench.mapping |= {"segment_column": "what", "segments": [{"label": "R*", "stage": "resistance"}]}
     report = bench.run()
@@ -181,7 +181,7 @@ def test_an_occupied_directory_is_refused_and_an_empty_one_taken(bench: Bench) -
     assert len(bench.captures()) == 1
 
 
-def test_a_place_that_cannot_be_written_is_said(bench: Bench) -> None:
+def test_a_place_that_cannot_be_written_is_stated(bench: Bench) -> None:
     (bench.folder / "file").write_text("")
     with pytest.raises(StorageError, match="cannot be written"):
         bench.run("file/recording")
@@ -220,7 +220,7 @@ def test_segments_that_overlap_are_an_error(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("names", [[], ["missing.csv"], ["log.csv", "log.csv"], ["log.xyz"], ["."], ["\0"]])
-def test_files_that_cannot_be_taken_are_said(bench: Bench, names: list[str]) -> None:
+def test_files_that_cannot_be_taken_are_stated(bench: Bench, names: list[str]) -> None:
     for name in ("log.csv", "log.xyz"):
         (bench.folder / name).write_text("t,ia\n0,1\n")
     with pytest.raises(InputError):

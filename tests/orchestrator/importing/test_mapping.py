@@ -60,7 +60,7 @@ def test_a_misspelt_key_is_named_with_its_line_and_the_nearest_one(bench: Bench)
         (("version",), 2, "version: expected 1, got 2"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_key(bench: Bench, path: tuple[Any, ...], value: Any, message: str) -> None:
+def test_what_is_wrong_is_stated_with_its_key(bench: Bench, path: tuple[Any, ...], value: Any, message: str) -> None:
     here: Any = bench.mapping
     for key in path[:-1]:
         here = here[key]

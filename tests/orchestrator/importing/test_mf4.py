@@ -109,7 +109,7 @@ def test_invalid_samples_are_missing(measurement: Measurement, run: Any) -> None
         run()
 
 
-def test_a_missing_channel_is_said(bench: Bench, run: Any) -> None:
+def test_a_missing_channel_is_stated(bench: Bench, run: Any) -> None:
     bench.mapping["current"]["columns"]["a"] = "iaa"
     with pytest.raises(InputError, match=r"iaa: no such column; did you mean 'ia'\?"):
         run()
@@ -134,7 +134,7 @@ def test_labels_may_be_bytes(bench: Bench, measurement: Measurement, run: Any) -
     assert run().segments == 2
 
 
-def test_without_asammdf_the_way_to_get_it_is_said(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_asammdf_the_way_to_get_it_is_stated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "asammdf", None)
     path: Path = bench.folder / "log.mf4"
     path.write_bytes(b"MDF")

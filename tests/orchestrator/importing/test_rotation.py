@@ -45,7 +45,7 @@ def test_currents_that_turn_are_no_locked_rotor_s(tmp_path: Path, stage: str, hz
         desk.run()
 
 
-def test_a_running_motor_in_its_own_frame_is_told_by_its_back_emf(tmp_path: Path) -> None:
+def test_a_running_motor_in_its_own_frame_is_reported_by_its_back_emf(tmp_path: Path) -> None:
     desk = Desk(tmp_path)
     running(desk, "resistance", 50.0)
     desk.mapping += f"current: {IN_DQ % ('i', 'i', 'A')}voltage: {IN_DQ % ('v', 'v', 'V')}"

@@ -80,7 +80,7 @@ def test_switching_states_are_the_legs_times_the_bus(desk: Desk, numbering: str)
     np.testing.assert_allclose(np.column_stack([a, b]), volts[:, :2], atol=1e-3)
 
 
-def test_one_axis_alone_is_said_to_be_so(desk: Desk) -> None:
+def test_one_axis_alone_is_stated_to_be_so(desk: Desk) -> None:
     part = LOG.rows(slice(3000, 23000))
     desk.write("log.csv", {"t": part.t, "u": part.v[:, 0], "i": part.i[:, 0]})
     only = "{frame: dq, columns: {d: %s}, other_axis: zero, unit: %s, scaling: amplitude_invariant}\n"
@@ -127,7 +127,7 @@ def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm
     assert np.sqrt(np.mean(off**2)) < 0.025 * np.sqrt(np.mean(log.v**2))  # a thirtieth of a sample, with square waves
 
 
-def test_points_that_follow_each_other_in_equal_times_are_told_apart_by_their_means(desk: Desk) -> None:
+def test_points_that_follow_each_other_in_equal_times_are_separated_by_their_means(desk: Desk) -> None:
     names = tuple(f"injection-{k:03d}" for k in (2, 4, 7, 10, 11, 12))
     log = log_of(names)
     ends = np.flatnonzero(np.diff(log.t, append=np.inf) > 1.5e-4) + 1
@@ -206,7 +206,7 @@ def test_a_word_that_is_wrong_is_reported(desk: Desk, section: str, message: str
     assert message in str(raised.value)
 
 
-def test_dates_that_are_none_and_states_that_are_none_are_said(desk: Desk) -> None:
+def test_dates_that_are_none_and_states_that_are_none_are_stated(desk: Desk) -> None:
     part = LOG.rows(slice(0, 100))
     desk.write("log.csv", {"t": ["yesterday"] * 100, **part.phases, **part.volts, "sv": [*[1] * 99, 9]})
     desk.mapping = "time: {column: t, unit: iso}\n" + CURRENT + VOLTAGE + "segments: [{stage: resistance}]\n"

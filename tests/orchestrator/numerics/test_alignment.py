@@ -10,14 +10,14 @@ from tests.orchestrator.importing.test_findings import injection
 
 @pytest.mark.parametrize("sine", [False, True], ids=["edges", "phase"])
 @pytest.mark.parametrize("late", [0.0, 1.0, 1.4, -2.0])
-def test_the_lag_is_told(late: float, sine: bool) -> None:
+def test_the_lag_is_reported(late: float, sine: bool) -> None:
     found = alignment_of(*injection(late=late, sine=sine), ohm=4.25 if sine else None)
     assert found is not None
     assert found.lag_rows == pytest.approx(late, abs=0.05)
     assert found.by_edges is not sine
 
 
-def test_of_a_sine_nothing_is_told_without_the_resistance_and_little_is_lost_where_that_is_off() -> None:
+def test_of_a_sine_nothing_is_reported_without_the_resistance_and_little_is_lost_where_that_is_off() -> None:
     i, v = injection(late=1.0, sine=True)
     assert alignment_of(i, v) is None
     found = alignment_of(i, v, ohm=1.3 * 4.25)

@@ -53,7 +53,7 @@ def test_what_stands_still_is_not_made_to_wander() -> None:
     assert np.median(taken) < 1.0
 
 
-def test_the_mean_over_the_counted_instants_is_held_as_often_as_said() -> None:
+def test_the_mean_over_the_counted_instants_is_held_as_often_as_stated() -> None:
     counted = TIME > 3.0
     held = []
     for seed in range(100):

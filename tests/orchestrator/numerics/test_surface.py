@@ -56,7 +56,7 @@ def test_the_far_end_of_a_splinter_says_nothing_of_what_is_between_the_other_two
     assert found[2] == pytest.approx(1e6 / 3.0, rel=1e-3)
 
 
-def test_nothing_is_said_outside_the_hull() -> None:
+def test_nothing_is_stated_outside_the_hull() -> None:
     surface = TaylorSurface(SCATTER, np.array([[0.0, 0.0], [1.2, 0.0], [0.0, -3.0]]), "test")
     np.testing.assert_array_equal(np.isnan(surface(SCATTER[:, 0])), [False, True, True])
 

@@ -243,7 +243,7 @@ def test_a_wrong_field_of_the_manifest_is_named(make_recording: Make, edit: Call
     assert f"recording.json: {field}: " in complaint(lambda: open_recording(directory))
 
 
-def test_no_recording_at_all_is_said_so(tmp_path: Path) -> None:
+def test_no_recording_at_all_is_stated_so(tmp_path: Path) -> None:
     assert "no such directory" in complaint(lambda: open_recording(tmp_path / "nowhere"))
     assert "recording.json" in complaint(lambda: open_recording(tmp_path))
 

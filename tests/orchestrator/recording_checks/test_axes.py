@@ -45,7 +45,7 @@ def test_a_magnet_across_the_d_axis_is_named_and_turned_back(right: Rewritten, s
         )
 
 
-def test_where_one_side_of_an_axis_was_never_visited_nothing_is_said_of_it(right: Rewritten) -> None:
+def test_where_one_side_of_an_axis_was_never_visited_nothing_is_stated_of_it(right: Rewritten) -> None:
     wrong = described_a_quarter_turn_off(right, 1)
 
     def visited(segment: Segment) -> bool:

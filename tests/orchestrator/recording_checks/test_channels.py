@@ -100,7 +100,7 @@ def test_noise_in_the_place_of_one_channel_is_named(right: Rewritten, rng: np.ra
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 0.9, 0.5 * math.pi])
-def test_a_current_that_is_asked_for_along_one_line_is_not_dead(right: Rewritten, angle_rad: float) -> None:
+def test_a_current_that_is_requested_along_one_line_is_not_dead(right: Rewritten, angle_rad: float) -> None:
     along = _along_one_axis(right, angle_rad)
     assert find_convention(along) is None
     phases = along.captured(lambda c: {"i_abc": c.i_ab @ TO_PHASES.T})

@@ -26,7 +26,7 @@ def test_a_right_recording_has_none(right: Rewritten) -> None:
     assert find_convention(right) is None
 
 
-def test_what_is_asked_in_between_ends_the_search(right: Rewritten) -> None:
+def test_what_is_requested_in_between_ends_the_search(right: Rewritten) -> None:
     def stop() -> None:
         raise KeyboardInterrupt
 

@@ -106,7 +106,7 @@ def test_a_resistance_beside_a_loss_that_is_most_of_the_voltage_is_held_against_
 
 
 @pytest.mark.parametrize("periods_per_time_constant", [0.1, 1.2, 10.0])
-def test_an_inductance_is_told_where_the_current_settles_within_a_sample(periods_per_time_constant: float) -> None:
+def test_an_inductance_is_reported_where_the_current_settles_within_a_sample(periods_per_time_constant: float) -> None:
     ohm, rate_hz = 5.85, 20e3
     henry = ohm * periods_per_time_constant / rate_hz
     slope = (1.0 - math.exp(-ohm / (rate_hz * henry))) / ohm

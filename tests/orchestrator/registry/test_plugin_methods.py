@@ -79,7 +79,7 @@ def test_a_method_that_does_not_take_its_arguments_is_named_with_them(call: str,
     assert hook_problem(an_effect(**{name: wrong})) == f"method {name!r} cannot be called as {call}"
 
 
-def test_arguments_are_told_of_every_known_method() -> None:
+def test_arguments_are_reported_of_every_known_method() -> None:
     assert [call.partition("(")[0] for call, _, _ in CALLS] == list(EFFECT_HOOKS)
 
 

@@ -204,7 +204,7 @@ class Mine:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (
             ("    layer = EffectLayer.INVERTER\n", ""),
@@ -216,18 +216,20 @@ class Mine:
         (("def correct", "def korrect"), "a method correct(self, signals, parameters); `fluxbench new effect NAME`"),
     ],
 )
-def test_what_a_new_effect_lacks_is_said_with_what_to_write(change: tuple[str, str], told: str, tmp_path: Path) -> None:
+def test_what_a_new_effect_lacks_is_stated_with_what_to_write(
+    change: tuple[str, str], reported: str, tmp_path: Path
+) -> None:
     whole, mine = tmp_path / "whole.py", tmp_path / "mine.py"
     whole.write_text(EFFECT)
     assert [effect.name for effect in load_effects_file(whole)] == ["mine"]
     mine.write_text(EFFECT.replace(*change))
     text = complaint(lambda: load_effects_file(mine))
-    assert told in text
+    assert reported in text
     assert "mine.py" in text
 
 
 @pytest.mark.parametrize(
-    ("method", "told"),
+    ("method", "reported"),
     [
         (
             "def doubt(self, signals, parameters): ...",
@@ -240,19 +242,19 @@ def test_what_a_new_effect_lacks_is_said_with_what_to_write(change: tuple[str, s
     ],
 )
 def test_an_effect_s_method_that_would_never_be_called_is_refused_when_it_is_loaded(
-    method: str, told: str, tmp_path: Path, install: Install
+    method: str, reported: str, tmp_path: Path, install: Install
 ) -> None:
     source = f"{EFFECT}\n    {method}\n"
     mine = tmp_path / "mine.py"
     mine.write_text(source)
     text = complaint(lambda: load_effects_file(mine))
-    assert told in text
+    assert reported in text
     assert "plugin 'mine'" in text
     assert "mine.py" in text
     install("acme_effect", source, "acme_effect:Mine", group="effects", name="mine")
-    assert told in complaint(lambda: load_plugin(PluginKind.EFFECTS, "mine"))
+    assert reported in complaint(lambda: load_plugin(PluginKind.EFFECTS, "mine"))
 
 
-def test_a_method_that_is_missing_is_said_with_its_arguments(install: Install) -> None:
+def test_a_method_that_is_missing_is_stated_with_its_arguments(install: Install) -> None:
     install("acme_broken", GOOD_STREAM.replace("def close", "def klose"), "acme_broken:Good")
     assert "write def close(self)" in complaint(lambda: load_plugin(PluginKind.STREAMS, "third"))

@@ -198,7 +198,7 @@ def test_the_lock_opens_the_journal_and_closes_it(run: RunDirectory) -> None:
         run.journal.append(message)
 
 
-def test_a_second_process_is_refused_and_told_by_whom(run: RunDirectory) -> None:
+def test_a_second_process_is_refused_and_reported_by_whom(run: RunDirectory) -> None:
     code = (
         "import sys; from pathlib import Path; from orchestrator.runs import RunDirectory\n"
         "run = RunDirectory.open(Path(sys.argv[1]))\n"

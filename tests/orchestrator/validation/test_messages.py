@@ -65,7 +65,7 @@ def problem_of(raw: dict[str, Any]) -> Problem:
         ),
     ],
 )
-def test_a_problem_is_said_where_it_was_written(raw: dict[str, Any], field: str, text: str) -> None:
+def test_a_problem_is_stated_where_it_was_written(raw: dict[str, Any], field: str, text: str) -> None:
     problem = problem_of(raw)
     assert (problem.field, problem.text) == (field, text)
 

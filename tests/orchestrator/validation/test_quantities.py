@@ -12,7 +12,7 @@ from protocols import ProcedureError
 from tests.support.processes import called
 
 
-def test_quantities_become_numbers_in_the_field_s_unit_and_are_said() -> None:
+def test_quantities_become_numbers_in_the_field_s_unit_and_are_stated() -> None:
     written = ["motor.d_inductance_h=43.25 mH", "motor.pm_flux_wb=300mWb", "stages.6.settle_s=500 ms"]
     loaded = read_procedure("quick", overrides=[*written, "stages.4.tolerance_rad=1 deg", "limits.current_a=4500 mA"])
     motor, stages = loaded.procedure.motor, loaded.procedure.stages

@@ -37,7 +37,7 @@ def test_what_does_not_go_together_is_one_line(
 
 
 @pytest.mark.parametrize("module", ["fsspec.core", "distributed"])
-def test_what_is_not_installed_is_said_with_what_installs_it(
+def test_what_is_not_installed_is_stated_with_what_installs_it(
     tmp_path: Path, module: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small_recordings(tmp_path / "bench", 1)

@@ -61,7 +61,7 @@ def test_each_segment_lags_from_its_own_first_value_at_its_own_rate() -> None:
     np.testing.assert_array_equal(high_pass_means(x, starts, rates), np.concatenate(expected))
 
 
-def test_a_filter_of_second_order_is_scipys_in_the_segments_asked_for() -> None:
+def test_a_filter_of_second_order_is_scipys_in_the_segments_requested() -> None:
     x, starts = np.random.default_rng(5).normal(size=30), np.array([0, 12, 20, 30])
     above, below = butter(2, 0.3)
     resting, y = lfilter_zi(above, below), np.zeros(30)

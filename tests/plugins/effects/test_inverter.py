@@ -176,6 +176,6 @@ def test_the_drops_size_is_that_at_the_rated_current() -> None:
         (0.01, -0.015, []),
     ],
 )
-def test_a_leg_whose_dead_time_is_none_of_the_others_is_said(a: float, b: float, expected: list[str]) -> None:
+def test_a_leg_whose_dead_time_is_none_of_the_others_is_stated(a: float, b: float, expected: list[str]) -> None:
     effect = DeadTime()
     assert [r.text for r in effect.remarks(effect.Parameters(leg_a_longer=a, leg_b_over_c=b))] == expected

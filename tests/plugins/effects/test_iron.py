@@ -148,7 +148,7 @@ def _loop(values: dict[str, float], swing_wb: float, around_wb: float = 0.0) -> 
     return psi[:, 0], held[:, 0]
 
 
-def test_hysteresis_loop_is_as_wide_as_said_and_loses_energy() -> None:
+def test_hysteresis_loop_is_as_wide_as_stated_and_loses_energy() -> None:
     psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015}, 0.2)
     assert held.max() == pytest.approx(0.03, rel=1e-6)
     assert held.min() == pytest.approx(-0.03, rel=1e-6)

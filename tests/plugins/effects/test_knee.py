@@ -59,7 +59,7 @@ def test_a_step_is_whole_far_beyond_its_knee_whatever_its_parts() -> None:
     assert table[-1] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_parts_are_asked_once_the_softness_brings_nothing_more() -> None:
+def test_parts_are_requested_once_the_softness_brings_nothing_more() -> None:
     declared = {p.name: p.detail for p in DeadTime.Parameters.declared()}
     assert not declared["softness"]
     assert declared["narrow"]

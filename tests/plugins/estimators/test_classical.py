@@ -17,7 +17,7 @@ def test_classical_map_is_right_to_a_few_thousandths() -> None:
 
 
 @pytest.mark.slow
-def test_what_integration_would_be_without_the_inverter_is_said() -> None:
+def test_what_integration_would_be_without_the_inverter_is_stated() -> None:
     (remark,) = (remark for remark in classical_of(True).remarks if remark.code == "inverter_loss")
     assert remark.values["apart_percent"] == pytest.approx(45.0, rel=0.1)
     assert "inverter_loss" not in {remark.code for remark in classical_of(False).remarks}

@@ -77,7 +77,7 @@ def test_currents_that_do_not_surround_zero_are_refused() -> None:
         energy_measurements(without_zero(clean()), EstimationContext())
 
 
-def test_where_nothing_was_measured_both_reasons_are_told() -> None:
+def test_where_nothing_was_measured_both_reasons_are_reported() -> None:
     with pytest.raises(NotMeasuredError, match=r"stage classical.*; .*stage injection"):
         energy_measurements(clean().only(SegmentStage.RESISTANCE), EstimationContext())
 

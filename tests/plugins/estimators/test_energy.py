@@ -92,7 +92,7 @@ def test_measurements_of_earlier_estimators_are_used() -> None:
     assert len(found.points.segment) == len(found.points.i_dq)
 
 
-def test_without_either_nothing_is_said() -> None:
+def test_without_either_nothing_is_stated() -> None:
     with pytest.raises(NotMeasuredError, match="no segment of stage injection"):
         EnergyEstimator().estimate(clean().only(SegmentStage.RESISTANCE), EstimationContext())
 

@@ -57,7 +57,7 @@ def test_the_smaller_ripple_makes_the_map_and_the_other_is_compared() -> None:
     assert str(remarks["other_injection"].values["by"]).startswith("40 V rms")
 
 
-def test_points_between_which_the_motor_saturates_are_said_to_be_too_far_apart() -> None:
+def test_points_between_which_the_motor_saturates_are_stated_to_be_too_far_apart() -> None:
     found = injection_of(False)
     assert "too_far_apart" not in {far.code for far in found.remarks}
     strict = InjectionEstimator(max_inductance_ratio=1.05).estimate(clean(), EstimationContext())

@@ -29,7 +29,7 @@ def test_a_step_is_odd_and_a_volt_a_phase_is_four_thirds_on_the_phases_axis() ->
     assert_close(step_ab(np.array([[5.0, 0.0]]), 0.05), [[4 / 3, 0.0]], 1e-15)
 
 
-def test_resistance_step_bias_and_drift_are_told_apart() -> None:
+def test_resistance_step_bias_and_drift_are_separated() -> None:
     error = np.where(PWM_HZ > 15e3, 1.6, 0.8)[:, None] * step_ab(HELD, 0.06)
     drift = 1e-3 * (TIME_S - TIME_S.mean())[:, None]
     v = (4.0 + drift) * HELD + error + np.array([0.1, -0.2])

@@ -56,7 +56,7 @@ def test_a_nameplate_without_a_deviation_weighs_nothing_beside_a_measurement() -
     assert found(knowing(clean(), 5.0, None)).value_ohm == found(clean()).value_ohm
 
 
-def test_a_known_one_that_contradicts_is_not_mixed_in_and_is_said() -> None:
+def test_a_known_one_that_contradicts_is_not_mixed_in_and_is_stated() -> None:
     estimate = found(knowing(clean(), 1.1 * R_S, 0.001 * R_S))
     assert estimate.value_ohm == found(clean()).value_ohm
     assert "off_the_known" in [remark.code for remark in estimate.remarks]

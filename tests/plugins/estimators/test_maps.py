@@ -85,7 +85,7 @@ def test_standard_deviations_are_of_the_errors_size(method: str) -> None:
 
 
 @pytest.mark.parametrize("estimator", [ResistanceEstimator(), ClassicalEstimator(), InjectionEstimator()])
-def test_what_was_not_measured_is_said(
+def test_what_was_not_measured_is_stated(
     estimator: ResistanceEstimator | ClassicalEstimator | InjectionEstimator,
 ) -> None:
     with pytest.raises(NotMeasuredError, match="test: segments"):

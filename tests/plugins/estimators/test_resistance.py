@@ -41,7 +41,7 @@ def test_one_held_current_will_do_where_injection_tells_what_the_inverter_keeps(
 
 
 @pytest.mark.parametrize("classical", [False, True], ids=["one current", "sweeps between two currents"])
-def test_where_the_inverter_cannot_be_told_the_interval_holds_what_it_may_have_in_it(classical: bool) -> None:
+def test_where_the_inverter_cannot_be_reported_the_interval_holds_what_it_may_have_in_it(classical: bool) -> None:
     recording = behind_dead_time().only(SegmentStage.CLASSICAL if classical else SegmentStage.RESISTANCE)
     segments = recording.manifest.segments[:1] if classical else recording.manifest.segments[4:5]
     found = resistance_of(recording.with_segments(segments))
@@ -51,7 +51,7 @@ def test_where_the_inverter_cannot_be_told_the_interval_holds_what_it_may_have_i
     assert few.values["low_ohm"] == found.low
 
 
-def test_what_was_measured_before_stands_where_the_inverter_cannot_be_told() -> None:
+def test_what_was_measured_before_stands_where_the_inverter_cannot_be_reported() -> None:
     recording = behind_dead_time().only(SegmentStage.RESISTANCE)
     motor = recording.manifest.motor.model_copy(
         update={"stator_resistance_ohm": 1.005 * R_S, "stator_resistance_std_ohm": 0.01 * R_S}
@@ -78,7 +78,7 @@ def test_resistance_drift_is_read_off_the_sweeps() -> None:
     assert starts == sorted(starts)
 
 
-def test_the_value_is_the_mean_over_the_instants_that_it_is_told_from() -> None:
+def test_the_value_is_the_mean_over_the_instants_that_it_is_reported_from() -> None:
     recording = clean()
     end = recording.manifest.segments[-1].start_s
 

@@ -89,7 +89,7 @@ def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off:
     [({"drop_v": 1.0, "drop_a": 0.05}, "inverter_loss"), ({"delay_samples": 2.4}, "steps_lag"), ({}, "")],
     ids=["drop", "lag", "nothing"],
 )
-def test_what_opens_the_loops_is_told_apart_and_does_not_move_the_map(
+def test_what_opens_the_loops_is_separated_and_does_not_move_the_map(
     wrong_with: dict[str, float], code: str, tmp_path: Path
 ) -> None:
     at = bench(1, **wrong_with)

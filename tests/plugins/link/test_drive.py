@@ -190,7 +190,7 @@ def test_a_session_number_that_an_earlier_host_had_is_drawn_again(monkeypatch: p
         assert b.device.ledger.session == 816
 
 
-def test_a_drive_without_ripple_is_not_asked_for_it() -> None:
+def test_a_drive_without_ripple_is_not_requested_it() -> None:
     with (
         bench(script=Script(bits=Capability.RAW_CAPTURE), capture="demodulated") as b,
         pytest.raises(DriveRefused, match="demodulates no ripple"),
@@ -256,7 +256,7 @@ def test_a_host_that_falls_silent_trips_the_watchdog() -> None:
         assert fault.value.cause is FaultCause.HEARTBEAT_LOST
 
 
-def test_a_fault_between_two_programs_is_told_before_arming_is_refused() -> None:
+def test_a_fault_between_two_programs_is_reported_before_arming_is_refused() -> None:
     with armed() as b:
         b.device.trip(Fault.OVERTEMPERATURE, 121.0, 120.0)
         b.drive.ramp_down()
@@ -365,7 +365,7 @@ def test_a_silent_drive_is_lost_within_three_periods_and_not_armed_again(link: s
         assert len(b.device.arms) == 1
 
 
-def test_a_drive_that_only_seems_dead_is_still_told_to_stop() -> None:
+def test_a_drive_that_only_seems_dead_is_still_reported_to_stop() -> None:
     with armed(script=Script(speed=1.0)) as b:
         blocks = b.drive.execute(LONG)
         next(blocks)

@@ -170,7 +170,7 @@ def test_a_clock_keeps_to_that_of_the_host_unless_it_is_a_simulation(
             assert timeline.now() == 1000 + rate * 10.0 * FS
 
 
-def test_a_late_tick_of_an_honest_clock_is_asked_for_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_late_tick_of_an_honest_clock_is_requested_again(monkeypatch: pytest.MonkeyPatch) -> None:
     host_s = 100.0
     monkeypatch.setattr("plugins.link._timeline.time.clock_gettime", lambda clock: host_s)
     ticks = iter([0, 100, 20_000])

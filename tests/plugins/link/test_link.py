@@ -85,7 +85,7 @@ def lost(link: Link, timeout_s: float = 2.0) -> DriveFault:
 
 
 @pytest.mark.parametrize("error", [OSError(5, "Input/output error"), RuntimeError("a defect"), ValueError("torn")])
-def test_whatever_the_receive_loop_dies_of_is_heard(port: FakePort, error: Exception) -> None:
+def test_whatever_the_receive_loop_dies_of_is_received(port: FakePort, error: Exception) -> None:
     link = Link(port, 0.05)
     port.inbox.put(error)
     fault = lost(link)

@@ -168,7 +168,7 @@ def chosen_point(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
     ("reading_a", "brake", "has_brake", "warned"),
     [(0.02, None, True, True), (0.02, "engage", False, True), (0.02, "engage", True, False), (1e-4, None, True, False)],
 )
-def test_an_offset_that_will_turn_the_rotor_on_the_way_down_is_told(
+def test_an_offset_that_will_turn_the_rotor_on_the_way_down_is_reported(
     pm400: Bench, reading_a: float, brake: Literal["engage"] | None, has_brake: bool, warned: bool
 ) -> None:
     rig = Rig(SimulatedOptions(dc_bus_voltage_v=pm400.bus_v), Motor.model_validate(pm400.motor), 3)
@@ -221,7 +221,7 @@ def test_a_rotor_with_more_saliency_than_magnet_rests_with_its_d_axis_on_the_cur
     assert abs(away) > 20.0
 
 
-def test_a_current_under_which_the_d_axis_is_no_place_of_rest_is_told() -> None:
+def test_a_current_under_which_the_d_axis_is_no_place_of_rest_is_reported() -> None:
     bench = Bench(BALDOR, {"current_a": 18.0, "voltage_v": 380.0}, 800.0)
     (note,) = plan_of(bench, {"kind": "alignment", "current_a": 12.4}).notes
     assert "from 3.49 A on" in note

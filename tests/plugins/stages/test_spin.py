@@ -104,7 +104,7 @@ def test_the_terminals_have_the_magnets_voltage_with_the_gates_off(run: Path, tm
             assert np.abs(capture.i_ab).max() < 0.02
 
 
-def test_the_magnet_the_angle_and_the_resistance_are_told(run: Path) -> None:
+def test_the_magnet_the_angle_and_the_resistance_are_reported(run: Path) -> None:
     remarks = {remark.code: remark for remark in estimated(run).remarks}
     assert remarks["spin.magnet_flux"].values["flux_wb"] == pytest.approx(0.3, rel=1e-3)
     assert remarks["spin.resistance_by_emf"].values["value_ohm"] == pytest.approx(4.25, rel=0.005)

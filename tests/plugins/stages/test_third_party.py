@@ -109,7 +109,7 @@ def test_every_point_is_measured_once_whatever_happened(run: Path) -> None:
     assert all(segment.is_anchor and segment.settings["current_d_a"] == 2.0 for segment in segments)
 
 
-def test_its_state_is_the_run_s_and_its_title_is_said(run: Path) -> None:
+def test_its_state_is_the_run_s_and_its_title_is_stated(run: Path) -> None:
     messages = messages_of(run)
     assert [m.target for m in messages if isinstance(m, StateChanged)].count("soaking") == 2
     titles = {m.title for m in messages if isinstance(m, StageStarted) and m.stage == "thermal_soak"}
@@ -171,7 +171,7 @@ def test_a_mistake_in_its_settings_is_one_line(tmp_path: Path, change: dict[str,
     assert complaint in done.stderr
 
 
-def test_where_its_package_is_missing_the_run_is_told_so_in_one_line(run: Path, tmp_path: Path) -> None:
+def test_where_its_package_is_missing_the_run_is_reported_so_in_one_line(run: Path, tmp_path: Path) -> None:
     done = called("check", tiny_file(tmp_path, stages=PROCEDURE))
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "stages.1.kind: no stage plugin 'thermal_soak' is installed" in done.stderr

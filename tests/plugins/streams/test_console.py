@@ -106,7 +106,7 @@ def test_plain_progress_comes_every_tenth_or_every_few_seconds(monkeypatch: pyte
     assert lines[0].startswith("  5%  1 of 20 points")
 
 
-def test_plain_progress_is_not_told_for_each_of_many_quick_points(
+def test_plain_progress_is_not_reported_for_each_of_many_quick_points(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     stream = listen(monkeypatch, tmp_path, output := Output())
@@ -150,7 +150,7 @@ def test_stages_are_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> 
     assert "stage 1 of 1, the kit's sweep" in printed(monkeypatch, tmp_path, a_run(tmp_path))
 
 
-def test_faults_and_their_reason_are_told_in_plain_lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_faults_and_their_reason_are_reported_in_plain_lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     reason = "drive fault overcurrent: 9 A"
     messages: list[Message] = [
         StateChanged(source="sweeping_injection", target="stopping", reason=reason),
@@ -184,8 +184,8 @@ def test_summary_is_a_table_of_what_was_estimated(monkeypatch: pytest.MonkeyPatc
 
 def test_quiet_says_warnings_errors_and_a_bad_end_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert printed(monkeypatch, tmp_path, a_run(tmp_path), mode="quiet") == "warning: the bus sags by 2 %\n"
-    bad = RunEnded(outcome="aborted", reason="the operator said no", run="runs/demo")
-    assert printed(monkeypatch, tmp_path, [bad], mode="quiet") == "aborted: the operator said no\n"
+    bad = RunEnded(outcome="aborted", reason="the operator stated no", run="runs/demo")
+    assert printed(monkeypatch, tmp_path, [bad], mode="quiet") == "aborted: the operator stated no\n"
 
 
 def test_json_is_one_message_a_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -248,7 +248,9 @@ def test_cursor_is_shown_again_after_the_end(monkeypatch: pytest.MonkeyPatch, tm
     assert text.count(f"{ESCAPE}[?25l") == text.count(f"{ESCAPE}[?25h") > 0
 
 
-def test_live_display_stands_still_while_the_operator_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_live_display_stands_still_while_the_operator_is_requested(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     stream = listen(monkeypatch, tmp_path, output := Output(terminal=True))
     for message in a_run(tmp_path)[:6]:
         if message.kind != "samples_captured":
@@ -279,7 +281,7 @@ def test_live_display_is_gone_while_paused(monkeypatch: pytest.MonkeyPatch, tmp_
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_a_terminal_that_goes_away_is_told_once_and_then_passed_over(
+def test_a_terminal_that_goes_away_is_reported_once_and_then_passed_over(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, terminal: bool
 ) -> None:
     stream = listen(monkeypatch, tmp_path, output := Output(terminal))
@@ -309,7 +311,7 @@ def test_time_left_follows_the_pace_of_the_wall() -> None:
     assert time_left(progress) == "4 s of measuring left (45 s on the drive's clock)"
 
 
-def test_time_left_is_told_once_where_drive_and_wall_agree() -> None:
+def test_time_left_is_reported_once_where_drive_and_wall_agree() -> None:
     progress = Progress(points=10, left_s=90.0, drive_s=10.0, measuring_s=10.5)
     assert time_left(progress) == "94 s of measuring left"
 

@@ -173,7 +173,7 @@ def test_hostile_names_stay_text(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_figures")
-def test_report_goes_where_it_is_asked_to(run: Path, tmp_path: Path) -> None:
+def test_report_goes_where_it_is_requested_to(run: Path, tmp_path: Path) -> None:
     before = sorted(p.relative_to(run) for p in run.rglob("*"))
     assert write_report(run, tmp_path / "elsewhere.html") == tmp_path / "elsewhere.html"
     assert sorted(p.relative_to(run) for p in run.rglob("*")) == before
@@ -198,7 +198,7 @@ def test_a_directory_that_is_no_run_is_refused_in_one_line(tmp_path: Path) -> No
 
 
 @pytest.mark.usefixtures("without_figures")
-def test_a_file_that_cannot_be_written_is_told(run: Path, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_reported(run: Path, tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="report"):
         write_report(run, tmp_path / "no" / "such" / "folder" / "report.html")
 
@@ -263,7 +263,7 @@ def test_a_lost_capture_costs_the_picture_of_the_paths_only(run: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("without_figures")
-def test_a_run_that_was_killed_is_told_as_not_ended(tmp_path: Path) -> None:
+def test_a_run_that_was_killed_is_reported_as_not_ended(tmp_path: Path) -> None:
     page = page_of(a_run_directory(tmp_path / "run", ended=False))
     assert "not ended: interrupted from outside, or still under way" in page.text
 
@@ -275,7 +275,7 @@ def test_an_event_that_the_journal_has_twice_on_end_is_one_row(finished: Path) -
     assert (event.kind, event.text) == ("finished", "every stage is done")
 
 
-def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
+def test_unmeasured_checks_are_stated_not_to_be_measured(run: Path) -> None:
     file = run / "results" / "estimates.json"
     file.write_text(re.sub(r'"parity": \{[^}]*\}', '"parity": null', file.read_text()), encoding="utf-8")
     material = collect(run)

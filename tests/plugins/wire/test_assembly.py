@@ -276,7 +276,7 @@ def test_other_traffic_does_not_keep_a_dead_upload_alive() -> None:
         upload(CaptureAssembly(1, 100, CAN_FD_LAYOUT), lambda _: None, receive, clock=lambda: now_s)
 
 
-def test_a_wrong_crc_is_asked_for_again_before_the_data_are() -> None:
+def test_a_wrong_crc_is_requested_again_before_the_data_are() -> None:
     data = ROWS[:600]
     assembly = CaptureAssembly(1, len(data), CAN_FD_LAYOUT)
     source = CaptureSource.complete_with(1, data)

@@ -74,7 +74,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "firmware.md"
 ROW = re.compile(r"^\| `(\w+)\((.*)\)` \| `([0-9A-F]{3})` \| `([0-9a-f ]+)` \| `([0-9a-f ]+)` \|$", re.MULTILINE)
 
 
-def test_the_golden_frames_of_the_page_are_what_is_said() -> None:
+def test_the_golden_frames_of_the_page_are_what_is_stated() -> None:
     rows = ROW.findall(PAGE.read_text(encoding="utf-8"))
     assert len(rows) == 10
     for name, fields, number, payload, line in rows:

@@ -148,7 +148,7 @@ def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup) -
     assert finer_map(setup, setup.fitter, fit, (setup.criteria.intervals[1],) * 2) is None
 
 
-def test_a_finer_map_is_asked_though_one_between_is_not_worth_its_freedom(
+def test_a_finer_map_is_requested_though_one_between_is_not_worth_its_freedom(
     setup: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where a knee lies between the nodes of eight intervals and on one of ten."""

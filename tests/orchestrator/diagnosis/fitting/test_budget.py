@@ -1,4 +1,4 @@
-"""How much was computed has a bound; how long it may go on is told in proportion to what it took so far."""
+"""How much was computed has a bound; how long it may go on is reported in proportion to what it took so far."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_what_is_left_takes_as_long_as_most_evaluations_in_proportion(
     assert budget.remaining_time == left
 
 
-def test_nothing_is_told_before_anything_was_computed() -> None:
+def test_nothing_is_reported_before_anything_was_computed() -> None:
     now = [100.0]
     budget = Budget(clock=lambda: now[0])
     budget.expect(50.0)

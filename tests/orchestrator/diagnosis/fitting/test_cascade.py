@@ -1,4 +1,4 @@
-"""A change carried inwards is what applying all effects anew gives; only effects that answer have to be asked."""
+"""A change carried inwards is what applying all effects anew gives; only effects that answer have to be requested."""
 
 from __future__ import annotations
 
@@ -82,23 +82,23 @@ def test_a_change_without_an_answer_passes_as_it_is() -> None:
     moved = dead_time.moved("voltage_v", 1.1 * dead_time.standardised_value("voltage_v"))
     cascade = Cascade.of(signals(), ACTIVE)
     whole, responses = cascade.change_by(moved)
-    unasked, silent = cascade.change_by(moved, frozenset())
+    unrequested, silent = cascade.change_by(moved, frozenset())
     assert not silent
     rounding = 1e-12 * np.abs(signals().v_ab).max()
-    np.testing.assert_allclose(unasked["v_ab"], whole["v_ab"], atol=rounding)
-    said = itertools.chain.from_iterable(answer.values() for answer in responses.values())
-    assert all(np.abs(x).max() <= rounding for x in said)
+    np.testing.assert_allclose(unrequested["v_ab"], whole["v_ab"], atol=rounding)
+    stated = itertools.chain.from_iterable(answer.values() for answer in responses.values())
+    assert all(np.abs(x).max() <= rounding for x in stated)
 
 
-def test_what_effects_answer_is_all_that_passing_unasked_leaves_out() -> None:
+def test_what_effects_answer_is_all_that_passing_unrequested_leaves_out() -> None:
     offset = next(a for a in ACTIVE if a.name == "current_offset")
     moved = offset.moved("offset_a_a", 2.0 * offset.standardised_value("offset_a_a"))
     cascade = Cascade.of(signals(), ACTIVE)
     whole, responses = cascade.change_by(moved)
-    unasked, _ = cascade.change_by(moved, frozenset())
+    unrequested, _ = cascade.change_by(moved, frozenset())
     added = sum(answer.get("v_ab", np.zeros_like(signals().v_ab)) for answer in responses.values())
     assert np.abs(added).max() > 0.0
-    left_out = whole["v_ab"] - unasked.get("v_ab", 0.0)
+    left_out = whole["v_ab"] - unrequested.get("v_ab", 0.0)
     np.testing.assert_allclose(left_out, added, atol=1e-12 * np.abs(signals().v_ab).max())
 
 

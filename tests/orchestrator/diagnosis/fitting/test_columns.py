@@ -83,7 +83,7 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
     assert any(same)
 
 
-def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_grown(maker: Fitter) -> None:
+def test_effects_are_requested_once_whether_they_answer_and_again_where_they_have_grown(maker: Fitter) -> None:
     first = all_effects(maker)
     known = maker.evaluate(first, maker.linearise(first))
     assert set(known.responses.of) == set(known.parameters)

@@ -39,7 +39,7 @@ def one_segment(**changed: Any) -> SignalBatch:
 
 
 class Returning:
-    """Returns whatever it is told to."""
+    """Returns whatever it is reported to."""
 
     name: ClassVar[str] = "returning"
     summary: ClassVar[str] = "A test."
@@ -82,9 +82,9 @@ def test_an_array_is_taken_as_it_is() -> None:
     assert after.i_ab is signals.i_ab
 
 
-def test_an_effect_that_is_absent_is_not_asked() -> None:
+def test_an_effect_that_is_absent_is_not_requested() -> None:
     def complain(signals: Signals) -> Correction:
-        raise AssertionError("asked")
+        raise AssertionError("requested")
 
     signals = one_segment()
     after = apply_effects(signals, [active(Returning(complain))])
@@ -99,7 +99,7 @@ def test_while_all_gates_are_off_only_the_sensors_effects_are_there() -> None:
 
 
 @pytest.mark.parametrize(
-    ("returned", "told"),
+    ("returned", "reported"),
     [
         (lambda s: s, "returned Signals instead of a Correction"),
         (lambda s: None, "returned NoneType instead of a Correction"),
@@ -110,19 +110,19 @@ def test_while_all_gates_are_off_only_the_sensors_effects_are_there() -> None:
         (lambda s: Correction(v_ab=s.nothing), "AttributeError"),
     ],
 )
-def test_what_signals_cannot_be_is_refused_in_one_line(returned: Callable[[Signals], Any], told: str) -> None:
-    with pytest.raises(PluginError, match=f"effects: returning: correct: .*{told}"):
+def test_what_signals_cannot_be_is_refused_in_one_line(returned: Callable[[Signals], Any], reported: str) -> None:
+    with pytest.raises(PluginError, match=f"effects: returning: correct: .*{reported}"):
         apply_effects(one_segment(), [active(Returning(returned), size=1.0)])
 
 
 class Doubting(Returning):
-    """Doubts what it is told to."""
+    """Doubts what it is reported to."""
 
     def random_directions(self, signals: Signals, p: Returning.Parameters) -> list[Any]:
         return [self._correct(signals)]
 
 
-def test_what_an_effect_cannot_know_is_asked_where_it_is_there() -> None:
+def test_what_an_effect_cannot_know_is_requested_where_it_is_there() -> None:
     signals = one_segment()
     doubting = Doubting(lambda s: Correction(i_ab=s.i_ab + 0.1))
     (doubt,) = random_directions_of(active(doubting, size=1.0), signals)
@@ -178,7 +178,7 @@ class InOneCall(Returning):
 
 
 def _never(signals: Signals) -> Correction:
-    raise AssertionError("asked segment by segment")
+    raise AssertionError("requested segment by segment")
 
 
 def _lag_of_all(batch: SignalBatch) -> Correction:
@@ -201,7 +201,7 @@ def test_an_effect_gives_the_same_in_one_call_as_segment_by_segment() -> None:
         np.testing.assert_array_equal(by_segment.signals.segment(k).i_m_ab, alone.i_m_ab)
 
 
-def test_an_effect_that_can_is_asked_in_one_call_of_a_single_segment_too() -> None:
+def test_an_effect_that_can_is_requested_in_one_call_of_a_single_segment_too() -> None:
     apply_effects(one_segment(), [active(InOneCall(_lag_of_all), size=1.0)])
 
 
@@ -259,8 +259,8 @@ def test_an_effect_that_changes_nothing_leaves_a_batch_as_it_is() -> None:
 
 def test_a_batch_without_the_bridge_has_only_what_sensors_do() -> None:
     batch = three_segments(bridge_on=False)
-    asked = active(InOneCall(lambda b: Correction(v_ab=b.v_ab + 1.0)), size=1.0)
-    assert apply_effects(batch, [asked]).signals is batch
+    requested = active(InOneCall(lambda b: Correction(v_ab=b.v_ab + 1.0)), size=1.0)
+    assert apply_effects(batch, [requested]).signals is batch
 
 
 def _second(wrong: Callable[[Signals], Any]) -> Callable[[Signals], Any]:
@@ -302,7 +302,7 @@ class DoubtingInOneCall(Doubting):
         return self._correct(cast(Any, batch))
 
 
-def test_what_cannot_be_known_of_each_segment_is_asked_of_all_at_once() -> None:
+def test_what_cannot_be_known_of_each_segment_is_requested_of_all_at_once() -> None:
     batch = three_segments()
     by_segment = Doubting(lambda s: Correction(i_ab=s.i_ab + len(s.v_dc)))
     at_once = DoubtingInOneCall(

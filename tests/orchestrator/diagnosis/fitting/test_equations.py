@@ -66,9 +66,9 @@ def test_gradient_of_the_objective_is_that_of_finite_differences(
 def test_columns_of_absent_effects_do_not_change_the_fit(biased: Fitter) -> None:
     bare = biased.fit(free_model())
     (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
-    asked = biased.evaluate(bare.model, bare.linearisation, [(candidate.absent(), n) for n in candidate.amplitudes])
-    assert asked.chi2 == pytest.approx(biased.evaluate(bare.model, bare.linearisation).chi2, rel=1e-12)
-    assert asked.columns[0].shape[1] == 2
+    requested = biased.evaluate(bare.model, bare.linearisation, [(candidate.absent(), n) for n in candidate.amplitudes])
+    assert requested.chi2 == pytest.approx(biased.evaluate(bare.model, bare.linearisation).chi2, rel=1e-12)
+    assert requested.columns[0].shape[1] == 2
 
 
 def test_a_frame_is_kept_as_far_as_the_model_did_not_move(biased: Fitter) -> None:

@@ -109,7 +109,7 @@ def test_a_part_of_the_signals_handed_back_is_a_copy_that_can_be_written_to() ->
     assert not np.shares_memory(v_ab, signals.i_ab)
 
 
-def test_no_correction_is_said() -> None:
+def test_no_correction_is_stated() -> None:
     with pytest.raises(PluginError, match="returned NoneType, no Correction"):
         guarded(Brought(lambda s: None)).correct(exciting_signals(), VALUES)
     with pytest.raises(PluginError, match="returned Signals, no Correction"):
@@ -226,7 +226,7 @@ def test_segments_that_share_their_losses_share_them_behind_the_guard() -> None:
     assert batch.segments[0].losses is not one.losses
 
 
-def test_no_correction_of_a_batch_and_no_sequence_of_doubts_is_said() -> None:
+def test_no_correction_of_a_batch_and_no_sequence_of_doubts_is_stated() -> None:
     nothing: Any = guarded(InOneCall(lambda _: None))
     with pytest.raises(PluginError, match="brought: correct_batch: returned NoneType, no Correction"):
         nothing.correct_batch(_batch(), VALUES)
@@ -267,17 +267,17 @@ class NeedsByName(Brought):
 
 
 @pytest.mark.parametrize(
-    ("effect", "told"),
+    ("effect", "reported"),
     [
         (WithoutAmplitude, "Parameters: none has the role of an amplitude: there is nothing to fit"),
         (LayerByNumber, "layer: expected an EffectLayer, got 4"),
         (NeedsByName, "needs: expected a Contrast, got 'gates off'"),
     ],
 )
-def test_metadata_that_cannot_be_fitted_is_named(effect: type[Brought], told: str) -> None:
+def test_metadata_that_cannot_be_fitted_is_named(effect: type[Brought], reported: str) -> None:
     with pytest.raises(PluginError) as caught:
         guarded(effect())
-    assert str(caught.value) == f"effects: brought: {told}"
+    assert str(caught.value) == f"effects: brought: {reported}"
 
 
 class FormerName(InOneCall):

@@ -52,8 +52,8 @@ def test_a_resistance_that_was_measured_before_is_held_as_far_as_it_says(clean: 
         motor = manifest.motor.model_copy(
             update={"stator_resistance_ohm": 1.02 * R_S, "stator_resistance_std_ohm": std * R_S}
         )
-        told = replace(clean.prepared, manifest=manifest.model_copy(update={"motor": motor}))
-        return replace(clean, prepared=told).fit(free_model()).model.r_s / R_S
+        reported = replace(clean.prepared, manifest=manifest.model_copy(update={"motor": motor}))
+        return replace(clean, prepared=reported).fit(free_model()).model.r_s / R_S
 
     alone = clean.fit(free_model()).model.r_s / R_S
     assert solved(1e-7) == pytest.approx(1.02, abs=1e-6)

@@ -1,4 +1,4 @@
-"""What is too little for a diagnosis is refused in one line, and what is missing is said."""
+"""What is too little for a diagnosis is refused in one line, and what is missing is stated."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_a_whole_campaign_is_enough() -> None:
     require_enough(ENOUGH, NOISE)
 
 
-def test_fewer_places_than_asked_for_are_refused_and_counted() -> None:
+def test_fewer_places_than_requested_are_refused_and_counted() -> None:
     two = prepared([Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0)), Plan(SegmentStage.RESISTANCE, hold(0.0, 1.0))])
     with pytest.raises(NotMeasuredError, match="show 2 operating points"):
         require_enough(two, NOISE)
@@ -67,7 +67,7 @@ def test_a_rate_with_too_few_samples_between_windows_is_refused(monkeypatch: pyt
         (SegmentStage.INJECTION, "no_injection"),
     ],
 )
-def test_what_was_not_measured_is_said(without: SegmentStage, code: str) -> None:
+def test_what_was_not_measured_is_stated(without: SegmentStage, code: str) -> None:
     kept = _only(*(stage for stage in SegmentStage if stage is not without))
     assert code in {remark.code for remark in missing_contrasts(kept)}
     assert code not in {remark.code for remark in missing_contrasts(ENOUGH)}

@@ -39,12 +39,12 @@ def a_sweep() -> SegmentData:
 
 
 @pytest.mark.parametrize("frame", ROUNDINGS)
-def test_voltages_that_were_logged_in_large_steps_are_told(frame: str) -> None:
+def test_voltages_that_were_logged_in_large_steps_are_reported(frame: str) -> None:
     one = a_sweep()
     rounded = replace(one, command_ab=ROUNDINGS[frame](one.command_ab, 0.5))
-    (said,) = rounding_remarks([rounded], NOISE)
-    assert said.code == "rounded_voltages"
-    assert said.values["step_v"] == pytest.approx(0.5)
+    (stated,) = rounding_remarks([rounded], NOISE)
+    assert stated.code == "rounded_voltages"
+    assert stated.values["step_v"] == pytest.approx(0.5)
 
 
 def test_steps_that_do_not_show_and_none_at_all_are_not_spoken_of() -> None:
@@ -56,9 +56,9 @@ def test_steps_that_do_not_show_and_none_at_all_are_not_spoken_of() -> None:
 
 
 @pytest.mark.parametrize("frame", ROUNDINGS)
-def test_currents_that_were_logged_in_steps_beyond_their_noise_are_told(frame: str) -> None:
+def test_currents_that_were_logged_in_steps_beyond_their_noise_are_reported(frame: str) -> None:
     one = a_sweep()
     rounded = replace(one, current_ab=ROUNDINGS[frame](one.current_ab, 5.0 * NOISE_A))
-    (said,) = rounding_remarks([rounded], NOISE)
-    assert said.code == "rounded_currents"
-    assert said.values["step_a"] == pytest.approx(5.0 * NOISE_A)
+    (stated,) = rounding_remarks([rounded], NOISE)
+    assert stated.code == "rounded_currents"
+    assert stated.values["step_a"] == pytest.approx(5.0 * NOISE_A)

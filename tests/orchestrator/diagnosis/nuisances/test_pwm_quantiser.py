@@ -110,7 +110,7 @@ def _averaged(piece: SegmentData, command: Array, width: int) -> SegmentData:
 
 
 @given(step=st.floats(-0.01, 0.01), phases=st.lists(st.floats(-0.49, 0.49), min_size=2, max_size=2), rise=PART)
-def test_what_leads_from_one_timer_to_another_is_told(step: float, phases: list[float], rise: float) -> None:
+def test_what_leads_from_one_timer_to_another_is_reported(step: float, phases: list[float], rise: float) -> None:
     borne, x = QuantiserEstimate(timer(STEP_S, rise, 0.4), 0.0, np.eye(3)), np.array([step, *phases])
     np.testing.assert_allclose(borne.to(borne.moved(x)), x, atol=1e-9)
 

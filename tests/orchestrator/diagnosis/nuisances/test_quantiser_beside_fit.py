@@ -1,4 +1,4 @@
-"""A modulator's timer told by every equation beside a whole model: sharply, as promised, and near the readings' own."""
+"""A modulator's timer estimated from every equation beside a whole model: sharp, and near the readings' own."""
 
 from __future__ import annotations
 
@@ -44,50 +44,50 @@ def _near(believed: ModulatorTimer, curvature: Array = NOTHING) -> tuple[Fit, Mo
     return fit, *quantiser_beside(fit, [QuantiserEstimate(believed, 0.0, curvature)], PM_WB)
 
 
-def _off(told: ModulatorTimer) -> float:
+def _off(reported: ModulatorTimer) -> float:
     """By how much both edges' mean phase is off: between jumps a command's rounding tells no more."""
-    (at,) = told.phases
+    (at,) = reported.phases
     return abs((0.5 * (at.rise + at.fall - RISE - FALL) + 0.25) % 0.5 - 0.25)
 
 
 @pytest.mark.parametrize("off", [0.03, -0.03])
-def test_a_timer_that_is_a_little_off_is_told_sharply(off: float) -> None:
+def test_a_timer_that_is_a_little_off_is_reported_sharply(off: float) -> None:
     believed = timer(STEP_S * (1.0 + 0.01 * off), RISE + off, FALL + 0.5 * off)
-    fit, told, gain = _near(believed)
+    fit, reported, gain = _near(believed)
     assert gain > 0.0
-    assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
-    assert _off(told) < 0.2 * abs(off)
-    assert _fit(told).chi2_per_dof < fit.chi2_per_dof
+    assert reported.step_s == pytest.approx(STEP_S, rel=1e-4)
+    assert _off(reported) < 0.2 * abs(off)
+    assert _fit(reported).chi2_per_dof < fit.chi2_per_dof
 
 
 def test_what_a_timer_promises_is_kept() -> None:
-    fit, told, gain = _near(timer(STEP_S, RISE + 0.05, FALL - 0.05))
-    kept = fit.objective - _fit(told).objective
+    fit, reported, gain = _near(timer(STEP_S, RISE + 0.05, FALL - 0.05))
+    kept = fit.objective - _fit(reported).objective
     assert gain > 100.0
     assert kept == pytest.approx(gain, rel=0.05)
 
 
-def test_beside_the_right_timer_there_is_nothing_to_be_told() -> None:
-    _, told, gain = _near(timer(STEP_S, RISE, FALL))
+def test_beside_the_right_timer_there_is_nothing_to_be_reported() -> None:
+    _, reported, gain = _near(timer(STEP_S, RISE, FALL))
     assert gain < 20.0  # Chi-square of three numbers, the best of many jumps.
-    assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
-    assert _off(told) < 0.01
+    assert reported.step_s == pytest.approx(STEP_S, rel=1e-4)
+    assert _off(reported) < 0.01
 
 
 def test_readings_that_are_certain_have_the_last_word() -> None:
     believed = timer(STEP_S, RISE + 0.05, FALL)
-    _, told, _ = _near(believed, 1e12 * np.eye(3))
-    assert told.step_s == pytest.approx(believed.step_s, rel=1e-6)
-    assert told.phases[0].rise == pytest.approx(RISE + 0.05, abs=1e-4)
+    _, reported, _ = _near(believed, 1e12 * np.eye(3))
+    assert reported.step_s == pytest.approx(believed.step_s, rel=1e-6)
+    assert reported.phases[0].rise == pytest.approx(RISE + 0.05, abs=1e-4)
 
 
 def test_a_timer_of_another_frequency_has_no_say() -> None:
     nearest, other = QuantiserEstimate(timer(STEP_S, RISE, FALL), 0.0, NOTHING), timer(0.5 * STEP_S, 0.0, 0.0)
-    told, _ = quantiser_beside(_fit(nearest.timer), [QuantiserEstimate(other, 9.0, NOTHING), nearest], PM_WB)
-    assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
+    reported, _ = quantiser_beside(_fit(nearest.timer), [QuantiserEstimate(other, 9.0, NOTHING), nearest], PM_WB)
+    assert reported.step_s == pytest.approx(STEP_S, rel=1e-4)
 
 
-def test_without_a_timer_there_is_none_to_be_told() -> None:
+def test_without_a_timer_there_is_none_to_be_reported() -> None:
     with pytest.raises(ValueError, match="modulator's timer"):
         quantiser_beside(_fit(None), [QuantiserEstimate(timer(STEP_S, RISE, FALL), 0.0, NOTHING)], PM_WB)
 
@@ -108,7 +108,7 @@ def _with_rests_at_twice_the_frequency(rise: float, fall: float) -> PreparedReco
     return replace(first, pieces=(*first.pieces, *fast))
 
 
-def test_phases_that_no_reading_has_told_may_be_anywhere() -> None:
+def test_phases_that_no_reading_has_reported_may_be_anywhere() -> None:
     made = _with_rests_at_twice_the_frequency(0.8, 0.3)
 
     def fit_with(rise: float, fall: float) -> Fit:
@@ -119,7 +119,7 @@ def test_phases_that_no_reading_has_told_may_be_anywhere() -> None:
 
     right, wrong = fit_with(0.8, 0.3), fit_with(0.1, 0.6)
     borne = QuantiserEstimate(timer(STEP_S, RISE, FALL), 0.0, np.diag([1e8, 1e4, 1e4]))
-    told, _ = quantiser_beside(wrong, [borne], PM_WB)
-    assert [p.pwm_frequency_hz for p in told.phases] == [FS, 2.0 * FS]
-    found = fitter(with_quantiser(made, told)).fit(free_model())
+    reported, _ = quantiser_beside(wrong, [borne], PM_WB)
+    assert [p.pwm_frequency_hz for p in reported.phases] == [FS, 2.0 * FS]
+    found = fitter(with_quantiser(made, reported)).fit(free_model())
     assert found.objective - right.objective < 0.1 * (wrong.objective - right.objective)

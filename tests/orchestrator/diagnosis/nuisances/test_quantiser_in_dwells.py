@@ -1,4 +1,4 @@
-"""A modulator's timer told by what holds currents at rest: more sharply than the readings, and with what scatters."""
+"""A modulator's timer estimated from held currents: sharper than from the readings, and with what scatters."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _off(free: ModulatorTimer) -> float:
 
 
 @pytest.mark.slow
-def test_a_timer_that_is_roughly_known_is_told_sharply() -> None:
+def test_a_timer_that_is_roughly_known_is_reported_sharply() -> None:
     free, left, before = _minimise(timer(STEP_S * (1.0 + 3e-4), PART + 0.04, PART - 0.04))
     assert free.step_s == pytest.approx(STEP_S, rel=1e-4)
     assert _off(free) < 0.1
@@ -61,7 +61,7 @@ def test_a_timer_that_is_roughly_known_is_told_sharply() -> None:
 
 
 @pytest.mark.slow
-def test_phases_that_no_reading_has_told_are_found() -> None:
+def test_phases_that_no_reading_has_reported_are_found() -> None:
     unknown = ModulatorTimer(step_s=STEP_S, centred=True, phases=())
     free, _, _ = _minimise(unknown, NOTHING[:1, :1])
     assert [p.pwm_frequency_hz for p in free.phases] == [FS]
@@ -95,5 +95,5 @@ def test_where_nothing_rests_the_readings_are_taken_at_their_word() -> None:
 
 
 def _volts(noise: ModelNoise) -> float:
-    """What scatters of a hold's voltage: of holds alone, readings and voltages cannot be told apart."""
+    """What scatters of a hold's voltage: of holds alone, readings and voltages cannot be separated."""
     return max(noise.voltage_scatter_v, R_S * noise.offset_scatter_a)

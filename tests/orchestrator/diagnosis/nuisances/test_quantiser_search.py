@@ -114,7 +114,7 @@ def test_what_one_leg_alone_bears_is_no_timer() -> None:
     assert _found(replace(made, pieces=threshold)) == ()
 
 
-def test_commands_that_only_rest_tell_nothing_and_are_not_asked() -> None:
+def test_commands_that_only_rest_tell_nothing_and_are_not_requested() -> None:
     resting = [Plan(SegmentStage.RESISTANCE, hold(a, 0.0)) for a in (0.5, 1.0)]
     assert command_traces(prepared(resting), (L_D, L_Q), R_S) == []
     assert _found(prepared(resting)) == ()

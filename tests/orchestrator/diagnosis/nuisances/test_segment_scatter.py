@@ -57,7 +57,7 @@ def test_scatter_is_found_as_large_as_it_is() -> None:
     assert scatter_of(wider, again, []).noise.offset_scatter_a == pytest.approx(found.noise.offset_scatter_a, rel=0.02)
 
 
-def test_a_part_is_asked_around_a_fit_of_the_whole() -> None:
+def test_a_part_is_requested_around_a_fit_of_the_whole() -> None:
     """Whose columns have other rows: none of them is taken."""
     made = _campaign()
     whole, part = fitter(made), fitter(coarse(made))
@@ -91,7 +91,7 @@ def test_one_offset_of_all_segments_is_an_effect_and_no_scatter() -> None:
     assert without.noise.scatters
 
 
-def test_voltages_that_are_off_at_rest_are_told_from_readings_that_are() -> None:
+def test_voltages_that_are_off_at_rest_are_reported_from_readings_that_are() -> None:
     made, rng = _campaign(), np.random.default_rng(4)
     steps = {p.segment.id: rng.normal(0.0, 0.02, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     maker = fitter(with_voltage(made, steps))

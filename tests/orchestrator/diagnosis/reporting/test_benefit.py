@@ -1,4 +1,4 @@
-"""What is said of an effect that was added or taken out follows from stages that no fit has seen."""
+"""What is stated of an effect that was added or taken out follows from stages that no fit has seen."""
 
 from __future__ import annotations
 
@@ -32,27 +32,27 @@ def clean() -> tuple[Fitter, Fit, Fit]:
 
 def test_an_effect_that_is_there_helps_and_is_needed(biased: tuple[Fit, Fit]) -> None:
     before, after = biased
-    told = added_remark("voltage_bias", before, after, None)
-    assert told.code == "helps"
-    assert told.text.startswith("voltage bias helps: the held-out error falls from ")
-    assert float(told.values["after_v"] or 0.0) < 0.5 * float(told.values["before_v"] or 0.0)
-    told = removed_remark("voltage_bias", after, before)
-    assert told.code == "needed"
-    assert "rises from" in told.text
+    reported = added_remark("voltage_bias", before, after, None)
+    assert reported.code == "helps"
+    assert reported.text.startswith("voltage bias helps: the held-out error falls from ")
+    assert float(reported.values["after_v"] or 0.0) < 0.5 * float(reported.values["before_v"] or 0.0)
+    reported = removed_remark("voltage_bias", after, before)
+    assert reported.code == "needed"
+    assert "rises from" in reported.text
 
 
 def test_an_effect_that_is_not_there_does_not_help_and_its_interval_holds_zero(clean: tuple[Fitter, Fit, Fit]) -> None:
     maker, before, after = clean
     (found,) = found_effects(maker, after, {}, {})
-    told = added_remark("dead_time", before, after, found)
-    assert told.code == "does_not_help"
-    assert told.text.endswith("and the 95 % interval of its voltage holds 0")
+    reported = added_remark("dead_time", before, after, found)
+    assert reported.code == "does_not_help"
+    assert reported.text.endswith("and the 95 % interval of its voltage holds 0")
     assert removed_remark("dead_time", after, before).code == "not_needed"
 
 
 def test_without_held_out_stages_the_fitted_error_judges() -> None:
     before, after = refitted(fitter(with_voltage(prepared([p for p in plan() if not p.held_out]), ERROR_V)))
-    told = added_remark("voltage_bias", before, after, None)
-    assert told.values["judged_on"] == "fitted"
-    assert "the error (nothing was held out) falls from" in told.text
-    assert told.code == "helps"
+    reported = added_remark("voltage_bias", before, after, None)
+    assert reported.values["judged_on"] == "fitted"
+    assert "the error (nothing was held out) falls from" in reported.text
+    assert reported.code == "helps"

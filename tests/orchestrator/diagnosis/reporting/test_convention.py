@@ -1,4 +1,4 @@
-"""What is said of a convention: by a diagnosis at once and without an effect, and by an estimation."""
+"""What is stated of a convention: by a diagnosis at once and without an effect, and by an estimation."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_an_estimation_of_a_dead_sensor_ends_with_the_line_of_the_diagnosis(righ
 
 
 @pytest.mark.slow
-def test_who_compares_or_adds_all_the_same_is_told_first(right: Rewritten, tmp_path: Path) -> None:
+def test_who_compares_or_adds_all_the_same_is_reported_first(right: Rewritten, tmp_path: Path) -> None:
     wrong = right.mapped("i_ab", np.sqrt(0.5) * np.eye(2))
     held = compare_recording(wrong, model="linear", out=tmp_path)  # type: ignore[arg-type]
     added = add_effects(wrong, ["saturation"], [], model="linear", out=tmp_path)  # type: ignore[arg-type]

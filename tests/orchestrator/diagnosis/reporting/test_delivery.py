@@ -49,7 +49,7 @@ def test_a_form_that_no_such_effect_has_may_stand_in_while_something_unknown_rem
 
 
 def test_three_large_effects_at_once_may_be_another_that_acts_like_them(fit: Fit) -> None:
-    """A sensor that heard another phase was explained by gains 3 and 5 % off beside a resistance 5 % off."""
+    """A sensor that received another phase was explained by gains 3 and 5 % off beside a resistance 5 % off."""
     effects = (CurrentGainMismatch(), ThirdCurrentSensor(), PhaseResistanceImbalance())
     library = scaled_library(effects, fit.prepared.manifest)
     for off, codes in ((1.2, []), (1.8, ["rare_together"])):
@@ -58,7 +58,7 @@ def test_three_large_effects_at_once_may_be_another_that_acts_like_them(fit: Fit
         assert _codes(replace(fit, model=fit.model.with_active(active[:2])), "explained") == []
 
 
-def test_what_iron_remembers_is_not_told_by_a_ripple_alone(fit: Fit) -> None:
+def test_what_iron_remembers_is_not_reported_by_a_ripple_alone(fit: Fit) -> None:
     """A play of 32 mA was 19 mA (16 to 21) by injection, and the map 1.2 % off."""
     (hysteresis,) = scaled_library([Hysteresis()], fit.prepared.manifest)
     there = replace(fit, model=fit.model.with_active([hysteresis.absent().moved("half_width_a", 1.0)]))

@@ -58,7 +58,7 @@ def a_model(*effects: tuple[str, bool | None]) -> MotorModel:
         (a_model(), ("− dead time",)),
     ],
 )
-def test_effects_that_were_added_and_removed_since_are_told(model: MotorModel, changes: tuple[str, ...]) -> None:
+def test_effects_that_were_added_and_removed_since_are_reported(model: MotorModel, changes: tuple[str, ...]) -> None:
     last = a_diagnosis().ladder[-1].model_copy(update={"effects": ("dead_time",)})
     report = a_diagnosis(ladder=[*a_diagnosis().ladder[:-1], last])
     assert explanation_of(report, model).model_changes == changes

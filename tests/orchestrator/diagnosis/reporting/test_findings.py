@@ -25,26 +25,26 @@ from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, pl
 MAKER = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
 
 
-def test_intervals_hold_what_was_put_in_and_are_as_wide_as_asked_for() -> None:
+def test_intervals_hold_what_was_put_in_and_are_as_wide_as_requested() -> None:
     fit = fitted_bias(MAKER)
     (effect,) = found_effects(MAKER, fit, {}, {"voltage_bias": ["current_offset"]})
     assert effect.twins == ("current_offset",)
     for name, truth in (("bias_a_v", 0.3), ("bias_b_v", -0.15)):
-        told = effect.parameters[name]
-        assert told.value is not None
-        assert told.low is not None
-        assert told.high is not None
-        assert told.low < truth < told.high
-        assert told.unit == "V"
+        reported = effect.parameters[name]
+        assert reported.value is not None
+        assert reported.low is not None
+        assert reported.high is not None
+        assert reported.low < truth < reported.high
+        assert reported.unit == "V"
 
 
-def test_of_what_only_a_second_angle_shows_nothing_is_said_at_one() -> None:
+def test_of_what_only_a_second_angle_shows_nothing_is_stated_at_one() -> None:
     bias = fitted_bias(MAKER)
     slots = scaled_library([SlotHarmonics()], MAKER.prepared.manifest)[0]
     fit = MAKER.fit(bias.model.with_active([*bias.model.active, slots.absent()]))
-    told = {effect.name: list(effect.parameters) for effect in found_effects(MAKER, fit, {}, {})}
-    assert told["slot_harmonics"] == ["relative"]
-    assert told["voltage_bias"] == ["bias_a_v", "bias_b_v"]
+    reported = {effect.name: list(effect.parameters) for effect in found_effects(MAKER, fit, {}, {})}
+    assert reported["slot_harmonics"] == ["relative"]
+    assert reported["voltage_bias"] == ["bias_a_v", "bias_b_v"]
 
 
 def test_a_map_that_is_constant_has_neither_saturation_nor_cross_saturation() -> None:
@@ -72,8 +72,8 @@ def _by(effect: VoltageBias) -> Fit:
 
 
 def test_an_effect_that_is_named_says_what_its_parameters_mean() -> None:
-    (said,) = effect_remarks(_by(Talkative()), {"voltage_bias"})
-    assert (said.code, said.text) == ("voltage_bias.in_a", "voltage_bias: 0.3 V in a")
+    (stated,) = effect_remarks(_by(Talkative()), {"voltage_bias"})
+    assert (stated.code, stated.text) == ("voltage_bias.in_a", "voltage_bias: 0.3 V in a")
     assert effect_remarks(_by(Talkative()), set()) == []
     assert effect_remarks(_by(VoltageBias()), {"voltage_bias"}) == []
 
@@ -117,17 +117,17 @@ def active(effect: Effect, **values: float) -> EffectTerm:
 def test_a_dead_time_is_its_voltage_over_frequency_and_bus_voltage() -> None:
     found = derived_quantities(active(DeadTime(), voltage_v=1.0), WITHIN_2_PERCENT, DRIVE)
     assert set(found) == {"dead_time"}
-    told = found["dead_time"]
-    assert told.unit == "s"
-    assert (told.value, told.low, told.high) == pytest.approx((200e-9, 196e-9, 204e-9))
+    reported = found["dead_time"]
+    assert reported.unit == "s"
+    assert (reported.value, reported.low, reported.high) == pytest.approx((200e-9, 196e-9, 204e-9))
 
 
-def test_the_charge_of_a_swing_is_told_where_the_form_shows_it() -> None:
+def test_the_charge_of_a_swing_is_reported_where_the_form_shows_it() -> None:
     found = derived_quantities(active(DeadTime(), voltage_v=1.0, threshold_a=0.1, charged=1.0), {}, DRIVE)
     assert found["charge_of_a_swing"].value == pytest.approx(0.1 * 200e-9)
 
 
-def test_without_a_pwm_frequency_no_dead_time_is_told() -> None:
+def test_without_a_pwm_frequency_no_dead_time_is_reported() -> None:
     drive = DRIVE.model_copy(update={"pwm_frequency_hz": None})
     assert derived_quantities(active(DeadTime(), voltage_v=1.0), {}, drive) == {}
 

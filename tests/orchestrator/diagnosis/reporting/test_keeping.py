@@ -1,4 +1,4 @@
-"""A diagnosis is kept with its words and pictures; where the disk does not take it, it is told all the same."""
+"""A diagnosis is kept with its words and pictures; where the disk does not take it, it is reported all the same."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ REPORT, STEPS = a_diagnosis(), some_steps()
 
 
 @pytest.fixture
-def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """What the diagnosis was asked for; it finds the example at once."""
+def requested(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the diagnosis was requested; it finds the example at once."""
     seen: dict[str, Any] = {}
 
     def diagnose(
-        recording: Recording, effects: object, *, on_step: Callable[[DiagnosisStep], None], **asked: Any
+        recording: Recording, effects: object, *, on_step: Callable[[DiagnosisStep], None], **requested: Any
     ) -> Any:
-        seen.update(asked)
+        seen.update(requested)
         for step in STEPS:
             on_step(step)
         return Diagnosis(REPORT, None, SearchResult([]), ())
@@ -37,14 +37,14 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     return seen
 
 
-def test_report_words_and_every_step_are_kept_where_it_was_said(
-    asked: dict[str, Any], clean: Recording, tmp_path: Path
+def test_report_words_and_every_step_are_kept_where_it_was_stated(
+    requested: dict[str, Any], clean: Recording, tmp_path: Path
 ) -> None:
     seen: list[DiagnosisStep] = []
     diagnosis, saved = keeping.diagnose_and_keep(
         clean, (), propose=None, model="linear", out=tmp_path, on_step=seen.append
     )
-    assert (asked["model"], asked["out"]) == ("linear", tmp_path)
+    assert (requested["model"], requested["out"]) == ("linear", tmp_path)
     assert tuple(seen) == saved.steps == STEPS
     assert diagnosis.report is saved.report is REPORT
     kept = load_diagnosis(tmp_path)
@@ -54,7 +54,7 @@ def test_report_words_and_every_step_are_kept_where_it_was_said(
 
 
 def test_a_step_that_raises_ends_it_and_nothing_is_kept(
-    asked: dict[str, Any], clean: Recording, tmp_path: Path
+    requested: dict[str, Any], clean: Recording, tmp_path: Path
 ) -> None:
     def stop(step: DiagnosisStep) -> None:
         raise KeyboardInterrupt
@@ -64,7 +64,9 @@ def test_a_step_that_raises_ends_it_and_nothing_is_kept(
     assert not list(tmp_path.iterdir())
 
 
-def test_what_cannot_be_written_is_told_all_the_same(asked: dict[str, Any], clean: Recording, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_reported_all_the_same(
+    requested: dict[str, Any], clean: Recording, tmp_path: Path
+) -> None:
     (tmp_path / "results").write_text("a file where a folder should be")
     diagnosis, saved = keeping.diagnose_and_keep(clean, (), propose=None, out=tmp_path)
     (remark,) = (r for r in diagnosis.report.remarks if r.code == "not_written")

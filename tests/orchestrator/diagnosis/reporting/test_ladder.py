@@ -30,13 +30,13 @@ def test_a_fit_to_the_noise_leaves_the_noise(fit: Fit) -> None:
 
 
 def test_a_rung_is_its_fit_in_numbers(fit: Fit) -> None:
-    told = rung(AcceptedModel("voltage_bias", fit))
-    assert told.added == "voltage_bias"
-    assert told.effects == ("voltage_bias",)
-    assert told.chi2 == fit.chi2_per_dof
-    assert told.rms_v == mean_rms_v(fit, lambda p: not p.held_out)
-    assert told.heldout_rms_v == mean_rms_v(fit, lambda p: p.held_out)
-    assert told.current_rms_a == pytest.approx(0.004, rel=0.5)
+    reported = rung(AcceptedModel("voltage_bias", fit))
+    assert reported.added == "voltage_bias"
+    assert reported.effects == ("voltage_bias",)
+    assert reported.chi2 == fit.chi2_per_dof
+    assert reported.rms_v == mean_rms_v(fit, lambda p: not p.held_out)
+    assert reported.heldout_rms_v == mean_rms_v(fit, lambda p: p.held_out)
+    assert reported.current_rms_a == pytest.approx(0.004, rel=0.5)
 
 
 def test_a_rung_that_is_kept_is_the_model_held_against_the_recording(fit: Fit) -> None:

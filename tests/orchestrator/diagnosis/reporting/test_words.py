@@ -36,7 +36,7 @@ def search() -> SearchResult:
     return SearchResult([bare, AcceptedModel("voltage_bias", fitted_bias(MAKER))])
 
 
-def said(search: SearchResult, **changes: Any) -> Any:
+def stated(search: SearchResult, **changes: Any) -> Any:
     """The words for a report of this search."""
     ladder = [rung(step).model_dump() for step in search.steps]
     report = a_diagnosis(**{"ladder": ladder, "effects": [BIAS], "next_experiment": None, **changes})
@@ -47,7 +47,7 @@ def said(search: SearchResult, **changes: Any) -> Any:
 
 def test_a_clean_recording_has_nothing_to_say(search: SearchResult) -> None:
     ladder = [rung(search.steps[0]).model_dump()]
-    words = said(SearchResult(search.steps[:1]), verdict="clean", effects=[], ladder=ladder)
+    words = stated(SearchResult(search.steps[:1]), verdict="clean", effects=[], ladder=ladder)
     assert words.where_it_fails == "nowhere beyond the noise"
     assert words.what_it_looks_like == "noise"
     assert words.likely_cause == "none: the model fits within the noise"
@@ -55,52 +55,52 @@ def test_a_clean_recording_has_nothing_to_say(search: SearchResult) -> None:
     assert words.to_decide == "nothing left to decide"
 
 
-def test_what_is_too_faint_to_be_a_cause_is_said(search: SearchResult) -> None:
-    words = said(search, verdict="clean", effects=[], minor=[BIAS])
+def test_what_is_too_faint_to_be_a_cause_is_stated(search: SearchResult) -> None:
+    words = stated(search, verdict="clean", effects=[], minor=[BIAS])
     assert words.likely_cause == "none that counts; voltage_bias shows, and is in the model"
 
 
 def test_what_was_found_is_named_with_its_size_and_its_signature(search: SearchResult) -> None:
-    words = said(search)
+    words = stated(search)
     assert words.likely_cause == "voltage_bias (bias a 300.0 mV, 95 %: 299.0 to 301.0)"
     assert words.what_it_looks_like == VoltageBias.signature
     assert words.to_decide == "nothing left to decide"
 
 
 def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: SearchResult) -> None:
-    where = said(search).where_it_fails
+    where = stated(search).where_it_fails
     assert any(where.startswith(f"worst in {piece.segment.id} (") for piece in MAKER.prepared.pieces)
     assert not where.startswith("worst in gates_off")
     assert "|i_d| to " in where
     assert "where noise alone makes" in where
 
 
-def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: SearchResult) -> None:
-    gain = said(search).if_added
+def test_what_adding_it_does_is_stated_of_data_that_were_held_out(search: SearchResult) -> None:
+    gain = stated(search).if_added
     assert gain.startswith("held-out error ")
     assert "the model's R_s" in gain
     nothing = [{**rung(step).model_dump(), "heldout_rms_v": None} for step in search.steps]
-    assert said(search, ladder=nothing).if_added.startswith("error ")
+    assert stated(search, ladder=nothing).if_added.startswith("error ")
 
 
 def test_twins_are_named_with_what_would_tell_them_apart(search: SearchResult, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("orchestrator.diagnosis.reporting.words.holds", lambda *_: False)
-    words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
+    words = stated(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     needed = CONTRASTS[Contrast.GATES_OFF].text
     assert "indistinguishable from current_offset here" in words.likely_cause
     assert f"What would tell it from current_offset, {needed}, was not measured." in words.what_it_looks_like
     assert needed in words.to_decide
 
 
-def test_twins_that_no_measurement_has_told_apart_are_too_small_for_it(search: SearchResult) -> None:
-    words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
+def test_twins_that_no_measurement_has_separated_are_too_small_for_it(search: SearchResult) -> None:
+    words = stated(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     assert "At this size the recording does not tell it from current_offset." in words.what_it_looks_like
-    assert words.to_decide == "voltage_bias or current_offset: too small to be told apart by what was measured"
+    assert words.to_decide == "voltage_bias or current_offset: too small to be separated by the measurements"
 
 
 def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: SearchResult) -> None:
     proposal = {"stage": {"kind": "gates_off"}, "separates": ["voltage_bias", "current_offset"], "minutes": 0.5}
-    words = said(search, next_experiment=proposal)
+    words = stated(search, next_experiment=proposal)
     assert words.to_decide == "gates_off stage of 30 s, tells voltage_bias from current_offset"
 
 
@@ -111,8 +111,8 @@ def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: Se
         ("mostly_explained", "% of the error remains", "a part of the error remains that nothing"),
     ],
 )
-def test_what_is_left_unexplained_is_said(search: SearchResult, verdict: str, cause: str, next_step: str) -> None:
-    words = said(search, verdict=verdict)
+def test_what_is_left_unexplained_is_stated(search: SearchResult, verdict: str, cause: str, next_step: str) -> None:
+    words = stated(search, verdict=verdict)
     assert words.likely_cause.startswith("voltage_bias (")
     assert cause in words.likely_cause
     assert words.to_decide.startswith(next_step)
@@ -123,7 +123,7 @@ def test_what_a_recording_lacks_stands_in_the_words(search: SearchResult) -> Non
         {"quantity": "map_error_percent", "value": 0.5, "limit": 0.2, "sentence": "The map is uncertain by 0.5 %."},
         {"quantity": "chi2_per_dof", "value": 1.0, "limit": 1.1, "sentence": "chi2 is 1.0."},
     ]
-    words = said(search, verdict="cannot_tell", effects=[], reasons=reasons)
+    words = stated(search, verdict="cannot_tell", effects=[], reasons=reasons)
     assert words.to_decide == "another recording: The map is uncertain by 0.5 %."
 
 
@@ -132,13 +132,13 @@ def test_an_unknown_of_a_winding_too_fast_for_its_samples_asks_for_faster_ones_f
 ) -> None:
     note = "L / R is 2.8 samples; sample at 10800 Hz or more"
     remarks = [{"code": "time_constant", "values": {}, "text": note}]
-    words = said(search, verdict="unknown_remains", effects=[], remarks=remarks)
+    words = stated(search, verdict="unknown_remains", effects=[], remarks=remarks)
     assert words.likely_cause == "not known: the readings are too slow for this winding to tell"
     assert words.to_decide == f"the same once more with faster readings: {note}"
 
 
 def test_an_unknown_is_described_by_its_shape(search: SearchResult) -> None:
     shape = [{"group": "periodic", "share": 0.8}, {"group": "constant", "share": 0.2}]
-    words = said(search, verdict="unknown_remains", effects=[], unexplained={"fraction": 0.9, "shape": shape})
+    words = stated(search, verdict="unknown_remains", effects=[], unexplained={"fraction": 0.9, "shape": shape})
     assert words.what_it_looks_like.startswith("80 % periodic at the mains frequency; 20 % constant")
     assert words.likely_cause == "something that no effect of the library explains"

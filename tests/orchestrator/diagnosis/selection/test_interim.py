@@ -1,4 +1,4 @@
-"""What a search has found so far is told once, in a sentence, and remembered as it was then."""
+"""What a search has found so far is reported once, in a sentence, and remembered as it was then."""
 
 from __future__ import annotations
 
@@ -63,25 +63,25 @@ def fits() -> tuple[Fit, Fit]:
     return bare, maker.fit(with_free(bare.model, maker, VoltageBias()))
 
 
-def test_an_answer_is_told_when_it_changes_and_not_again(fits: tuple[Fit, Fit]) -> None:
+def test_an_answer_is_reported_when_it_changes_and_not_again(fits: tuple[Fit, Fit]) -> None:
     bare, biased = fits
     setup = setup_of(fitter(bare.prepared))
-    told: list[InterimResult] = []
-    recorder = InterimRecorder(told.append)
+    reported: list[InterimResult] = []
+    recorder = InterimRecorder(reported.append)
     first = [AcceptedModel(None, bare)]
     search = SearchResult([AcceptedModel(None, bare), AcceptedModel("voltage_bias", biased, 100.0)])
     recorder.record(setup, first, SearchResult(list(first)), is_part=True)
     for _ in range(2):
         recorder.record(setup, first, search, is_part=True)
     recorder.record(setup, first, search, is_part=False)
-    assert [(one.effects, one.is_part) for one in told] == [
+    assert [(one.effects, one.is_part) for one in reported] == [
         ((), True),
         (("voltage_bias",), True),
         (("voltage_bias",), False),
     ]
-    assert told[0].verdict == "unknown_remains"
-    assert told[1].verdict == "explained"
-    assert told[1].chi2 == biased.chi2_per_dof
+    assert reported[0].verdict == "unknown_remains"
+    assert reported[1].verdict == "explained"
+    assert reported[1].chi2 == biased.chi2_per_dof
 
 
 def test_what_is_remembered_does_not_change_as_the_search_goes_on(fits: tuple[Fit, Fit]) -> None:
@@ -101,7 +101,7 @@ def test_of_effects_that_are_fitted_together_those_are_named_that_the_data_ask_f
     maker = fitter(bare.prepared)
     library = scaled_library([VoltageBias(), VoltageDelay()], bare.prepared.manifest)
     both = maker.fit(bare.model.with_active([c.absent() for c in library]))
-    told: list[InterimResult] = []
+    reported: list[InterimResult] = []
     quick = SearchResult([AcceptedModel(None, bare)])
-    InterimRecorder(told.append).record_joint(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
-    assert [(one.effects, one.fitted_together) for one in told] == [(("voltage_bias",), 2)]
+    InterimRecorder(reported.append).record_joint(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
+    assert [(one.effects, one.fitted_together) for one in reported] == [(("voltage_bias",), 2)]

@@ -136,29 +136,29 @@ def _lost_to(dead_time: DeadTime.Parameters, made: PreparedRecording) -> dict[st
     return taken
 
 
-def test_an_effect_that_asks_for_what_another_takes_is_asked_when_that_is_there(
+def test_an_effect_that_asks_for_what_another_takes_is_requested_when_that_is_there(
     maker: Fitter, library: tuple[CandidateEffect, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[list[str]] = []
+    reported: list[list[str]] = []
 
     def jealous(view: LinearView) -> list[Score]:
         """The first time a misaligned rotor promises a fifth of what the largest does."""
         scores = score(view)
         most = max(s.gain for s in scores)
-        told.append([s.candidate.name for s in scores])
+        reported.append([s.candidate.name for s in scores])
         return [
-            replace(s, gain=0.2 * most) if len(told) == 1 and s.candidate.name == "rotor_misalignment" else s
+            replace(s, gain=0.2 * most) if len(reported) == 1 and s.candidate.name == "rotor_misalignment" else s
             for s in scores
         ]
 
     monkeypatch.setattr(joint_search_module, "score", jealous)
     found = forward_step(maker, maker.fit(free_model()), library)
     assert found.model.names == ("voltage_bias",)
-    assert "voltage_bias" in told[0]
-    assert "voltage_bias" not in told[1]
+    assert "voltage_bias" in reported[0]
+    assert "voltage_bias" not in reported[1]
 
 
-def test_a_form_is_asked_for_once_more_where_something_is_left() -> None:
+def test_a_form_is_requested_once_more_where_something_is_left() -> None:
     made = prepared(plan(sparse=True))
     (dead_time,) = scaled_library([DeadTime()], made.manifest)
     maker = fitter(with_voltage(made, _lost_to(DeadTime.Parameters(voltage_v=2.0, threshold_a=0.4), made)))
@@ -180,9 +180,9 @@ def test_a_dead_time_all_within_its_commutation_is_reached_from_its_second_form(
     fit = fit_full_model(maker, free_model(), library)
     (begun,) = (a for a in fit.model.active if a.name == "dead_time")
     assert begun.values["threshold_a"] == dead_time.named("threshold_a").other_form
-    told = next(a for a in free_own_shapes(maker, fit).model.active if a.name == "dead_time")
-    assert told.values["voltage_v"] == pytest.approx(2.0, rel=0.1)
-    assert told.values["threshold_a"] == pytest.approx(2.5, rel=0.1)
+    reported = next(a for a in free_own_shapes(maker, fit).model.active if a.name == "dead_time")
+    assert reported.values["voltage_v"] == pytest.approx(2.0, rel=0.1)
+    assert reported.values["threshold_a"] == pytest.approx(2.5, rel=0.1)
 
 
 @pytest.mark.slow
@@ -204,7 +204,7 @@ def test_two_effects_of_one_kind_are_no_more_than_one_of_another_form(softness: 
 
 
 def test_of_two_effects_of_one_kind_the_lesser_stays_where_it_alone_has_the_form() -> None:
-    """A dead time that charges capacitances all along, told as much of a drop and a little of itself."""
+    """A dead time that charges capacitances all along, reported as much of a drop and a little of itself."""
     made = prepared(plan(), noise_a=5e-4)
     library = scaled_library([DeadTime(), DeviceDrop()], made.manifest)
     true = DeadTime.Parameters(voltage_v=4.8, threshold_a=0.3, charged=1.0)

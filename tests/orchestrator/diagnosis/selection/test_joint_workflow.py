@@ -131,15 +131,15 @@ def test_a_timer_that_the_fit_shows_is_taken_where_all_effects_do_better_with_it
     assert indistinguishable == ({} if taken else {"voltage_bias": ["another"]})
 
 
-@pytest.mark.parametrize(("chi2", "sharper", "asked"), [(1.05, 0.9, False), (3.0, 0.9, True), (3.0, 1.1, True)])
+@pytest.mark.parametrize(("chi2", "sharper", "requested"), [(1.05, 0.9, False), (3.0, 0.9, True), (3.0, 1.1, True)])
 def test_a_sharper_map_is_tried_where_the_forms_leave_something_and_taken_where_it_leaves_less(
-    chi2: float, sharper: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+    chi2: float, sharper: float, requested: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
     part = setup.part_fitter.fit(whole.model)
     finer, tried = replace(part.model.space, roughness=9.0), list[Fit]()
     fit = replace(part, chi2=chi2 * part.dof, objective=chi2 * part.dof)
-    taken = asked and sharper < 1.0
+    taken = requested and sharper < 1.0
 
     def with_finest_map(_: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
         tried.append(fit)
@@ -151,7 +151,7 @@ def test_a_sharper_map_is_tried_where_the_forms_leave_something_and_taken_where_
     monkeypatch.setattr(joint_workflow, "record_finest_map", with_finest_map)
     monkeypatch.setattr(joint_workflow, "free_own_shapes", free_own_shapes)
     after = joint_workflow.refine_joint_map(setup, fit)
-    assert [len(one.model.free) for one in tried] == [0, 0][: asked + taken]
+    assert [len(one.model.free) for one in tried] == [0, 0][: requested + taken]
     assert (after.model.space is finer) == taken
     assert (after is fit) != taken
     assert [name for _, name in after.model.free] == [name for _, name in fit.model.free]
@@ -173,6 +173,6 @@ def test_a_map_that_was_made_sharp_for_what_others_took_away_later_is_a_usual_on
     assert set(after.model.names) == set(whole.model.names)
 
 
-def test_a_usual_map_is_asked_nothing() -> None:
+def test_a_usual_map_is_requested_nothing() -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
     assert joint_workflow.coarsen_joint_map(setup, whole) is whole

@@ -31,7 +31,7 @@ def test_voltages_that_differ_by_chance_are_no_timer_s() -> None:
     assert with_detected_quantiser(setup, setup.fitter.fit(free_model()), []) is setup
 
 
-def test_a_timer_is_told_again_where_a_fit_with_it_leaves_something() -> None:
+def test_a_timer_is_reported_again_where_a_fit_with_it_leaves_something() -> None:
     true, off = timer(21.7e-9, 0.35, 0.62), timer(21.7e-9, 0.40, 0.58)
     felt = felt_through(true, plan(), noise_a=0.002)
     given = replace(setup_of(fitter(felt)), quantisers=(QuantiserEstimate(off, 9.0, np.zeros((3, 3))),))

@@ -85,7 +85,7 @@ def test_of_two_that_do_the_same_one_is_worth_freeing() -> None:
     assert select_columns(normal, right, 1, [], spare=6.0) == []
 
 
-def test_details_are_worth_bending_only_where_what_is_asked_first_brings_nothing() -> None:
+def test_details_are_worth_bending_only_where_what_is_requested_first_brings_nothing() -> None:
     rng = np.random.default_rng(2)
     rows = rng.normal(size=(400, 3))
     view = rows.T @ rows, rows.T @ -(rows[:, 1] + 0.2 * rows[:, 2])

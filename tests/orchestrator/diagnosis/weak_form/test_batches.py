@@ -60,10 +60,10 @@ def _pieces() -> list[SegmentData]:
     ]
     rates, angles = (1.0, 2.0, 1.0, 0.5, 1.6), (0.0, 0.7, -1.2, 0.0, 2.9)
     made = []
-    for k, (asked, rate, angle) in enumerate(zip(plans, rates, angles, strict=True)):
-        noise = rng.normal(0.0, 0.004, asked.v_dq.shape)
-        one = piece(asked, start_s=10.0 * k, angle=angle, noise=noise)
-        resistance = R_S * (1.0 + 0.01 * rng.normal(size=len(asked.v_dq)))
+    for k, (requested, rate, angle) in enumerate(zip(plans, rates, angles, strict=True)):
+        noise = rng.normal(0.0, 0.004, requested.v_dq.shape)
+        one = piece(requested, start_s=10.0 * k, angle=angle, noise=noise)
+        resistance = R_S * (1.0 + 0.01 * rng.normal(size=len(requested.v_dq)))
         signals = replace(one.signals, sampling_frequency_hz=rate * FS, resistance_ohm=resistance)
         made.append(replace(one, signals=signals))
     made[3] = replace(made[3], windows=replace(made[3].windows, unread=1))
@@ -227,7 +227,7 @@ def test_what_is_held_out_and_what_was_read_with_the_bridge_off_is_by_itself() -
 
 
 @pytest.mark.parametrize("samples", [3000, 6000, 20_000])
-def test_a_batch_is_of_about_the_size_that_was_asked_for(samples: int) -> None:
+def test_a_batch_is_of_about_the_size_that_was_requested(samples: int) -> None:
     _, others = in_batches(MADE, [], samples)
     lengths = [len(p.signals.v_dc) for p in MADE]
     kinds: dict[tuple[bool, bool], list[int]] = {}

@@ -29,7 +29,7 @@ def _two(i_abc: Array) -> Array:
     return np.stack([a, (a + 2.0 * b) / np.sqrt(3.0)], axis=1)
 
 
-def test_a_vector_of_three_readings_is_told_from_one_of_two() -> None:
+def test_a_vector_of_three_readings_is_reported_from_one_of_two() -> None:
     for phases in (_phases(), _phases(gain_c=1.01, noise_a=0.0)):
         assert clarke_of_three(_three(phases).astype(np.float32), phases.astype(np.float32)) is True
         assert clarke_of_three(_two(phases).astype(np.float32), phases.astype(np.float32)) is False

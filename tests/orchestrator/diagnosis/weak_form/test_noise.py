@@ -49,8 +49,8 @@ RIPPLE = Plan(
 COVARIANCE = NOISE_A**2 * np.array([[1.0, 0.6], [0.6, 1.6]])
 
 
-def _rows(asked: Plan, noise: Array) -> Array:
-    batch = SegmentBatch.of([piece(asked, noise=noise)])
+def _rows(requested: Plan, noise: Array) -> Array:
+    batch = SegmentBatch.of([piece(requested, noise=noise)])
     at = local_map(batch, batch.signals, TRUE_MAP)
     known, resistance = voltage_and_resistance(batch, batch.signals, at, PM_WB)
     return known + R_S * resistance + flux_terms(batch, at)
@@ -61,19 +61,19 @@ def _local(one: SegmentData) -> LocalMap:
     return local_map(batch, batch.signals, TRUE_MAP)
 
 
-def _whitener(asked: Plan, slopes: Slopes | None = None) -> Whitener:
-    one = piece(asked)
+def _whitener(requested: Plan, slopes: Slopes | None = None) -> Whitener:
+    one = piece(requested)
     at = _local(one)
     noise = SensorNoise(COVARIANCE, COVARIANCE, 0.0)
     return Whitener.of(banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, slopes))
 
 
-@few("asked", [HOLD, SWEEP, RIPPLE])
-def test_whitened_noise_has_unit_covariance(asked: Plan) -> None:
+@few("requested", [HOLD, SWEEP, RIPPLE])
+def test_whitened_noise_has_unit_covariance(requested: Plan) -> None:
     rng, draws = np.random.default_rng(1), 400
     root = np.linalg.cholesky(COVARIANCE)
-    rows = np.stack([_rows(asked, rng.normal(size=asked.v_dq.shape) @ root.T) for _ in range(draws)], axis=1)
-    white = _whitener(asked)(rows)
+    rows = np.stack([_rows(requested, rng.normal(size=requested.v_dq.shape) @ root.T) for _ in range(draws)], axis=1)
+    white = _whitener(requested)(rows)
     count = len(white)
     found = white @ white.T / draws
     # Of so many draws a variance is known to sqrt(2 / n), a covariance to sqrt(1 / n); five of these.
@@ -107,7 +107,7 @@ def test_errors_in_common_are_whitened_too() -> None:
     common = np.sqrt(plain.variance)[:, None] * np.random.default_rng(2).normal(size=(n, 2)) * np.array([0.3, 20.0])
     whitener, u = Whitener.of(banded, common), plain(common)
     both = np.eye(n) + u @ u.T
-    # (1 + U U^T)^-1/2 on both sides leaves one; what is noise alone stays the variance that is told.
+    # (1 + U U^T)^-1/2 on both sides leaves one; what is noise alone stays the variance that is reported.
     root = plain(np.eye(n))
     half = whitener(np.eye(n)) @ np.linalg.inv(root)
     np.testing.assert_allclose(half @ both @ half.T, np.eye(n), atol=1e-8)
@@ -143,13 +143,13 @@ def test_covariance_and_correlation_of_the_readings_are_found(correlation: float
 
 
 @pytest.mark.parametrize(
-    ("off", "readings", "told"), [(-0.085, 500, 0.0), (0.1, 500, 0.1), (-0.085, 50_000, -0.085), (0.02, 200, 0.0)]
+    ("off", "readings", "reported"), [(-0.085, 500, 0.0), (0.1, 500, 0.1), (-0.085, 50_000, -0.085), (0.02, 200, 0.0)]
 )
 def test_with_the_gates_off_readings_tell_what_current_control_does_and_chance_is_none(
-    off: float, readings: int, told: float
+    off: float, readings: int, reported: float
 ) -> None:
     held, free = (Scatter(np.eye(2), rho, np.zeros(0), n) for rho, n in ((0.15, 10_000), (off, readings)))
-    assert _correlation([held], [free], 0.08) == told
+    assert _correlation([held], [free], 0.08) == reported
     assert _correlation([held], [], 0.08) == 0.15
 
 

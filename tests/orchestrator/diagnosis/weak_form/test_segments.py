@@ -47,11 +47,11 @@ def test_a_sweep_says_which_axis_it_moves(axis: str, number: int) -> None:
     assert swept_axis(one.segment, one.signals.i_ab) == axis
     both = piece(Plan(SegmentStage.CLASSICAL, sweep(0, 1.5, 0.0) + sweep(1, 1.5, 0.0)))
     assert swept_axis(both.segment, both.signals.i_ab) == "dq"
-    said = both.segment.model_copy(update={"settings": {"swept_axis": axis}})
-    assert swept_axis(said, both.signals.i_ab) == axis
+    stated = both.segment.model_copy(update={"settings": {"swept_axis": axis}})
+    assert swept_axis(stated, both.signals.i_ab) == axis
 
 
-def test_an_injection_that_does_not_say_its_frequency_is_asked_for_it() -> None:
+def test_an_injection_that_does_not_say_its_frequency_is_requested_it() -> None:
     silent = piece(Plan(SegmentStage.INJECTION, ripple(0.0, 0.0, 40.0)))
     assert injection_period(silent.segment, FS, silent.signals.v_ab) == pytest.approx(20.0, rel=0.01)
 
@@ -70,15 +70,15 @@ def test_every_so_many_th_injection_and_diagonal_sweeps_are_held_out_where_other
     assert not any(p.held_out for p in prepare(clean, few).pieces if p.stage is SegmentStage.INJECTION)
 
 
-def test_what_is_too_short_is_said_once_a_stage(clean: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_too_short_is_stated_once_a_stage(clean: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     holds = clean.segments(SegmentStage.RESISTANCE)
     longest = max(segment.samples for segment in holds)
     monkeypatch.setattr(segments, "MIN_SEGMENT_SAMPLES", longest + 1)
     made = prepare(clean, Criteria())
-    said = [remark.text for remark in made.remarks if remark.code == "too_short"]
-    assert f"{holds[0].id} to {holds[-1].id} ({len(holds)}): too short to be used" in said
-    assert not any(holds[1].id in text for text in said)
-    assert len(said) < 4
+    stated = [remark.text for remark in made.remarks if remark.code == "too_short"]
+    assert f"{holds[0].id} to {holds[-1].id} ({len(holds)}): too short to be used" in stated
+    assert not any(holds[1].id in text for text in stated)
+    assert len(stated) < 4
 
 
 def test_a_part_to_search_in_keeps_points_evenly_spread_and_their_beginnings(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -65,7 +65,7 @@ def test_periods_that_do_not_repeat_whole_or_often_enough_say_nothing(n: int, pe
     assert scatter.spectrum.size == 0
 
 
-def test_between_the_edges_of_voltage_steps_the_noise_is_told_apart_from_the_current() -> None:
+def test_between_the_edges_of_voltage_steps_the_noise_is_separated_from_the_current() -> None:
     n, swing = 20_000, 40
     sign = np.where(np.arange(n) // swing % 2 == 0, 1.0, -1.0)
     current = np.column_stack([np.cumsum(sign) / swing, np.zeros(n)])

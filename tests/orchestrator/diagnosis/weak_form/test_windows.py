@@ -91,7 +91,7 @@ def test_an_axis_that_nobody_read_says_nothing(unread: int) -> None:
     assert whole is not None
     windows = replace(whole, unread=unread)
     x = np.random.default_rng(3).normal(size=(4000, 2))
-    told, every = (_sums(one, x).reshape(-1, 2) for one in (windows, whole))
-    assert not told[:, unread].any()
-    np.testing.assert_array_equal(told[:, 1 - unread], every[:, 1 - unread])
+    reported, every = (_sums(one, x).reshape(-1, 2) for one in (windows, whole))
+    assert not reported[:, unread].any()
+    np.testing.assert_array_equal(reported[:, 1 - unread], every[:, 1 - unread])
     assert 2 * windows.informative == windows.rows == whole.informative

@@ -74,7 +74,7 @@ def test_an_option_that_the_drive_lacks_is_refused_before_any_run(tmp_path: Path
     check_runs(runs_of(load_campaign(written(tmp_path, WHOLE))))
 
 
-def test_variants_are_multiplied_out_and_told_apart(tmp_path: Path) -> None:
+def test_variants_are_multiplied_out_and_separated(tmp_path: Path) -> None:
     """A tolerance study: the motor differs from its nameplate, which stays as it is."""
     more = "hidden: [{}]\nvariants: [{}, {drive.plant.resistance_ohm: [4.0, 4.5], limits.current_a: 4.0}]\n"
     runs = list(runs_of(load_campaign(written(tmp_path, HEAD + more))))

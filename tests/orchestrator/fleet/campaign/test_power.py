@@ -56,7 +56,7 @@ def test_a_twin_counts_and_what_is_only_measured_is_not_named() -> None:
     assert (power.found, power.named) == (2, 1)
 
 
-def test_nothing_found_is_said_so() -> None:
+def test_nothing_found_is_stated_so() -> None:
     (smallest,) = judged(row("a", 0.1), row("b", 0.3)).smallest
     assert smallest.size is None
 

@@ -66,7 +66,7 @@ def test_the_machine_comes_to_rest_at_ohm_s_law_with_the_map_s_torque(unit: Path
     library.fmi2FreeInstance(machine)
 
 
-def test_without_a_compiler_the_sources_are_in_it_and_that_is_said(
+def test_without_a_compiler_the_sources_are_in_it_and_that_is_stated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PATH", "")

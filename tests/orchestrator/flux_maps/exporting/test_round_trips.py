@@ -147,7 +147,7 @@ def test_report_says_what_was_measured_and_what_the_inverse_covers(
     assert ExportReport.model_validate_json(report.model_dump_json()) == report
 
 
-def test_a_magnet_that_a_locked_rotor_cannot_show_is_said_to_be_missing(tmp_path: Path) -> None:
+def test_a_magnet_that_a_locked_rotor_cannot_show_is_stated_to_be_missing(tmp_path: Path) -> None:
     unknown = Motor(name="unknown", pole_pairs=2)
     assert any("magnet" in note for note in export_map(linear_map(psi_m=0.0), unknown, tmp_path, ["csv"]).notes)
     assert not any("magnet" in note for note in export_map(linear_map(), unknown, tmp_path, ["csv"]).notes)

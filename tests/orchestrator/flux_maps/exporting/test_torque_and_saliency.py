@@ -95,7 +95,7 @@ def test_saturated_mtpv_is_what_trying_every_current_finds() -> None:
     assert np.linalg.norm(curve.psi_dq[0]) == pytest.approx(0.33)
 
 
-def test_a_best_point_at_the_edge_of_the_measurement_is_said_to_be_one() -> None:
+def test_a_best_point_at_the_edge_of_the_measurement_is_stated_to_be_one() -> None:
     flux_map = linear_map()
     right = {
         name: getattr(flux_map, name)[10:]

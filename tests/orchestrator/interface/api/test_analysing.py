@@ -105,7 +105,7 @@ def test_estimates_are_given_as_they_come_before_anything_is_written(tmp_path: P
     (resistance,) = [estimate for estimate in found if isinstance(estimate, ResistanceEstimate)]
     assert report.resistance == resistance
     assert [isinstance(estimate, FluxMapEstimate) for estimate in found if estimate is not resistance] == [True]
-    fluxbench.estimate(DATA, estimators=["resistance"], out=tmp_path / "unasked")
+    fluxbench.estimate(DATA, estimators=["resistance"], out=tmp_path / "unrequested")
 
 
 @pytest.mark.slow
@@ -123,7 +123,9 @@ def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
         remove(DATA, "dead_time", out=tmp_path)
 
 
-def test_a_diagnosis_is_asked_to_propose_the_next_experiment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_diagnosis_is_requested_to_propose_the_next_experiment(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     seen: dict[str, Any] = {}
 
     def diagnose_and_keep(recording: object, effects: object, **options: Any) -> tuple[None, str]:

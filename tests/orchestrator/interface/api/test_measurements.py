@@ -48,7 +48,7 @@ def test_an_unknown_segment_is_named(opened: Measurements) -> None:
         opened.waveforms("classical-999")
 
 
-def test_what_was_not_made_yet_is_said(opened: Measurements) -> None:
+def test_what_was_not_made_yet_is_stated(opened: Measurements) -> None:
     with pytest.raises(RecordingError, match=r"estimates\.json: No such file or directory; `fluxbench estimate` makes"):
         _ = opened.estimates
     with pytest.raises(RecordingError, match=r"flux_map\.nc"):

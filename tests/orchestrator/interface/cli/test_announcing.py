@@ -31,7 +31,7 @@ def test_a_line_is_out_before_anything_heavy_is_imported(
     assert (done.stdout, done.stderr) == (("", line) if json else (line, ""))
 
 
-def test_nothing_is_said_of_what_is_not_there(tmp_path: Path) -> None:
+def test_nothing_is_stated_of_what_is_not_there(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["estimate", str(tmp_path / "nowhere")])
     assert done.stdout == ""
 

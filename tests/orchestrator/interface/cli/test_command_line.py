@@ -177,8 +177,8 @@ def test_an_effect_s_method_that_nothing_calls_ends_a_command_in_one_line(comman
     data = Path(__file__).parents[3] / "data" / "pm400-reduced"
     mine = tmp_path / "mine.py"
     mine.write_text(EFFECT_WITH_A_METHOD.format(method="random_direction"))
-    told = ("plugin 'mine'", "mine.py", "'random_direction' is never called", "did you mean 'random_directions'?")
-    assert_one_line(called(command, data, "--effects", mine, "--out", tmp_path), 2, *told)
+    reported = ("plugin 'mine'", "mine.py", "'random_direction' is never called", "did you mean 'random_directions'?")
+    assert_one_line(called(command, data, "--effects", mine, "--out", tmp_path), 2, *reported)
 
 
 EFFECT_WITH_A_METHOD = """

@@ -25,7 +25,7 @@ def test_what_is_designed_is_a_procedure_that_check_takes(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_what_it_will_tell_is_told_as_json_too(tmp_path: Path) -> None:
+def test_what_it_will_tell_is_reported_as_json_too(tmp_path: Path) -> None:
     out = tmp_path / "shortest.yaml"
     result = json.loads(called("design", tiny_file(tmp_path), *PAIR, "--out", out, "--json").stdout)
     assert result["out"] == str(out)

@@ -114,7 +114,7 @@ def test_a_field_of_model_json_is_named(
     ("text", "message"),
     [("{", "model.json:1: broken JSON"), ("[1]", "expected a JSON object, got list"), ("\xff", "not UTF-8 at byte 0")],
 )
-def test_a_model_json_that_is_none_is_said(
+def test_a_model_json_that_is_none_is_stated(
     text: str, message: str, kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (kept / "model.json").write_bytes(text.encode("latin-1"))

@@ -33,6 +33,6 @@ def test_a_map_that_is_usable_is_named_with_its_file(estimated: Path, capsys: py
     assert path.is_file()
 
 
-def test_of_a_map_that_is_not_it_is_said_why(estimated: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_a_map_that_is_not_it_is_stated_why(estimated: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (line,) = map_lines(estimated, capsys, usable=False)
     assert line == "flux map: NOT RELIABLE: the model leaves 3 % unexplained"

@@ -43,7 +43,7 @@ def test_effects_and_procedures_have_a_line_each(command: str, name: str) -> Non
     assert name in {row["name"] for row in rows}
 
 
-def test_a_new_package_is_told_as_json_too(tmp_path: Path) -> None:
+def test_a_new_package_is_reported_as_json_too(tmp_path: Path) -> None:
     result = json.loads(called("new", "effect", "mine", "--out", tmp_path / "new", "--json").stdout)
     assert result["folder"] == str(tmp_path / "new")
     assert all(Path(file).is_file() for file in result["files"])

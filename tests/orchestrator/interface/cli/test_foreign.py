@@ -40,7 +40,9 @@ def test_the_first_line_of_the_module_is_read_and_nothing_imported(
 
 
 @pytest.mark.parametrize("text", ["", "x = 1", "def (", "\0"])
-def test_where_nothing_is_said_its_origin_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+def test_where_nothing_is_stated_its_origin_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     assert summary_of(a_module(tmp_path, text)) == "A plugin's, from ?."
 

@@ -36,7 +36,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_page_that_cannot_be_written_is_said_and_fails_nothing(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_page_that_cannot_be_written_is_stated_and_fails_nothing(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (run / "results" / "estimates.json").write_text("new")
     refresh_report(run, None)
     assert "report.html is older than these results: " in capsys.readouterr().err

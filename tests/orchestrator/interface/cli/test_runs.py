@@ -59,7 +59,7 @@ def test_runs_are_listed_and_searched_by_words(folder: Path) -> None:
     assert message.endswith("; `fluxbench runs --folder elsewhere` lists those below elsewhere\n")
 
 
-def test_a_folder_that_is_not_there_and_a_damaged_run_are_said(folder: Path, tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_and_a_damaged_run_are_stated(folder: Path, tmp_path: Path) -> None:
     assert called("runs", "--folder", tmp_path / "none").returncode == 2
     damaged = tmp_path / "damaged"
     damaged.mkdir()

@@ -77,7 +77,7 @@ def codes(comparison: RunsComparison) -> list[str]:
     return [remark.code for remark in comparison.remarks]
 
 
-def test_what_did_not_change_is_not_said_to_have(tmp_path: Path) -> None:
+def test_what_did_not_change_is_not_stated_to_have(tmp_path: Path) -> None:
     """Noise of the stated size is no change, in numbers nor in the map."""
     other = moved()
     noisy = other.model_copy(update={"psi_d": other.psi_d + np.random.default_rng(3).normal(0.0, 3e-5, (25, 25))})
@@ -87,13 +87,13 @@ def test_what_did_not_change_is_not_said_to_have(tmp_path: Path) -> None:
     assert {quantity.changed[1] for quantity in comparison.quantities} <= {False, None}
 
 
-def test_a_warmer_winding_is_told_in_kelvin(tmp_path: Path) -> None:
+def test_a_warmer_winding_is_reported_in_kelvin(tmp_path: Path) -> None:
     comparison = compare_runs([run(tmp_path, "cold"), run(tmp_path, "hot", r_s=4.25 * (1 + 0.00393 * 30.0))]).comparison
     assert codes(comparison) == ["changed", "r_s_changed"]
     assert comparison.remarks[1].values["kelvin"] == pytest.approx(30.0)
 
 
-def test_runs_that_are_called_alike_are_told_apart_by_where_they_are(tmp_path: Path) -> None:
+def test_runs_that_are_called_alike_are_separated_by_where_they_are(tmp_path: Path) -> None:
     for where in ("one", "two"):
         (tmp_path / where).mkdir()
     comparison = compare_runs([run(tmp_path / "one", "rec"), run(tmp_path / "two", "rec", r_s=5.0)]).comparison

@@ -28,7 +28,7 @@ from protocols import FluxbenchError
         (["--serial", "x", "--log", "/nowhere/log"], "cannot be written"),
     ],
 )
-def test_what_cannot_be_emulated_is_told(
+def test_what_cannot_be_emulated_is_reported(
     words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -385,7 +385,7 @@ def test_no_program_is_longer_than_the_device_says() -> None:
     assert (desk.state, desk.device.power.phase) == (PowerState.HOLDING, Phase.COMPLETE)
 
 
-def test_the_first_cause_is_kept_and_what_follows_is_told(desk: Desk) -> None:
+def test_the_first_cause_is_kept_and_what_follows_is_reported(desk: Desk) -> None:
     desk.arm()
     desk.run(HOLD)
     desk.pass_time(0.1)

@@ -148,7 +148,7 @@ def test_it_refuses_to_move_before_it_is_armed(host: Host) -> None:
     assert host.state() is PowerState.DISARMED
 
 
-def test_another_host_is_told_that_it_is_busy_and_an_old_session_that_it_is_stale(host: Host) -> None:
+def test_another_host_is_reported_that_it_is_busy_and_an_old_session_that_it_is_stale(host: Host) -> None:
     first = host.conversation.session
     assert host.arm().status is AckStatus.OK
     issued = host.conversation.session

@@ -97,7 +97,7 @@ def test_what_nobody_takes_is_thrown_away() -> None:
 
 
 @pytest.mark.parametrize("field", ["drop", "duplicate", "reorder", "corrupt"])
-def test_losses_are_those_that_were_asked_for(field: str) -> None:
+def test_losses_are_those_that_were_requested(field: str) -> None:
     lossy: Lossy[int] = Lossy(Losses(**{field: 0.05}), "seed", lambda unit, chance: -unit)
     out = lossy(range(1, 20_001))
     sizes = [abs(unit) for unit in out]

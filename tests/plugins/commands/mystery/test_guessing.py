@@ -33,7 +33,7 @@ def test_names_and_sizes_are_read() -> None:
         (",", "nothing"),
     ],
 )
-def test_a_guess_that_cannot_be_read_is_told_in_one_line(words: str, message: str) -> None:
+def test_a_guess_that_cannot_be_read_is_reported_in_one_line(words: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         read_guess(words)
     assert "\n" not in str(caught.value)
@@ -70,7 +70,7 @@ def test_a_size_is_judged_by_the_first_parameter_or_by_the_larger_phase() -> Non
     assert [(size.parameter, size.ratio) for size in verdict.sizes] == [("voltage_v", 0.5), ("offset_b_a", 1.0)]
 
 
-def test_sizes_that_are_not_said_are_the_models() -> None:
+def test_sizes_that_are_not_stated_are_the_models() -> None:
     verdict = judge(read_guess("dead_time"), HIDDEN, {"dead_time": {"voltage_v": 2.2}})
     assert verdict.sizes[0].ratio == pytest.approx(1.1)
 

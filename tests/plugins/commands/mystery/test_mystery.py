@@ -79,11 +79,11 @@ def test_reveal_tells_too_what_the_run_itself_caused(
 ) -> None:
     turned = {"rotor_misalignment": {"angle_rad": 0.02}}
     monkeypatch.setattr("plugins.commands.mystery._guessing.caused_effects", lambda _: turned)
-    told = verdict_on(capsys, run, "--reveal")
-    assert "rotor_misalignment: not hidden; the run itself caused it" in told
+    reported = verdict_on(capsys, run, "--reveal")
+    assert "rotor_misalignment: not hidden; the run itself caused it" in reported
 
 
-def test_asked_again_it_is_not_measured_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_requested_again_it_is_not_measured_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (run / "journal.jsonl").read_bytes()
     assert "fluxbench diagnose" in verdict_on(capsys, run)
     assert (run / "journal.jsonl").read_bytes() == before
@@ -94,7 +94,7 @@ def test_a_mystery_that_was_not_made_cannot_be_guessed(tmp_path: Path) -> None:
         command(["3", "--guess", "nothing", "--out", str(tmp_path / "none")])
 
 
-def test_a_lost_answer_is_said_in_one_line(run: Path, tmp_path: Path) -> None:
+def test_a_lost_answer_is_stated_in_one_line(run: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(run, copy)
     with pytest.raises(RecordingError, match="sealed"):

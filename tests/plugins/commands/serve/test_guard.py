@@ -22,7 +22,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 
 @pytest.mark.parametrize("path", [*READ, "/?token=", "/?token=wrong", "/choices?token=wrong", "/nothing"])
-def test_without_the_token_nothing_is_told(path: str, served: Served) -> None:
+def test_without_the_token_nothing_is_reported(path: str, served: Served) -> None:
     for headers in ({}, {"Cookie": f"fluxbench_{served.port}=wrong"}, {"Cookie": f"fluxbench={served.token}"}):
         reply = served.ask("GET", path, headers)
         assert reply.status == 403
@@ -49,7 +49,7 @@ def test_the_token_counts_in_the_page_s_own_address_only(served: Served) -> None
 
 
 @pytest.mark.parametrize("host", ["bench.example.org", "bench.example.org:80", "127.0.0.1.example.org", "0.0.0.0", "["])
-def test_under_a_foreign_name_nothing_is_told(host: str, served: Served) -> None:
+def test_under_a_foreign_name_nothing_is_reported(host: str, served: Served) -> None:
     assert served.ask("GET", "/choices", {**served.cookie, "Host": host}).status == 403
     assert served.ask("GET", f"/?token={served.token}", {"Host": host}).status == 403
 
@@ -94,7 +94,7 @@ def test_the_token_stands_in_no_file_no_command_line_and_no_environment(served: 
 
 
 @pytest.mark.skipif(os.name != "posix" or os.getuid() != 0, reason="another user can be had by root only")
-def test_another_user_of_this_machine_is_told_nothing(served: Served) -> None:
+def test_another_user_of_this_machine_is_reported_nothing(served: Served) -> None:
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -134,7 +134,7 @@ def test_what_is_not_on_the_list_is_not_started(name: str, served: Served) -> No
         assert served.post("/start", {"procedure": "demo", "motor": name}).status == 400
 
 
-def test_a_port_that_is_taken_is_said_in_one_line(served: Served, tmp_path: Path) -> None:
+def test_a_port_that_is_taken_is_stated_in_one_line(served: Served, tmp_path: Path) -> None:
     from tests.support.processes import called
 
     done = called("serve", tmp_path, "--port", str(served.port))

@@ -68,7 +68,7 @@ def answers(messages: list[Message]) -> list[OperatorAnswered]:
     return [message for message in messages if isinstance(message, OperatorAnswered)]
 
 
-def test_a_run_is_started_asked_about_answered_and_stopped_by_two_browsers(served: Served) -> None:
+def test_a_run_is_started_requested_about_answered_and_stopped_by_two_browsers(served: Served) -> None:
     listed = served.get("/choices").content
     names = {one["name"]: one["problem"] for one in listed["procedures"]}
     assert names["asking.yaml"] == names["demo"] == ""
@@ -176,7 +176,7 @@ def test_a_browser_that_is_gone_while_a_question_is_open_leaves_it_open(served: 
 
 
 @pytest.mark.slow
-def test_what_is_wrong_with_a_run_is_told_before_and_after_it_is_started(served: Served) -> None:
+def test_what_is_wrong_with_a_run_is_reported_before_and_after_it_is_started(served: Served) -> None:
     wanted = {"procedure": "asking.yaml", "settings": ["limits.current_a=-3"]}
     checked = served.post("/check", wanted)
     assert checked.status == 400

@@ -87,7 +87,7 @@ def oracle() -> Iterator[tuple[Adapter, can.BusABC]]:
 
 @settings(deadline=None, max_examples=30)
 @given(st.lists(frames, min_size=1, max_size=9))
-def test_what_python_can_says_is_heard(
+def test_what_python_can_says_is_received(
     adapter: Adapter, port: SlcanPort, oracle: tuple[Adapter, can.BusABC], frames: list[Frame]
 ) -> None:
     line, bus = oracle
@@ -99,7 +99,7 @@ def test_what_python_can_says_is_heard(
 
 @settings(deadline=None, max_examples=30)
 @given(st.lists(frames, min_size=1, max_size=9))
-def test_what_is_said_python_can_hears(
+def test_what_is_stated_python_can_hears(
     adapter: Adapter, port: SlcanPort, oracle: tuple[Adapter, can.BusABC], frames: list[Frame]
 ) -> None:
     line, bus = oracle
@@ -129,7 +129,7 @@ def test_answers_strangers_and_damaged_letters_are_no_frames(adapter: Adapter, p
     assert received(port, 1) == [Frame(0x80, b"\xcc")]
 
 
-def test_a_drive_s_node_is_on_its_frames_and_no_other_is_heard() -> None:
+def test_a_drive_s_node_is_on_its_frames_and_no_other_is_received() -> None:
     line = Adapter()
     port = SlcanPort(line.path, 500_000, RATE, node=2, settings=AWAKE)
     assert line.received() == b"\rC\rS6\rO\r"
@@ -141,7 +141,7 @@ def test_a_drive_s_node_is_on_its_frames_and_no_other_is_heard() -> None:
     line.close()
 
 
-def test_an_adapter_that_takes_nothing_is_said_not_to() -> None:
+def test_an_adapter_that_takes_nothing_is_stated_not_to() -> None:
     line = Adapter()
     port = SlcanPort(line.path, 1_000_000, RATE, settings=AWAKE)
     while port.send(FRAMES * 20, 0.02):

@@ -71,7 +71,7 @@ def armed(change: Callable[[Servo], Any] = nothing, limits: Limits = LIMITS) -> 
         yield drive, port
 
 
-def test_a_hold_is_captured_where_it_was_asked_for_and_its_voltage_is_the_resistance_times_it() -> None:
+def test_a_hold_is_captured_where_it_was_requested_and_its_voltage_is_the_resistance_times_it() -> None:
     with armed() as (drive, port):
         measured = measure(drive, HOLD)
         assert port.servo.configuration["servo.max_current_A"] == 8.0, "the board does not hold the limit"
@@ -149,7 +149,7 @@ def test_without_a_heartbeat_the_board_hears_no_setpoint_and_stops_by_itself() -
         (77, FaultCause.INTERNAL, "moteus fault 77: unknown"),
     ],
 )
-def test_a_fault_is_told_in_words_and_latched(code: int, cause: FaultCause, words: str) -> None:
+def test_a_fault_is_reported_in_words_and_latched(code: int, cause: FaultCause, words: str) -> None:
     with armed() as (drive, port):
         port.servo.trip(code)
         with pytest.raises(DriveFault, match=words) as fault:
@@ -196,7 +196,7 @@ def test_a_board_at_another_angle_is_not_energised() -> None:
         assert port.servo.mode == 0
 
 
-def test_readings_that_never_come_evenly_are_told() -> None:
+def test_readings_that_never_come_evenly_are_reported() -> None:
     with armed() as (drive, port):
         answer = port.servo.answer
 
@@ -287,28 +287,28 @@ def test_an_answer_that_comes_twice_spoils_no_conversation(monkeypatch: pytest.M
     """A frame whose answer was late is sent again, and answered again: the next question meets that line."""
     import moteus
 
-    asked, answered = list[str](), moteus.Stream.read_data
+    requested, answered = list[str](), moteus.Stream.read_data
 
     async def read_data(stream: Any, name: str) -> Any:
-        asked.append(name)
-        if len(asked) == 1:
+        requested.append(name)
+        if len(requested) == 1:
             raise RuntimeError(f"Unexpected schema announce for '{name}' : 'b'12.000000''")
         return await answered(stream, name)
 
     monkeypatch.setattr(moteus.Stream, "read_data", read_data)
     with connected() as (drive, _):
         assert drive.telemetry().state is DriveState.DISARMED
-    assert asked[:2] == ["servo_control", "servo_control"]
+    assert requested[:2] == ["servo_control", "servo_control"]
 
 
 @pytest.mark.parametrize("question", ["conf get motor.poles", "conf get servo.timeout_mode", "tel fmt servo_stats 0"])
 def test_a_line_that_comes_twice_is_not_the_next_answer(question: str) -> None:
     left = [question]
 
-    def once(asked: str) -> bool:
-        if asked not in left:
+    def once(requested: str) -> bool:
+        if requested not in left:
             return False
-        left.remove(asked)
+        left.remove(requested)
         return True
 
     with fdcanusb(lambda servo: setattr(servo, "answers_twice", once)) as port:
@@ -324,7 +324,9 @@ def test_a_line_that_comes_twice_is_not_the_next_answer(question: str) -> None:
 
 
 def test_lines_that_always_come_twice_are_one_clear_error() -> None:
-    with fdcanusb(lambda servo: setattr(servo, "answers_twice", lambda asked: asked.startswith("conf"))) as port:
+    with fdcanusb(
+        lambda servo: setattr(servo, "answers_twice", lambda requested: requested.startswith("conf"))
+    ) as port:
         drive = made(port)
         with pytest.raises(DriveFault, match="not those of their questions") as fault:
             drive.connect()

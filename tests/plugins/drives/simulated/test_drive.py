@@ -69,7 +69,7 @@ def test_control_holds_against_eight_volts_of_dead_time(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("bandwidth", [5.0, 25.0, 200.0])
-def test_the_bandwidth_is_what_was_asked_for(bench: Bench, bandwidth: float) -> None:
+def test_the_bandwidth_is_what_was_requested(bench: Bench, bandwidth: float) -> None:
     """A small step of the second-order loop overshoots little and arrives within its own time."""
     magnetics = {"kind": "nameplate", "d_fall": 0.0, "q_fall": 0.0, "cross": 0.0}
     drive = bench(plant={"magnetics": magnetics})
@@ -357,7 +357,7 @@ def test_the_truth_goes_to_the_private_directory_and_nowhere_else(bench: Bench, 
     assert SimulatedDrive.sealed_options == {"plant"} <= set(SimulatedOptions.model_fields)
 
 
-def test_a_bus_that_cannot_be_derived_is_asked_for() -> None:
+def test_a_bus_that_cannot_be_derived_is_requested() -> None:
     motor = LARGE.model_copy(update={"rated_voltage_rms_v": None})
     drive = SimulatedDrive(DriveSetup(motor=motor, options=options_of(), seed=1))
     with pytest.raises(InputError, match="dc_bus_voltage_v"):

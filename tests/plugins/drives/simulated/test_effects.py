@@ -170,7 +170,7 @@ def loop(half_width_a: float, ratio: float, swing_wb: float) -> tuple[float, flo
     return 0.5 * (up - down), float(np.ptp(i[last, 1]) / np.ptp(psi[last]))
 
 
-def test_hysteresis_has_the_width_and_the_small_loops_that_were_asked_for() -> None:
+def test_hysteresis_has_the_width_and_the_small_loops_that_were_requested() -> None:
     width, large = loop(0.05, 0.93, 0.2)
     assert width == pytest.approx(0.05, rel=0.02)
     _, small = loop(0.05, 0.93, 0.0005)

@@ -59,7 +59,7 @@ def check_reciprocity_and_parity(truth: TrueMagnetics, reach: float) -> None:
 
 
 @pytest.mark.parametrize("motor", MOTORS)
-def test_a_nameplate_motor_saturates_as_asked_whatever_its_size(motor: Motor) -> None:
+def test_a_nameplate_motor_saturates_as_requested_whatever_its_size(motor: Motor) -> None:
     truth = magnetics_of(motor, kind="nameplate", d_fall=0.3, q_fall=0.5, cross=0.08)
     rated, l_d, l_q = motor.rated_current_a, motor.d_inductance_h, motor.q_inductance_h
     assert rated is not None

@@ -349,7 +349,7 @@ def test_a_short_filter_lags_by_the_slope_of_the_zero_vector_alone() -> None:
 # The bus
 
 
-def test_a_loaded_bus_sinks_and_is_logged_as_the_drive_is_told() -> None:
+def test_a_loaded_bus_sinks_and_is_logged_as_the_drive_is_reported() -> None:
     volts = still(25.0, 0.0)
     plain: dict[str, Any] = {"resistance_ohm": 2.0, "capacitance_f": 1e-3}
     i, bus, x = respond(plant_of(switching={"bus": plain}), volts)

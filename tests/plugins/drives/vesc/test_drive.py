@@ -200,7 +200,7 @@ def test_the_frame_is_found_finer_than_its_octets(first_rad: float) -> None:
     assert 30 <= begin <= 37
 
 
-def test_a_frame_that_stands_still_is_told() -> None:
+def test_a_frame_that_stands_still_is_reported() -> None:
     with pytest.raises(DriveFault, match="does not rotate"):
         turning_frame(_rows(np.full(1000, 3)), 20.0, 1.0 / 8000.0)
 
@@ -212,7 +212,7 @@ def test_a_tones_first_row_is_one_step_into_its_wave() -> None:
 
 
 @pytest.mark.parametrize(("direction", "phase"), [(0.0, 0.0), (2.0, 0.3), (-1.0, 0.9)])
-def test_a_window_begins_where_direction_and_wave_are_those_asked_for(direction: float, phase: float) -> None:
+def test_a_window_begins_where_direction_and_wave_are_those_requested(direction: float, phase: float) -> None:
     k = np.arange(1000)
     angle, place = 0.4 + 2.0 * np.pi * k / 600, (k / 20) % 1.0
     at = window(angle, place, direction, phase, 100, 400, 1 / 20)

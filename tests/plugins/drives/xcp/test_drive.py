@@ -65,7 +65,7 @@ def test_a_row_that_is_lost_is_a_fault_and_the_gates_go_off(ecu: Ecu) -> None:
         assert not ecu.gates_are_on
 
 
-def test_an_answer_that_is_lost_is_asked_for_once_more(ecu: Ecu) -> None:
+def test_an_answer_that_is_lost_is_requested_once_more(ecu: Ecu) -> None:
     with armed(ecu, timeout_s=2.0) as drive:
         ecu.process.send_signal(signal.SIGUSR2)
         measured = np.concatenate([block.i_ab for block in drive.execute(HOLD)])
@@ -117,7 +117,7 @@ def test_the_routine_itself_refuses_what_is_past_the_limits(ecu: Ecu, monkeypatc
         assert drive.telemetry().state is DriveState.ARMED
 
 
-def test_an_address_at_which_something_else_stands_is_told(ecu: Ecu) -> None:
+def test_an_address_at_which_something_else_stands_is_reported(ecu: Ecu) -> None:
     drive = drive_for(ecu, address=ecu.options.address + 4)
     with pytest.raises(DriveFault, match="fluxbench"):
         drive.connect()

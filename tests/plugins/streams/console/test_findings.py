@@ -152,7 +152,7 @@ def test_a_message_without_arrays_is_whole() -> None:
     assert without_arrays(DIAGNOSED) == DIAGNOSED.model_dump(mode="json")
 
 
-def test_a_report_that_says_little_is_told_all_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_report_that_says_little_is_reported_all_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     bare = a_comparison().model_copy(update={"chi2": None, "worst": (), "noise_floor": NoiseFloor(rms_v=None)})
     silent = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, ""))
     empty: list[Message] = [Compared(report=bare), Diagnosed(round=2, report=a_diagnosis(), words=silent)]

@@ -154,7 +154,7 @@ def test_the_next_experiment_is_a_procedure_s_own_text() -> None:
     assert findings.experiment(saved(next_experiment=None)) is None
 
 
-def test_numbers_that_are_missing_are_said_to_be() -> None:
+def test_numbers_that_are_missing_are_stated_to_be() -> None:
     rungs = [{"added": None, "chi2": None, "rms_v": None, "heldout_rms_v": None, "current_rms_a": None}]
     found = saved(ladder=rungs, unexplained={"fraction": None, "shape": []}, joint=[])
     assert findings.ladder_rows(found)[0] == ("the model alone", *["–"] * 4)
@@ -180,7 +180,7 @@ def test_what_is_no_inverter_s_doing_is_left_as_it_is() -> None:
     assert np.array_equal(with_zero_sequence(i_abc[:3], noise[:3]), noise[:3])
 
 
-def test_a_sweep_s_way_up_is_told_from_its_way_down() -> None:
+def test_a_sweep_s_way_up_is_reported_from_its_way_down() -> None:
     time = np.linspace(0.0, 1.0, 400)
     sweep = np.interp(time, [0, 0.125, 0.375, 0.625, 0.875, 1], [0, 1, 1, -1, -1, 0])
     rising = _rising(sweep)

@@ -102,7 +102,9 @@ def test_the_viewers_file_has_the_tables_and_each_course(report: FleetReport, tm
     assert "/fleet/outliers" in found
 
 
-def test_a_folder_that_is_not_there_is_made_and_one_that_cannot_be_is_said(report: FleetReport, tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_made_and_one_that_cannot_be_is_stated(
+    report: FleetReport, tmp_path: Path
+) -> None:
     quick = report.model_copy(update={"quantities": ()})
     assert all(path.is_file() for path in write_fleet_report(quick, tmp_path / "a" / "b"))
     (tmp_path / "file").write_text("")

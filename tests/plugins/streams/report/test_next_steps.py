@@ -77,7 +77,7 @@ def test_twins_and_immaterial_effects_are_not_to_be_compensated(change: dict[str
     assert lines[-1].text.startswith(advice)
 
 
-def test_a_model_that_was_changed_since_the_diagnosis_is_told() -> None:
+def test_a_model_that_was_changed_since_the_diagnosis_is_reported() -> None:
     saved, changes = SavedDiagnosis(a_diagnosis(), WORDS, ()), ("+ dead time (does not help)",)
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, (), changes))
     assert [line.label for line in lines] == ["The map", "Changed", "The model"]

@@ -79,7 +79,7 @@ def test_a_range_is_never_empty(values: np.ndarray) -> None:
     assert low < high
 
 
-def test_phases_and_methods_are_told_apart_by_the_colour_blind() -> None:
+def test_phases_and_methods_are_separated_by_the_colour_blind() -> None:
     """Distances of lightness and of the blue-yellow axis, which all common kinds of colour blindness keep."""
     for group in (colours.PHASES, (colours.D_AXIS, colours.Q_AXIS), tuple(colours.METHODS.values())):
         for one, other in itertools.combinations(group, 2):

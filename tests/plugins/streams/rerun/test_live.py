@@ -141,7 +141,7 @@ def test_a_stopped_viewer_does_not_keep_the_process_from_ending(tmp_path: Path) 
     assert is_whole(run / "view.rrd")
 
 
-def test_a_viewer_that_is_killed_leaves_the_file_whole_and_the_loss_told(tmp_path: Path) -> None:
+def test_a_viewer_that_is_killed_leaves_the_file_whole_and_the_loss_reported(tmp_path: Path) -> None:
     port = free_port()
     run = tmp_path / "run"
     run.mkdir()
@@ -175,6 +175,6 @@ def test_the_page_and_its_data_are_served_to_this_machine_alone() -> None:
 
 @pytest.mark.parametrize("web_port", [None, 9090])
 @pytest.mark.parametrize("headless", [True, False])
-def test_every_viewer_is_told_to_stay_on_this_machine(web_port: int | None, headless: bool) -> None:
+def test_every_viewer_is_reported_to_stay_on_this_machine(web_port: int | None, headless: bool) -> None:
     words = viewer_words(9876, "1GB", web_port=web_port, headless=headless)
     assert words[words.index("--bind") + 1] == "127.0.0.1"

@@ -34,7 +34,7 @@ def test_who_writes_never_waits_for_a_full_disk_and_closing_tells_of_it() -> Non
         spool.close()
 
 
-def test_an_error_when_the_file_is_let_go_of_is_told_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_when_the_file_is_let_go_of_is_reported_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     close = os.close
 
     def failing(descriptor: int) -> None:

@@ -80,7 +80,7 @@ def test_every_view_of_an_imported_recording_and_two_diagnoses_draws(tmp_path: P
     assert {"The error falling [mV]", "R_s over the experiment [Ω]"} <= views
 
 
-def test_a_run_and_its_diagnosis_are_in_one_layout_and_a_wrong_tab_is_told_the_names(
+def test_a_run_and_its_diagnosis_are_in_one_layout_and_a_wrong_tab_is_reported_the_names(
     tmp_path: Path, viewer: ViewerClient
 ) -> None:
     file = drawn(tmp_path / "run", [*a_commissioning(tmp_path), *a_diagnosis(pictures=False)])

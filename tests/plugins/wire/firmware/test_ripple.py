@@ -83,7 +83,7 @@ def test_rows_are_the_least_squares_of_the_samples(
 
 
 @pytest.mark.slow
-def test_a_host_of_version_1_0_gets_its_rows_after_one_that_asked_for_more(host: Host) -> None:
+def test_a_host_of_version_1_0_gets_its_rows_after_one_that_requested_more(host: Host) -> None:
     assert host.write(ripple_curvature=1.0) is AckStatus.OK
     host.command(Op.DISARM)
     host.beating = False

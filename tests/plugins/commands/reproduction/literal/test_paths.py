@@ -32,7 +32,7 @@ def off(rule: Rule) -> Array:
     return np.concatenate([path.psi - flux(path.current) for path in found])
 
 
-def test_paths_are_told_from_what_was_asked_for() -> None:
+def test_paths_are_reported_from_what_was_requested() -> None:
     lines = lines_of(TARGETS)
     assert [line.axis for line in lines] == ["q"] * 5 + ["d"] * 5 + ["dq"]
     assert [line.held_a for line in lines] == [*HELD, *HELD, 0.0]
