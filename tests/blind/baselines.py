@@ -1,8 +1,8 @@
 """What simpler searches name on the same recording: all of them linear, over the same columns.
 
-The error of the saturated model is explained by the amplitudes of the whole library, one step from absent, R_s and the
-map following: y = X x + noise, as large as the best of all explanations leaves it. Each search offers sets of columns, and
-takes that of the least Bayesian information criterion, chi2 + k log n.
+The error of the saturated model is explained by the amplitudes of the whole library, one step from absent; R_s and
+the map follow: y = X x + noise, as large as the best of all explanations leaves it. Each search offers sets of columns,
+and takes that of the least Bayesian information criterion, chi2 + k log n.
 """
 
 from __future__ import annotations
