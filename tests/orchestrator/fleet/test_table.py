@@ -39,7 +39,7 @@ def test_a_batch_is_written_when_it_has_waited_long_enough(tmp_path: Path) -> No
 def test_a_table_that_is_opened_again_knows_its_rows(tmp_path: Path) -> None:
     for key in "ab":
         with FleetTable.opened(tmp_path / "t") as table:
-            table.add(row(key, requested=("estimate",)))
+            table.add(row(key, asked=("estimate",)))
     with FleetTable.opened(tmp_path / "t") as table:
         assert table.keys == {"a", "b"}
         assert table.visit("runs/a", "f", ("estimate",), "1") == "done"
