@@ -15,7 +15,7 @@ ROW = FleetRow(
     source="s3://bench/one",
     started_at=datetime(2026, 11, 24, 3, 0, tzinfo=UTC),
     recorded_samples=470_000,
-    requested=("estimate", "diagnose"),
+    asked=("estimate", "diagnose"),
     R_s_ohm=4.25,
     set_points=(FleetSetPoint(i_d_a=0.0, i_q_a=1.0, psi_d_wb=0.3, psi_q_wb=0.07),),
     effects=(FleetEffect(name="dead_time", parameter="voltage_v", size=1.5, unit="V", low=1.4, high=None),),
