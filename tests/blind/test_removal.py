@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
 from tests.blind.campaign import Campaign, rows_of
 from tests.blind.hidden import Case, Truth, draw_case
@@ -18,6 +19,7 @@ def short(kind: str, index: int) -> Case:
     return dataclasses.replace(draw_case(kind, index, 11), campaign=SHORT)
 
 
+@pytest.mark.slow
 def test_what_is_alone_is_the_whole_error() -> None:
     case = short("single", 0)
     (done,) = removals(case).values()

@@ -22,7 +22,7 @@ KNOWN = {
 }
 
 
-@few("bench", BENCHES, ids=[bench.words for bench in BENCHES], fast=2)
+@few("bench", BENCHES, ids=[bench.words for bench in BENCHES])
 def test_every_procedure_fits_every_bench(bench: Bench) -> None:
     for name in (*PLANS, "adaptive"):
         procedure = procedure_on(bench, name)

@@ -102,6 +102,7 @@ def test_a_nameplate_at_two_thirds_leaves_the_estimates_right_and_the_map_unusab
     assert "0.42 ohm if the readings are right, 0.28 ohm if the nameplate is" in failed(report)["nameplate"]
 
 
+@pytest.mark.slow
 def test_a_resistance_that_hides_the_inductance_leaves_the_classical_map_a_band_that_says_so(tmp_path: Path) -> None:
     report = estimates(CORELESS, tmp_path)
     assert np.array(at_rest(report)) == pytest.approx(360e-6, rel=0.03)

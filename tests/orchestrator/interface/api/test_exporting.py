@@ -30,6 +30,7 @@ def test_a_map_file_takes_the_motor_that_is_named(tmp_path: Path) -> None:
     assert api.export(map_file, "csv", motor=motor, out=tmp_path / "out").files
 
 
+@pytest.mark.slow
 def test_exported_files_name_the_folder_of_the_run_that_they_are_of(tmp_path: Path) -> None:
     run_tiny(tmp_path)
     run = (tmp_path / "run").rename(tmp_path / "second motor")

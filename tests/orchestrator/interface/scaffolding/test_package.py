@@ -64,6 +64,7 @@ def test_a_new_package_passes_its_kit(kinds: tuple[str, ...], tmp_path: Path) ->
         assert len(re.findall(rf"test_my_{kind}\.py::.* PASSED", done.stdout)) >= 6, done.stdout
 
 
+@pytest.mark.slow
 def test_a_new_drive_has_a_procedure_that_runs_and_learns_all_stages_that_it_cannot_do(tmp_path: Path) -> None:
     write_package("drive", "fresh", tmp_path / "drive")
     installed_as(tmp_path / "drive")
