@@ -125,7 +125,7 @@ class AxisPercent(Strict):
 
 
 class MapChecks(Strict):
-    """Checks that need no truth; null where the recording does not allow them."""
+    """Self-consistency checks; null where the recording does not allow them."""
 
     crossings: AxisPercent | None = None
     """Largest flux difference where current paths cross."""

@@ -51,7 +51,7 @@ def _pictures(compared: ComparedRuns) -> Iterator[Picture]:
         yield Picture("Maps", "Not drawn: no run has a flux map.")
         return
     for k, (axis, other) in enumerate((("d", "q"), ("q", "d"))):
-        caption = f"Less its value at zero current; i_{other} held at nothing, and at half of what was reached."
+        caption = f"Less its value at zero current; i_{other} held at zero, and at half of the largest."
         yield Picture(f"ψ_{axis} over i_{axis}", caption, _fluxes(compared, k))
     for k, change in enumerate(compared.comparison.maps, start=1):
         if change.rms_percent is not None:

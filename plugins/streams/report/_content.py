@@ -132,7 +132,7 @@ def formulas(material: Material) -> Iterator[Formula]:
 
 
 def checks(material: Material) -> Iterator[Check]:
-    """Checks that need no truth, each beside what the paper prints of its own crossings."""
+    """Self-consistency checks, each beside what the paper prints of its own crossings."""
     report = material.estimates
     if report is None:
         return

@@ -78,7 +78,7 @@ def _of_commissioning(time: rrb.TimeAxis, states: bool) -> tuple[rrb.Container, 
             name="How does it saturate?",
         ),
         rrb.Horizontal(
-            _chart("Checks that need no truth", "/checks"),
+            _chart("Self-consistency checks", "/checks"),
             _text("Can the map be trusted?", "/trust"),
             column_shares=[3, 2],
             name="Can I trust the map?",

@@ -33,7 +33,7 @@ def resistance_page(estimate: ResistanceEstimate) -> str:
 
 
 def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) -> str:
-    """The checks that need no truth, each method's, beside the paper's."""
+    """The self-consistency checks, each method's, beside the paper's."""
     head = ("method", "crossings d", "crossings q", "parity d", "parity q", "reciprocity")
     rows = [
         (name, *_axes(entry.checks.crossings), *_axes(entry.checks.parity), percent(entry.checks.reciprocity_percent))
@@ -42,7 +42,7 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
     rows.append(("the paper's", *_axes(PAPER_CROSSINGS), "", "", ""))
     parts = [
         "# Can the map be trusted?",
-        "In per cent of the rated flux. Crossings: what two current paths say where they meet. Parity: how far the "
+        "In per cent of the rated flux. Crossings: flux difference where two current paths cross. Parity: how far the "
         "map is from the symmetry in i_q that every such motor has. Small is good.",
         markdown_table(head, rows),
     ]
