@@ -1,7 +1,7 @@
 """An operator at the other end of a pipe: answers and stops come as lines of JSON, and silence ends the run.
 
 Each line is one object: ``{"answer": "yes", "question": PROMPT}``, ``{"stop": REASON}``, or ``{}`` as a keepalive.
-Without a line for `silence_s`, or at the end of the pipe, nobody could stop the run: it then stops by itself, as when a
+Without a line for `silence_s`, or at the end of the pipe, no one could stop the run: it then stops by itself, as when a
 terminal is closed.
 """
 

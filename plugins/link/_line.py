@@ -21,7 +21,7 @@ class Line:
     """An open line.
 
     Reading and writing bypass pyserial: its `in_waiting` raises a plain OSError on a dead line and is at most
-    1 on a socket, and its write blocks forever where nobody reads.
+    1 on a socket, and its write blocks forever where no one reads.
 
     Parameters
     ----------

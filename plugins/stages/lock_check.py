@@ -4,7 +4,7 @@ At rest a current flows on the d axis, which makes no torque. It keeps the phase
 ripple: what an inverter loses then (dead time, device drop) would be taken for inductance, and its change for a turn.
 
 On a motor of little saliency the first rest also shows how noisy the angle is. Where it is too noisy, all five are
-captured for longer, that rest included: after torque has acted nobody can measure again what was before.
+captured for longer, that rest included: after torque has acted, the angle before it cannot be measured again.
 """
 
 from __future__ import annotations

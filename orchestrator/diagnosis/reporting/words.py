@@ -182,5 +182,5 @@ def _next(diagnosis: Diagnosis) -> str:
 
 
 def _time_constant_notes(report: DiagnosisReport) -> list[str]:
-    """That the winding is too fast for its samples or its injection, as `check` said of the plan."""
+    """Notes that the winding is too fast for its samples or its injection, as `check` gives them for a plan."""
     return [remark.text for remark in report.remarks if remark.code == "time_constant"]

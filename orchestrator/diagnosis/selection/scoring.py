@@ -34,7 +34,7 @@ class LinearView:
     absent : tuple of CandidateEffect
         Effects that are not in the model.
     columns : tuple of (EffectTerm, str)
-        The model's free parameters, the amplitudes of the absent effects, then refinements asked for.
+        The model's free parameters, the amplitudes of the absent effects, then the requested refinements.
     normal, right : array, shape (columns, columns) and (columns,)
         Normal matrix and gradient of the columns, with R_s and the map eliminated.
     """

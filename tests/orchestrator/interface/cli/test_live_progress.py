@@ -48,7 +48,7 @@ class Watched:
         """Whether there was more to read."""
         try:
             data = os.read(self.output, 1 << 16)
-        except OSError:  # a terminal that nobody has open any more
+        except OSError:  # a terminal that is open no more
             return False
         self.text += data.decode(errors="replace")
         return bool(data)
