@@ -9,7 +9,15 @@ from pydantic import Field
 from protocols._base import Lenient
 from protocols._remarks import Number
 
-Verdict = Literal["clean", "explained", "mostly_explained", "unknown_remains", "convention", "cannot_tell"]
+Verdict = Literal[
+    "clean",
+    "explained",
+    "explained_in_another_form",
+    "mostly_explained",
+    "unknown_remains",
+    "convention",
+    "cannot_tell",
+]
 
 
 class VerdictLimits(Lenient):
@@ -40,6 +48,8 @@ class VerdictLimits(Lenient):
     """Part of the excitation's rms voltage from which on an error is material."""
     negligible_voltage: float
     """Part of the excitation's rms voltage below which an error is negligible."""
+    other_form_share: float = 1.0
+    """Part of the excess chi2 that other forms of the effects have to take up for ``explained_in_another_form``."""
     shape_widths: float
     """Largest distance of a shape parameter from its usual value [widths]."""
     large_effect_widths: float
@@ -70,6 +80,10 @@ class VerdictRecord(Lenient):
     """Number of effects that are named as causes."""
     left_of_excitation: Number
     """Error beyond noise over the excitation's rms voltage, the largest over the kinds of stage."""
+    chi2_in_other_forms: Number = None
+    """Per degree of freedom, with a mixture of other forms of the named effects; null where none was tried."""
+    other_forms: tuple[str, ...] = ()
+    """The effects whose forms were mixed."""
     gates_off_v: Number = None
     """rms error of the readings with the gates off [V]; null where there are none."""
     gates_off_probability: Number = None

@@ -28,6 +28,7 @@ from orchestrator.diagnosis.judgement.contributions import (
     rated_flux_wb,
     unexplained_at_rest_v,
 )
+from orchestrator.diagnosis.judgement.form_mixture import mix_forms
 from orchestrator.diagnosis.judgement.judge import judge
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.sufficiency import solvable
@@ -330,7 +331,11 @@ def _report(
     error = current_error(last)
     # The model is reported as read back from the file, not as the search left it.
     held = setup.fitter.hold(last.model)
-    uncertainty = MapUncertainty.of(setup.fitter, last, library)
+    # Immaterial effects explain a part of what is left; only the form of a material one could explain most of it.
+    material = [effect.name for effect in found if effect.material is not False]
+    is_beyond_noise = last.chi2_per_dof - 1.0 > last.criteria.verdict.noise_accuracy_excess_chi2
+    mixture = mix_forms(setup.fitter, last, material) if is_beyond_noise else None
+    uncertainty = MapUncertainty.of(setup.fitter, last, library).with_mixture(mixture)
     map_error = uncertainty.band_wb(mean_currents(last)) / rated_flux_wb(setup)
     record = verdict_record(
         first,
@@ -340,6 +345,7 @@ def _report(
         noise_v=noise_rms_v(last),
         current_error=error,
         map_error=map_error,
+        mixture=mixture,
     )
     judgement = judge(record)
     verdict = judgement.verdict
@@ -446,7 +452,7 @@ def _remarks(
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
     is_beyond_noise = chi2 - 1.0 > limits.noise_accuracy_excess_chi2
-    if verdict in ("explained", "mostly_explained") and is_beyond_noise and residual.shape:
+    if verdict in ("explained", "explained_in_another_form", "mostly_explained") and is_beyond_noise and residual.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=residual.shape[0].group))
     if verdict == "clean" and chi2 > limits.noise_chi2:

@@ -76,7 +76,8 @@ def accuracy_sentences(report: DiagnosisReport) -> list[str]:
             f"{percent(report.reproduces_current_percent)} of its range (rms)."
         )
     if report.map_error_percent is not None:
-        start = "The model's" if report.verdict in ("clean", "explained") else "If the model is right, its"
+        is_right = report.verdict in ("clean", "explained", "explained_in_another_form")
+        start = "The model's" if is_right else "If the model is right, its"
         sentences.append(
             f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, rms over the "
             "measured currents)."

@@ -34,6 +34,9 @@ class Verdict:
 VERDICTS = {
     "clean": Verdict("Clean", "the model fits within the noise", "good"),
     "explained": Verdict("Explained", "with the effects below, the model fits", "good"),
+    "explained_in_another_form": Verdict(
+        "Explained, in another form", "the effects below explain the error, in another form than the library's", "good"
+    ),
     "mostly_explained": Verdict("Mostly explained", "the effects below account for most of the error", "warning"),
     "unknown_remains": Verdict("Unknown remains", "no effect of the library explains the residual", "bad"),
     "convention": Verdict("Convention", "manifest or logging contradict the readings: see below", "bad"),

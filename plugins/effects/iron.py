@@ -54,7 +54,7 @@ class EddyCurrents(BatchEffect):
         core_loss_ohm: float = amplitude(
             "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
         )
-        lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=3e-4, other_form=4e-5)
+        lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=3e-3, other_form=4e-5)
         diffused: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 

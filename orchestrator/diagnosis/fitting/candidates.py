@@ -33,10 +33,12 @@ class CandidateEffect:
     """Prior log odds of presence from a fleet, relative to an effect without a prior [nat]."""
     included_a_priori: bool = False
     """Whether nearly all motors of a fleet have it: it is included until the data contradict it."""
+    alias: str = ""
+    """Name where it is in a model more than once; the effect's where empty."""
 
     @cached_property
     def name(self) -> str:
-        return self.effect.name
+        return self.alias or self.effect.name
 
     def named(self, name: str) -> EffectParameter:
         return self._by_name[name]

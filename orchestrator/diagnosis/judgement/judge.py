@@ -4,7 +4,8 @@ With the excess e = chi2/dof - 1 of the fitted stages, and l the larger one of t
 
 - noise: e and l are within noise or chance: ``clean`` without effects, ``explained`` with some;
 - without effects, the residual may be immaterial (``clean``), else it is unknown;
-- with effects, u = sqrt(e_after / e_before) and l decide between ``explained``, ``mostly_explained`` and unknown.
+- with effects, u = sqrt(e_after / e_before) and l decide between ``explained``, ``mostly_explained`` and unknown;
+- where a mixture of the effects' forms takes up much of the residual, it is ``explained_in_another_form``.
 
 A periodic disturbance, or a reading with the gates off that contradicts the model, is unknown whatever the fit. A good
 fit under large noise, with a wrong simulated current, with implausibly many large effects, or ``clean`` with a map too
@@ -91,6 +92,8 @@ def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     """The verdict with effects, from the ratio of the final error to the first."""
     excess, largest_excess = _or_infinite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
     fraction = residual_fraction(_or_infinite(record.chi2_before), _or_infinite(record.chi2_after), limits.noise_chi2)
+    if fraction <= limits.mostly_explained_fraction and (in_other_forms := _in_other_forms(record, limits)):
+        return "explained_in_another_form", in_other_forms
     broken = []
     if record.fine_map and excess > limits.noise_accuracy_excess_chi2:
         broken.append(_of_fine_map(record, limits))
@@ -120,6 +123,34 @@ def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
         by_voltage = explained[0][0]
         broken.append(_of_voltage(record, limits.material_voltage) if by_voltage else _of_large_chi2(fraction, limits))
     return "unknown_remains", broken
+
+
+def _in_other_forms(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
+    """The reasons for an explanation in another form; empty where other forms do not take up what is left."""
+    if record.chi2_in_other_forms is None or record.chi2_after is None or record.chi2_after <= 1.0:
+        return []
+    if _largest_chi2(record) - 1.0 <= limits.explained_excess_chi2:
+        return []
+    share = (record.chi2_after - record.chi2_in_other_forms) / (record.chi2_after - 1.0)
+    left = residual_fraction(_or_infinite(record.chi2_before), record.chi2_in_other_forms, limits.noise_chi2)
+    if share < limits.other_form_share or left > limits.explained_fraction:
+        return []
+    value, allowed = _as_texts(100.0 * share, 100.0 * limits.other_form_share)
+    names = listed([plain(name) for name in record.other_forms])
+    text = (
+        f"Other forms of {names} take up {value} % of the excess chi2, which falls from {number(record.chi2_after, 3)} "
+        f"to {number(record.chi2_in_other_forms, 3)}; an effect that is missing would leave them less than {allowed} %."
+    )
+    return [
+        _percentage("taken_up_by_other_forms", share, limits.other_form_share, text),
+        _percentage(
+            "left_of_first_error",
+            left,
+            limits.explained_fraction,
+            f"{_text(100.0 * left)} % of the first error is left then; up to "
+            f"{_text(100.0 * limits.explained_fraction)} % is allowed.",
+        ),
+    ]
 
 
 def _periodic(record: VerdictRecord) -> list[Reason]:

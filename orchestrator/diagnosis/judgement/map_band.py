@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, Library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.form_mixture import FormMixture
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, form_std, projected_rows
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.types import Array
@@ -79,6 +80,12 @@ class MapUncertainty:
             forms=forms,
             absent=tuple(_absent_effect(fit, total, pulls.sum(axis=0), fitted, np.array(at), c) for c, at in places),
         )
+
+    def with_mixture(self, mixture: FormMixture | None) -> MapUncertainty:
+        """The uncertainty with other forms of the named effects, if the data prefer them."""
+        if mixture is None or not mixture.is_detected:
+            return self
+        return replace(self, absent=(*self.absent, AbsentEffect(1.0, mixture.shift, mixture.covariance)))
 
     def spread(self, rows: Array) -> Array:
         """Standard deviation (n,) of linear combinations (n, 1 + free) of R_s and the map's free coefficients."""

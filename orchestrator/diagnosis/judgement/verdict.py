@@ -12,6 +12,7 @@ from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import excitation_v, gates_off_error, left_of_excitation
+from orchestrator.diagnosis.judgement.form_mixture import FormMixture
 from orchestrator.diagnosis.judgement.judge import jointly_implausible, judge, residual_fraction
 from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 from protocols import Verdict, VerdictLimits, VerdictRecord
@@ -33,6 +34,7 @@ def verdict_record(
     noise_v: float | None = None,
     current_error: float | None = None,
     map_error: float | None = None,
+    mixture: FormMixture | None = None,
 ) -> VerdictRecord:
     """The record of a finished search.
 
@@ -50,6 +52,8 @@ def verdict_record(
         rms error of the simulated current over its range.
     map_error : float, optional
         Half width of the map's 95 % band over the rated flux.
+    mixture : FormMixture, optional
+        Mixture of the named effects' forms, where the effects leave more than noise.
     """
     gates_off = gates_off_error(after)
     return VerdictRecord(
@@ -64,6 +68,8 @@ def verdict_record(
         excitation_v=excitation_v(after),
         current_error=current_error,
         map_error=map_error,
+        chi2_in_other_forms=None if mixture is None else mixture.chi2_per_dof,
+        other_forms=() if mixture is None else mixture.effects,
         limits=verdict_limits(after.criteria),
     )
 

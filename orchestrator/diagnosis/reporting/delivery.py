@@ -19,6 +19,8 @@ from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, Se
 
 _WIDE = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
 """Stages whose currents pass wide hysteresis loops."""
+EXPLAINED: tuple[Verdict, ...] = ("clean", "explained", "explained_in_another_form")
+"""Verdicts with which a model explains the recording."""
 METHOD = "model"
 """Method name of the model's map among the estimators'."""
 
@@ -109,7 +111,7 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
         text = "the recording does not tell whether the model is right: see the diagnosis"
         against.append(Remark.of("cannot_tell", text))
     residual = left_of_excitation(fit)
-    if verdict not in ("clean", "explained") and residual > limits.materiality.material_voltage:
+    if verdict not in EXPLAINED and residual > limits.materiality.material_voltage:
         text = "the model leaves {left_percent:.2g} % of the voltage unexplained: see the diagnosis"
         against.append(Remark.of("unexplained", text, left_percent=100.0 * residual))
     largest = max(moved, key=lambda name: moved[name], default=None)
@@ -117,7 +119,7 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
     if verdict == "unknown_remains" and largest is not None and 100.0 * moved[largest] > max_percent:
         text = "{effect} moves the model's map by {moved_percent:.2g} %, and may stand in for what is unknown"
         against.append(Remark.of("may_stand_in", text, effect=largest, moved_percent=100.0 * moved[largest]))
-    if verdict not in ("clean", "explained") and (name := most_strained(fit)):
+    if verdict not in EXPLAINED and (name := most_strained(fit)):
         text = "{effect} has a form as no such effect has, and may stand in for what is unknown"
         against.append(Remark.of("strained_form", text, effect=name))
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]

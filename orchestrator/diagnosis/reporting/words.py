@@ -112,7 +112,12 @@ def _cause(diagnosis: Diagnosis) -> str:
             return f"{start}not known: the readings are too slow for this winding to tell"
         return f"{start}something that no effect of the library explains"
     fraction = report.unexplained.fraction or 0.0
-    rest = f"; {percent(100.0 * fraction)} of the error remains" if report.verdict == "mostly_explained" else ""
+    rest = ""
+    if report.verdict == "mostly_explained":
+        rest = f"; {percent(100.0 * fraction)} of the error remains"
+    if report.verdict == "explained_in_another_form" and report.verdict_record is not None:
+        forms = listed([plain(name) for name in report.verdict_record.other_forms])
+        rest = f"; {percent(100.0 * fraction)} of the error remains, as {forms} in another form would leave it"
     return listed(named) + rest
 
 
@@ -178,6 +183,8 @@ def _next(diagnosis: Diagnosis) -> str:
         return "no experiment of the catalogue; look at the leftover's shape"
     if diagnosis.report.verdict == "mostly_explained":
         return "a part of the error remains that nothing in the library fits better; look at its shape"
+    if diagnosis.report.verdict == "explained_in_another_form":
+        return "nothing missing; the effect's form is not the library's, and the map's stated error includes that"
     return "nothing left to decide"
 
 

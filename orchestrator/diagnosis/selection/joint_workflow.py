@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -201,13 +202,12 @@ def build_ladder(
     sizes, factors = contributions(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].relative_to_error)
-    limits = whole.criteria.selection
-    min_share = max(
-        limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * residual_fraction_of(steps[0].fit.chi2_per_dof, whole)
-    )
-    # A cause's log evidence must exceed half the excess chi2: less may be another effect's form.
-    min_factor = 0.5 * max(whole.chi2 - whole.dof, 0.0)
-    clear = [n for n in order if factors[n] > min_factor]
+    limits, residual = whole.criteria.selection, residual_fraction_of(steps[0].fit.chi2_per_dof, whole)
+    min_share = max(limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * residual)
+    # What a cause takes away, over the noise inflated to the residual, must exceed the residual over the noise itself:
+    # less may be the form of another effect.
+    imitable = residual * math.sqrt(max(whole.chi2_per_dof, 1.0))
+    clear = [n for n in order if factors[n] > limits.log_evidence and sizes[n].relative_to_error > imitable]
     causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)] or order[:1]
     below_materiality = [n for n in order if n not in causes]
     for name in order:
@@ -219,7 +219,7 @@ def build_ladder(
             score=sizes[name].relative_to_error,
             threshold=min_share,
             taken=name in causes,
-            note="" if name in clear else "its evidence does not exceed half of what is left",
+            note="" if name in clear else "what is left could imitate it",
         )
     # Effects measured from the readings are in the first models; they are ranked among the causes instead.
     rungs = [step for step in steps if step.added not in known]

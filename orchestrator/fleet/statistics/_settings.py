@@ -26,7 +26,12 @@ class FleetCriteria(Strict):
     """Quantities that are named as reasons."""
     min_outlier_sigma: float = 3.0
     """Deviation below which a quantity is unusual in combination with the others rather than by itself."""
-    explained_verdicts: tuple[Verdict, ...] = ("clean", "explained", "mostly_explained")
+    explained_verdicts: tuple[Verdict, ...] = (
+        "clean",
+        "explained",
+        "explained_in_another_form",
+        "mostly_explained",
+    )
     """Verdicts of the diagnoses whose effects enter the priors for the next motor."""
     max_robust_sigmas: float = 4.0
     """Robust deviations from the median, beyond which a value is a fault and no property of the kind."""

@@ -56,7 +56,7 @@ def _about_model(material: Material) -> str:
     match report.verdict:
         case "clean":
             return "nothing is missing in it."
-        case "explained":
+        case "explained" | "explained_in_another_form":
             if twins := [effect for effect in report.effects if effect.twins]:
                 names = " or ".join(plain(name) for name in (twins[0].name, *twins[0].twins))
                 return f"compensate nothing until it is known whether it is {names}; model.json serves for either."
