@@ -297,7 +297,14 @@ def _search(
     steps = map_steps(setup, model, {c.name: c for c in every}, request.without)
     setup.fitter.budget.calibrate()
     steps = include_measured(setup, steps, library)
-    setup, search = search_effects(setup, include_expected(setup, steps, library), library, interim)
+    import os
+    if not os.environ.get("OLD"):
+        from orchestrator.diagnosis.selection.best_first import search_best_first
+        setup, search, removed = search_best_first(setup, include_expected(setup, steps, library), library, interim)
+        if not search.contributions:
+            return _FinishedSearch(setup, search, [], removed)
+    else:
+        setup, search = search_effects(setup, include_expected(setup, steps, library), library, interim)
     if search.contributions:
         search, doubtful = drop_confounded(setup.fitter, search)
         return _FinishedSearch(setup, search, doubtful)
