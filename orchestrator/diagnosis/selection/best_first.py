@@ -62,6 +62,7 @@ from orchestrator.diagnosis.selection.scoring import (
     Score,
     add_threshold,
     fits_as_well,
+    keep_threshold,
     linear_gain,
     linear_gain_of_absent,
     linear_view,
@@ -69,6 +70,7 @@ from orchestrator.diagnosis.selection.scoring import (
     score,
     select_terms,
 )
+from orchestrator.diagnosis.selection.workflow import _evidence_lost, _is_minor, _is_redundant
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import ParameterRole
@@ -85,6 +87,7 @@ class State:
 
     setup: DiagnosisSetup
     fit: Fit
+    first: Fit
     together: bool = False
     is_part: bool = True
     tied: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -129,7 +132,7 @@ def climb(state: State, library: Library, tried: set[tuple[object, ...]]) -> Sta
     while not state.fitter.budget.is_spent or state.together:
         better = None
         for move in moves(state, library):
-            key = (move.kind, move.names, *(() if move.kind in ("swap", "merge") else state.signature))
+            key = (move.kind, move.names, *(() if move.kind in ("swap", "merge") or (state.together and move.kind == "switch_form") else state.signature))
             if key in tried:
                 continue
             tried.add(key)
@@ -168,11 +171,15 @@ def moves(state: State, library: Library) -> Iterator[Move]:
             yield from (m for m in cheap if m not in few)
     if out := redundant_terms(fit):
         yield Move("remove", tuple(out), 0.0, lambda: _removed(state))
+    if not state.together and not state.is_part:
+        for a in sorted((a for a in fit.model.active if _is_minor(state.first, fit, a)), key=lambda a: a.relative_size):
+            yield Move("remove", (a.name,), 0.0, lambda a=a: _pruned(state, a))
     for a in fit.model.active:
         if a.free_refinements and (len(fit.model.active) <= MANY):
             yield Move("fix_shape", (a.name,), 0.0, lambda a=a: _fixed(state, a.name))
     if state.together:
-        for ratio, name, other in _swap_pairs(view)[: fit.criteria.selection.most_trials]:
+        pairs = [pair for pair in _swap_pairs(view) if state.is_part or pair[1] in state.late]
+        for ratio, name, other in pairs[: fit.criteria.selection.most_trials]:
             yield Move("swap", (name, other.name), ratio, lambda name=name, other=other: _swapped(state, name, other))
         for one, other in combinations(fit.model.names, 2):
             if not separable(fit.prepared, _effect(fit, one), _effect(fit, other)):
@@ -326,11 +333,12 @@ def _added_to_many(state: State, asking: Sequence[Score]) -> State | None:
 def _forms(state: State) -> Iterator[Move]:
     """Effects in their second form, or without parameters that ran to a bound."""
     for k, active in enumerate(state.fit.model.active):
-        ended = _at_bounds(active)
-        forms = [*active.alternative_forms(), *([active.fix(*ended)] if ended else [])]
-        other = active.candidate.absent_in_alternative_form()
-        if other is not None and state.together and len(state.fit.model.active) > MANY:
-            forms.append(other)
+        if state.together:
+            other = active.candidate.absent_in_alternative_form()
+            forms = [] if other is None else [other.release(*active.free)]
+        else:
+            ended = _at_bounds(active)
+            forms = [*active.alternative_forms(), *([active.fix(*ended)] if ended else [])]
         for j, form in enumerate(forms):
             yield Move("switch_form", (active.name, str(j)), 0.0, lambda k=k, form=form: _switched(state, k, form))
 
@@ -342,7 +350,7 @@ def _switched(state: State, k: int, form: EffectTerm) -> State | None:
     def having(term: EffectTerm) -> Model:
         return fit.model.with_active([*terms[:k], term, *terms[k + 1 :]])
 
-    if len(terms) > MANY:
+    if state.together:
         model = having(form)
         if trial_step(fitter, model, fit).chi2_per_dof > 10.0 * fit.chi2_per_dof:
             return None
@@ -415,6 +423,17 @@ def _removed(state: State) -> State | None:
         return None
     missed = tuple(n for n in gone if n in state.late) if state.together else gone
     return replace(state, fit=fit, missed=(*state.missed, *missed))
+
+
+def _pruned(state: State, active: EffectTerm) -> State | None:
+    full = state.fit
+    less = minimum(state.fitter, full.model.with_active([a for a in full.model.active if a.name != active.name]), full)
+    redundant = _is_redundant(state.first, less, full, active.name)
+    state.fitter.trace.record(
+        "remove", [active.name], before=full, after=less, measure="log_evidence", score=-_evidence_lost(full, less),
+        threshold=-keep_threshold(full, active.candidate), taken=redundant, note="small, uncertain, or what another effect's form makes" if redundant else "",
+    )
+    return replace(state, fit=less, missed=(*state.missed, active.name)) if redundant else None
 
 
 def _fixed(state: State, name: str) -> State | None:
@@ -505,7 +524,7 @@ def search_best_first(
             beside = refit_steps(timed, steps)
             if beside[-1].fit.chi2_per_dof <= 1.2 * first.chi2_per_dof:
                 setup, steps = timed, beside
-    part = State(setup, setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0))
+    part = State(setup, setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0), steps[0].fit)
     tried: set[tuple[object, ...]] = set()
     part = climb(part, library, tried)
     setup = part.setup
