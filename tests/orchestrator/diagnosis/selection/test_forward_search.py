@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection import forward_search as forward_search_module
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, forward
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, forward
 from orchestrator.diagnosis.selection.refining import extend_newest
 from orchestrator.diagnosis.selection.scoring import linear_view
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias

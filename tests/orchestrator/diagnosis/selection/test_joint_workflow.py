@@ -13,9 +13,9 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import joint_workflow
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import InterimRecorder
-from orchestrator.diagnosis.selection.joint_search import log_bayes_factors
+from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance

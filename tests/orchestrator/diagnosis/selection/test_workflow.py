@@ -10,7 +10,7 @@ import pytest
 from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection import workflow
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.workflow import (
     coarsen_map,
