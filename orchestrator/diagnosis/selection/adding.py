@@ -43,17 +43,27 @@ SHAPE_STARTS: tuple[float, ...] = (-2.0, -1.0, 1.0)
 
 def add_moves(state: SearchState, view: LinearView, library: Library) -> Iterator[Move]:
     """Add the absent effects with the largest gain: one, or in a joint model all that gain much."""
-    rejected = set(state.refused) if state.is_joint else {*state.refused, *_inseparable(state, library)}
-    scores = [s for s in score(view) if s.candidate.name not in rejected]
-    shortlist = _shortlist(state, scores)
-    if scores:
-        screened, needed = tuple(s.candidate.name for s in shortlist or scores[:1]), _min_gain(state, scores[0])
-        taken = None if shortlist else False
-        state.record("screen", screened, None, scores[0].gain, needed, measure="chi2", taken=taken)
+    shortlist = _shortlist(state, _scores(state, view, library))
     if shortlist:
         add = _add_to_joint if state.is_joint else _add_best
         effects = tuple(s.candidate.name for s in shortlist)
         yield Move("add", effects, partial(add, state, shortlist), shortlist[0].gain)
+
+
+def record_screen(state: SearchState, view: LinearView, library: Library) -> None:
+    """Record the predicted gains of absent effects in the trace."""
+    scores = _scores(state, view, library)
+    shortlist = _shortlist(state, scores)
+    if scores:
+        effects, needed = tuple(s.candidate.name for s in shortlist or scores[:1]), _min_gain(state, scores[0])
+        taken = None if shortlist else False
+        state.record("screen", effects, None, scores[0].gain, needed, measure="chi2", taken=taken)
+
+
+def _scores(state: SearchState, view: LinearView, library: Library) -> list[Score]:
+    """Scores of the absent effects that may be added."""
+    rejected = set(state.refused) if state.is_joint else {*state.refused, *_inseparable(state, library)}
+    return [s for s in score(view) if s.candidate.name not in rejected]
 
 
 def sub_threshold_effects(state: SearchState, view: LinearView) -> list[str]:

@@ -191,7 +191,8 @@ def _merge(state: SearchState, one: str, other: str) -> SearchState | None:
     gone = stays if keeps == lesser else lesser
     threshold = -state.limits.log_evidence
     state.record("merge", (keeps, gone), trial, evidence_gain(trial, fit), threshold, taken=True)
-    return replace(state.after(trial), indistinguishable=_with_tie(state.indistinguishable, keeps, gone))
+    indistinguishable = _with_tie(state.indistinguishable, keeps, gone)
+    return replace(state.after(trial), indistinguishable=indistinguishable, refused=(*state.refused, gone))
 
 
 def _with_tie(known: Mapping[str, tuple[str, ...]], name: str, other: str) -> dict[str, tuple[str, ...]]:

@@ -13,7 +13,7 @@ from functools import partial
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, Library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.adding import add_moves, added, full_model
+from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, record_screen
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     map_moves,
@@ -90,8 +90,10 @@ def best_first(
     """Take the best move until none is above its threshold."""
     tried: set[tuple[object, ...]] = set()
     while True:
-        columns = fixed_parameters(state.fit.model)
-        state = replace(state, view=linear_view(state.fitter, state.fit, library, columns))
+        if state.view is None:
+            view = linear_view(state.fitter, state.fit, library, fixed_parameters(state.fit.model))
+            record_screen(state, view, library)
+            state = replace(state, view=view)
         better = None
         # A joint model has no limit on its computing.
         if state.is_joint or not state.fitter.budget.is_spent:

@@ -58,11 +58,13 @@ def free_moves(state: SearchState, view: LinearView, *, details: bool) -> Iterat
     shapes = {a.name: _fixed(a, ParameterRole.SHAPE) for a in state.fit.model.active if a.name in significant}
     share = (0.0 if details else math.inf) if state.is_joint else MIN_SHARE_OF_FORM_DETAIL
     refinements = {a.name: _select_refinements(state.fit, view, a, state.noise, share) for a in state.fit.model.active}
-    for freed, least in ((shapes, 0.0), (refinements, 2.0 * state.limits.tie * state.noise)):
+    # Where a joint model explains the data, forms that bring less than an effect would do not matter.
+    min_evidence = state.limits.log_evidence if state.is_joint and state.is_explained else state.limits.tie
+    for freed in (shapes, refinements):
         names = {name: parameters for name, parameters in freed.items() if parameters}
         columns = [k for k in view.extra if view.columns[k][1] in names.get(view.columns[k][0].name, ())]
         gain = linear_gain(view.normal, view.right, view.fitted, columns)[0] if columns else 0.0
-        if gain > least:
+        if gain > 2.0 * min_evidence * state.noise:
             yield Move("free_shape", tuple(names), partial(_free, state, names), gain)
 
 
