@@ -128,7 +128,7 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
         if not state.is_joint:
             yield from form_moves(state)
         yield from map_moves(state)
-    if is_open and everything > 0.0:
+    if everything > 2.0 * state.limits.log_evidence * state.noise:
         yield Move("full_model", (), partial(_add_all, state, library))
     yield from waiting
     yield from remove_moves(state)
