@@ -123,16 +123,23 @@ def gain_of_all(view: LinearView) -> float:
 
 
 def movable(view: LinearView, columns: Sequence[int]) -> list[int]:
-    """Those of some columns whose linear step no bound prevents."""
+    """Those of some columns that no bound holds, neither alone nor as they move together."""
+    alone = {k: float(linear_gain(view.normal, view.right, view.fitted, [k])[1][0]) for k in columns}
     left = list(columns)
     while left:
         _, steps = linear_gain(view.normal, view.right, view.fitted, left)
-        ends = [(*view.columns[k], float(step)) for k, step in zip(left, steps, strict=True)]
-        free = [not is_stuck(a, n, a.standardised_value(n) + step) for a, n, step in ends]
-        if all(free):
+        moves = [
+            _can_move(view, k, alone[k]) or _can_move(view, k, float(step)) for k, step in zip(left, steps, strict=True)
+        ]
+        if all(moves):
             break
-        left = [k for k, is_free in zip(left, free, strict=True) if is_free]
+        left = [k for k, is_free in zip(left, moves, strict=True) if is_free]
     return left
+
+
+def _can_move(view: LinearView, column: int, step: float) -> bool:
+    active, name = view.columns[column]
+    return not is_stuck(active, name, active.standardised_value(name) + step)
 
 
 def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:

@@ -57,7 +57,11 @@ def free_moves(state: SearchState, view: LinearView, *, details: bool) -> Iterat
     significant = [n for n, factor in factors.items() if factor > state.limits.log_evidence]
     shapes = {a.name: _fixed(a, ParameterRole.SHAPE) for a in state.fit.model.active if a.name in significant}
     share = (0.0 if details else math.inf) if state.is_joint else MIN_SHARE_OF_FORM_DETAIL
-    refinements = {a.name: _select_refinements(state.fit, view, a, state.noise, share) for a in state.fit.model.active}
+    # A round of a joint model is costly: all that gain are freed at once.
+    later = 0.0 if state.is_joint else MAX_DEFERRED_FORM_GAIN
+    refinements = {
+        a.name: _select_refinements(state.fit, view, a, state.noise, share, later) for a in state.fit.model.active
+    }
     # Where a joint model explains the data, forms that bring less than an effect would do not matter.
     min_evidence = state.limits.log_evidence if state.is_joint and state.is_explained else state.limits.tie
     for freed in (shapes, refinements):
@@ -72,7 +76,9 @@ def _fixed(active: EffectTerm, role: ParameterRole) -> tuple[str, ...]:
     return tuple(n for n in active.candidate.of_role(role) if n not in active.free)
 
 
-def _select_refinements(fit: Fit, view: LinearView, active: EffectTerm, noise: float, share: float) -> tuple[str, ...]:
+def _select_refinements(
+    fit: Fit, view: LinearView, active: EffectTerm, noise: float, share: float, later: float
+) -> tuple[str, ...]:
     """Fixed refinements of an effect that together bring most of the gain of all.
 
     Details must also remove a `share` of the excess chi2, because they adapt to any missing effect.
@@ -88,7 +94,7 @@ def _select_refinements(fit: Fit, view: LinearView, active: EffectTerm, noise: f
     if fit.chi2_per_dof > limits.detected_chi2 and share:
         of_details = max(least, share * (fit.chi2 - fit.dof))
     groups = [(first, least), (details, of_details)]
-    chosen = select_terms((view.normal, view.right), view.fitted, groups, MAX_DEFERRED_FORM_GAIN)
+    chosen = select_terms((view.normal, view.right), view.fitted, groups, later)
     return tuple(view.columns[k][1] for k in chosen)
 
 
@@ -179,7 +185,7 @@ def _wanted(begun: Fit, form: EffectTerm) -> tuple[str, ...]:
     view = LinearView(
         replace(begun, model=fixed), (), tuple(free[k] for k in order), normal[order][:, order], right[order]
     )
-    return _select_refinements(begun, view, form, 1.0, MIN_SHARE_OF_FORM_DETAIL)
+    return _select_refinements(begun, view, form, 1.0, MIN_SHARE_OF_FORM_DETAIL, MAX_DEFERRED_FORM_GAIN)
 
 
 def with_best_shapes(state: SearchState) -> SearchState:

@@ -11,8 +11,8 @@ from orchestrator.diagnosis import InterimResult, diagnose_recording, judge
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import Checkpoint
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeadTime, VoltageBias

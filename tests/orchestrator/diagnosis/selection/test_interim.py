@@ -7,8 +7,8 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.timing import VoltageDelay
 from protocols import Verdict
