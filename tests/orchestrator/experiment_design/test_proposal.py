@@ -12,8 +12,8 @@ from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.first_models import first_steps
+from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.experiment_design.proposal import catalogue, next_experiment
 from orchestrator.experiment_design.separation import confounded_pair, planned_pieces, separation
 from orchestrator.recording import Recording
