@@ -123,7 +123,8 @@ def _add_best(state: SearchState, shortlist: Sequence[Score]) -> SearchState | N
     if not taken:
         return replace(state, refused=(*state.refused, name))
     indistinguishable = {**state.indistinguishable, name: others}
-    return replace(state.after(grown), indistinguishable=indistinguishable, refused=())
+    known = {**state.gains, name: gain}
+    return replace(state.after(grown), indistinguishable=indistinguishable, gains=known, refused=())
 
 
 def _add_to_joint(state: SearchState, shortlist: Sequence[Score]) -> SearchState | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -33,7 +33,8 @@ def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     All steps use the final effect parameters and noise; R_s and the map are refitted.
     """
     names = state.fit.model.names
-    return SearchResult(_rungs(state, steps, names), *_beside(state), view=state.view)
+    gains = {step.added: step.log_evidence for step in steps if step.added is not None} | dict(state.gains)
+    return SearchResult(_rungs(state, steps, names, gains), *_beside(state), view=state.view)
 
 
 def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
@@ -62,20 +63,22 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
             note="" if name in clear else "its evidence does not exceed half of what is left",
         )
     below = tuple(n for n in order if n not in causes)
-    rungs = _rungs(state, steps, causes)
+    rungs = _rungs(state, steps, causes, factors)
     return SearchResult(rungs, *_beside(state), view=state.view, below_materiality=below, contributions=sizes)
 
 
-def _rungs(state: SearchState, steps: Sequence[AcceptedModel], names: Sequence[str]) -> list[AcceptedModel]:
+def _rungs(
+    state: SearchState, steps: Sequence[AcceptedModel], names: Sequence[str], evidence: Mapping[str, float]
+) -> list[AcceptedModel]:
     """The first models, then one step for each of some effects; the last step has all effects of the model."""
     fit, rungs = state.fit, baseline_models(steps)
-    known, factors = {active.name: active for active in fit.model.active}, log_bayes_factors(fit) if names else {}
+    known = {active.name: active for active in fit.model.active}
     for count, name in enumerate(names, 1):
         some = fit
         if count < len(names):
             fixed = [replace(known[n], free=()) for n in names[:count]]
             some = state.fitter.evaluate(fit.model.with_active(fixed), fit.linearisation)
-        rungs.append(AcceptedModel(name, some, factors[name]))
+        rungs.append(AcceptedModel(name, some, evidence[name]))
         state.fitter.tell(f"+ {plain_name(name)}: chi2 {number(some.chi2_per_dof)}")
     if not names:
         rungs[-1] = replace(rungs[-1], fit=fit)

@@ -35,6 +35,8 @@ class SearchState:
         Whether all effects of the library were in the model.
     indistinguishable : mapping
         For an effect of the model, those that fit as well in its place.
+    gains : mapping
+        For an effect that was added alone, the gain in log evidence by which it was [nat].
     refused : tuple of str
         Absent effects that the data show, but that are redundant or explain too little.
     late : frozenset of str
@@ -49,6 +51,7 @@ class SearchState:
     is_part: bool = True
     is_joint: bool = False
     indistinguishable: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    gains: Mapping[str, float] = field(default_factory=dict)
     refused: tuple[str, ...] = ()
     late: frozenset[str] = frozenset()
     view: LinearView | None = None

@@ -47,9 +47,11 @@ def _ladder(setup: DiagnosisSetup, bare: Fit, whole: Fit) -> SearchResult:
 def test_effects_that_were_added_one_by_one_are_causes_in_their_order() -> None:
     setup, bare, whole = _fitted(0.02, [VoltageBias(), CurrentGainMismatch()])
     tied = {"voltage_bias": ("current_offset",), "dead_time": ("device_drop",)}
-    state = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, indistinguishable=tied)
+    gains = {"voltage_bias": 50.0, "current_gain_mismatch": 20.0}
+    state = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, indistinguishable=tied, gains=gains)
     search = plain_ladder(replace(state, refused=("hysteresis", "voltage_bias")), [AcceptedModel(None, bare)])
     assert [step.added for step in search.steps] == [None, "voltage_bias", "current_gain_mismatch"]
+    assert [step.log_evidence for step in search.steps] == [0.0, 50.0, 20.0]
     assert [step.fit for step in search.steps][::2] == [bare, whole]
     assert bare.chi2 > search.steps[1].fit.chi2 > whole.chi2
     assert search.indistinguishable == {"voltage_bias": ["current_offset"]}
