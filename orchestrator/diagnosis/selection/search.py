@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, Library
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, record_screen
 from orchestrator.diagnosis.selection.environment_moves import (
@@ -91,7 +91,7 @@ def best_first(
     tried: set[tuple[object, ...]] = set()
     while True:
         if state.view is None:
-            view = linear_view(state.fitter, state.fit, library, fixed_parameters(state.fit.model))
+            view = linear_view(state.fitter, state.fit, library, _freeable(state, library))
             record_screen(state, view, library)
             state = replace(state, view=view)
         better = None
@@ -139,6 +139,13 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     else:
         yield from fix_moves(state)
     yield from coarser_map_moves(state)
+
+
+def _freeable(state: SearchState, library: Library) -> list[tuple[EffectTerm, str]]:
+    """Fixed shapes and refinements that may be freed: of a joint model while it is whole, or leaves something."""
+    is_whole = len(state.fit.model.active) == len(library)
+    is_settled = state.is_joint and state.is_explained and not is_whole
+    return [] if is_settled else fixed_parameters(state.fit.model)
 
 
 def _add_all(state: SearchState, library: Library) -> SearchState:

@@ -37,6 +37,10 @@ MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
 benches it was 1.1 where the second form did better, and 90 where it did not."""
 
 
+MAX_EXCESS_RATIO_OF_ROUGH_FORM: float = 0.3
+"""Rise of the objective after a few steps in another form, relative to the excess chi2, above which it is given up."""
+
+
 def fixed_parameters(model: Model) -> list[tuple[EffectTerm, str]]:
     """Shapes and refinements that are not free."""
     roles = (ParameterRole.SHAPE, ParameterRole.REFINEMENT)
@@ -62,13 +66,11 @@ def free_moves(state: SearchState, view: LinearView, *, details: bool) -> Iterat
     refinements = {
         a.name: _select_refinements(state.fit, view, a, state.noise, share, later) for a in state.fit.model.active
     }
-    # Where a joint model explains the data, forms that bring less than an effect would do not matter.
-    min_evidence = state.limits.log_evidence if state.is_joint and state.is_explained else state.limits.tie
     for freed in (shapes, refinements):
         names = {name: parameters for name, parameters in freed.items() if parameters}
         columns = [k for k in view.extra if view.columns[k][1] in names.get(view.columns[k][0].name, ())]
         gain = linear_gain(view.normal, view.right, view.fitted, columns)[0] if columns else 0.0
-        if gain > 2.0 * min_evidence * state.noise:
+        if gain > 2.0 * state.limits.tie * state.noise:
             yield Move("free_shape", tuple(names), partial(_free, state, names), gain)
 
 
@@ -137,8 +139,9 @@ def form_moves(state: SearchState) -> Iterator[Move]:
             ended = _at_bounds(active)
             forms = [*active.alternative_forms(), *([active.fix(*ended)] if ended else [])]
         for index, form in enumerate(forms):
-            effects = (active.name, *([str(index)] if index else []))
-            yield Move("switch_form", effects, partial(_switch, state, form), is_once=state.is_joint)
+            # A form is tried once beside the same effects.
+            effects = (active.name, str(index), *(() if state.is_joint else state.fit.model.names))
+            yield Move("switch_form", effects, partial(_switch, state, form), is_once=True)
 
 
 def _at_bounds(active: EffectTerm) -> list[str]:
@@ -158,6 +161,11 @@ def _switch(state: SearchState, form: EffectTerm) -> SearchState | None:
         if fit.objective - begun.objective + fitter.predicted_reduction(begun) < 2.0 * tie:
             return None
         model = _with_form(fit.model, form.release(*_wanted(begun, form)))
+        # A form far away is not worth its full fit where a few steps do not lead near.
+        rough = fitter.fit(model, fit.linearisation, steps=4, relinearisations=0, tolerance=0.03)
+        if rough.objective > fit.objective + MAX_EXCESS_RATIO_OF_ROUGH_FORM * (fit.chi2 - fit.dof):
+            return None
+        model = rough.model
     trial = state.minimum(model)
     gain = evidence_gain(trial, fit)
     state.record("switch_form", (form.name,), trial, gain, tie, taken=gain > tie)
