@@ -38,9 +38,9 @@ def probabilities(fit: Fit) -> dict[str, float]:
     }
 
 
-def redundant_terms(fit: Fit, *, with_block_scatter: bool = True) -> list[str]:
+def redundant_terms(fit: Fit) -> list[str]:
     """Effects that can be removed one by one, the least evidence first, the others adapting linearly."""
-    mean, covariance, names = _posterior(fit, with_block_scatter=with_block_scatter)
+    mean, covariance, names = _posterior(fit)
     columns, known = _places(names), {active.name: active.candidate for active in fit.model.active}
     out: list[str] = []
     while columns:
@@ -71,14 +71,13 @@ def _log_bayes_factor(mean: Array, covariance: Array, candidate: CandidateEffect
     return log_density_ratio(mean, covariance) - 0.5 * float(candidate.standing @ candidate.standing)
 
 
-def _posterior(fit: Fit, *, with_block_scatter: bool = True) -> tuple[Array, Array, list[str]]:
+def _posterior(fit: Fit) -> tuple[Array, Array, list[str]]:
     """Mean and covariance of the amplitudes, shapes fixed, noise inflated to the residual, and their effects."""
     which = [k for k, (a, n) in enumerate(fit.model.free) if n in a.candidate.amplitudes]
     free = [fit.model.free[k] for k in which]
     normal = fit.projected()[0][np.ix_(which, which)] / max(fit.chi2_per_dof, 1.0)
     covariance = np.asarray(np.linalg.inv(normal + np.eye(len(which))), dtype=np.float64)
-    if with_block_scatter:
-        covariance += np.diag(block_scatter(fit)[which] ** 2 / BLOCKS)
+    covariance += np.diag(block_scatter(fit)[which] ** 2 / BLOCKS)
     return np.array([a.standardised_value(n) for a, n in free]), covariance, [a.name for a, _ in free]
 
 

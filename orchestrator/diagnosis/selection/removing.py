@@ -46,13 +46,11 @@ MIN_CERTAINTY: float = 5.0
 
 
 def remove_moves(state: SearchState) -> Iterator[Move]:
-    """Remove effects that the data do not require.
-
-    Scatter between blocks may be due to another effect's form: where the loss is too large, it is not counted.
-    """
-    for counts in (True, False):
-        if out := redundant_terms(state.fit, with_block_scatter=counts):
-            yield Move("remove", tuple(out), partial(_remove, state, out))
+    """Remove effects that the data do not require: all of them, or where one is needed the weaker half, and so on."""
+    out = redundant_terms(state.fit)
+    while out:
+        yield Move("remove", tuple(out), partial(_remove, state, out))
+        out = out[: len(out) // 2]
     if not state.is_joint and not state.is_part:
         minor = sorted((a for a in state.fit.model.active if _is_minor(state, a)), key=lambda a: a.relative_size)
         for active in minor:

@@ -26,7 +26,7 @@ from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
 from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, score
 from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult, refit_steps
-from orchestrator.diagnosis.selection.search_state import Move, SearchState
+from orchestrator.diagnosis.selection.search_state import Move, SearchState, first_accepted
 from orchestrator.diagnosis.selection.shape_moves import (
     fix_moves,
     fixed_parameters,
@@ -94,15 +94,9 @@ def best_first(
             view = linear_view(state.fitter, state.fit, library, _freeable(state, library))
             record_screen(state, view, library)
             state = replace(state, view=view)
-        better = None
         # A joint model has no limit on its computing.
-        if state.is_joint or not state.fitter.budget.is_spent:
-            for move in _moves(state, library):
-                if move.key(state) not in tried:
-                    tried.add(move.key(state))
-                    better = move.make()
-                if better is not None:
-                    break
+        is_over = state.fitter.budget.is_spent and not state.is_joint
+        better = None if is_over else first_accepted(state, _moves(state, library), tried)
         if better is None:
             return state
         if better.fit is not state.fit:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from orchestrator.diagnosis.criteria import SelectionCriteria
@@ -142,6 +142,18 @@ class Move:
             return key
         free = tuple((a.name, n) for a, n in state.fit.model.free)
         return (*key, free, state.fit.model.space.grid, id(state.fitter.noise))
+
+
+def first_accepted(state: SearchState, moves: Iterable[Move], tried: set[tuple[object, ...]]) -> SearchState | None:
+    """The state after the first of some moves that is above its threshold; those `tried` are left out, and extended."""
+    for move in moves:
+        key = move.key(state)
+        if key in tried:
+            continue
+        tried.add(key)
+        if (after := move.make()) is not None:
+            return after
+    return None
 
 
 def evidence_gain(trial: Fit, fit: Fit) -> float:

@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.chords import trial_step
@@ -22,7 +23,7 @@ from orchestrator.diagnosis.selection.scoring import (
     movable,
     select_terms,
 )
-from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain
+from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain, first_accepted
 from protocols import ParameterRole
 
 MAX_DEFERRED_FORM_GAIN: float = 0.3
@@ -201,15 +202,8 @@ def with_best_shapes(state: SearchState) -> SearchState:
     tried: set[tuple[object, ...]] = set()
     while True:
         view = linear_view(state.fitter, state.fit, (), fixed_parameters(state.fit.model))
-        moves = [
-            *free_moves(state, view, details=True),
-            *(() if state.is_explained or state.is_joint else form_moves(state)),
-        ]
-        better = None
-        for move in moves:
-            if move.key(state) not in tried:
-                tried.add(move.key(state))
-                better = better or move.make()
+        forms = () if state.is_explained or state.is_joint else form_moves(state)
+        better = first_accepted(state, chain(free_moves(state, view, details=True), forms), tried)
         if better is None:
             return state
         state = better
