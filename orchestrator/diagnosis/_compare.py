@@ -20,8 +20,8 @@ from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
-from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
+from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps
+from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model
@@ -111,7 +111,7 @@ def compare_recording(
 
 def _benefit(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Remark:
     """Remark on whether one more effect helps."""
-    after = with_effect(setup.fitter, fit, candidate)
+    after = with_effect(setup, fit, candidate)
     found = next(e for e in found_effects(setup.fitter, after, {}, {}) if e.name == candidate.name)
     return added_remark(candidate.name, fit, after, found)
 

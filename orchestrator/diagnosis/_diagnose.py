@@ -50,21 +50,13 @@ from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, re
 from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.forward_search import SearchResult
+from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, map_steps
 from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
-from orchestrator.diagnosis.selection.joint_workflow import MAX_SHARE_OF_ERROR, drop_confounded
-from orchestrator.diagnosis.selection.workflow import (
-    EVALUATIONS_LEFT_FROM_REPORT,
-    ModelChoice,
-    baseline_of,
-    coarsen_map,
-    converged,
-    map_steps,
-    prune,
-    search_effects,
-)
+from orchestrator.diagnosis.selection.naming import MAX_SHARE_OF_ERROR
+from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects
+from orchestrator.diagnosis.selection.search_result import SearchResult
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (
@@ -233,12 +225,11 @@ class _Request:
 
 @dataclass(frozen=True)
 class _FinishedSearch:
-    """A finished search, and the effects rejected at its end as doubtful or redundant."""
+    """A finished search, and the effects rejected at its end as doubtful."""
 
     setup: DiagnosisSetup
     search: SearchResult
     doubtful: Sequence[str]
-    removed: Sequence[str] = ()
     is_early: bool = False
 
 
@@ -274,7 +265,7 @@ def _diagnose(
             raise
         tell("ended early: what was found so far is fitted to the whole recording")
         search, doubtful = unfinished_search(interim.checkpoint)
-        found = _FinishedSearch(interim.checkpoint.setup, search, doubtful, is_early=True)
+        found = _FinishedSearch(interim.checkpoint.state.setup, search, doubtful, is_early=True)
     found.setup.fitter.begin("how sure is what was found?", EVALUATIONS_LEFT_FROM_REPORT)
     try:
         return _report(recording, request, on_step, found, model, every, library, began)
@@ -293,19 +284,12 @@ def _search(
     library: Library,
     interim: InterimRecorder,
 ) -> _FinishedSearch:
-    """Search to the end, including pruning."""
-
+    """Search to the end."""
     steps = map_steps(setup, model, {c.name: c for c in every}, request.without)
     setup.fitter.budget.calibrate()
     steps = include_measured(setup, steps, library)
-    setup, search = search_effects(setup, include_expected(setup, steps, library), library, interim)
-    if search.contributions:
-        search, doubtful = drop_confounded(setup.fitter, search)
-        return _FinishedSearch(setup, search, doubtful)
-    first = search.baseline_models
-    search, removed = prune(setup, coarsen_map(setup, converged(setup, search)))
-    interim.record(setup, first, search, is_part=False)
-    return _FinishedSearch(setup, search, [], removed)
+    steps = include_expected(setup, steps, library)
+    return _FinishedSearch(*search_effects(setup, steps, library, interim))
 
 
 def _report(
@@ -319,7 +303,7 @@ def _report(
     began: float,
 ) -> Diagnosis:
     """The report of a finished search; its model is written to `model.json`."""
-    setup, search, doubtful, removed = result.setup, result.search, result.doubtful, result.removed
+    setup, search, doubtful = result.setup, result.search, result.doubtful
     first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
@@ -365,7 +349,7 @@ def _report(
         verdict_record=record,
         effects=found,
         minor=credible_effects((e for e in active if e.name in search.below_materiality), rest, MAX_SHARE_OF_ERROR),
-        traces=tuple(dict.fromkeys([*search.below_materiality, *doubtful, *removed, *search.detected_not_named])),
+        traces=tuple(dict.fromkeys([*search.below_materiality, *doubtful, *search.detected_not_named])),
         joint=joint,
         ladder=ladder,
         unexplained=residual,

@@ -18,7 +18,6 @@ from orchestrator.diagnosis.fitting.candidates import (
     require_known,
     scaled_library,
 )
-from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.judgement.contributions import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
@@ -30,8 +29,9 @@ from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, require_effects_of, restored
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
-from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
+from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps, with_map_step
+from orchestrator.diagnosis.selection.search import with_effect
+from orchestrator.diagnosis.selection.search_result import AcceptedModel
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.sentences import listed
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
@@ -105,7 +105,7 @@ def _added(
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
             tell(f"the model with {plain(name)}")
-            steps.append(AcceptedModel(name, setup.fitter.fit(_with_effect(setup.fitter, fit, library[name]).model)))
+            steps.append(AcceptedModel(name, setup.fitter.fit(_with_effect(setup, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
             tell(f"the model with {plain(name)}")
@@ -127,16 +127,16 @@ def _added(
     return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining)})
 
 
-def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:
+def _with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Fit:
     """The model refitted with one more effect; where a large misfit remains, started at the usual shapes too."""
-    grown = with_effect(fitter, fit, candidate)
+    grown = with_effect(setup, fit, candidate)
     if grown.chi2_per_dof < fit.criteria.selection.detected_chi2:
         return grown
-    still = fitter.fit(fit.model.with_active([_in_usual_shape(a) for a in fit.model.active]))
-    again = with_effect(fitter, still, candidate)
+    still = setup.fitter.fit(fit.model.with_active([_in_usual_shape(a) for a in fit.model.active]))
+    again = with_effect(setup, still, candidate)
     shapes = {a.name: [n for n in a.free if n in a.candidate.of_role(ParameterRole.SHAPE)] for a in fit.model.active}
     free = [a.release(*shapes.get(a.name, ())) for a in again.model.active]
-    again = fitter.fit(again.model.with_active(free), again.linearisation)
+    again = setup.fitter.fit(again.model.with_active(free), again.linearisation)
     return min(grown, again, key=lambda f: f.chi2)
 
 

@@ -64,8 +64,6 @@ class SelectionCriteria(Strict):
     """Contribution of an effect in any kind of stage over the first model's rms error from which it is a cause."""
     most_trials: int = _is(5, "1", "budget")
     """Maximum number of effects refitted in one round."""
-    most_effects: int = _is(6, "1", "practice")
-    """Maximum number of effects of a model found by forward search."""
     few_views: int = _is(16, "1", "simulated")
     """Number of operating points below which a remark says that they are few."""
 

@@ -65,28 +65,23 @@ def _always(value: Any) -> Callable[[Mapping[str, Any]], Any]:
 
 
 RULES = (
-    Rule("selection.forward_search", "_is_indistinguishable", _always(False)),
-    Rule("selection.forward_search", "_outweighs_refinements", _always(False)),
-    Rule("selection.refining", "extend_earlier", _given("fit")),
+    *(
+        Rule(f"selection.{module}", name, _always(None))
+        for module, names in (
+            ("adding", ("_add_to_joint",)),
+            ("shape_moves", ("_free", "_fix", "_switch")),
+            ("removing", ("_remove_minor", "_swap", "_merge")),
+            ("environment_moves", ("_count_scatter", "_estimate_quantiser", "_refine_map", "_coarsen_map")),
+            ("quantiser", ("refine_quantiser_by_fit",)),
+            ("search", ("_add_all",)),
+        )
+        for name in names
+    ),
+    Rule("selection.adding", "_is_indistinguishable", _always(False)),
     Rule("nuisances.segment_scatter", "with_scatter_beside", _always(None)),
-    Rule("selection.refining", "converge", _given("fit")),
-    Rule("selection.refining", "_alternative_starts", _always([])),
-    Rule("selection.workflow", "_detailed", _given("fit")),
-    Rule("selection.workflow", "prune", _given_and(list, "search")),
-    Rule("selection.workflow", "coarsen_map", _given("search")),
-    Rule("selection.workflow", "converged", _given("search")),
-    Rule("selection.workflow", "with_estimated_scatter", _always(None)),
     Rule("selection.quantiser", "with_detected_quantiser", _given("setup")),
     Rule("selection.quantiser", "with_quantiser_of_dwells", _given("setup")),
-    Rule("selection.quantiser", "refine_quantiser_by_fit", _always(None)),
-    Rule("selection.joint_search", "free_remaining_shapes", _given("fit")),
-    Rule("selection.joint_search", "forward_step", _given("fit")),
-    Rule("selection.joint_search", "swap_step", _given_and(dict, "fit")),
-    Rule("selection.joint_search", "merge_indistinguishable", _given_and(dict, "fit")),
-    Rule("selection.joint_workflow", "refine_joint_map", _given("fit")),
-    Rule("selection.joint_workflow", "coarsen_joint_map", _given("fit")),
-    Rule("selection.joint_workflow", "with_quantiser_of_fit", _given("setup", "fit", "indistinguishable")),
-    Rule("selection.joint_workflow", "drop_confounded", _given_and(list, "search")),
+    Rule("selection.naming", "drop_confounded", _given_and(list, "search")),
 )
 BY_LABEL = {rule.label: rule for rule in RULES}
 

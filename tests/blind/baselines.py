@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.candidates import observable_effects, scaled_library
+from orchestrator.diagnosis.selection.first_models import first_steps
 from orchestrator.diagnosis.selection.scoring import linear_view
-from orchestrator.diagnosis.selection.workflow import first_steps
 from orchestrator.numerics.types import Array
 from protocols import Effect, RecordingReader
 

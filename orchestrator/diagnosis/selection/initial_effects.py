@@ -10,9 +10,10 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library, standardised
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel
-from orchestrator.diagnosis.selection.refining import refit_newest
 from orchestrator.diagnosis.selection.scoring import log_evidence
+from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
 from protocols import ParameterRole, PluginError, Signals, hook_of
 
 
@@ -38,8 +39,8 @@ def include_expected(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], libr
     if len(steps) > given:
         # Refinements are released once all of these effects are present: a missing one would distort them.
         last = steps[-1]
-        fit = refit_newest(setup.fitter, last.fit, max(1.0, last.fit.chi2_per_dof))
-        steps[-1] = replace(last, fit=fit)
+        state = SearchState(setup, last.fit, last.fit.chi2_per_dof, is_part=False)
+        steps[-1] = replace(last, fit=with_best_shapes(state).fit)
     return steps
 
 

@@ -5,14 +5,14 @@ The recorder only receives; it does not influence the search.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.verdict import fitted_verdict
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
-from orchestrator.diagnosis.selection.joint_search import log_bayes_factors, redundant_terms
+from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors, redundant_terms
+from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import SearchState
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import Verdict
@@ -63,26 +63,17 @@ class InterimResult:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """State of a search after an accepted or rejected effect.
+    """A search after an accepted move.
 
     Attributes
     ----------
-    setup : DiagnosisSetup
-        The setup with its current noise.
-    first : sequence of AcceptedModel
+    state : SearchState
+    first : tuple of AcceptedModel
         First steps of the ladder, fitted to the whole recording.
-    search : SearchResult
-        Fits to a part of the recording where `is_part`.
-    is_part : bool
-    is_joint : bool
-        Whether effects were fitted together: the last fit then has all of them, and there is no ladder yet.
     """
 
-    setup: DiagnosisSetup
+    state: SearchState
     first: tuple[AcceptedModel, ...]
-    search: SearchResult
-    is_part: bool
-    is_joint: bool
 
 
 @dataclass
@@ -99,52 +90,17 @@ class InterimRecorder:
     checkpoint: Checkpoint | None = None
     _last_answer: tuple[object, ...] = field(default=(), init=False)
 
-    def record(
-        self,
-        setup: DiagnosisSetup,
-        first: Sequence[AcceptedModel],
-        search: SearchResult,
-        *,
-        is_part: bool,
-        is_joint: bool = False,
-    ) -> None:
-        """Record the state of the search."""
-        # Copies, as the search continues with the same lists.
-        snapshot = replace(
-            search,
-            steps=list(search.steps),
-            detected_not_named=list(search.detected_not_named),
-            indistinguishable=dict(search.indistinguishable),
-        )
-        self.checkpoint = Checkpoint(setup, tuple(first), snapshot, is_part, is_joint)
-        before, fit = search.steps[0].fit, search.fit
-        names = _clear_effects(fit) if is_joint else _causes(search)
-        together = len(fit.model.names) if is_joint else 0
-        result = InterimResult(names, fitted_verdict(before, fit), fit.chi2_per_dof, is_part, together)
-        answer = (set(names), result.verdict, is_part)
+    def record(self, state: SearchState, first: Sequence[AcceptedModel]) -> None:
+        """Record the state of a search, whose first models are given."""
+        self.checkpoint = Checkpoint(state, tuple(first))
+        fit, joint = state.fit, state.is_joint
+        names = _clear_effects(fit) if joint else fit.model.names
+        verdict = fitted_verdict(first[0].fit, fit)
+        result = InterimResult(names, verdict, fit.chi2_per_dof, state.is_part, len(fit.model.names) if joint else 0)
+        answer = (set(names), result.verdict, state.is_part)
         if answer != self._last_answer:
             self._last_answer = answer
             self.tell(result)
-
-    def record_joint(
-        self,
-        setup: DiagnosisSetup,
-        first: Sequence[AcceptedModel],
-        fits: tuple[Fit, Fit],
-        quick: SearchResult,
-        indistinguishable: Mapping[str, Sequence[str]],
-        *,
-        is_part: bool,
-    ) -> None:
-        """Record the state of a joint search: `fits` without any effect, and with all of them."""
-        before, fit = fits
-        tied = {name: list(others) for name, others in indistinguishable.items()}
-        search = SearchResult([AcceptedModel(None, before), AcceptedModel(None, fit)], quick.detected_not_named, tied)
-        self.record(setup, first, search, is_part=is_part, is_joint=True)
-
-
-def _causes(search: SearchResult) -> tuple[str, ...]:
-    return tuple(name for name in search.fit.model.names if name not in search.below_materiality)
 
 
 def _clear_effects(fit: Fit) -> tuple[str, ...]:

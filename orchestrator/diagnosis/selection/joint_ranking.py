@@ -13,8 +13,8 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import SearchResult
 from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, score
+from orchestrator.diagnosis.selection.search_result import SearchResult
 from protocols import FoundEffect, JointEntry, Remark
 
 MAX_CORRELATION: float = 0.995

@@ -6,17 +6,20 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Library
-from orchestrator.diagnosis.fitting.chords import MIN_JOINT_GAIN
+from orchestrator.diagnosis.fitting.chords import MIN_JOINT_GAIN, fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.command_traces import command_traces
 from orchestrator.diagnosis.nuisances.quantiser_beside_fit import quantiser_beside
 from orchestrator.diagnosis.nuisances.quantiser_in_dwells import quantiser_of_dwells
 from orchestrator.diagnosis.nuisances.quantiser_search import detect_quantisation
 from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of
-from orchestrator.diagnosis.selection.joint_search import refit_briefly
 
 MAX_QUANTISER_ROUNDS: int = 4
 """Maximum number of alternating estimates of quantiser and fit."""
+MAX_ROUNDS_WITH_QUANTISER: int = 6
+"""Relinearisations of the fit in one such round."""
+TOLERANCE_WITH_QUANTISER: float = 1e-2
+"""Gain of a relinearisation, as a part of the excess chi2, below which that fit ends."""
 
 
 def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
@@ -68,7 +71,13 @@ def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -
         timer, gain = quantiser_beside(sharper, timed.quantisers, timed.fitter.pm_flux_wb)
         gained += gain if turn == 0 else 0.0
         timed = timed.with_quantiser(timer)
-        sharper = refit_briefly(timed.part_fitter, sharper.model, sharper)
+        sharper = fit_with_frozen_jacobian(
+            timed.part_fitter,
+            sharper.model,
+            rounds=MAX_ROUNDS_WITH_QUANTISER,
+            tolerance=TOLERANCE_WITH_QUANTISER,
+            known=sharper,
+        )
         if gain < MIN_JOINT_GAIN:
             break
     return None if gained < 2.0 * limits.log_evidence * fit.chi2_per_dof else (timed, sharper)

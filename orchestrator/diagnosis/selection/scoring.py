@@ -10,6 +10,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.gauss_newton import is_stuck
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.types import Array
 
@@ -44,6 +45,20 @@ class LinearView:
     columns: tuple[tuple[EffectTerm, str], ...]
     normal: Array
     right: Array
+
+    @property
+    def fitted(self) -> int:
+        """Number of free parameters of the model, whose columns are the first."""
+        return len(self.fit.model.free)
+
+    @property
+    def extra(self) -> range:
+        """Indices of the columns that are not free in the model."""
+        return range(self.fitted, len(self.columns))
+
+    def columns_of(self, name: str) -> list[int]:
+        """Indices of an absent effect's columns."""
+        return [k for k in self.extra if self.columns[k][0].name == name]
 
 
 def log_evidence(fit: Fit, inflation: float) -> float:
@@ -94,19 +109,37 @@ def linear_view(
 
 def score(view: LinearView) -> list[Score]:
     """Linear scores of the absent effects, best first; the model's own parameters and the map adapt."""
-    fitted = len(view.fit.model.free)
-    scores = []
-    for candidate in view.absent:
-        columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name == candidate.name]
-        scores.append(Score(candidate, *linear_gain_of_absent(candidate, view.normal, view.right, fitted, columns)))
+    scores = [
+        Score(c, *linear_gain_of_absent(c, view.normal, view.right, view.fitted, view.columns_of(c.name)))
+        for c in view.absent
+    ]
     return sorted(scores, key=lambda s: -s.gain)
 
 
-def refinement_gain(view: LinearView) -> float:
-    """Fall of chi2 by the refinements that a view has columns for."""
-    fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
-    refinement_columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name not in absent]
-    return linear_gain(view.normal, view.right, fitted, refinement_columns)[0] if refinement_columns else 0.0
+def gain_of_all(view: LinearView) -> float:
+    """Fall of chi2 by all absent effects together."""
+    columns = movable(view, [k for c in view.absent for k in view.columns_of(c.name)])
+    return linear_gain(view.normal, view.right, view.fitted, columns)[0] if columns else 0.0
+
+
+def movable(view: LinearView, columns: Sequence[int]) -> list[int]:
+    """Those of some columns that no bound holds, neither alone nor as they move together."""
+    alone = {k: float(linear_gain(view.normal, view.right, view.fitted, [k])[1][0]) for k in columns}
+    left = list(columns)
+    while left:
+        _, steps = linear_gain(view.normal, view.right, view.fitted, left)
+        moves = [
+            _can_move(view, k, alone[k]) or _can_move(view, k, float(step)) for k, step in zip(left, steps, strict=True)
+        ]
+        if all(moves):
+            break
+        left = [k for k, is_free in zip(left, moves, strict=True) if is_free]
+    return left
+
+
+def _can_move(view: LinearView, column: int, step: float) -> bool:
+    active, name = view.columns[column]
+    return not is_stuck(active, name, active.standardised_value(name) + step)
 
 
 def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:

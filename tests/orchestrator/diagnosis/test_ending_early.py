@@ -11,8 +11,9 @@ from orchestrator.diagnosis import InterimResult, diagnose_recording, judge
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from orchestrator.diagnosis.selection.interim import Checkpoint
+from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import SearchState
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeadTime, VoltageBias
@@ -125,10 +126,10 @@ def test_effects_that_were_fitted_together_to_a_part_have_a_ladder_of_the_whole(
     absent = [c.absent() for c in scaled_library([VoltageBias(), VoltageDelay()], made.manifest)]
     bare, part = setup.fitter.fit(free_model()), setup.part_fitter.fit(free_model())
     both = setup.part_fitter.fit(part.model.with_active(absent))
-    first, search = (AcceptedModel(None, bare),), SearchResult([AcceptedModel(None, part), AcceptedModel(None, both)])
+    first = (AcceptedModel(None, bare),)
     for is_part, fit in ((True, both), (False, setup.fitter.fit(both.model))):
-        kept = SearchResult([search.steps[0], AcceptedModel(None, fit)])
-        found, doubtful = unfinished_search(Checkpoint(setup, first, kept, is_part, is_joint=True))
+        state = SearchState(setup, fit, bare.chi2_per_dof, is_part=is_part, is_joint=True)
+        found, doubtful = unfinished_search(Checkpoint(state, first))
         assert [step.added for step in found.steps] == [None, "voltage_bias"]
         assert all(step.fit.prepared is setup.prepared for step in found.steps)
         assert not doubtful

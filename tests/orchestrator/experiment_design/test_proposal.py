@@ -12,8 +12,8 @@ from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.selection.workflow import first_steps
+from orchestrator.diagnosis.selection.first_models import first_steps
+from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.experiment_design.proposal import catalogue, next_experiment
 from orchestrator.experiment_design.separation import confounded_pair, planned_pieces, separation
 from orchestrator.recording import Recording
@@ -38,7 +38,7 @@ def library(setup: DiagnosisSetup) -> dict[str, CandidateEffect]:
 
 @pytest.fixture(scope="module")
 def fit(setup: DiagnosisSetup, library: dict[str, CandidateEffect]) -> Fit:
-    return with_effect(setup.fitter, first_steps(setup, "saturated", library)[-1].fit, library["dead_time"])
+    return with_effect(setup, first_steps(setup, "saturated", library)[-1].fit, library["dead_time"])
 
 
 def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -26,7 +26,7 @@ from orchestrator.diagnosis.judgement.intervals import (
     ripple_share,
     standardised_std,
 )
-from orchestrator.diagnosis.selection.forward_search import with_effect
+from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.recording import Recording, open_recording, write_manifest
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents
@@ -44,7 +44,7 @@ DOUBT = Criteria().uncertainty
 def fitted(recording: Recording, effect: Effect) -> tuple[Fitter, Fit]:
     setup = open_for_diagnosis(recording)
     (candidate,) = scaled_library([effect], setup.prepared.manifest)
-    return setup.fitter, with_effect(setup.fitter, fit_baseline(setup), candidate)
+    return setup.fitter, with_effect(setup, fit_baseline(setup), candidate)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,8 @@ from orchestrator.diagnosis.reporting.excerpts import ripple_pair
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step, kept_rows
 from orchestrator.diagnosis.selection.contrasts import MIN_AMPLITUDE_RATIO
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
+from orchestrator.diagnosis.selection.search import with_effect
+from orchestrator.diagnosis.selection.search_result import AcceptedModel
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
 from protocols import DiagnosisStep, Saturated
@@ -32,7 +33,7 @@ def ladder(with_dead_time: Recording) -> Ladder:
     setup = open_for_diagnosis(with_dead_time)
     bare = setup.fitter.fit(baseline_model(setup, Saturated()), relinearisations=1)
     candidate = scaled_library([DeadTime()], setup.prepared.manifest)[0]
-    steps = (AcceptedModel(None, bare), AcceptedModel("dead_time", with_effect(setup.fitter, bare, candidate)))
+    steps = (AcceptedModel(None, bare), AcceptedModel("dead_time", with_effect(setup, bare, candidate)))
     return steps, setup, tuple(diagnosis_step(k, step, setup) for k, step in enumerate(steps))
 
 

@@ -11,7 +11,7 @@ from orchestrator.diagnosis import Diagnosis, in_words
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset
 from protocols import Contrast

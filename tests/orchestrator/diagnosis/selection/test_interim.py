@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
-from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
+from orchestrator.diagnosis.selection.interim import Checkpoint, InterimRecorder, InterimResult
+from orchestrator.diagnosis.selection.search_result import AcceptedModel
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.timing import VoltageDelay
 from protocols import Verdict
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.selection.states import joint_state, state_of
 
 
 @pytest.mark.parametrize(
@@ -65,15 +68,15 @@ def fits() -> tuple[Fit, Fit]:
 
 def test_an_answer_is_reported_when_it_changes_and_not_again(fits: tuple[Fit, Fit]) -> None:
     bare, biased = fits
-    setup = setup_of(fitter(bare.prepared))
+    state = state_of(fitter(bare.prepared), bare)
     reported: list[InterimResult] = []
     recorder = InterimRecorder(reported.append)
     first = [AcceptedModel(None, bare)]
-    search = SearchResult([AcceptedModel(None, bare), AcceptedModel("voltage_bias", biased, 100.0)])
-    recorder.record(setup, first, SearchResult(list(first)), is_part=True)
+    recorder.record(state, first)
     for _ in range(2):
-        recorder.record(setup, first, search, is_part=True)
-    recorder.record(setup, first, search, is_part=False)
+        recorder.record(state.after(biased), first)
+    whole = replace(state.after(biased), is_part=False)
+    recorder.record(whole, first)
     assert [(one.effects, one.is_part) for one in reported] == [
         ((), True),
         (("voltage_bias",), True),
@@ -82,26 +85,14 @@ def test_an_answer_is_reported_when_it_changes_and_not_again(fits: tuple[Fit, Fi
     assert reported[0].verdict == "unknown_remains"
     assert reported[1].verdict == "explained"
     assert reported[1].chi2 == biased.chi2_per_dof
-
-
-def test_what_is_remembered_does_not_change_as_the_search_goes_on(fits: tuple[Fit, Fit]) -> None:
-    bare, biased = fits
-    recorder = InterimRecorder()
-    search = SearchResult([AcceptedModel(None, bare)])
-    recorder.record(setup_of(fitter(bare.prepared)), search.steps, search, is_part=True)
-    search.steps.append(AcceptedModel("voltage_bias", biased, 100.0))
-    search.detected_not_named.append("voltage_delay")
-    assert recorder.checkpoint is not None
-    assert recorder.checkpoint.search.fit is bare
-    assert recorder.checkpoint.search.detected_not_named == []
+    assert recorder.checkpoint == Checkpoint(whole, tuple(first))
 
 
 def test_of_effects_that_are_fitted_together_those_are_named_that_the_data_ask_for(fits: tuple[Fit, Fit]) -> None:
     bare, _ = fits
     maker = fitter(bare.prepared)
     library = scaled_library([VoltageBias(), VoltageDelay()], bare.prepared.manifest)
-    both = maker.fit(bare.model.with_active([c.absent() for c in library]))
+    state = joint_state(maker, [c.absent() for c in library])
     reported: list[InterimResult] = []
-    quick = SearchResult([AcceptedModel(None, bare)])
-    InterimRecorder(reported.append).record_joint(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
+    InterimRecorder(reported.append).record(state, [AcceptedModel(None, bare)])
     assert [(one.effects, one.fitted_together) for one in reported] == [(("voltage_bias",), 2)]

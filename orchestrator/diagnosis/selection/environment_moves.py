@@ -1,0 +1,84 @@
+"""Moves of what surrounds the effects: the map's grid, variance components, a modulator's timer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+from orchestrator.diagnosis.fitting.baseline import has_fine_grid, keep_fine_grid, on_usual_grid, with_finest_map
+from orchestrator.diagnosis.fitting.candidates import Library
+from orchestrator.diagnosis.fitting.model import Model
+from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of, with_scatter_as_noise, with_scatter_beside
+from orchestrator.diagnosis.selection.quantiser import refine_quantiser_by_fit
+from orchestrator.diagnosis.selection.search_state import Move, SearchState
+
+
+def noise_moves(state: SearchState, library: Library) -> Iterator[Move]:
+    """Count segment scatter as noise; in a joint model of a part, estimate the modulator's timer anew."""
+    if not state.fitter.noise.of_model.scatters:
+        yield Move("noise", (), partial(_count_scatter, state, library), is_once=True)
+    if state.setup.quantisers and state.is_joint and state.is_part:
+        yield Move("quantiser", (), partial(_estimate_quantiser, state, library))
+
+
+def _count_scatter(state: SearchState, library: Library) -> SearchState | None:
+    if state.is_part:
+        wider = with_scatter_as_noise(state.setup, likelihood_of(state.fitter, state.fit, library))
+    else:
+        # An unresolved quantiser or drifting sensor offsets may be the only misfit beside the effects.
+        wider = with_scatter_beside(state.setup, state.fitter, state.fit, library)
+    after = None if wider is None else replace(state, setup=wider)
+    fit = None if after is None else after.minimum(state.fit.model)
+    state.record("noise", (), fit, None, None, taken=after is not None)
+    return None if after is None or fit is None else after.after(fit)
+
+
+def _estimate_quantiser(state: SearchState, library: Library) -> SearchState | None:
+    estimate = refine_quantiser_by_fit(state.setup, state.fit, library)
+    if estimate is None:
+        return None
+    setup, fit = estimate
+    gain = state.fit.objective - fit.objective
+    state.record("quantiser", (), fit, gain, 0.0, measure="objective", taken=gain > 0.0)
+    return replace(state, setup=setup).after(fit) if gain > 0.0 else None
+
+
+def map_moves(state: SearchState) -> Iterator[Move]:
+    """Refine the map: a missing effect may have hidden the gain of a finer one."""
+    if state.fit.model.active and state.fit.model.space.is_free:
+        yield Move("finer_map", (), partial(_refine_map, state))
+
+
+def _refine_map(state: SearchState) -> SearchState | None:
+    # There are many maps to try: those of a joint model are compared with the effects fixed.
+    fit = (
+        state.fitter.fit(with_fixed_effects(state.fit.model), state.fit.linearisation) if state.is_joint else state.fit
+    )
+    finer = with_finest_map(state.setup, state.fitter, fit)
+    if finer is fit:
+        state.record("finer_map", (), None, None, None, taken=False)
+        return None
+    if state.is_joint:
+        finer = state.minimum(finer.model.with_active(state.fit.model.active), finer)
+    gain = state.fit.objective - finer.objective
+    state.record("finer_map", (), finer, gain, 0.0, measure="objective", taken=gain > 0.0)
+    return state.after(finer) if gain > 0.0 else None
+
+
+def coarser_map_moves(state: SearchState) -> Iterator[Move]:
+    """Return to the usual map, where a fine one no longer gains: effects found later may explain what it was for."""
+    if state.fit.model.active and has_fine_grid(state.fit) and not state.is_part:
+        yield Move("coarser_map", (), partial(_coarsen_map, state))
+
+
+def _coarsen_map(state: SearchState) -> SearchState | None:
+    usual = state.minimum(on_usual_grid(state.setup, state.fit))
+    keeps = keep_fine_grid(state.fit, usual)
+    state.record("coarser_map", (), usual, None, None, taken=not keeps)
+    return None if keeps else state.after(usual)
+
+
+def with_fixed_effects(model: Model) -> Model:
+    """The model with all effect parameters fixed."""
+    return model.with_active([replace(active, free=()) for active in model.active])

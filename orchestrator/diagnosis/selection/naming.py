@@ -1,0 +1,142 @@
+"""Which effects of a final model are causes: the ladder of a search, and removal of confounded causes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.judgement.contributions import contributions, is_material
+from orchestrator.diagnosis.judgement.intervals import block_scatter_ratio, is_none_significant, possibly_absent
+from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of
+from orchestrator.diagnosis.selection.adding import sub_threshold_effects
+from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult, baseline_models
+from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.formatting.names import plain as plain_name
+from orchestrator.formatting.quantities import number
+
+MIN_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
+"""Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
+MAX_SHARE_OF_ERROR: float = 10.0
+"""Factor of the first model's error that an effect may remove while something unknown remains; one that removes more
+is balanced by another. Correct effects removed up to 1.7, a single confounded one 3.6, balanced ones 28 to 236."""
+MAX_SHARE_OF_ERROR_OF_PAIR: float = 2.0
+"""`MAX_SHARE_OF_ERROR` where two or more effects exceed this value; such balanced pairs removed 2.0 to 3.6 each."""
+MAX_RELATIVE_SCATTER: float = 0.2
+"""Largest scatter between blocks, relative to its size, of an effect named while something unknown remains."""
+
+
+def plain_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
+    """Ladder of effects that were added one by one: one step per effect, in their order; each is a cause.
+
+    All steps use the final effect parameters and noise; R_s and the map are refitted.
+    """
+    names = state.fit.model.names
+    gains = {step.added: step.log_evidence for step in steps if step.added is not None} | dict(state.gains)
+    return SearchResult(_rungs(state, steps, names, gains), *_beside(state), view=state.view)
+
+
+def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
+    """Ladder of a joint model: one step per cause, the largest first; the last step has all effects.
+
+    All steps use the final effect parameters and noise; R_s and the map are refitted.
+    """
+    whole, first = state.fit, steps[0].fit
+    sizes, factors = contributions(state.setup, first, whole), log_bayes_factors(whole)
+    order = sorted(whole.model.names, key=lambda name: -sizes[name].relative_to_error)
+    rest = residual_fraction_of(first.chi2_per_dof, whole)
+    min_share = max(state.limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * rest)
+    # What a cause takes away, over the noise inflated to the residual, must exceed the residual over the noise itself:
+    # less may be the form of another effect.
+    imitable = rest * math.sqrt(max(whole.chi2_per_dof, 1.0))
+    certain = [n for n in order if factors[n] > state.limits.log_evidence]
+    clear = [n for n in certain if sizes[n].relative_to_error > imitable]
+    causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)] or order[:1]
+    for name in order:
+        state.fitter.trace.record(
+            "name",
+            [name],
+            after=whole,
+            measure="share",
+            score=sizes[name].relative_to_error,
+            threshold=min_share,
+            taken=name in causes,
+            note="" if name in clear else "what is left could imitate it",
+        )
+    below = tuple(n for n in order if n not in causes)
+    rungs = _rungs(state, steps, causes, factors)
+    return SearchResult(rungs, *_beside(state), view=state.view, below_materiality=below, contributions=sizes)
+
+
+def _rungs(
+    state: SearchState, steps: Sequence[AcceptedModel], names: Sequence[str], evidence: Mapping[str, float]
+) -> list[AcceptedModel]:
+    """The first models, then one step for each of some effects; the last step has all effects of the model."""
+    fit, rungs = state.fit, baseline_models(steps)
+    known = {active.name: active for active in fit.model.active}
+    for count, name in enumerate(names, 1):
+        some = fit
+        if count < len(names):
+            fixed = [replace(known[n], free=()) for n in names[:count]]
+            some = state.fitter.evaluate(fit.model.with_active(fixed), fit.linearisation)
+        rungs.append(AcceptedModel(name, some, evidence[name]))
+        state.fitter.tell(f"+ {plain_name(name)}: chi2 {number(some.chi2_per_dof)}")
+    if not names:
+        rungs[-1] = replace(rungs[-1], fit=fit)
+    return rungs
+
+
+def _beside(state: SearchState) -> tuple[list[str], dict[str, list[str]]]:
+    """Effects detected but not named, and for each effect those that fit as well in its place."""
+    present = state.fit.model.names
+    shown = sub_threshold_effects(state, state.view) if state.view is not None else []
+    detected = [n for n in dict.fromkeys([*state.refused, *shown]) if n not in present]
+    return detected, {name: list(others) for name, others in state.indistinguishable.items() if name in present}
+
+
+def drop_confounded(fitter: Fitter, search: SearchResult) -> tuple[SearchResult, list[str]]:
+    """Reject doubtful causes of a joint fit; returns the search and the names rejected.
+
+    While something unknown remains, a cause is rejected if its size varies between blocks by more than the residual
+    allows, if it explains less than the residual, if its interval contains its absence, or if it removes so much that
+    another effect must balance it. All stay in the model. Where no effect is significant, all are rejected.
+    """
+    first, last = search.steps[0].fit, search.fit
+    if search.contributions and is_none_significant(fitter, search.fit):
+        fitter.trace.record("remove", last.model.names, before=last, taken=True, note="no effect is certain")
+        return SearchResult(baseline_models(search.steps), search.detected_not_named), list(last.model.names)
+    if not search.contributions or fitted_verdict(first, last) == "explained":
+        return search, []
+    drift, residual = block_scatter_ratio(search.fit), residual_fraction_of(first.chi2_per_dof, last)
+    causes, absent = (
+        [n for n in last.model.names if n not in search.below_materiality],
+        possibly_absent(fitter, search.fit),
+    )
+    taken = {n: search.contributions[n].relative_to_error for n in causes}
+    limit = MAX_RELATIVE_SCATTER
+    unsteady = [n for n in causes if drift[n] > limit and residual > limit * min(taken[n], 1.0)]
+    several = sum(share.relative_to_error > MAX_SHARE_OF_ERROR_OF_PAIR for share in search.contributions.values()) > 1
+    max_share = MAX_SHARE_OF_ERROR_OF_PAIR if several else MAX_SHARE_OF_ERROR
+    balanced = [n for n in causes if taken[n] > max_share]
+    doubtful = [n for n in causes if n in unsteady or taken[n] < residual or n in absent or n in balanced]
+    for name in doubtful:
+        note = next(
+            text
+            for text, names in (
+                ("its size varies between blocks of the recording", unsteady),
+                ("its 95 % interval contains no effect at all", absent),
+                ("another effect balances it", balanced),
+                ("it takes away less than remains", doubtful),
+            )
+            if name in names
+        )
+        fitter.trace.record(
+            "name", [name], after=last, measure="share", score=taken[name], threshold=residual, taken=False, note=note
+        )
+    steps = [s for s in search.steps[:-1] if s.added not in doubtful]
+    added = next((n for n in reversed(causes) if n not in doubtful), None)
+    steps = [s for s in steps if s.added != added or added is None]
+    steps.append(replace(search.steps[-1], added=added))
+    return replace(search, steps=steps, below_materiality=(*doubtful, *search.below_materiality)), doubtful

@@ -1,0 +1,97 @@
+"""Grid and nuisances change where the fit gains by it, and are as they were elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, has_fine_grid
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate
+from orchestrator.diagnosis.selection import environment_moves
+from orchestrator.diagnosis.selection.environment_moves import coarser_map_moves, map_moves, noise_moves
+from orchestrator.diagnosis.selection.search_state import SearchState
+from plugins.effects.inverter import VoltageBias
+from protocols import SegmentStage
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, many_holds, plan, prepared, timer, with_voltage
+from tests.orchestrator.diagnosis.selection.states import made, state_of
+
+
+def test_voltages_that_differ_by_chance_are_noise() -> None:
+    recording, rng = prepared(many_holds()), np.random.default_rng(6)
+    by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in recording.pieces if p.stage is SegmentStage.RESISTANCE}
+    state = state_of(fitter(with_voltage(recording, by_chance)))
+    (move,) = noise_moves(state, [])
+    after = made(move)
+    assert after.fitter.noise.of_model.scatters
+    assert after.fit.chi2_per_dof < 1.2
+    assert not list(noise_moves(after, []))
+
+
+def _biased(**fields: bool) -> SearchState:
+    maker = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
+    return state_of(maker, maker.fit(with_free(free_model(), maker, VoltageBias())), **fields)
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+@pytest.mark.parametrize("is_joint", [False, True])
+def test_a_fine_map_that_no_longer_gains_is_a_usual_one(
+    keeps: bool, is_joint: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = _biased(is_part=False, is_joint=is_joint)
+    space = state.fit.model.space
+    rough = replace(space, roughness=9.0, prior=space.prior / 9.0)
+    fine = state.after(state.minimum(replace(state.fit.model, space=rough)))
+    assert has_fine_grid(fine.fit)
+    monkeypatch.setattr(environment_moves, "keep_fine_grid", lambda *_: keeps)
+    (move,) = coarser_map_moves(fine)
+    after = move.make()
+    assert (after is None) == keeps
+    if after is not None:
+        assert not has_fine_grid(after.fit)
+        assert after.fit.model.names == ("voltage_bias",)
+    assert not list(coarser_map_moves(state))
+
+
+@pytest.mark.parametrize(("gain", "taken"), [(100.0, True), (-100.0, False)])
+@pytest.mark.parametrize("is_joint", [False, True])
+def test_a_finer_map_is_taken_where_all_together_leave_less_with_it(
+    gain: float, taken: bool, is_joint: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = _biased(is_joint=is_joint)
+    finer, tried = replace(state.fit.model.space, roughness=9.0), list[Fit]()
+
+    def with_finest_map(_: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+        tried.append(fit)
+        found = fitter.fit(replace(fit.model, space=finer))
+        return replace(found, objective=state.fit.objective - gain)
+
+    monkeypatch.setattr(environment_moves, "with_finest_map", with_finest_map)
+    if is_joint:
+        better = replace(state.fit, objective=state.fit.objective - gain)
+        monkeypatch.setattr(SearchState, "minimum", lambda *_: better)
+    (move,) = map_moves(state)
+    assert (move.make() is not None) == taken
+    # The maps of a joint model are compared with its effects fixed.
+    assert bool(tried[0].model.free) != is_joint
+
+
+@pytest.mark.parametrize(("gain", "taken"), [(100.0, True), (-100.0, False)])
+def test_a_timer_that_the_fit_shows_is_taken_where_all_effects_do_better_with_it(
+    gain: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = _biased(is_joint=True)
+    estimate = QuantiserEstimate(timer(21.7e-9, 0.40, 0.58), 9.0, np.zeros((3, 3)))
+    state = replace(state, setup=replace(state.setup, quantisers=(estimate,)))
+    timed, fit = replace(state.setup), replace(state.fit, objective=state.fit.objective - gain)
+    monkeypatch.setattr(environment_moves, "refine_quantiser_by_fit", lambda *_: (timed, fit))
+    (move,) = (move for move in noise_moves(state, []) if move.kind == "quantiser")
+    after = move.make()
+    assert (after is not None) == taken
+    assert after is None or (after.setup is timed and after.fit is fit)
+    # Effects that were added one by one do not tell a timer's rounding.
+    assert all(move.kind != "quantiser" for move in noise_moves(replace(state, is_joint=False), []))

@@ -1,0 +1,119 @@
+"""Which effects of a final model are causes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import pytest
+
+from orchestrator.diagnosis._prepare import setup_of
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection import naming
+from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors
+from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
+from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
+from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.weak_form.noise import sensor_noise
+from plugins.effects.inverter import VoltageBias
+from plugins.effects.resistance import PhaseResistanceImbalance
+from plugins.effects.sensors import CurrentGainMismatch
+from protocols import Effect
+from tests.orchestrator.diagnosis import pieces as made_of
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
+
+
+def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup, Fit, Fit]:
+    """A biased voltage and unequal gains, and fits without effects and with those that are looked for."""
+    made = prepared(plan(sparse=True))
+    maker = setup_of(made, sensor_noise(made.pieces)).fitter
+    given = ((VoltageBias(), {"bias_a_v": bias_v}), (CurrentGainMismatch(), {"gain_a_minus_b": 0.005}))
+    hidden = [with_free(free_model(), maker, effect, **values).active[0] for effect, values in given]
+    setup = setup_of(made_of.with_effects(made, hidden), maker.noise)
+    bare = setup.fitter.fit(free_model())
+    absent = [c.absent() for c in scaled_library(looked_for, made.manifest)]
+    return setup, bare, setup.fitter.fit(bare.model.with_active(absent))
+
+
+def _ladder(setup: DiagnosisSetup, bare: Fit, whole: Fit) -> SearchResult:
+    """The ladder of a joint model."""
+    state = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, is_joint=True)
+    return build_ladder(state, [AcceptedModel(None, bare)])
+
+
+def test_effects_that_were_added_one_by_one_are_causes_in_their_order() -> None:
+    setup, bare, whole = _fitted(0.02, [VoltageBias(), CurrentGainMismatch()])
+    tied = {"voltage_bias": ("current_offset",), "dead_time": ("device_drop",)}
+    gains = {"voltage_bias": 50.0, "current_gain_mismatch": 20.0}
+    state = SearchState(setup, whole, bare.chi2_per_dof, is_part=False, indistinguishable=tied, gains=gains)
+    search = plain_ladder(replace(state, refused=("hysteresis", "voltage_bias")), [AcceptedModel(None, bare)])
+    assert [step.added for step in search.steps] == [None, "voltage_bias", "current_gain_mismatch"]
+    assert [step.log_evidence for step in search.steps] == [0.0, 50.0, 20.0]
+    assert [step.fit for step in search.steps][::2] == [bare, whole]
+    assert bare.chi2 > search.steps[1].fit.chi2 > whole.chi2
+    assert search.indistinguishable == {"voltage_bias": ["current_offset"]}
+    assert search.detected_not_named == ["hysteresis"]
+    assert search.contributions == {}
+
+
+def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
+    """A biased voltage, and gains that nobody looks for: another resistance in a phase takes some of what they do."""
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), PhaseResistanceImbalance()])
+    search = _ladder(setup, bare, whole)
+    assert search.contributions["phase_resistance_imbalance"].relative_to_error > whole.criteria.selection.named_share
+    assert [step.added for step in search.steps] == [None, "voltage_bias"]
+    assert search.below_materiality == ("phase_resistance_imbalance",)
+
+
+def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share() -> None:
+    """Another form's error is left: what an effect takes of it, and others could take as well, may be that form's."""
+    setup, bare, whole = _fitted(0.02, [VoltageBias(), CurrentGainMismatch()])
+    assert _ladder(setup, bare, whole).below_materiality == ()
+    lesser, larger = sorted(log_bayes_factors(whole).items(), key=lambda item: item[1])
+    between = 0.5 * (lesser[1] + larger[1])
+    left = replace(whole, chi2=whole.dof + 2.0 * between)
+    assert _ladder(setup, bare, left).below_materiality == (lesser[0],)
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.1, True), (0.4, False)])
+def test_what_drifts_by_more_than_is_left_disagrees_on_something_else(
+    left: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    search = _ladder(setup, bare, whole)
+    monkeypatch.setattr(naming, "fitted_verdict", lambda *_: "unknown_remains")
+    monkeypatch.setattr(naming, "residual_fraction_of", lambda *_: left)
+    monkeypatch.setattr(naming, "block_scatter_ratio", lambda fit: dict.fromkeys(fit.model.names, 0.3))
+    after, doubtful = drop_confounded(setup.fitter, search)
+    assert ("voltage_bias" in doubtful) != named
+    assert ("voltage_bias" in [step.added for step in after.steps]) == named
+    assert set(after.fit.model.names) == set(whole.model.names)
+
+
+@pytest.mark.parametrize(
+    ("taken", "by_another", "named"), [(3.0, 0.5, True), (30.0, 0.5, False), (3.0, 1.5, True), (3.0, 2.5, False)]
+)
+def test_what_takes_away_many_times_the_whole_error_or_twice_it_beside_another_is_balanced_and_no_cause(
+    taken: float, by_another: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    search = _ladder(setup, bare, whole)
+    sizes = {"voltage_bias": taken, "current_gain_mismatch": by_another}
+    larger = {name: replace(share, relative_to_error=sizes[name]) for name, share in search.contributions.items()}
+    monkeypatch.setattr(naming, "fitted_verdict", lambda *_: "unknown_remains")
+    monkeypatch.setattr(naming, "residual_fraction_of", lambda *_: 0.01)
+    _, doubtful = drop_confounded(setup.fitter, replace(search, contributions=larger))
+    assert ("voltage_bias" not in doubtful) == named
+
+
+@pytest.mark.parametrize("sure", [False, True])
+def test_where_nothing_is_sure_nothing_is_found(sure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    search = _ladder(setup, bare, whole)
+    monkeypatch.setattr(naming, "is_none_significant", lambda *_: not sure)
+    after, doubtful = drop_confounded(setup.fitter, search)
+    assert after.fit is (search.fit if sure else bare)
+    assert doubtful == ([] if sure else list(whole.model.names))
