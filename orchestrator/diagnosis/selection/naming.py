@@ -50,9 +50,10 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     min_share = max(state.limits.named_share, MIN_RATIO_OF_CAUSE_TO_RESIDUAL * rest)
     # What a cause takes away, over the noise inflated to the residual, must exceed the residual over the noise itself:
     # less may be the form of another effect.
-    imitable = rest * math.sqrt(max(whole.chi2_per_dof, 1.0))
-    certain = [n for n in order if factors[n] > state.limits.log_evidence]
-    clear = [n for n in certain if sizes[n].relative_to_error > imitable]
+    imitable, absent = rest * math.sqrt(max(whole.chi2_per_dof, 1.0)), possibly_absent(state.fitter, whole)
+    notes = {n: "its 95 % interval contains no effect at all" for n in absent}
+    notes |= {n: "what is left could imitate it" for n in order if sizes[n].relative_to_error <= imitable}
+    clear = [n for n in order if n not in notes]
     causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)] or order[:1]
     for name in order:
         state.fitter.trace.record(
@@ -63,7 +64,7 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
             score=sizes[name].relative_to_error,
             threshold=min_share,
             taken=name in causes,
-            note="" if name in clear else "what is left could imitate it",
+            note=notes.get(name, ""),
         )
     below = tuple(n for n in order if n not in causes)
     rungs = _rungs(state, steps, causes, factors)
