@@ -127,9 +127,9 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     yield from waiting
     yield from remove_moves(state)
     if state.is_joint:
-        yield from free_moves(state, view, details=True)
         yield from swap_moves(state, view)
         yield from merge_moves(state)
+        yield from free_moves(state, view, details=True)
     else:
         yield from fix_moves(state)
     yield from coarser_map_moves(state)
