@@ -138,7 +138,7 @@ def _add_to_joint(state: SearchState, shortlist: Sequence[Score]) -> SearchState
     names, model = tuple(term.name for term in terms), state.fit.model.with_active([*state.fit.model.active, *terms])
     trial = trial_step(state.fitter, model, state.fit)
     if trial.objective < state.fit.objective:
-        trial = state.minimum(model)
+        trial = state.minimum(trial.model, trial)
     gain = state.fit.objective - trial.objective
     state.record("add", names, trial, gain, 0.0, measure="objective", taken=gain > 0.0)
     if gain <= 0.0:
@@ -177,7 +177,7 @@ def _shortlist(state: SearchState, scores: Sequence[Score]) -> list[Score]:
 
 def _min_gain(state: SearchState, best: Score) -> float:
     """Linear gain required of the best effect, half of what its refit has to reach: a free shape adds to it."""
-    share = 0.0 if state.is_joint else 0.5 * MIN_SHARE_OF_EXCESS
+    share = 0.5 * MIN_SHARE_OF_EXCESS
     return max(_significant(state, best, _noise_with(state, best)), share * (state.fit.chi2 - state.fit.dof))
 
 

@@ -47,7 +47,7 @@ def _estimate_quantiser(state: SearchState, library: Library) -> SearchState | N
 def map_moves(state: SearchState) -> Iterator[Move]:
     """Refine the map: a missing effect may have hidden the gain of a finer one."""
     if state.fit.model.active and state.fit.model.space.is_free:
-        yield Move("finer_map", (), partial(_refine_map, state))
+        yield Move("finer_map", (), partial(_refine_map, state), is_once=True)
 
 
 def _refine_map(state: SearchState) -> SearchState | None:

@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import certainty
-from orchestrator.diagnosis.selection.adding import INDISTINGUISHABLE_SHARE, MIN_EFFECT_SIZE
+from orchestrator.diagnosis.selection.adding import MIN_EFFECT_SIZE
 from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors, redundant_terms
 from orchestrator.diagnosis.selection.contrasts import separable
 from orchestrator.diagnosis.selection.scoring import (
@@ -30,7 +30,7 @@ from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
 from protocols import ParameterRole
 
 MAX_EVIDENCE_DEFICIT: float = 0.1
-"""Part of an effect's log evidence missing after one step with another in its place, above which the trial ends."""
+"""Part of an effect's log evidence that another may lack in its place, by prediction and after one step."""
 NOTEWORTHY_CHI2: float = 1.5
 """chi2 per degree of freedom without an effect above which no refinement of another can replace it."""
 MINOR_EFFECT_SIZE: float = 0.15
@@ -130,7 +130,7 @@ def _swap_pairs(view: LinearView) -> list[tuple[str, EffectTerm]]:
             order = [*stay, *view.columns_of(c.name)]
             place = range(len(stay), len(order))
             gain, x = linear_gain_of_absent(c, normal[np.ix_(order, order)], pull[order], len(stay), place)
-            if gain > INDISTINGUISHABLE_SHARE * worth:
+            if gain > (1.0 - MAX_EVIDENCE_DEFICIT) * worth:
                 other = c.absent()
                 for n, value in zip(c.amplitudes, x, strict=True):
                     other = other.moved(n, float(value))

@@ -26,7 +26,7 @@ from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
 from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, score
 from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult, refit_steps
-from orchestrator.diagnosis.selection.search_state import Move, SearchState, first_accepted
+from orchestrator.diagnosis.selection.search_state import MAX_SHAPE_ROUNDS, Move, SearchState, first_accepted
 from orchestrator.diagnosis.selection.shape_moves import (
     fix_moves,
     fixed_parameters,
@@ -127,9 +127,9 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     yield from waiting
     yield from remove_moves(state)
     if state.is_joint:
-        yield from free_moves(state, view, details=True)
         yield from swap_moves(state, view)
         yield from merge_moves(state)
+        yield from free_moves(state, view, details=True)
     else:
         yield from fix_moves(state)
     yield from coarser_map_moves(state)
@@ -182,7 +182,7 @@ def on_whole(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchState:
         # The map is fitted first: the whole recording covers more of the current plane.
         rested = fitter.fit(with_fixed_effects(model), relinearisations=0)
         whole = replace(state, is_part=False)
-        fit = whole.minimum(rested.model.with_active(model.active), rested)
+        fit = whole.minimum(rested.model.with_active(model.active), rested, rounds=MAX_SHAPE_ROUNDS)
     else:
         fit = fitter.fit(model, relinearisations=2, tolerance=3e-4)
     return replace(state.after(fit), is_part=False, refused=(), late=frozenset())

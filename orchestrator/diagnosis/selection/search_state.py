@@ -13,8 +13,10 @@ from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.scoring import LinearView, log_evidence
 from protocols import SearchMeasure, SearchMove
 
-MAX_JOINT_ROUNDS: int = 15
-"""Relinearisations of a joint model."""
+MAX_JOINT_ROUNDS: int = 6
+"""Relinearisations of a joint model, which the next move continues."""
+MAX_SHAPE_ROUNDS: int = 15
+"""Relinearisations of a joint model whose shapes have been freed."""
 JOINT_TOLERANCE: float = 1e-2
 """Gain of a round of a joint fit, as a part of the excess chi2, below which it ends."""
 
@@ -73,13 +75,11 @@ class SearchState:
     def is_explained(self) -> bool:
         return self.fit.chi2_per_dof <= self.limits.detected_chi2
 
-    def minimum(self, model: Model, known: Fit | None = None) -> Fit:
+    def minimum(self, model: Model, known: Fit | None = None, *, rounds: int = MAX_JOINT_ROUNDS) -> Fit:
         """A model fitted, from a fit of a similar one (this state's by default)."""
         known = self.fit if known is None else known
         if self.is_joint:
-            return fit_with_frozen_jacobian(
-                self.fitter, model, rounds=MAX_JOINT_ROUNDS, tolerance=JOINT_TOLERANCE, known=known
-            )
+            return fit_with_frozen_jacobian(self.fitter, model, rounds=rounds, tolerance=JOINT_TOLERANCE, known=known)
         return self.fitter.fit(model, known.linearisation, steps=5, relinearisations=1, tolerance=1e-3)
 
     def record(

@@ -23,7 +23,13 @@ from orchestrator.diagnosis.selection.scoring import (
     movable,
     select_terms,
 )
-from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain, first_accepted
+from orchestrator.diagnosis.selection.search_state import (
+    MAX_SHAPE_ROUNDS,
+    Move,
+    SearchState,
+    evidence_gain,
+    first_accepted,
+)
 from protocols import ParameterRole
 
 MAX_DEFERRED_FORM_GAIN: float = 0.3
@@ -103,7 +109,7 @@ def _select_refinements(
 
 def _free(state: SearchState, names: Mapping[str, Sequence[str]]) -> SearchState | None:
     freed = [a.release(*names.get(a.name, ())) for a in state.fit.model.active]
-    trial = state.minimum(state.fit.model.with_active(freed))
+    trial = state.minimum(state.fit.model.with_active(freed), rounds=MAX_SHAPE_ROUNDS)
     gain, tie = evidence_gain(trial, state.fit), state.limits.tie
     # Of many shapes freed at once some have no evidence of their own.
     falls = state.is_joint and state.fit.objective - trial.objective > 2.0 * tie * max(1.0, trial.chi2_per_dof)
