@@ -4,8 +4,8 @@ An effect of the library has one form, with a few free shapes; a plant's has its
 noise, each named effect is added `FORMS` times more, each time with shapes and refinements drawn from their priors.
 Their amplitudes are random effects: R_s, the map and all fitted parameters follow, and their variance maximises the
 restricted likelihood (D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, doi:10.1080/01621459.1977.10480998). As in a
-Gaussian process with random features (A. Rahimi, B. Recht, NIPS 2007), the mixture covers what effects of this kind can
-do. If it takes up most of what is left, the rest is the effect's form; if it takes up little, something else is missing.
+Gaussian process with random features (A. Rahimi, B. Recht, NIPS 2007), the mixture covers what such effects can do. If
+it takes up much of what is left, the rest is the effect's form; if it takes up little, something else is missing.
 """
 
 from __future__ import annotations

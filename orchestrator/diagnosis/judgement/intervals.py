@@ -42,7 +42,7 @@ def standardised_std(fitter: Fitter, fit: Fit) -> Array:
     return np.asarray(np.sqrt(np.diag(_coordinate_covariance(fitter, fit))))
 
 
-def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
+def _coordinate_covariance(fitter: Fitter, fit: Fit, *, with_block_scatter: bool = True) -> Array:
     """Covariance of the free coordinates with the widths of `standardised_std` and the fit's correlations."""
     rigid = [(a, n) for a in fit.model.active for n in _two_sided_refinements(a)]
     loose = fitter.evaluate(fit.model, fit.linearisation, rigid, known=fit)
@@ -53,7 +53,7 @@ def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
     pulls = np.array([e @ rows for _, e, rows in segments])
     sandwich = inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / max(len(pulls) - len(normal), 1)
     plain = np.diag(inverse) * max(fit.chi2_per_dof, 1.0)
-    between = block_scatter(fit) ** 2 / BLOCKS
+    between = block_scatter(fit) ** 2 / BLOCKS if with_block_scatter else 0.0
     form_error = form_std(fit, [(piece, rows @ inverse[:, :count]) for piece, _, rows in segments])
     wide = np.sqrt(np.maximum(plain, np.diag(sandwich))[:count] + between + form_error**2)
     narrow = np.sqrt(np.diag(inverse)[:count])
@@ -61,10 +61,14 @@ def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
 
 
 def possibly_absent(fitter: Fitter, fit: Fit) -> list[str]:
-    """Active effects for which every amplitude's 95 % interval contains neutral."""
+    """Active effects for which every amplitude's 95 % interval contains neutral.
+
+    The scatter between blocks is not in these intervals: an effect of another form has another size in each block, and
+    is there all the same.
+    """
     if not fit.model.free:
         return []
-    variances, width = np.diag(_coordinate_covariance(fitter, fit)), INTERVAL_SIGMAS
+    variances, width = np.diag(_coordinate_covariance(fitter, fit, with_block_scatter=False)), INTERVAL_SIGMAS
     significant = {
         a.name
         for (a, n), variance in zip(fit.model.free, variances, strict=True)

@@ -51,7 +51,7 @@ def build_ladder(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchRe
     # What a cause takes away, over the noise inflated to the residual, must exceed the residual over the noise itself:
     # less may be the form of another effect.
     imitable, absent = rest * math.sqrt(max(whole.chi2_per_dof, 1.0)), possibly_absent(state.fitter, whole)
-    notes = {n: "its 95 % interval contains no effect at all" for n in absent}
+    notes = dict.fromkeys(absent, "its 95 % interval contains no effect at all")
     notes |= {n: "what is left could imitate it" for n in order if sizes[n].relative_to_error <= imitable}
     clear = [n for n in order if n not in notes]
     causes = [n for n in clear if sizes[n].relative_to_error > min_share or is_material(sizes[n], whole)] or order[:1]
