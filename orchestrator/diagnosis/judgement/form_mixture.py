@@ -41,8 +41,8 @@ class FormMixture:
     ----------
     effects : tuple of str
         Effects with a form that can vary.
-    chi2_per_dof : float
-        Of the fitted stages with the mixture.
+    share : float
+        Part of the excess chi2 of the fitted stages that it takes up.
     log_evidence : float
         Gain of the restricted log likelihood [nat].
     shift : array, shape (1 + free,)
@@ -52,7 +52,7 @@ class FormMixture:
     """
 
     effects: tuple[str, ...]
-    chi2_per_dof: float
+    share: float
     log_evidence: float
     shift: Array
     covariance: Array
@@ -84,15 +84,15 @@ def mix_forms(fitter: Fitter, fit: Fit, names: Sequence[str]) -> FormMixture | N
     posterior = 1.0 / (1.0 / variance + information)
     removed = float(np.sum(along**2 * (2.0 / variance + information) * posterior**2))
     used = float(np.sum(information * posterior))
-    chi2 = (fit.chi2 - removed) / max(fit.dof - used, 1.0)
+    excess, left = fit.chi2_per_dof - 1.0, (fit.chi2 - removed) / max(fit.dof - used, 1.0) - 1.0
     to_fitted = follow @ (scale[:, None] * turn)
     inverse = np.linalg.inv(total[:fitted, :fitted]) + (to_fitted * posterior) @ to_fitted.T
     return FormMixture(
         effects=tuple(name for name, drawn in forms.items() if drawn),
-        chi2_per_dof=chi2,
+        share=max(1.0 - left / excess, 0.0) if excess > 0.0 else 0.0,
         log_evidence=log_evidence,
         shift=(to_fitted @ (along * posterior))[:width],
-        covariance=max(chi2, 1.0) * inverse[:width, :width],
+        covariance=(1.0 + max(left, 0.0)) * inverse[:width, :width],
     )
 
 

@@ -68,7 +68,7 @@ def verdict_record(
         excitation_v=excitation_v(after),
         current_error=current_error,
         map_error=map_error,
-        chi2_in_other_forms=None if mixture is None else mixture.chi2_per_dof,
+        chi2_in_other_forms=None if mixture is None else 1.0 + (1.0 - mixture.share) * (after.chi2_per_dof - 1.0),
         other_forms=() if mixture is None else mixture.effects,
         limits=verdict_limits(after.criteria),
     )

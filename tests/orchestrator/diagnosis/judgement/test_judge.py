@@ -23,6 +23,7 @@ SOUND = {
 }  # fmt: skip
 NONE = {"chi2_before": 1.01, "effects": 0, "effect_widths": {}}
 LEFT = {"chi2_after": 2.0, "held_out_chi2": None}
+FORMS = {"chi2_after": 9.0, "chi2_before": 9e3, "chi2_in_other_forms": 4.0, "other_forms": ("hysteresis",)}
 LARGE = {"dead_time": 2.0, "hysteresis": 1.8, "skin_effect": 1.6}
 
 CASES = [
@@ -42,6 +43,11 @@ CASES = [
     (LEFT | {"chi2_after": 8.0, "chi2_before": 1e6}, "unknown_remains", "chi2_per_dof"),
     (LEFT | {"shape_widths": 5.0, "shape_effect": "dead_time"}, "unknown_remains", "shape_widths"),
     (LEFT | {"fine_map": True}, "unknown_remains", "chi2_per_dof_on_fine_map"),
+    (FORMS, "explained_in_another_form", "taken_up_by_other_forms_percent"),
+    (FORMS | {"fine_map": True}, "explained_in_another_form", "taken_up_by_other_forms_percent"),
+    (FORMS | {"chi2_in_other_forms": 8.5}, "unknown_remains", "chi2_per_dof"),
+    (FORMS | {"chi2_before": 500.0}, "unknown_remains", "chi2_per_dof"),
+    (FORMS | {"chi2_before": 80.0}, "unknown_remains", "left_of_first_error_percent"),
     ({"periodic_lines": 2}, "unknown_remains", "periodic_lines"),
     ({"gates_off_v": 0.5, "gates_off_probability": 1e-9}, "unknown_remains", "gates_off_v"),
     ({"noise_v": 2.0}, "cannot_tell", "noise_of_excitation_percent"),
