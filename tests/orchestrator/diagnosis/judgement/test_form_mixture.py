@@ -91,7 +91,8 @@ def test_the_maps_band_includes_what_another_form_moves(other_form: Fitter) -> N
 def test_the_same_forms_are_drawn_every_time(other_form: Fitter) -> None:
     fit = fitted(other_form, DeadTime())
     one, other = (mix_forms(other_form, fit, ["dead_time"]) for _ in range(2))
-    assert one is not None and other is not None
+    assert one is not None
+    assert other is not None
     np.testing.assert_array_equal(one.shift, other.shift)
 
 
