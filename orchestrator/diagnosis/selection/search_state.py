@@ -119,8 +119,8 @@ class Move:
     Attributes
     ----------
     kind : str
-    effects : tuple of str
-        The effects that it concerns.
+    concerned : tuple of str
+        Names of what it changes: effects, and parameters.
     make : callable
         The state after the move; None where it is not above its threshold.
     gain : float
@@ -130,14 +130,14 @@ class Move:
     """
 
     kind: SearchMove
-    effects: tuple[str, ...]
+    concerned: tuple[str, ...]
     make: Callable[[], SearchState | None]
     gain: float = 0.0
     is_once: bool = False
 
     def key(self, state: SearchState) -> tuple[object, ...]:
         """What tells this trial from others."""
-        key = self.kind, self.effects, state.is_part, state.is_joint
+        key = self.kind, self.concerned, state.is_part, state.is_joint
         if self.is_once:
             return key
         free = tuple((a.name, n) for a, n in state.fit.model.free)

@@ -70,15 +70,18 @@ def free_moves(state: SearchState, view: LinearView, *, details: bool) -> Iterat
     share = (0.0 if details else math.inf) if state.is_joint else MIN_SHARE_OF_FORM_DETAIL
     # A round of a joint model is costly: all that gain are freed at once.
     later = 0.0 if state.is_joint else MAX_DEFERRED_FORM_GAIN
-    refinements = {
-        a.name: _select_refinements(state.fit, view, a, state.noise, share, later) for a in state.fit.model.active
-    }
-    for freed in (shapes, refinements):
+    groups = [shapes]
+    for is_detail in (False, True):
+        select = partial(_select_refinements, state.fit, view, noise=state.noise, share=share, later=later)
+        groups.append({a.name: select(a, only_details=is_detail) for a in state.fit.model.active})
+    for freed in groups:
         names = {name: parameters for name, parameters in freed.items() if parameters}
         columns = [k for k in view.extra if view.columns[k][1] in names.get(view.columns[k][0].name, ())]
         gain = linear_gain(view.normal, view.right, view.fitted, columns)[0] if columns else 0.0
         if gain > 2.0 * state.limits.tie * state.noise:
-            yield Move("free_shape", tuple(names), partial(_free, state, names), gain)
+            concerned = (*names, *(view.columns[k][1] for k in columns))
+            # Details alone come last: those that gain more than the others adapt to anything.
+            yield Move("free_shape", concerned, partial(_free, state, names), 0.0 if freed is groups[2] else gain)
 
 
 def _fixed(active: EffectTerm, role: ParameterRole) -> tuple[str, ...]:
@@ -86,11 +89,19 @@ def _fixed(active: EffectTerm, role: ParameterRole) -> tuple[str, ...]:
 
 
 def _select_refinements(
-    fit: Fit, view: LinearView, active: EffectTerm, noise: float, share: float, later: float
+    fit: Fit,
+    view: LinearView,
+    active: EffectTerm,
+    *,
+    noise: float,
+    share: float,
+    later: float,
+    only_details: bool = False,
 ) -> tuple[str, ...]:
     """Fixed refinements of an effect that together bring most of the gain of all.
 
-    Details must also remove a `share` of the excess chi2, because they adapt to any missing effect.
+    Details are selected where the others gain too little, or alone. They must also remove a `share` of the excess
+    chi2, because they adapt to any missing effect.
     """
     limits, candidate = fit.criteria.selection, active.candidate
     rigid = _fixed(active, ParameterRole.REFINEMENT)
@@ -102,7 +113,7 @@ def _select_refinements(
     least = of_details = 2.0 * limits.tie * noise
     if fit.chi2_per_dof > limits.detected_chi2 and share:
         of_details = max(least, share * (fit.chi2 - fit.dof))
-    groups = [(first, least), (details, of_details)]
+    groups = [([] if only_details else first, least), (details, of_details)]
     chosen = select_terms((view.normal, view.right), view.fitted, groups, later)
     return tuple(view.columns[k][1] for k in chosen)
 
@@ -200,7 +211,9 @@ def _wanted(begun: Fit, form: EffectTerm) -> tuple[str, ...]:
     view = LinearView(
         replace(begun, model=fixed), (), tuple(free[k] for k in order), normal[order][:, order], right[order]
     )
-    return _select_refinements(begun, view, form, 1.0, MIN_SHARE_OF_FORM_DETAIL, MAX_DEFERRED_FORM_GAIN)
+    return _select_refinements(
+        begun, view, form, noise=1.0, share=MIN_SHARE_OF_FORM_DETAIL, later=MAX_DEFERRED_FORM_GAIN
+    )
 
 
 def with_best_shapes(state: SearchState) -> SearchState:

@@ -52,7 +52,7 @@ def test_what_the_recording_cannot_separate_from_a_present_effect_is_not_added()
     maker = fitter(with_voltage(recording, errors_of(active, recording)))
     state = state_of(maker)
     (both,) = add_moves(state, view_of(state, library), library)
-    assert set(both.effects) == {"dead_time", "device_drop"}
+    assert set(both.concerned) == {"dead_time", "device_drop"}
     after = made(both)
     assert after.fit.model.names == ("dead_time",)
     assert not list(add_moves(after, view_of(after, library), library))
@@ -63,8 +63,8 @@ def test_to_a_joint_model_several_effects_are_added_at_once(biased: Fitter) -> N
     state = joint_state(biased, [])
     (move,) = add_moves(state, view_of(state, library), library)
     after = made(move)
-    assert set(after.fit.model.names) == set(move.effects) == after.late
-    assert "voltage_bias" in move.effects
+    assert set(after.fit.model.names) == set(move.concerned) == after.late
+    assert "voltage_bias" in move.concerned
 
 
 def test_the_full_model_keeps_the_effects_that_are_there(biased: Fitter) -> None:
