@@ -33,6 +33,8 @@ def pytest_configure(config: pytest.Config) -> None:
     With the slow tests, more examples are tried too.
     """
     config.pluginmanager.register(Budget())
+    if hasattr(config, "workerinput"):
+        os.setsid()  # Linux shares the processors among sessions first: no other worker's work delays this one's links
     if config.getoption("alone") is not None:
         config.pluginmanager.register(Alone(config.getoption("alone")))
     signal.signal(signal.SIGINT, signal.default_int_handler)
