@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 
+from orchestrator.driving.readings import MAX_CURRENT_RATIO
 from plugins.link._host import fault_names
 from plugins.wire import BlockLayout, DriveFacts, Measurement, Phase, PowerState, Progress, Status
 from protocols import DriveFault, FaultCause
 
 ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
-MAX_CURRENT_RATIO = 1.5
-"""Measured current over the limit, at which the drive must have tripped."""
 
 
 def require_consistent_telemetry(
