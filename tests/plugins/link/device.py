@@ -118,6 +118,8 @@ class Script:
     """Commands that it acknowledges and does not do."""
     saturated: int = 0
     """So many rows of a capture, from the first, stand at the end of the scale."""
+    voltage_step_v: float = 0.0
+    """Its voltages are rounded to whole multiples of this."""
     described: str = "\nclock: simulated"
     """More lines of its description."""
 
@@ -324,6 +326,8 @@ class Device:
         if mask:
             form = RowFormat(mask, CaptureFormat.INT16, self.facts.scales)
             i, v = ((x[:, 0] + 1j * x[:, 1]) * turn for x in (i_dq, v_dq))
+            if step_v := self.script.voltage_step_v:
+                v = step_v * (np.round(v.real / step_v) + 1j * np.round(v.imag / step_v))
             v[: self.script.saturated] += 1e6
             columns = {
                 Channel.I_ALPHA: i.real,
