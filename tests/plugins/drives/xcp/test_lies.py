@@ -112,7 +112,7 @@ def arm_and_hold(drive: XcpDrive) -> None:
         (answers(bytes([ERROR, 0x29])), "the ECU answers with the error ERR_SEQUENCE"),
         (answers(bytes([RESPONSE])), r"cannot be read \(0 octets answer a request for 88\)"),
         (garbage, "drive fault (link_lost|wrong_data|no_answer)"),
-        (flood_of_messages, "rows of a wrong length"),
+        (flood_of_messages, "drive fault (link_lost|wrong_data|no_answer)"),
         (flood_of_answers, "drive fault (link_lost|wrong_data|no_answer)"),
         (huge_length, "no (row for 2 s|answer)"),
     ],
