@@ -74,6 +74,27 @@ def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], 
         drive.close()
 
 
+@pytest.mark.parametrize("bus_v", [float("nan"), float("inf"), -3.0, 0.0])
+def test_a_bus_voltage_that_is_none_is_the_boards_fault_in_one_line(bus_v: float) -> None:
+    with on_a_line(lambda board: board.values.update(vbus_voltage=bus_v)) as (_, port):
+        drive = drive_at(port)
+        with pytest.raises(DriveFault, match=f"reads a bus of {bus_v:g} V$") as fault:
+            drive.connect()
+        drive.close()
+    assert fault.value.cause is FaultCause.BUS_VOLTAGE
+
+
+@pytest.mark.parametrize("limit_a", [float("nan"), float("inf"), -1.0])
+def test_a_capability_that_cannot_be_is_the_boards_fault_in_one_line(limit_a: float) -> None:
+    with on_a_line(lambda board: board.values.update({"axis0.motor.config.current_lim": limit_a})) as (_, port):
+        drive = drive_at(port)
+        with pytest.raises(DriveFault, match="odrive gave an impossible value: max_current_a: Input should") as fault:
+            drive.connect()
+        drive.close()
+    assert fault.value.cause is FaultCause.WRONG_DATA
+    assert "\n" not in str(fault.value)
+
+
 def test_a_current_points_where_it_is_wanted_and_the_board_is_left_as_it_was() -> None:
     with on_tcp() as (board, port), armed(port) as drive:
         rows = whole(drive)
