@@ -70,7 +70,8 @@ class ReadingCheck:
         self._limits, self._clock = limits, clock
         self._last: tuple[float, float] | None = None
         """End of the last block by the drive's clock, and its arrival by the host's [s]."""
-        self._point, self._excitation = "", GatesOff(duration_s=1.0)  # type: Excitation
+        self._point = ""
+        self._excitation: Excitation = GatesOff(duration_s=1.0)
         self._levels: list[Numbers] = []
 
     def begin(self, point: str, excitation: Excitation) -> None:

@@ -11,7 +11,7 @@ from tests.torture.__main__ import HEADING, attempts, main, section
 from tests.torture.attacks import ATTACKS, Attack
 
 SEED = 20261122
-SAMPLE = {"kills": 0, "inputs": 10, "disks": 0, "lies": 1, "links": 0}
+SAMPLE = {"kills": 0, "inputs": 10, "disks": 0, "lies": 1, "noise": 6, "links": 0}
 """Of each attack; kills, disks and links have tests of their own, and hundreds of them in `make torture`."""
 
 

@@ -67,7 +67,7 @@ def emulate(
         Path | None,
         typer.Option(help="File with the open interlocks, one of --set 'interlocks=[door]' a line.", metavar="FILE"),
     ] = None,
-    priority: Annotated[bool, typer.Option(help="Ask for real-time priority, unless the speed is max.")] = True,
+    priority: Annotated[bool, typer.Option(help="Ask for real-time priority, for a punctual watchdog.")] = True,
     drop: Part = 0.0,
     duplicate: Part = 0.0,
     reorder: Part = 0.0,
@@ -97,8 +97,7 @@ def emulate(
     port = _port(serial, can, node, fd, bitrate, data_bitrate, can_settings or ())
     device = Device(options, nameplate, seed, port.layout, own, journal)
     losses = Losses(drop, duplicate, reorder, corrupt)
-    # As fast as possible it would leave the processors to nobody, not even to its host.
-    run_emulation(device, port, LinkSettings(rate, losses, seed, priority and pace is not None), journal)
+    run_emulation(device, port, LinkSettings(rate, losses, seed, priority), journal)
     return 0
 
 

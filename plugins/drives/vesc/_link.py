@@ -71,5 +71,6 @@ class Link(DriveLine):
         decoder = Decoder()
         with suppress(DriveFault):  # kept for the next use of the link
             while not self._closed.is_set() and self.lost is None:
-                for payload in decoder.feed(self.read_bytes(POLL_PERIOD_S)):
+                octets = self.read_bytes(POLL_PERIOD_S)
+                for payload in decoder.feed(octets) if octets else decoder.pause():
                     self._queues[payload[0]].put(payload)

@@ -45,8 +45,8 @@ def block(start_s: float = 1.0, **changes: Any) -> Capture:
     """Sweeping currents and the voltages of 4 ohm, with some noise."""
     noise = np.random.default_rng(1).normal(0.0, 0.01, (ROWS, 2))
     i = 4.0 * np.column_stack((np.zeros(ROWS), np.sin(2.0 * np.pi * np.arange(ROWS) / ROWS))) + noise
-    fields = {"i_ab": i, "v_ab": 4.25 * i, "v_dc": np.full(ROWS, BUS_V)}
-    return Capture(start_s=start_s, sampling_frequency_hz=FS, **{**fields, **changes})
+    fields: dict[str, Any] = {"i_ab": i, "v_ab": 4.25 * i, "v_dc": np.full(ROWS, BUS_V)}
+    return Capture(start_s=start_s, sampling_frequency_hz=FS, **(fields | changes))
 
 
 def require(*blocks: Capture, excitation: Excitation = SWEEP, own: Capabilities = OWN, times: Any = None) -> None:
@@ -67,7 +67,8 @@ def in_steps(step_v: float) -> Capture:
 def spike(name: str, value: float) -> Capture:
     column = np.array(getattr(block(), name))
     column[ROWS // 2] = value
-    return block(**{name: column})
+    changes: dict[str, Any] = {name: column}
+    return block(**changes)
 
 
 @pytest.mark.parametrize(

@@ -120,6 +120,8 @@ class Script:
     """So many rows of a capture, from the first, stand at the end of the scale."""
     voltage_step_v: float = 0.0
     """Its voltages are rounded to whole multiples of this."""
+    noise: Callable[[bytes], bytes] = bytes
+    """What a serial line makes of the bytes that it sends at once."""
     described: str = "\nclock: simulated"
     """More lines of its description."""
 
@@ -472,7 +474,7 @@ def on_a_pty(script: Script | None = None, link: str | None = None) -> Iterator[
             return []
 
     def write(frames: Sequence[Frame]) -> None:
-        data = all_to_serial(frames)
+        data = device.script.noise(all_to_serial(frames)) if frames else b""
         while data and not over.is_set():
             try:
                 data = data[os.write(master, data) :]

@@ -396,7 +396,3 @@ def test_a_path_is_left_alone_where_something_else_is(tmp_path: Path) -> None:
             port.publish()
         port.close()
     assert (tmp_path / "link").read_text() == "mine"
-
-
-def test_a_plant_that_computes_as_fast_as_possible_has_no_priority_over_its_host(fast: EmulatorProcess) -> None:
-    assert [event["priority"] for event in fast.events("started")] == [False]
