@@ -34,7 +34,8 @@ def main(words: Sequence[str] | None = None) -> int:
         keep(requested.answers, seed, answer)
         mark = "MISS" if judge(answer).wrong else "ok"
         print(
-            f"{mark:<5}{answer.case.label:<16}{answer.cpu_s:5.1f} s  {answer.case.hidden} -> {stated(answer)}", flush=True
+            f"{mark:<5}{answer.case.label:<16}{answer.cpu_s:5.1f} s  {answer.case.hidden} -> {stated(answer)}",
+            flush=True,
         )
     text = page([judge(answer) for answer in answers.values()], seed, time.strftime("%Y-%m-%d"), sum(USUAL.values()))
     if requested.write is not None:
@@ -70,7 +71,9 @@ def _parser() -> argparse.ArgumentParser:
         "--answers", type=Path, help="keep the answers there; those that are there are not requested again"
     )
     parser.add_argument("--only-table", action="store_true", help="of the answers that are there; nothing is examined")
-    parser.add_argument("--recordings", type=Path, help="keep recordings and truths there; those that are there are read")
+    parser.add_argument(
+        "--recordings", type=Path, help="keep recordings and truths there; those that are there are read"
+    )
     parser.add_argument("--write", type=Path, help="the page to write; without it, it is printed")
     parser.add_argument("--make", metavar="CASE", help="only make this recording, e.g. single:3")
     parser.add_argument("--out", type=Path, help="with --make: the directory")

@@ -78,7 +78,7 @@ class Case:
 class Changes:
     """What an effect does to the rig, and what it amounts to."""
 
-    plant: dict[str, float]
+    plant: dict[str, Any]
     amounts: dict[str, tuple[float, float]]
     tables: dict[str, Any] = field(default_factory=dict)
 
@@ -201,7 +201,9 @@ def hall_transition(w: float, z: float, h: float) -> Array:
     system[0, 1], system[1, 0], system[1, 1], system[1, 2] = w, -w, -2 * z * w, w
     system[2, 3] = 1.0 / h
     whole = expm(system * h)
-    return np.ascontiguousarray(np.stack([whole[:2, 0], whole[:2, 1], whole[:2, 2] - whole[:2, 3], whole[:2, 3]], axis=1))
+    return np.ascontiguousarray(
+        np.stack([whole[:2, 0], whole[:2, 1], whole[:2, 2] - whole[:2, 3], whole[:2, 3]], axis=1)
+    )
 
 
 SUBSTEPS = 4
@@ -248,12 +250,12 @@ EFFECTS: dict[str, tuple[Callable[[Rng, float, Motor], Changes], float, float]] 
 """Effects that the library has, in forms of their own: how a size changes the rig, the smallest and the largest."""
 
 
-def _shunts(rng: Rng, m: Motor) -> dict[str, float]:
+def _shunts(rng: Rng, m: Motor) -> dict[str, Any]:
     a, b, c = rng.permutation([-1.0, 0.2, 1.0]) * rng.uniform(0.005, 0.015)
     return {"shunts": 1.0, "gain_a": 1 + a, "gain_b": 1 + b, "gain_c": 1 + c}
 
 
-NO_CATALOGUE: dict[str, Callable[[Rng, Motor], dict[str, float]]] = {
+NO_CATALOGUE: dict[str, Callable[[Rng, Motor], dict[str, Any]]] = {
     "shunts_of_unequal_gain": _shunts,
     "sensor_remanence": lambda r, m: {"core_a": r.uniform(0.004, 0.012) * _rated_a(m)},
     "shorted_turn": lambda r, m: {

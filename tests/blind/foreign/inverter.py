@@ -1,4 +1,4 @@
-"""What a leg of the inverter loses: dead time that its output capacitance shortens, and devices whose drop grows slowly.
+"""What a leg of the inverter loses: dead time, which its output capacitance shortens, and drops that grow slowly.
 
 The charge table is as on a data sheet of SiC or GaN devices: C_oss falls steeply with the voltage. In a dead time the
 current i moves the node by the charge of both devices, Q(u) = Q_oss(u) + Q_oss(V) - Q_oss(V - u). With i helping, the
@@ -21,7 +21,8 @@ from tests.blind.foreign.iron import Array
 
 CHARGE_POINTS = 400
 CHARGE_REACH = 4.0
-"""The table's largest current, in units of that whose charge in a dead time is a whole swing; beyond it e goes by 1/i."""
+"""The table's largest current, in units of that whose charge in a dead time is a whole swing; beyond it, e goes by
+1/i."""
 
 
 def charge_table(grading: float, residual: float) -> Array:
@@ -40,7 +41,9 @@ def charge_table(grading: float, residual: float) -> Array:
     node = oss + oss[-1] - oss[::-1]
     node /= node[-1]
     t = np.linspace(0.0, 1.0, 4001)
-    left = [float(np.trapezoid(1.0 - np.interp(i * t, node, u), t)) for i in np.linspace(0, CHARGE_REACH, CHARGE_POINTS)]
+    left = [
+        float(np.trapezoid(1.0 - np.interp(i * t, node, u), t)) for i in np.linspace(0, CHARGE_REACH, CHARGE_POINTS)
+    ]
     return 1.0 - np.array(left)
 
 

@@ -129,8 +129,8 @@ def _traction() -> Motor:
 def _synrm() -> Motor:
     """A 6.7 kW synchronous reluctance machine, d the axis of high inductance.
 
-    i_d = (a_d0 + a_dd |psi_d|^5 + a_dq/2 |psi_d| psi_q^2) psi_d and alike on q. Source of form and numbers: M. Hinkkanen,
-    P. Pescetto, E. Molsa, S. E. Saarakkala, G. Pellegrino, R. Bojoi, IEEE Trans. Ind. Appl. 53 (2017),
+    i_d = (a_d0 + a_dd |psi_d|^5 + a_dq/2 |psi_d| psi_q^2) psi_d and alike on q. Source of form and numbers:
+    M. Hinkkanen, P. Pescetto, E. Molsa, S. E. Saarakkala, G. Pellegrino, R. Bojoi, IEEE Trans. Ind. Appl. 53 (2017),
     doi:10.1109/TIA.2016.2644624.
     """
     plate = Machine(

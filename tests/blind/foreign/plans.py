@@ -70,10 +70,11 @@ class Bench:
     def samples(self, seconds: float) -> int:
         return round(self.plate.sampling_hz * seconds * self.thrift)
 
-    def point(self, d: float, q: float) -> Array:
-        """Currents [A]; d goes from -1 to 1 over the span."""
+    def point(self, d: float | Array, q: float | Array) -> Array:
+        """Currents [A], the axes last; d goes from -1 to 1 over the span."""
         low, high = self.span_d
-        return np.array([(low if d < 0 else high) * abs(d), q]) * self.plate.top_a
+        d, q = np.broadcast_arrays(d, q)
+        return np.stack([np.where(d < 0, -low, high) * d, q], axis=-1) * self.plate.top_a
 
     def path(self, point: Array, count: int) -> Array:
         """A held set-point, or one that drifts."""
@@ -88,7 +89,7 @@ class Bench:
         plate = self.plate
         rated_a = np.sqrt(2.0) * plate.rated_current_rms_a
         least = min(plate.l_d_h, plate.l_q_h)
-        return 2 * np.pi * hz * swing * rated_a * np.minimum([plate.l_d_h, plate.l_q_h], 2 * least)
+        return np.asarray(2 * np.pi * hz * swing * rated_a * np.minimum([plate.l_d_h, plate.l_q_h], 2 * least))
 
 
 GRID = [(d, q) for d in (-1.0, -0.5, 0.0, 0.5, 1.0) for q in (-1.0, -0.5, 0.0, 0.5, 1.0)]
@@ -124,13 +125,11 @@ def anchor(b: Bench) -> Iterator[Segment]:
 
 def sweeps(b: Bench, held: Sequence[float] = (-1.0, -0.5, 0.0, 0.5, 1.0), period_s: float = 0.9) -> Iterator[Segment]:
     """Trapezoids on q and on d with the other current held."""
-    count, top = b.samples(period_s), b.plate.top_a
+    count = b.samples(period_s)
     shape = np.interp(np.arange(count) / count, [0, 0.125, 0.375, 0.625, 0.875, 1.0], [0, 1, 1, -1, -1, 0])
     for level in held:
         for axis in ("q", "d"):
-            waves = np.array([[b.point(x, level)[0], level * top] for x in shape])
-            if axis == "q":
-                waves = np.array([[b.point(level, x)[0], x * top] for x in shape])
+            waves = b.point(level, shape) if axis == "q" else b.point(shape, level)
             other = float(waves[0, 0] if axis == "q" else waves[0, 1])
             settings = {
                 "swept_axis": axis, "held_a": other, "amplitude_a": float(np.abs(waves[:, int(axis == "q")]).max()),
@@ -145,7 +144,7 @@ def ramps(b: Bench, count: int = 7, seconds: float = 1.6) -> Iterator[Segment]:
     for angle in angles:
         rows = b.samples(seconds)
         way = np.interp(np.arange(rows) / rows, [0, 0.25, 0.75, 1.0], [0.0, 1.0, -1.0, 0.0])
-        path = np.array([b.point(0.9 * w * np.cos(angle), 0.9 * w * np.sin(angle)) for w in way])
+        path = b.point(0.9 * np.cos(angle) * way, 0.9 * np.sin(angle) * way)
         t = np.arange(rows) / b.plate.sampling_hz
         hz = b.rng.uniform(60.0, 140.0, 2)
         wave = b.amplitude_v(float(hz[0]), 0.08) * np.sin(2 * np.pi * t[:, None] * hz + [0.0, 1.0])
@@ -165,9 +164,7 @@ def binary_steps(b: Bench, count: int = 4, seconds: float = 2.2) -> Iterator[Seg
         rows = b.samples(seconds)
         corners = np.concatenate([[[0, 0]], b.rng.uniform(-0.8, 0.8, (5, 2)), [[0, 0]]])
         at = np.linspace(0, len(corners) - 1, rows)
-        path = np.array(
-            [b.point(*(np.interp(x, np.arange(len(corners)), corners[:, n]) for n in range(2))) for x in at]
-        )
+        path = b.point(*(np.interp(at, np.arange(len(corners)), corners[:, n]) for n in range(2)))
         yield Segment("classical", {}, path, _binary(b, rows, float(b.rng.uniform(0.6e-3, 2e-3)), 0.3))
 
 
@@ -226,7 +223,7 @@ def binary(b: Bench, rows: int) -> tuple[Array, dict[str, Any]]:
 
 
 def injection(b: Bench, points: Sequence[tuple[float, float]], wave: Wave, seconds: float = 0.4) -> Iterator[Segment]:
-    """A wave at points of the plane, on the voltage that holds the point, or under slow control where that would drift."""
+    """A wave at points of the plane, on the voltage that holds the point; under slow control where that would drift."""
     for d, q in points:
         point, rows = b.point(d, q), b.samples(seconds)
         volts, settings = wave(b, rows)
@@ -353,7 +350,13 @@ def drawn(b: Bench) -> Iterator[Segment]:
                 "binary": lambda: binary_steps(b, 2),
             }[str(kind)]()
         )
-    waves: dict[str, Wave] = {"square": square(), "sine": sine(), "chirp": chirp, "sines": several_sines, "binary": binary}
+    waves: dict[str, Wave] = {
+        "square": square(),
+        "sine": sine(),
+        "chirp": chirp,
+        "sines": several_sines,
+        "binary": binary,
+    }
     for kind in rng.choice(list(waves), 2, replace=False):
         parts.append(injection(b, [COARSE[k] for k in rng.permutation(len(COARSE))[:9]], waves[str(kind)], 0.4))
     if rng.random() < 0.5:

@@ -1,4 +1,4 @@
-"""A locked motor and its drive, with the flux as the state: dpsi/dt = R(-theta)(v - e) - R i - w J psi, i = grad H + ...
+"""A locked motor and its drive, the flux as the state: dpsi/dt = R(-theta) (v - e) - R i - w J psi, i = grad H + ...
 
 Runge-Kutta on flux and eddy currents; heat, bus, brake and sensors go by steps of their own between. No line, and no
 form of an effect, is shared with the first examiner's plant, the analysis or the simulated drive.
@@ -216,7 +216,7 @@ def _charge_bus(p: Plant, y: Array, watts: float, h: float) -> None:
 @njit(cache=True, nogil=True)
 def _twist(p: Plant, y: Array, torque: float, h: float) -> None:
     """The rotor on the brake's spring and its bristles (LuGre), in steps of a tenth of its resonance's radian."""
-    count = int(math.ceil(10.0 * h * p.resonance))
+    count = math.ceil(10.0 * h * p.resonance)
     step = h / count
     for _ in range(count):
         friction = 0.0
@@ -242,7 +242,7 @@ def _read(p: Plant, y: Array, n: int, gain: float, offset: float, noise: float, 
         y[CORE + n] = min(max(y[CORE + n], i - 2 * p.core_a), i + 2 * p.core_a)
         i += 0.5 * (y[CORE + n] - i)
     read = gain * (1.0 + y[SHUNT + n]) * i + offset + noise
-    return p.quantum_a * math.floor(read / p.quantum_a + 0.5) if p.quantum_a > 0.0 else read
+    return float(p.quantum_a * math.floor(read / p.quantum_a + 0.5)) if p.quantum_a > 0.0 else float(read)
 
 
 @njit(cache=True, nogil=True)

@@ -77,7 +77,9 @@ class _Drive:
             for w in (2 * np.pi * FAST_HZ * bandwidth, 2 * np.pi * SLOW_HZ * bandwidth)
         ]
 
-    def stretch(self, mode: int, wanted: Array, believed: float, wave: Array | None, ratio: float) -> tuple[Array, Array]:
+    def stretch(
+        self, mode: int, wanted: Array, believed: float, wave: Array | None, ratio: float
+    ) -> tuple[Array, Array]:
         """Currents and voltages of a stretch, shape (samples, 2)."""
         rig, rows = self.rig, len(wanted)
         plant = rig.plant._replace(
@@ -88,8 +90,8 @@ class _Drive:
         gains = self.gains[0 if wave is None else 1]
         run(
             plant, rig.motor.iron.coefficients, rig.motor.iron.grid, rig.relays, self.memory, rig.charge, rig.hall,
-            self.y, believed, mode, gains, np.ascontiguousarray(wanted), np.zeros_like(wanted) if wave is None else wave,
-            noise, current, voltage,
+            self.y, believed, mode, gains, np.ascontiguousarray(wanted),
+            np.zeros_like(wanted) if wave is None else wave, noise, current, voltage,
         )  # fmt: skip
         self.time_s += rows * plant.sample_s
         power = 1.5 * plant.resistance * np.sum(current**2, axis=1) * (mode != OFF)
@@ -123,7 +125,9 @@ def captured(rig: Rig, *, silent: bool = False) -> tuple[list[Captured], _Drive]
                 rows = drive.stretch(OPEN, wanted, believed, segment.wave_v, segment.pwm_ratio)
             else:
                 rows = drive.stretch(CONTROL, segment.path_a, believed, segment.wave_v, segment.pwm_ratio)
-        found += [Captured(segment, start + at, believed, *part) for at, part in _parts(rows, segment, plate.sampling_hz)]
+        found += [
+            Captured(segment, start + at, believed, *part) for at, part in _parts(rows, segment, plate.sampling_hz)
+        ]
     return found, drive
 
 
