@@ -20,19 +20,23 @@ plans have other forms than those of [the blind suite](blind-suite.md). To exami
 
     python -m tests.blind.foreign --seed {seed} --write docs/blind-suite-foreign.md
 
-- **Machines**: reluctance networks whose bridges saturate within 5 to 8 % of the current range (sharp), a
-  synchronous reluctance machine, an arctangent with cross-saturation, a measured map and one by finite
-  elements (soft).
-- **Effects**: eddy currents of half order, vector Preisach hysteresis, dead time by the charge of the output
-  capacitances, a knee by the inverse hyperbolic sine, a brake with a spring and LuGre friction, a bus with two
-  resistors and two capacitors, a thermal ladder, Hall sensors of second order, and simpler ones.
-- **In no catalogue**: {foreign}.
-- **Plans**: {plans}. `drawn` has
-  parts and options at random. All other classes use the standard plan, one angle, or slow ramps.
+| | what there is |
+| --- | --- |
+| machines, sharp | reluctance networks whose bridges saturate within 5 to 8 % of the current range |
+| machines, soft | a synchronous reluctance machine, a cross-saturated arctangent, a measured map, one by finite elements |
+| iron | eddy currents of half order (six branches), vector Preisach hysteresis |
+| inverter | dead time by the charge of output capacitances, a knee by an inverse hyperbolic sine, short pulses left out |
+| bus, winding, brake | two resistors with two capacitors, a thermal ladder, a spring with LuGre friction |
+| sensors | Hall sensors of second order, offsets, unequal gains, a wrong angle, a late voltage |
+| in no catalogue | {foreign} |
+| plans | {plans} |
 
-The plant itself works out what the hidden effects do to whoever knows the true map and R_s. They are material
-where they move the flux by more than {flux:g} % of the rated flux, or the voltage by more than {voltage:g} % of
-the excitation.
+The plan `drawn` has parts and options at random. All classes but the last use the standard plan, one angle, or slow
+ramps.
+
+The plant itself works out what the hidden effects do to whoever knows the true map and R_s. They are material where
+they move the flux by more than {flux:g} % of the rated flux. So are they where they move the voltage by more than
+{voltage:g} % of the excitation.
 
 Date {date}, seed {seed}, {count} recordings of the {usual} that it makes: {counts}.
 """

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from orchestrator.recording import open_recording
-from tests.blind.foreign import cases
 from tests.blind.foreign.__main__ import main
 from tests.blind.foreign.cases import EFFECTS, KINDS, NO_CATALOGUE, Case, draw_case
 from tests.blind.foreign.examine import examine
 from tests.blind.foreign.judge import judge
+from tests.blind.foreign.machines import FAMILIES
 from tests.blind.foreign.record import captured, measured_truth, record
 
 QUICK = "thirty_seconds"
@@ -21,7 +21,7 @@ QUICK = "thirty_seconds"
 @pytest.fixture(autouse=True)
 def one_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """The one that is tabulated soonest."""
-    monkeypatch.setattr(cases, "FAMILIES", {"synrm": cases.FAMILIES["synrm"]})
+    monkeypatch.setattr("tests.blind.foreign.cases.FAMILIES", {"synrm": FAMILIES["synrm"]})
 
 
 def quick(case: Case, plan: str = QUICK) -> Case:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.blind.foreign import cases
 from tests.blind.foreign.cases import EFFECTS, Case, draw_case
 from tests.blind.foreign.examine import Answer
 from tests.blind.foreign.judge import judge, names_of
+from tests.blind.foreign.machines import FAMILIES
 from tests.blind.foreign.table import page
 
 LARGE = {"flux_percent": 2.0, "voltage_percent": 2.0, "voltage_mv": 9.0, "rise_percent": 0.0, "watts": [4.0] * 400}
@@ -20,7 +20,7 @@ LARGE = {"flux_percent": 2.0, "voltage_percent": 2.0, "voltage_mv": 9.0, "rise_p
 @pytest.fixture(autouse=True)
 def one_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """The one that is tabulated soonest."""
-    monkeypatch.setattr(cases, "FAMILIES", {"synrm": cases.FAMILIES["synrm"]})
+    monkeypatch.setattr("tests.blind.foreign.cases.FAMILIES", {"synrm": FAMILIES["synrm"]})
 
 
 def case_of(name: str, plan: str = "one_angle") -> Case:
