@@ -6,8 +6,9 @@ node rises by u(t) = Q^-1(i t) instead of at once; over a period a leg loses
 
     e(i) = f (V t_d - integral of (V - u) dt over the dead time),   0 at no current, f V t_d at large ones.
 
-Sources: N. Urasaki, T. Senjyu, T. Kinjo, T. Funabashi, H. Sekine, IEE Proc. Electr. Power Appl. 152 (2005),
-doi:10.1049/ip-epa:20045240; J. Schellekens, R. Bierbooms, J. Duarte, INTELEC 2010 (output capacitance).
+Sources: N. Urasaki, T. Senjyu, T. Kinjo, T. Funabashi, H. Sekine, "Dead-time compensation strategy for permanent magnet
+synchronous motor drive taking zero-current clamp and parasitic capacitance effects into account", IEE Proc. Electr.
+Power Appl. 152 (2005) 845; S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
 """
 
 from __future__ import annotations

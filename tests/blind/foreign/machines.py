@@ -73,7 +73,8 @@ def _network(
     the gap in series with nothing but, beside it, ribs that carry up to rib[0] [Wb] and saturate within rib[1] [A].
     Teeth and yoke need stator[0] (|psi| / stator[1])^stator[2] [A] along the flux, which couples the axes.
     Sources: V. Ostovic, "Dynamics of Saturated Electric Machines" (1989), doi:10.1007/978-1-4613-8933-0; bridges:
-    E. C. Lovelace, T. M. Jahns, J. H. Lang, IEEE Trans. Ind. Appl. 36 (2000), doi:10.1109/28.855971.
+    E. C. Lovelace, T. M. Jahns, J. H. Lang, "A saturating lumped-parameter model for an interior PM synchronous
+    machine", IEEE Trans. Ind. Appl. 38 (2002) 645.
     """
     force = np.linspace(-60.0, 60.0, 240_001) * rib[1]
     force_d = np.linspace(-1.0, 1.0, 240_001) * 60.0 * rib[1]
@@ -152,8 +153,9 @@ def _arctan() -> Motor:
     """A 400 W servo machine whose magnetising flux goes by the arctangent of one common excitation.
 
     W' = L i^2 / 2 + E g(r) + E_d g((i_d + i_m) / a_d), g'' = 1 / (1 + x^2), r an ellipse of i_d + i_m and i_q: the
-    axes share their iron. Source: G. Stumberger, B. Stumberger, D. Dolinar, IEEE Trans. Ind. Appl. 39 (2003),
-    doi:10.1109/TIA.2003.816538 (cross-saturation to be modelled); the arctangent is the usual curve.
+    axes share their iron. Source: B. Stumberger, G. Stumberger, D. Dolinar, A. Hamler, M. Trlep, "Evaluation of
+    saturation and cross-magnetization effects in interior permanent-magnet synchronous motor", IEEE Trans. Ind. Appl.
+    39 (2003) 1264 (such machines have to be modelled with it); the arctangent is the usual curve.
     """
     plate = Machine(
         "servo machine", 4, 750.0, 200.0, 4.4, 200.0, 2.4, 0.9, 0.0055, 0.0085, 0.075, 320.0, 1e4, 500.0, 0.008, 2e-3

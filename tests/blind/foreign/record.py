@@ -16,7 +16,7 @@ from tests.blind.foreign.inverter import CHARGE_POINTS
 from tests.blind.foreign.iron import Array, flux_of
 from tests.blind.foreign.machines import Motor
 from tests.blind.foreign.plans import FAST_HZ, PLANS, SLOW_HZ, Bench, Segment
-from tests.blind.foreign.plant import BEFORE, CONTROL, HEAT, OFF, OPEN, PSI, STATES, Plant, run
+from tests.blind.foreign.plant import CONTROL, COPPER_PER_K, HEAT, OFF, OPEN, PSI, STATES, Plant, run
 from tests.blind.foreign.preisach import DIRECTIONS, ROW
 
 SETTLING_S = 0.25
@@ -59,7 +59,7 @@ class Captured:
     voltage: Array
 
 
-class _Drive:
+class Drive:
     """The plant's state from segment to segment."""
 
     def __init__(self, rig: Rig) -> None:
@@ -99,11 +99,11 @@ class _Drive:
         return current, voltage
 
 
-def captured(rig: Rig, *, silent: bool = False) -> tuple[list[Captured], _Drive]:
+def captured(rig: Rig, *, silent: bool = False) -> tuple[list[Captured], Drive]:
     """Run the plan; the segments, and the drive in its end. `silent` sensors have neither noise nor quantum."""
     if silent:
         rig = replace(rig, plant=rig.plant._replace(noise_a=0.0, quantum_a=0.0), lost_rows=0.0)
-    plate, drive = rig.motor.plate, _Drive(rig)
+    plate, drive = rig.motor.plate, Drive(rig)
     bench = Bench(plate, rig.motor.span_d, np.random.default_rng([rig.seed, 2]))
     found = []
     for segment in PLANS[rig.plan](bench):
@@ -218,7 +218,6 @@ def measured_truth(rig: Rig) -> dict[str, Any]:
         "voltage_mv": 1e3 * volts,
         "voltage_percent": 100.0 * volts / excited,
         "flux_percent": 100.0 * flux_rms / plate.rated_flux_wb,
-        "rise_percent": 100.0 * 0.00393 * float(drive.y[HEAT]),
+        "rise_percent": 100.0 * COPPER_PER_K * float(drive.y[HEAT]),
         "watts": [round(float(w), 4) for w in steps],
-        "end_a": [float(i) for i in drive.y[BEFORE : BEFORE + 3]],
     }
