@@ -22,8 +22,8 @@ plans have other forms than those of [the blind suite](blind-suite.md). To exami
 
 | | what there is |
 | --- | --- |
-| machines, sharp | reluctance networks whose bridges saturate within 5 to 8 % of the current range |
-| machines, soft | a synchronous reluctance machine, a cross-saturated arctangent, measured and finite-element maps |
+| machines, sharp | reluctance networks whose bridges saturate within 5 to 8 % of the current range, a SynRM |
+| machines, soft | a cross-saturated arctangent, a measured map, one by finite elements |
 | iron | eddy currents of half order (six branches), vector Preisach hysteresis |
 | inverter | dead time by the charge of output capacitances, a knee by the inverse hyperbolic sine, short pulses |
 | bus, winding, brake | two resistors with two capacitors, a thermal ladder, a spring with LuGre friction |
