@@ -162,7 +162,7 @@ def _brake(rng: Rng, size: float, m: Motor) -> Changes:
 def _bus_sag(rng: Rng, size: float, m: Motor) -> Changes:
     """A line and a link, each a resistor with a capacitor behind it.
 
-    Less voltage draws less power at the same current: over the command's power the sag is smaller by itself, up to three
+    Less voltage draws less power at one current: over the command's power the sag is smaller by itself, up to three
     times the copper's at one axis' largest current, with both axes and the magnetising power.
     """
     copper_w = 1.5 * m.plate.resistance_ohm * m.plate.top_a**2
