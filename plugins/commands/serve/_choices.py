@@ -44,9 +44,12 @@ def motor_word(folder: Path, name: str) -> str:
 def run_folder(folder: Path, name: str) -> Path:
     """Folder of a listed run; raises `InputError` for others."""
     place = folder / RUNS / name
-    if name in ("", ".", "..") or Path(name).name != name or not (place / "run.json").is_file():
-        raise InputError("runs", "", "no such run")
-    return place
+    try:
+        if name not in ("", ".", "..") and Path(name).name == name and (place / "run.json").is_file():
+            return place
+    except OSError:  # a name that is too long for the file system
+        pass
+    raise InputError("runs", "", "no such run")
 
 
 def _procedures(folder: Path) -> Iterator[dict[str, str]]:
