@@ -53,7 +53,7 @@ def sources_below(url: str, *, files: bool = False) -> Iterator[Source]:
     Raises
     ------
     InputError
-        Where there is no such folder, or it cannot be listed.
+        Where there is no such folder, or it or a folder in it cannot be listed.
     """
     fs, root = filesystem_of(url)
     try:
@@ -69,7 +69,7 @@ def sources_below(url: str, *, files: bool = False) -> Iterator[Source]:
 def _walk(fs: Any, root: str, files: bool) -> Iterator[Source]:
     from orchestrator.importing import ENDINGS
 
-    for folder, folders, here in fs.walk(root, detail=True, topdown=True):
+    for folder, folders, here in fs.walk(root, detail=True, topdown=True, on_error="raise"):
         is_recording = RUN_FILES[0] in here or RUN_FILES[1] in here
         if files:
             for name in sorted(name for name in here if PurePosixPath(name).suffix.lower() in ENDINGS):

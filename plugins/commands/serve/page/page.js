@@ -41,7 +41,7 @@ function show(now) {
   const showsRun = !wantsForm && (now.going || p !== null || now.problem !== "");
   $("run").hidden = !showsRun;
   form.hidden = showsRun || known === null;
-  $("runs").hidden = now.going || known === null || known.runs.length === 0;
+  $("runs").hidden = now.going || known === null || known.runs.length + known.unreadable.length === 0;
   $("stopbar").hidden = !busy;
   set("stopping", now.stopping ? "stopping: current to zero, drive disarmed" : "");
   chip(now, p);
@@ -205,6 +205,7 @@ async function loadChoices() {
   options(form.drive, [["", "the procedure's own"], ...known.drives.map((name) => [name, name])]);
   summarise();
   $("rows").replaceChildren(...known.runs.map(runRow));
+  $("unreadable").replaceChildren(...known.unreadable.map((problem) => element("li", problem)));
   if (view) show(view);
 }
 

@@ -143,10 +143,10 @@ class _Impatient(Connection):
     client_timeout_s = 0.5
 
 
-async def _endless(scope: Any, receive: Any, send: Any) -> None:
-    """Answers /wide with more than a pipe holds, and everything else with a word."""
+async def _answering(scope: Any, receive: Any, send: Any) -> None:
+    """Answers /wide with more than the buffers hold, and everything else with a word."""
     await send({"type": "http.response.start", "status": 200, "headers": []})
-    while scope["path"] == "/wide":
+    for _ in range(400 if scope["path"] == "/wide" else 0):
         await send({"type": "http.response.body", "body": b"x" * 50_000, "more_body": True})
     await send({"type": "http.response.body", "body": b"yes"})
 
@@ -157,7 +157,7 @@ def port() -> Iterator[int]:
 
     listening = socket.socket()
     listening.bind(("127.0.0.1", 0))
-    config = uvicorn.Config(_endless, http=_Impatient, lifespan="off", log_config=None, timeout_graceful_shutdown=1)
+    config = uvicorn.Config(_answering, http=_Impatient, lifespan="off", log_config=None, timeout_graceful_shutdown=1)
     server = _Server(config)
     thread = threading.Thread(target=asyncio.run, args=(server.serve([listening]),))
     number = int(listening.getsockname()[1])
