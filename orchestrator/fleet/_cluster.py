@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 LOOPBACK = "127.0.0.1"
 DASHBOARD_ROUTES = ["distributed.http.health", "distributed.http.statics"]
-"""Routes of dask's beside the dashboard itself. Its others serve data to any host name, or load styles from elsewhere."""
+"""Routes of dask's beside the dashboard; its others serve data to any host name, or load styles from elsewhere."""
 IGNORE_SIGINT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 """First code of a local worker: Ctrl-C at a terminal reaches it too, but only the client may end it."""
 

@@ -20,8 +20,8 @@ Dashboard = Annotated[
     bool,
     typer.Option(
         "--dashboard",
-        help="Show the local workers on a page of dask's on 127.0.0.1. It asks for no token: every user of this machine "
-        "can read it.",
+        help="Show the local workers on a page of dask's on 127.0.0.1. It has no token: every user of this machine can "
+        "read it.",
     ),
 ]
 DASHBOARD_PORT = 8787
