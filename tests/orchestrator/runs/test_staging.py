@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -54,7 +53,7 @@ def test_links_and_files_of_such_names_stay(tmp_path: Path) -> None:
     (tmp_path / ".estimating-link").symlink_to(tmp_path / "elsewhere")
     (tmp_path / ".view-file").write_text("mine")
     remove_stale_staging(tmp_path)
-    assert sorted(os.listdir(tmp_path)) == [".estimating-link", ".view-file", "elsewhere"]
+    assert sorted(file.name for file in tmp_path.iterdir()) == [".estimating-link", ".view-file", "elsewhere"]
 
 
 def test_whoever_opens_a_run_removes_what_a_kill_has_left_in_it(tmp_path: Path) -> None:
