@@ -58,7 +58,7 @@ class Hanging(effects.ExampleEffect):
 )
 def test_a_wrong_effect_is_named_in_a_line(effect: Any, check: str, named: str, tmp_path: Path) -> None:
     kit = effects.kit_for(effect)
-    kit.max_seconds = 0.2 if effect is Hanging else 60.0  # type: ignore[misc]
+    type(kit).max_seconds = 0.2 if effect is Hanging else 60.0
     (message,) = failures(kit, tmp_path, only=check).values()
     require_line(message, named)
 
@@ -88,7 +88,7 @@ class HangingEstimator(estimators.ExampleEstimator):
 )
 def test_a_wrong_estimator_is_named_in_a_line(estimator: Any, named: str, tmp_path: Path) -> None:
     kit = estimators.kit_for(estimator)
-    kit.max_seconds = 0.2 if estimator is HangingEstimator else 60.0  # type: ignore[misc]
+    type(kit).max_seconds = 0.2 if estimator is HangingEstimator else 60.0
     for check in ("uncertainties_are_finite", "same_recording"):
         (message,) = failures(kit, tmp_path / check, only=check).values()
         require_line(message, named)

@@ -65,7 +65,7 @@ def test_a_folder_that_is_not_there_and_a_damaged_run_are_stated(folder: Path, t
     damaged.mkdir()
     (damaged / "run.json").write_text("{")
     done = called("runs", "--folder", tmp_path)
-    assert (done.returncode, "broken JSON" in done.stderr) == (0, True)
+    assert (done.returncode, "broken JSON" in done.stderr) == (3, True)
 
 
 def test_a_run_that_cannot_be_read_is_named_and_the_exit_code_says_so(folder: Path) -> None:
