@@ -15,9 +15,9 @@ SAMPLE = {"kills": 0, "inputs": 10, "disks": 0, "lies": 1, "links": 0} | {
     "pages": 0,
     "commissionings": 0,
     "fleets": 0,
-    "clocks": 1,
+    "clocks": 0,
 }
-"""Of each attack; kills, disks, links and pages have tests of their own, and hundreds of them in `make torture`."""
+"""Of each attack; most have tests of their own, and hundreds of them in `make torture`."""
 
 
 @pytest.mark.parametrize("attack", [a for a in ATTACKS if SAMPLE[a.name]], ids=lambda attack: attack.name)
