@@ -5,6 +5,7 @@ from orchestrator.runs._journal import Journal, JournalRecord
 from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows
 from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
+from orchestrator.runs._staging import remove_stale_staging
 
 __all__ = [
     "Journal",
@@ -18,5 +19,6 @@ __all__ = [
     "provenance",
     "refuse_file",
     "refuse_folder_of_runs",
+    "remove_stale_staging",
     "run_rows",
 ]

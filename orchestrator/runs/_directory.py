@@ -32,6 +32,7 @@ from orchestrator.registry.plugins import PluginInfo, PluginKind, installed
 from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, unsealed
+from orchestrator.runs._staging import remove_stale_staging
 from orchestrator.stages import parse_stages
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import read_bytes
@@ -199,6 +200,8 @@ class RunDirectory:
         with self.journal:
             for folder in (self.path, self.path / _CAPTURES, self.private_directory):
                 remove_partial_files(folder)
+            for folder in (self.path, self.path / "results"):
+                remove_stale_staging(folder)
             yield
 
     def refuse_lost_journal(self) -> None:
@@ -318,7 +321,14 @@ def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
 
 def _read_json(file: Path) -> Any:
     try:
-        return json.loads(read_bytes(file))
+        content = read_bytes(file)
+        value = json.loads(content)
+        if b"\\ud" in content.lower():  # the escape of a surrogate: a pair is a character, and half a pair is none
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
+    except UnicodeEncodeError as error:
+        half = ascii(error.object[error.start])
+        raise RecordingError(str(file), "", f"broken JSON: {half} is half a character") from None
     except OSError as error:
         raise RecordingError(str(file), "", f"cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:

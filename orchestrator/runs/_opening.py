@@ -8,6 +8,7 @@ from pathlib import Path
 
 from orchestrator.recording import MANIFEST_NAME, Recording, open_recording
 from orchestrator.runs._directory import RunDirectory, is_run
+from orchestrator.runs._staging import remove_stale_staging
 from protocols import FluxbenchError, InputError, RecordingError
 
 
@@ -22,6 +23,8 @@ def open_any(path: Path, *, keep: bool = False) -> Recording:
         refuse_folder_of_runs(path)
         return open_recording(path)
     run = RunDirectory.open(path)
+    for folder in (run.path, run.path / "results"):
+        remove_stale_staging(folder)
     return Recording(run.path, run.write_manifest() if keep else run.manifest())
 
 

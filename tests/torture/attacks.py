@@ -31,6 +31,9 @@ from tests.plugins.link.test_drive import HOLD, INJECTION, TRAPEZOID, turned
 from tests.plugins.link.test_kills import Bench, require_named_end
 from tests.support.processes import called, wait_until
 from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_document, tiny_file
+from tests.torture.clocks import jumped
+from tests.torture.kills import commissioning_killed, fleet_killed
+from tests.torture.pages import flooded
 
 REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
 SHORT = [*STAGES[:4], STAGES[5]]
@@ -293,4 +296,8 @@ ATTACKS = (
     Attack("lies", 200, "a named fault or the true capture; off in the end", lied),
     Attack("noise", 300, "a named fault or the true capture; off in the end", disturbed),
     Attack("links", 400, "safe within 220 ms, named end within 1 s", cut),
+    Attack("pages", 100, "events within 3 s of each other, disarmed within 5 s of the stop, the server ends", flooded),
+    Attack("commissionings", 50, "resumed to a map; every point once; nothing half written", commissioning_killed),
+    Attack("fleets", 50, "each recording one row, none failed; no worker left", fleet_killed),
+    Attack("clocks", 200, "the wall clock jumps by up to 400 years: same points, same exit codes", jumped),
 )

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.formatting.sentences import shown
+from orchestrator.runs import RunDirectory, is_run
 from plugins.command_line import entry_point
 from plugins.streams.report._page import write_report
 
@@ -27,6 +28,8 @@ def report(
 
         page = write_comparison(directories, out)
     else:
+        if is_run(directories[0]):
+            RunDirectory.open(directories[0])  # raises where run.json is damaged: a page without it says too little
         page = write_report(directories[0], out)
     print(shown(str(page)))
     if pdf:
