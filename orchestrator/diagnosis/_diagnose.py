@@ -18,6 +18,7 @@ from orchestrator.diagnosis.fitting.candidates import (
     require_known,
     scaled_library,
 )
+from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import contradicts_fleet, require_same_motor, with_priors
 from orchestrator.diagnosis.fitting.workers import Executor, executor_of
@@ -48,6 +49,13 @@ from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noi
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
+from orchestrator.diagnosis.reporting.resemblance import (
+    alternative_remarks,
+    own_alternatives,
+    pair_remarks,
+    resembling_pairs,
+    with_tied,
+)
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.forward_search import SearchResult
 from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
@@ -323,7 +331,10 @@ def _report(
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
     sizes = search.contributions or contributions(setup, first, last)
-    active = found_effects(setup.fitter, last, evidence, search.indistinguishable, sizes)
+    alternatives = own_alternatives(setup.fitter, last, library)
+    pairs = resembling_pairs(setup.fitter, last, [c.name for c in library if is_own(c.effect)])
+    tied = with_tied(search.indistinguishable, alternatives, pairs)
+    active = found_effects(setup.fitter, last, evidence, tied, sizes)
     of_map = map_effects(last, freed)
     found = of_map + tuple(e for e in active if e.name not in search.below_materiality)
     periodic = sum(not line.switching for line in setup.fitter.noise.lines)
@@ -372,7 +383,9 @@ def _report(
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
             *bound_remarks(last),
-            *own_effect_remarks(every, library, last, setup.fitter.trace.events),
+            *alternative_remarks(alternatives),
+            *pair_remarks(pairs),
+            *own_effect_remarks(every, library, last, setup.fitter.trace.events, {one.other for one in alternatives}),
             *other_opinion(joint, active),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,

@@ -19,6 +19,7 @@ from orchestrator.diagnosis.fitting.candidates import (
     scaled_library,
 )
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.judgement.contributions import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
@@ -30,6 +31,12 @@ from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, require_effects_of, restored
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
+from orchestrator.diagnosis.reporting.resemblance import (
+    alternative_remarks,
+    alternatives_to,
+    pair_remarks,
+    resembling_pairs,
+)
 from orchestrator.diagnosis.selection.forward_search import AcceptedModel, with_effect
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.formatting.names import plain
@@ -121,10 +128,24 @@ def _added(
     helping = {name: helps(before, after) for name, before, after in added}
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
-    benefits = [added_remark(name, before, after, found.get(name)) for name, before, after in added]
+    last, every = steps[-1].fit, tuple(library.values())
+    tell("do others resemble what was added?")
+    pairs = resembling_pairs(setup.fitter, last, [name for name, *_ in added])
+    own = [name for name, *_ in added if name in library and is_own(library[name].effect)]
+    alternatives = [one for name in own for one in alternatives_to(setup.fitter, last, name, every)]
+    benefits = [
+        added_remark(name, before, after, found.get(name), _present(pairs, name, before))
+        for name, before, after in added
+    ]
     stated = {str(remark.values["effect"]) for remark in benefits if remark.code == "helps_at_bound"}
     remaining = bound_remarks(steps[-1].fit, stated)
-    return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining)})
+    besides = (*alternative_remarks(alternatives), *pair_remarks(pairs))
+    return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining, *besides)})
+
+
+def _present(pairs: Sequence[tuple[str, str]], name: str, before: Fit) -> list[str]:
+    """The effects that resemble an added one and were in the model before it."""
+    return [other for pair in pairs if name in pair for other in pair if other in before.model.names]
 
 
 def _with_effect(fitter: Fitter, fit: Fit, candidate: CandidateEffect) -> Fit:

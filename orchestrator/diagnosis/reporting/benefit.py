@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v, training
@@ -14,10 +14,13 @@ from orchestrator.formatting.sentences import listed
 from protocols import FoundEffect, Remark
 
 
-def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) -> Remark:
-    """Whether an added effect helps: code ``helps``, ``helps_at_bound`` or ``does_not_help``.
+def added_remark(
+    name: str, before: Fit, after: Fit, found: FoundEffect | None, resembles: Sequence[str] = ()
+) -> Remark:
+    """Whether an added effect helps: code ``helps``, ``helps_at_bound``, ``helps_besides`` or ``does_not_help``.
 
-    One with a parameter at its bound may help more within wider ones, or imitate something else.
+    One with a parameter at its bound may help more within wider ones, or imitate something else. So may one that
+    resembles another effect of the model.
 
     Parameters
     ----------
@@ -25,6 +28,8 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
         The model without and with the effect.
     found : FoundEffect or None
         The effect with its intervals; None for a freed map.
+    resembles : sequence of str
+        Other effects of the model that resemble it.
     """
     errors = _errors(before, after)
     if helps(before, after):
@@ -33,6 +38,11 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
         if bounds:
             at = listed([f"its {parameter_words(parameter)} is at its bound {words}" for parameter, words in bounds])
             return _remark("helps_at_bound", "{effect} may help: " + f"{course}; but {at}", name, errors)
+        if resembles:
+            others = f"{listed([plain(other) for other in resembles])}: their sizes are not determined separately"
+            return _remark(
+                "helps_besides", "{effect} may help: " + f"{course}; but it resembles {others}", name, errors
+            )
         return _remark("helps", "{effect} helps: " + course, name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
     why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""

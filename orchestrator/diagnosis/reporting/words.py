@@ -105,7 +105,8 @@ def _cause(diagnosis: Diagnosis) -> str:
     if report.verdict == "clean":
         return "none: the model fits within the noise"
     amplitudes = {a.name: a.candidate.amplitudes for a in diagnosis.search.fit.model.active}
-    named = [_named(e, amplitudes.get(e.name, ())) for e in report.effects]
+    better = _better_in_place(report)
+    named = [_named(e, amplitudes.get(e.name, ()), better.get(e.name)) for e in report.effects]
     if report.verdict == "unknown_remains":
         start = f"{listed(named)}, and " if named else ""
         if _time_constant_notes(report):
@@ -116,8 +117,14 @@ def _cause(diagnosis: Diagnosis) -> str:
     return listed(named) + rest
 
 
-def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
-    """The effect with its amplitudes as text."""
+def _better_in_place(report: DiagnosisReport) -> dict[str, str]:
+    """For each effect that is no certain cause, the one that fits better in its place."""
+    found = [remark.values for remark in report.remarks if remark.code == "fits_better_in_place"]
+    return {str(values["effect"]): str(values["other"]) for values in found}
+
+
+def _named(effect: FoundEffect, amplitudes: Sequence[str], better: str | None) -> str:
+    """The effect with its amplitudes as text, and the one that fits better in its place."""
     sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
     parts = []
     for name in sizes:
@@ -130,7 +137,8 @@ def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
         if not _is_parameter(effect, found)
     ]
     twins = f", indistinguishable from {listed(effect.twins)} here" if effect.twins else ""
-    return f"{effect.name} ({'; '.join(parts)}){twins}"
+    doubt = f", in whose place {better} fits better" if better is not None else ""
+    return f"{effect.name} ({'; '.join(parts)}){twins}{doubt}"
 
 
 def _is_parameter(effect: FoundEffect, quantity: ParameterValue) -> bool:
@@ -160,6 +168,10 @@ def _next(diagnosis: Diagnosis) -> str:
     slow = _time_constant_notes(diagnosis.report)
     if diagnosis.report.verdict == "unknown_remains" and slow:
         return f"the same once more with faster readings: {'; '.join(slow)}"
+    better = {name: other for name, other in _better_in_place(diagnosis.report).items() if name in _names(diagnosis)}
+    if better:
+        name, other = next(iter(better.items()))
+        return f"`fluxbench diagnose --without {name}`: {other} fits better in its place"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
         sizes = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
@@ -179,6 +191,10 @@ def _next(diagnosis: Diagnosis) -> str:
     if diagnosis.report.verdict == "mostly_explained":
         return "a part of the error remains that nothing in the library fits better; look at its shape"
     return "nothing left to decide"
+
+
+def _names(diagnosis: Diagnosis) -> set[str]:
+    return {effect.name for effect in diagnosis.report.effects}
 
 
 def _time_constant_notes(report: DiagnosisReport) -> list[str]:
