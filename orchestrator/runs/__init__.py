@@ -2,7 +2,7 @@
 
 from orchestrator.runs._directory import RunDirectory, is_run, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
-from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows
+from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows, without_private
 from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
 
@@ -19,4 +19,5 @@ __all__ = [
     "refuse_file",
     "refuse_folder_of_runs",
     "run_rows",
+    "without_private",
 ]

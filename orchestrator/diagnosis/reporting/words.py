@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from operator import is_
 
 import numpy as np
 
 from orchestrator.diagnosis._diagnose import Diagnosis
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
@@ -104,9 +105,9 @@ def _cause(diagnosis: Diagnosis) -> str:
         return f"none that counts; {listed([e.name for e in report.minor])} shows, and is in the model"
     if report.verdict == "clean":
         return "none: the model fits within the noise"
-    amplitudes = {a.name: a.candidate.amplitudes for a in diagnosis.search.fit.model.active}
+    terms = {a.name: a for a in diagnosis.search.fit.model.active}
     better = _better_in_place(report)
-    named = [_named(e, amplitudes.get(e.name, ()), better.get(e.name)) for e in report.effects]
+    named = [_named(e, terms.get(e.name), better.get(e.name)) for e in report.effects]
     if report.verdict == "unknown_remains":
         start = f"{listed(named)}, and " if named else ""
         if _time_constant_notes(report):
@@ -123,8 +124,9 @@ def _better_in_place(report: DiagnosisReport) -> dict[str, str]:
     return {str(values["effect"]): str(values["other"]) for values in found}
 
 
-def _named(effect: FoundEffect, amplitudes: Sequence[str], better: str | None) -> str:
-    """The effect with its amplitudes as text, and the one that fits better in its place."""
+def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None) -> str:
+    """The effect with its amplitudes as text, those at a bound, and the one that fits better in its place."""
+    amplitudes = () if term is None else term.candidate.amplitudes
     sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
     parts = []
     for name in sizes:
@@ -136,6 +138,8 @@ def _named(effect: FoundEffect, amplitudes: Sequence[str], better: str | None) -
         for name, found in effect.derived.items()
         if not _is_parameter(effect, found)
     ]
+    reached = {} if term is None else bounds_reached(term)
+    parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
     twins = f", indistinguishable from {listed(effect.twins)} here" if effect.twins else ""
     doubt = f", in whose place {better} fits better" if better is not None else ""
     return f"{effect.name} ({'; '.join(parts)}){twins}{doubt}"
@@ -172,6 +176,9 @@ def _next(diagnosis: Diagnosis) -> str:
     if better:
         name, other = next(iter(better.items()))
         return f"`fluxbench diagnose --without {name}`: {other} fits better in its place"
+    for term in diagnosis.search.fit.model.active:
+        if term.name in _names(diagnosis) and (reached := list(bounds_reached(term))):
+            return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
         sizes = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
