@@ -9,14 +9,16 @@ import pytest
 
 from orchestrator.diagnosis import Diagnosis, in_words
 from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 from orchestrator.diagnosis.selection.forward_search import AcceptedModel, SearchResult
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset
-from protocols import Contrast
-from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
+from protocols import Contrast, Effect
+from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias, with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
+from tests.orchestrator.diagnosis.reporting.test_parameter_bounds import Narrow
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 MAKER = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
@@ -142,3 +144,27 @@ def test_an_unknown_is_described_by_its_shape(search: SearchResult) -> None:
     words = stated(search, verdict="unknown_remains", effects=[], unexplained={"fraction": 0.9, "shape": shape})
     assert words.what_it_looks_like.startswith("80 % periodic at the mains frequency; 20 % constant")
     assert words.likely_cause == "something that no effect of the library explains"
+
+
+@pytest.mark.parametrize(
+    ("effect", "advice"),
+    [
+        (guarded(Narrow()), "bias of narrow_bias: declare a wider bound in its class and fit again"),
+        (Narrow(), "bias of narrow_bias: beyond it the effect is not plausible, so look for another cause as well"),
+    ],
+)
+def test_a_cause_at_its_bound_is_stated_with_the_bound_and_what_to_do(effect: Effect, advice: str) -> None:
+    bare = MAKER.fit(free_model())
+    after = MAKER.fit(with_free(bare.model, MAKER, effect))
+    found = {**BIAS, "name": "narrow_bias", "parameters": {"bias_v": {**BIAS["parameters"]["bias_a_v"], "value": 0.1}}}
+    words = stated(SearchResult([AcceptedModel(None, bare), AcceptedModel("narrow_bias", after)]), effects=[found])
+    assert "; bias at its bound " in words.likely_cause
+    assert "(high = 100 mV" in words.likely_cause
+    assert words.to_decide == advice
+
+
+def test_a_cause_in_whose_place_another_fits_better_is_no_certain_one(search: SearchResult) -> None:
+    values = {"effect": "voltage_bias", "other": "current_offset", "gain_nat": 20.0}
+    words = stated(search, remarks=[{"code": "fits_better_in_place", "text": "fits better", "values": values}])
+    assert words.likely_cause.endswith("), in whose place current_offset fits better")
+    assert words.to_decide == "`fluxbench diagnose --without voltage_bias`: current_offset fits better in its place"
