@@ -51,6 +51,7 @@ from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
 from orchestrator.diagnosis.reporting.resemblance import (
     alternative_remarks,
+    inseparable_remark,
     own_alternatives,
     pair_remarks,
     resembling_pairs,
@@ -80,6 +81,7 @@ from protocols import (
     Effect,
     EstimationReport,
     FoundEffect,
+    Inseparable,
     Materiality,
     MotorModel,
     Nameplate,
@@ -98,7 +100,7 @@ from protocols.fleet_priors import FleetPriors
 LEAST_CHI2_OF_RANDOM_NOISE: float = 0.8
 """chi2 per degree of freedom below which the noise estimated from the readings' scatter is too large."""
 
-Proposer = Callable[[DiagnosisSetup, Fit, Library, str, str], NextExperiment | None]
+Proposer = Callable[[DiagnosisSetup, Fit, Library, str, str], NextExperiment | Inseparable | None]
 """Proposes an experiment that separates two effects of the library, given the fit; None where no stage can."""
 
 ENDED_EARLY = Remark.of("ended_early", "ended early by the user: the search was not finished")
@@ -362,6 +364,8 @@ def _report(
     ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
     if on_step is not None:
         _show(setup, search, ladder, on_step)
+    suspects = [*doubtful, *search.detected_not_named]
+    proposal = _proposal(request.propose, setup, last, library, found, verdict, suspects)
     report = DiagnosisReport(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
@@ -374,9 +378,7 @@ def _report(
         joint=joint,
         ladder=ladder,
         unexplained=residual,
-        next_experiment=_proposal(
-            request.propose, setup, last, library, found, verdict, [*doubtful, *search.detected_not_named]
-        ),
+        next_experiment=proposal if isinstance(proposal, NextExperiment) else None,
         remarks=(
             *([ENDED_EARLY] if result.is_early else []),
             *_remarks(setup, search, verdict, residual, doubtful),
@@ -387,6 +389,7 @@ def _report(
             *pair_remarks(pairs),
             *own_effect_remarks(every, library, last, setup.fitter.trace.events, {one.other for one in alternatives}),
             *other_opinion(joint, active),
+            *([inseparable_remark(proposal)] if isinstance(proposal, Inseparable) else []),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
         map_error_percent=100.0 * map_error,
@@ -494,7 +497,7 @@ def _proposal(
     found: Sequence[FoundEffect],
     verdict: Verdict,
     suspects: Sequence[str],
-) -> NextExperiment | None:
+) -> NextExperiment | Inseparable | None:
     if propose is None:
         return None
     for effect in found:

@@ -21,7 +21,7 @@ from orchestrator.diagnosis.selection.scoring import fits_as_well, log_evidence
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from orchestrator.numerics.types import Array
-from protocols import Remark
+from protocols import Inseparable, Remark
 
 MIN_IMITATED_SHARE: float = 0.8
 """Part of an effect's signal that another one imitates, from which they resemble each other."""
@@ -156,6 +156,16 @@ def pair_remarks(pairs: Sequence[tuple[str, str]]) -> list[Remark]:
         )
         for one, other in pairs
     ]
+
+
+def inseparable_remark(pair: Inseparable) -> Remark:
+    """Remark, ``not_separable``, on two effects that no stage separates."""
+    text = (
+        "{first} and {second}: not separable by any experiment this bench can make: at the size found the best would "
+        "separate them by {best:.2g} sigma, and {least:.2g} are needed"
+    )
+    first, second = map(plain, pair.separates)
+    return Remark.of("not_separable", text, first=first, second=second, best=pair.best_sigmas, least=pair.least_sigmas)
 
 
 def with_tied(

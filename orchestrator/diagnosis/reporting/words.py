@@ -14,10 +14,10 @@ from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
+from orchestrator.formatting.quantities import duration, percent, predicted_separation, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
-from protocols import DiagnosisReport, DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
+from protocols import Contrast, DiagnosisReport, DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
 
 _LOOKS = {
     "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
@@ -140,9 +140,17 @@ def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None) -> 
     ]
     reached = {} if term is None else bounds_reached(term)
     parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
+    angle = ", at this angle; other angles unknown" if _is_of_one_angle(effect, term) else ""
     twins = f", indistinguishable from {listed(effect.twins)} here" if effect.twins else ""
     doubt = f", in whose place {better} fits better" if better is not None else ""
-    return f"{effect.name} ({'; '.join(parts)}){twins}{doubt}"
+    return f"{effect.name} ({'; '.join(parts)}){angle}{twins}{doubt}"
+
+
+def _is_of_one_angle(effect: FoundEffect, term: EffectTerm | None) -> bool:
+    """Whether size and sign belong to the only angle of the recording: a second one would show more amplitudes."""
+    if term is None or Contrast.SECOND_ANGLE not in term.candidate.effect.needs:
+        return False
+    return any(name not in effect.parameters for name in term.candidate.amplitudes)
 
 
 def _is_parameter(effect: FoundEffect, quantity: ParameterValue) -> bool:
@@ -182,10 +190,17 @@ def _next(diagnosis: Diagnosis) -> str:
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
         sizes = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
-        return f"{sizes}, tells {proposal.separates[0]} from {proposal.separates[1]}"
+        return f"{sizes}, tells {proposal.separates[0]} from {proposal.separates[1]}{predicted_separation(proposal)}"
+    if inseparable := next((r for r in diagnosis.report.remarks if r.code == "not_separable"), None):
+        return inseparable.text
     for found in diagnosis.report.effects:
         if needed := _needed(diagnosis, found):
             return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"
+    terms = {term.name: term for term in diagnosis.search.fit.model.active}
+    if of_angle := [e.name for e in diagnosis.report.effects if _is_of_one_angle(e, terms.get(e.name))]:
+        return (
+            f"{CONTRASTS[Contrast.SECOND_ANGLE].text}: size and sign of {listed(of_angle)} belong to this angle alone"
+        )
     if twins := [found for found in diagnosis.report.effects if found.twins]:
         return f"{twins[0].name} or {listed(twins[0].twins)}: too small to be separated by the measurements"
     if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import duration, quantity
+from orchestrator.formatting.quantities import duration, predicted_separation, quantity
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
@@ -45,8 +45,8 @@ def _about_model(material: Material) -> str:
     if report.next_experiment is not None:
         proposed = report.next_experiment
         first, second = map(plain, proposed.separates)
-        takes = duration(60.0 * proposed.minutes)
-        return f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}."
+        takes, how_far = duration(60.0 * proposed.minutes), predicted_separation(proposed)
+        return f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}{how_far}."
     match report.verdict:
         case "clean":
             return "nothing is missing in it."
