@@ -55,7 +55,7 @@ def next_experiment(
             return None
         return NextExperiment(stage=stage, separates=separates, minutes=round(minutes(stage), 2))
     least = math.sqrt(setup.prepared.criteria.design.least_separation)
-    rated = [(_sigmas(setup, pair, stage), stage) for stage in catalogue(setup)]
+    rated = [(_sigmas(setup, pair, stage), stage) for stage in _candidates(setup, named[first], named[second])]
     sufficient = [(sigmas, stage) for sigmas, stage in rated if sigmas > least]
     if not sufficient:
         longer = [_lengthened(stage, least / sigmas) for sigmas, stage in rated if least < MAX_LENGTHENING * sigmas]
@@ -116,6 +116,15 @@ def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> E
     for name, x in zip(candidate.amplitudes, estimate.coordinates, strict=True):
         active = active.moved(name, float(x))
     return active
+
+
+def _candidates(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> list[Stage]:
+    """The stages that may separate two effects: of a contrast that both need and the recording lacks, else all.
+
+    Without that contrast the two count as indistinguishable, whatever another stage adds.
+    """
+    bench = Bench.of(setup)
+    return [stage for c in _lacking(setup, first, second) for stage in STAGES[c](bench)] or catalogue(setup)
 
 
 def _needed(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> Stage | None:

@@ -149,3 +149,19 @@ def test_a_small_effect_is_separated_by_longer_readings_and_a_tiny_one_by_nothin
     assert isinstance(longer, NextExperiment)
     assert longer.stage["duration_s"] > whole.stage["duration_s"]
     assert isinstance(of_size(0.5 / whole.sigmas.value), Inseparable)
+
+
+def test_where_a_declared_contrast_is_missing_only_its_stages_are_proposed(
+    setup: DiagnosisSetup, fit: Fit, library: dict[str, CandidateEffect]
+) -> None:
+    class Drop(DeviceDrop):
+        name: ClassVar[str] = "drop"
+        needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_INJECTION_FREQUENCY,)
+
+    class Dead(DeadTime):
+        needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_INJECTION_FREQUENCY,)
+
+    pair = list(scaled_library([Dead(), Drop()], setup.prepared.manifest))
+    found = next_experiment(setup, fit, pair, "dead_time", "drop")
+    # Holds at two PWM frequencies would separate them most, but the two would still count as indistinguishable.
+    assert isinstance(found, Inseparable) or found is None or found.stage["kind"] == "injection"
