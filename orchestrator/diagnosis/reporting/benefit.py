@@ -13,6 +13,9 @@ from orchestrator.formatting.quantities import quantity
 from orchestrator.formatting.sentences import listed
 from protocols import FoundEffect, Remark
 
+MAX_RISE_OF_ERROR: float = 0.01
+"""Relative rise of the rms error from which an effect does not help, whatever the likelihood."""
+
 
 def added_remark(
     name: str, before: Fit, after: Fit, found: FoundEffect | None, resembles: Sequence[str] = ()
@@ -50,8 +53,13 @@ def added_remark(
 
 
 def helps(before: Fit, after: Fit) -> bool:
-    """Whether the fit with an effect predicts stages that were not fitted better than the fit without it."""
-    return _log_likelihood_gain(before, after) > _min_gain(after)
+    """Whether the fit with an effect predicts stages that were not fitted better than the fit without it.
+
+    Both in likelihood, which weighs slow errors most, and in rms, which is what is reported.
+    """
+    use = _evaluated_rows(before)
+    rises = (mean_rms_v(after, use) or 0.0) > (1.0 + MAX_RISE_OF_ERROR) * (mean_rms_v(before, use) or 0.0)
+    return _log_likelihood_gain(before, after) > _min_gain(after) and not rises
 
 
 def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
