@@ -28,14 +28,12 @@ from orchestrator.interface.cli._options import (
 commands = typer.Typer()
 
 
-def _announce(
-    name: str, *, log: str, remote: str | None, quiet: bool, as_json: bool, may_be_yaml: bool = False
-) -> None:
-    """Print what is being loaded; nothing for `--quiet` or another program, aside where the output is JSON or YAML."""
+def _announce(name: str, *, log: str, remote: str | None, quiet: bool, as_json: bool) -> None:
+    """Print what is being loaded; nothing for `--quiet` or another program, aside where the output is JSON."""
     from orchestrator.interface.cli._output import announce_loading
 
     if remote is None and not quiet:
-        announce_loading(name, aside=as_json or log == "json" or may_be_yaml)
+        announce_loading(name, aside=as_json or log == "json")
 
 
 @commands.command("run")
@@ -79,8 +77,8 @@ def run_command(
     diagnose again.
     """
     _check_options(log, remote, unattended)
-    loaded, may_be_yaml = str(source or procedure or "demo"), source is not None
-    _announce(loaded, log=log, remote=remote, quiet=quiet, as_json=as_json, may_be_yaml=may_be_yaml)
+    if source is None or (source / "run.json").is_file():  # of a foreign recording a stage is printed, and no more
+        _announce(str(source or procedure or "demo"), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, run, run_further
 
     audience = Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote)

@@ -50,7 +50,7 @@ def test_each_of_several_runs_is_named(tmp_path: Path, monkeypatch: pytest.Monke
     [
         (["run", "nosuch"], "loading nosuch\n", ""),
         (["run"], "loading demo\n", ""),
-        (["run", "--from", "a"], "", "loading a\n"),  # a stage to paste may follow
+        (["run", "--from", "a"], "", ""),  # a foreign recording's stage to paste follows alone
         (["resume", "a"], "loading a\n", ""),
         (["run", "--json"], "", "loading demo\n"),
         (["run", "--log", "json"], "", "loading demo\n"),
