@@ -11,6 +11,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
@@ -56,6 +57,11 @@ _RECORD, _JOURNAL, _LOCK, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", ".l
 def private_directory(path: Path) -> Path:
     """The folder for data that no analysis may see: a sibling of the run directory."""
     return path.with_name(f"{path.name}.sealed")
+
+
+def is_private(path: Path) -> bool:
+    """Whether a path is a `private_directory`, of a run that may be deleted by now, and no run itself."""
+    return re.search(r"\.sealed(\.\d+)?$", path.name) is not None and path.is_dir() and not is_run(path)
 
 
 def is_run(path: Path) -> bool:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.formatting.sentences import shown
-from orchestrator.runs import RunDirectory, is_run
+from orchestrator.runs import RunDirectory, is_run, without_private
 from plugins.command_line import entry_point
 from plugins.streams.report._page import write_report
 
@@ -23,6 +23,7 @@ def report(
     pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF as well; needs Chromium on this machine.")] = False,
 ) -> int:
     """Write the report of a run or recording, or of several side by side: one self-contained page."""
+    directories = without_private(directories)
     if len(directories) > 1:
         from plugins.streams.report._comparison_page import write_comparison
 
