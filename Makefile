@@ -34,10 +34,8 @@ test: $(STAMP)  ## install what tests need, run lint and the fast tests
 help:  ## this list
 	@sed -nE 's/^([a-z][a-z-]*):[^#]*## (.*)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | sort | awk -F '\t' '{printf "%-16s %s\n", $$1, $$2}'
 
-# A test of a real link that fails beside other tests, three workers and lint on two cores, has to pass alone.
 suite: $(COMPILED)  ## the fast tests alone
-	@rm -f $(VENV)/.alone
-	$(PYTEST) --alone=$(VENV)/.alone || { test -f $(VENV)/.alone && $(BIN)/pytest -q --alone=$(VENV)/.alone; }
+	$(PYTEST)
 
 test-all: $(STAMP) lint  ## lint and all tests, slow ones included
 	$(PYTEST) -m "slow or not slow"

@@ -12,7 +12,7 @@ from typing import Any, Literal, Self
 from pydantic import Field, computed_field
 
 from protocols._base import Lenient
-from protocols._estimates import AxisPercent, Basis, ClosedForm, MapChecks, ResistanceEstimate
+from protocols._estimates import AxisPercent, Basis, ClosedForm, Interval, MapChecks, ResistanceEstimate
 from protocols._remarks import Noted, Number, Remark, Remarks
 from protocols._search_trace import SearchEvent
 from protocols._verdict import Reason, Verdict, VerdictRecord
@@ -141,6 +141,20 @@ class NextExperiment(Lenient):
     stage: dict[str, Any]
     separates: tuple[str, str]
     minutes: float
+    sigmas: Interval | None = None
+    """Predicted separation in standard deviations, for the sizes that the recording found, with its 95 % interval: of
+    the size and of the noise. None where it cannot be predicted."""
+    least_sigmas: Number = None
+    """Separation from which two effects count as separated."""
+
+
+class Inseparable(Lenient):
+    """Two effects that no stage of the catalogue separates on this bench, at the sizes that the recording found."""
+
+    separates: tuple[str, str]
+    best_sigmas: float
+    """The best stage's predicted separation in standard deviations."""
+    least_sigmas: float
 
 
 class ManifestCorrection(Lenient):

@@ -284,6 +284,8 @@ class FleetReport(Lenient):
     verdicts: tuple[CountOf, ...]
     failures: tuple[CountOf, ...]
     """Recordings without results, by what went wrong."""
+    damaged: tuple[str, ...] = ()
+    """Parts of the table that cannot be read, each with its problem; their recordings are missing here."""
     quantities: tuple[FleetQuantity, ...]
     distances: Distances | None
     outliers: tuple[FleetOutlier, ...]

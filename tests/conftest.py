@@ -3,12 +3,10 @@
 import gc
 import os
 import signal
-from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-from tests.support.alone import Alone
 from tests.support.budget import Budget
 
 # A busy machine is no reason to fail: pytest's own timeout bounds a test. The fast suite draws the same examples every
@@ -22,19 +20,14 @@ settings.load_profile("fast")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """`--alone FILE`: see `tests.support.alone`."""
-    parser.addoption("--alone", type=Path, help="tests of real links that failed beside others, to be run alone")
-
-
 def pytest_configure(config: pytest.Config) -> None:
     """Programs under test hear Ctrl-C, also where a shell started the tests in the background and had it ignored.
 
     With the slow tests, more examples are tried too.
     """
     config.pluginmanager.register(Budget())
-    if config.getoption("alone") is not None:
-        config.pluginmanager.register(Alone(config.getoption("alone")))
+    if hasattr(config, "workerinput"):
+        os.setsid()  # Linux shares the processors among sessions first: no other worker's work delays this one's links
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if config.getoption("markexpr") != "not slow":
         settings.load_profile("thorough")

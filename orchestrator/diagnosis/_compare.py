@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, scaled_library
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.judgement.residual_pattern import map_asymmetry
@@ -20,6 +20,7 @@ from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
+from orchestrator.diagnosis.reporting.resemblance import Alternative, alternative_remarks, alternatives_to, resembling
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.weak_form.segments import SegmentData
@@ -86,12 +87,17 @@ def compare_recording(
     else:
         title = baseline_of(model or "saturated").title
         fit = first_steps(setup, model or "saturated", library)[-1].fit
-    remarks += [
-        Remark.of("in_model", "{effect}: in the model already", effect=name)
-        if name in fit.model.names
-        else _benefit(setup, fit, library[name])
-        for name in candidates
-    ]
+    alternatives: list[Alternative] = []
+    for name in candidates:
+        if name in fit.model.names:
+            remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
+            continue
+        after = with_effect(setup, fit, library[name])
+        remarks.append(_benefit(setup, fit, after, name))
+        seen = {(one.other, one.name) for one in alternatives}
+        found = alternatives_to(setup, after, name, tuple(library.values()))
+        alternatives += [one for one in found if (one.name, one.other) not in seen]
+    remarks += alternative_remarks(alternatives)
     pieces = [p for p in setup.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
     rated = _rated_flux(setup, fit)
     parity, reciprocity = map_asymmetry(setup.fitter, fit, setup.current_a)
@@ -109,11 +115,10 @@ def compare_recording(
     )
 
 
-def _benefit(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Remark:
+def _benefit(setup: DiagnosisSetup, fit: Fit, after: Fit, name: str) -> Remark:
     """Remark on whether one more effect helps."""
-    after = with_effect(setup, fit, candidate)
-    found = next(e for e in found_effects(setup.fitter, after, {}, {}) if e.name == candidate.name)
-    return added_remark(candidate.name, fit, after, found)
+    found = next(e for e in found_effects(setup.fitter, after, {}, {}) if e.name == name)
+    return added_remark(name, fit, after, found, resembling(setup.fitter, after, name, ()))
 
 
 def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:

@@ -18,6 +18,7 @@ from orchestrator.diagnosis.fitting.candidates import (
     require_known,
     scaled_library,
 )
+from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import contradicts_fleet, require_same_motor, with_priors
 from orchestrator.diagnosis.fitting.workers import Executor, executor_of
@@ -49,6 +50,14 @@ from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noi
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.reporting.own_effects import own_effect_remarks
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
+from orchestrator.diagnosis.reporting.resemblance import (
+    alternative_remarks,
+    inseparable_remark,
+    own_alternatives,
+    pair_remarks,
+    resembling_pairs,
+    with_tied,
+)
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, map_steps
 from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
@@ -65,6 +74,7 @@ from protocols import (
     Effect,
     EstimationReport,
     FoundEffect,
+    Inseparable,
     Materiality,
     MotorModel,
     Nameplate,
@@ -83,7 +93,7 @@ from protocols.fleet_priors import FleetPriors
 LEAST_CHI2_OF_RANDOM_NOISE: float = 0.8
 """chi2 per degree of freedom below which the noise estimated from the readings' scatter is too large."""
 
-Proposer = Callable[[DiagnosisSetup, Fit, Library, str, str], NextExperiment | None]
+Proposer = Callable[[DiagnosisSetup, Fit, Library, str, str], NextExperiment | Inseparable | None]
 """Proposes an experiment that separates two effects of the library, given the fit; None where no stage can."""
 
 ENDED_EARLY = Remark.of("ended_early", "ended early by the user: the search was not finished")
@@ -308,7 +318,10 @@ def _report(
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
     sizes = search.contributions or contributions(setup, first, last)
-    active = found_effects(setup.fitter, last, evidence, search.indistinguishable, sizes)
+    alternatives = own_alternatives(setup, last, library)
+    pairs = resembling_pairs(setup.fitter, last, [c.name for c in library if is_own(c.effect)])
+    tied = with_tied(search.indistinguishable, alternatives, pairs)
+    active = found_effects(setup.fitter, last, evidence, tied, sizes)
     of_map = map_effects(last, freed)
     found = of_map + tuple(e for e in active if e.name not in search.below_materiality)
     periodic = sum(not line.switching for line in setup.fitter.noise.lines)
@@ -341,6 +354,8 @@ def _report(
     ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
     if on_step is not None:
         _show(setup, search, ladder, on_step)
+    suspects = [*doubtful, *search.detected_not_named]
+    proposal = _proposal(request.propose, setup, last, library, found, verdict, suspects)
     report = DiagnosisReport(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
@@ -353,17 +368,18 @@ def _report(
         joint=joint,
         ladder=ladder,
         unexplained=residual,
-        next_experiment=_proposal(
-            request.propose, setup, last, library, found, verdict, [*doubtful, *search.detected_not_named]
-        ),
+        next_experiment=proposal if isinstance(proposal, NextExperiment) else None,
         remarks=(
             *([ENDED_EARLY] if result.is_early else []),
             *_remarks(setup, search, verdict, residual, doubtful),
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
             *bound_remarks(last),
-            *own_effect_remarks(every, library, last, setup.fitter.trace.events),
+            *alternative_remarks(alternatives),
+            *pair_remarks(pairs),
+            *own_effect_remarks(every, library, last, setup.fitter.trace.events, {one.other for one in alternatives}),
             *other_opinion(joint, active),
+            *([inseparable_remark(proposal)] if isinstance(proposal, Inseparable) else []),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
         map_error_percent=100.0 * map_error,
@@ -471,7 +487,7 @@ def _proposal(
     found: Sequence[FoundEffect],
     verdict: Verdict,
     suspects: Sequence[str],
-) -> NextExperiment | None:
+) -> NextExperiment | Inseparable | None:
     if propose is None:
         return None
     for effect in found:

@@ -18,6 +18,7 @@ from orchestrator.diagnosis.fitting.candidates import (
     require_known,
     scaled_library,
 )
+from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.judgement.contributions import mean_currents, rated_flux_wb
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
@@ -29,6 +30,12 @@ from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, require_effects_of, restored
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks
+from orchestrator.diagnosis.reporting.resemblance import (
+    alternative_remarks,
+    alternatives_to,
+    pair_remarks,
+    resembling_pairs,
+)
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_result import AcceptedModel
@@ -47,6 +54,12 @@ from protocols import (
     Rung,
     Saturated,
 )
+
+# Expected cost, in evaluations of the first model.
+EVALUATIONS_OF_REFIT = 200.0
+"""A refit with one more effect."""
+EVALUATIONS_OF_RESULTS = 60.0
+"""The intervals, the map, and the effects that resemble one that was added."""
 
 
 def add_effects(
@@ -99,32 +112,50 @@ def _added(
         fit = setup.fitter.fit(restored(setup, saved, baseline, library))
         steps = [AcceptedModel(saved.ladder[-1].added, fit)]
     remarks = list(setup.remarks)
-    for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAP_RUNGS):
+    setup.fitter.budget.calibrate()
+    order = sorted(dict.fromkeys(names), key=lambda n: n not in MAP_RUNGS)
+    for k, name in enumerate(order):
+        left = EVALUATIONS_OF_REFIT * (len(order) - k) + EVALUATIONS_OF_RESULTS
         fit = steps[-1].fit
         if name in fit.model.names:
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
-            tell(f"the model with {plain(name)}")
+            setup.fitter.begin(f"the model with {plain(name)}", left)
             steps.append(AcceptedModel(name, setup.fitter.fit(_with_effect(setup, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
-            tell(f"the model with {plain(name)}")
+            setup.fitter.begin(f"the model with {plain(name)}", left)
             steps.append(AcceptedModel(name, with_map_step(setup, fit, baseline)))
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
-        tell("is a finer map worth its freedom?")
+        setup.fitter.under_way("is a finer map worth its freedom?")
         steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
     ladder = (*(saved.ladder[:-1] if saved is not None else ()), *kept_rungs(setup, steps))
     added = [(after.added, before.fit, after.fit) for before, after in pairwise(steps) if after.added is not None]
     helping = {name: helps(before, after) for name, before, after in added}
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
-    benefits = [added_remark(name, before, after, found.get(name)) for name, before, after in added]
+    last, every = steps[-1].fit, tuple(library.values())
+    setup.fitter.under_way("do others resemble what was added?")
+    useful = [name for name, *_ in added if name in library and helping[name]]
+    pairs = resembling_pairs(setup.fitter, last, useful)
+    own = [name for name in useful if is_own(library[name].effect)]
+    alternatives = [one for name in own for one in alternatives_to(setup, last, name, every)]
+    benefits = [
+        added_remark(name, before, after, found.get(name), _present(pairs, name, before))
+        for name, before, after in added
+    ]
     stated = {str(remark.values["effect"]) for remark in benefits if remark.code == "helps_at_bound"}
     remaining = bound_remarks(steps[-1].fit, stated)
-    return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining)})
+    besides = (*alternative_remarks(alternatives), *pair_remarks(pairs))
+    return report.model_copy(update={"remarks": (*benefits, *report.remarks, *remaining, *besides)})
+
+
+def _present(pairs: Sequence[tuple[str, str]], name: str, before: Fit) -> list[str]:
+    """The effects that resemble an added one and were in the model before it."""
+    return [other for pair in pairs if name in pair for other in pair if other in before.model.names]
 
 
 def _with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Fit:
@@ -196,11 +227,14 @@ def _removed(
     causes, without_rung = ([n for n in names if n != name] for names in (_causes(saved), _without_rung(saved)))
     # Effects that are no causes have no step of their own: they are in the last one.
     at = next((k for k, r in enumerate(saved.ladder) if r.added == name), len(causes) + 1)
+    setup.fitter.budget.calibrate()
     steps = []
     # All later steps are refitted: their effects may take over the one that is removed.
     for count in range(at - 1, len(causes) + 1):
         names = [*causes[:count], *(without_rung if count == len(causes) else ())]
-        tell(f"the model with {listed([plain(n) for n in names])}" if names else "the model alone")
+        left = EVALUATIONS_OF_REFIT * (len(causes) + 1 - count) + EVALUATIONS_OF_RESULTS
+        text = f"the model with {listed([plain(n) for n in names])}" if names else "the model alone"
+        setup.fitter.begin(text, left)
         baseline, model = _as_of(setup, reduced(saved, [name]), names, library)
         if not names and isinstance(baseline, Saturated):
             steps += first_steps(setup, "saturated", library)
@@ -246,7 +280,7 @@ def _keep_refit(
     helping: Mapping[str, bool] = MappingProxyType({}),
 ) -> AddReport:
     """Write the model to `model.json` and report on it; raises `StorageError`."""
-    setup.fitter.tell("how sure is what was fitted?")
+    setup.fitter.under_way("how sure is what was fitted?")
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
     found = found_effects(setup.fitter, fit, evidence, twins)

@@ -15,8 +15,9 @@ from contextlib import suppress
 from typing import ClassVar
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
+from orchestrator.driving.readings import impossible_reading
 from protocols import (
     Capabilities,
     Capture,
@@ -154,8 +155,11 @@ class DriveShell(ABC):
     # The contract
 
     def connect(self) -> Capabilities:
-        """Open the link and identify the drive; nothing is energised."""
-        self._own = self.open()
+        """Open the link and identify the drive; raises `DriveFault` where it states what cannot be."""
+        try:
+            self._own = self.open()
+        except ValidationError as error:
+            raise impossible_reading(self.name, error) from None
         return self._own
 
     def arm(self, limits: Limits) -> None:

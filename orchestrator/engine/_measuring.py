@@ -7,6 +7,7 @@ from contextlib import closing
 import numpy as np
 
 from orchestrator.config import PlannedPoint
+from orchestrator.driving.readings import ReadingCheck
 from orchestrator.engine._alignment import AlignmentCheck
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
@@ -16,9 +17,6 @@ from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, Note, SamplesCaptured, Segment
-
-MAX_CURRENT_RATIO = 1.5
-"""Current of a sample over the limit above which the drive has failed to trip."""
 
 
 class MeanCurrent:
@@ -45,8 +43,8 @@ class MeanCurrent:
 class Measurement:
     """Takes points from the drive to the disk.
 
-    Every block is checked as it comes, against the time base, the row count, the current limit and
-    the winding's own equation: a drive that sends wrong data is a fault, and its segment never
+    Every block is checked as it comes, against the time base, the row count, bus and limits, and the
+    winding's own equation: a drive that sends wrong data is a fault, and its segment never
     appears in the recording.
     """
 
@@ -62,8 +60,8 @@ class Measurement:
     ) -> None:
         self._thermometer, self._missed = thermometer, False
         self._run, self._power, self._log = run, power, log
-        self._interrupts, self._capabilities, self._limits = interrupts, capabilities, limits
-        self._alignment = AlignmentCheck(capabilities)
+        self._interrupts, self._capabilities = interrupts, capabilities
+        self._alignment, self._readings = AlignmentCheck(capabilities), ReadingCheck(capabilities, limits)
         SegmentWriter.warm_up()
 
     def measure(self, point: PlannedPoint) -> tuple[Segment, tuple[float, float]]:
@@ -90,6 +88,7 @@ class Measurement:
         temperature = self._temperature(point.id)
         blocks = self._power.execute(point.excitation, quiet_s=point.seconds)
         self._alignment.begin()
+        self._readings.begin(point.id, point.excitation)
         with SegmentWriter(self._run.path, point.id) as writer, closing(blocks):
             for capture in blocks:
                 self._interrupts.check()
@@ -97,13 +96,14 @@ class Measurement:
                     continue
                 capture = temperature.put_into(capture)
                 writer.append(capture)
-                self._check_current(capture, point.id)
+                self._readings.check(capture)
                 mean.add(capture)
                 self._alignment.update(point.excitation, capture)
                 self._log.publish(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
             self._interrupts.check()
             self._check_length(point, mean.samples)
             self._power.require_interlocks()
+            self._readings.conclude()
             self._alignment.conclude(point.id)
             written = writer.finish()
         segment = Segment(
@@ -129,14 +129,6 @@ class Measurement:
             self._log.publish(Note(level="warning", text=f"{segment}: {message}"))
         self._missed = temperature.missing
         return temperature
-
-    def _check_current(self, capture: Capture, segment: str) -> None:
-        peak = float(np.sqrt(np.max(np.einsum("na,na->n", capture.i_ab, capture.i_ab))))
-        if peak > MAX_CURRENT_RATIO * self._limits.current_a:
-            raise DriveFault(
-                FaultCause.OVERCURRENT,
-                f"{segment}: {peak:.3g} A measured, the limit is {self._limits.current_a:.3g} A, and the drive went on",
-            )
 
     def _check_length(self, point: PlannedPoint, samples: int) -> None:
         expected = point.excitation.rows(self._capabilities.sampling_frequency_hz)

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
+from orchestrator.driving.readings import check_telemetry, impossible_reading
 from orchestrator.engine._heartbeat import LEASE_S, HeartbeatKeeper
 from orchestrator.engine._interrupts import Interrupts
 from protocols import (
@@ -62,6 +63,9 @@ class PowerStage:
 
     def telemetry(self) -> Telemetry:
         """A reading, now."""
+        return check_telemetry(self._unchecked_telemetry(), self._capabilities, self._limits)
+
+    def _unchecked_telemetry(self) -> Telemetry:
         with as_drive_errors(self._capabilities.name):
             return self._drive.telemetry()
 
@@ -122,10 +126,7 @@ class PowerStage:
         try:
             return Capture.model_validate(dict(capture) if isinstance(capture, Capture) else capture)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            place = ".".join(map(str, first["loc"]))
-            detail = f"{self._capabilities.name} yielded no valid capture: {place} {first['msg']}"
-            raise DriveFault(FaultCause.WRONG_DATA, detail) from None
+            raise impossible_reading(self._capabilities.name, error) from None
 
     def set_brake(self, engaged: bool) -> None:
         """Move the drive's brake, where it has one."""
@@ -159,7 +160,7 @@ class PowerStage:
         """PWM off; raises `DriveFault` where the drive says that it is armed all the same."""
         self._drive.disarm()
         try:
-            is_armed = self.telemetry().state is DriveState.ARMED
+            is_armed = self._unchecked_telemetry().state is DriveState.ARMED
         except FluxbenchError:
             return  # it took the command; no telemetry contradicts it
         if is_armed:
@@ -181,6 +182,8 @@ def as_drive_errors(name: str) -> Iterator[None]:
         yield
     except (FluxbenchError, GeneratorExit):
         raise
+    except ValidationError as error:
+        raise impossible_reading(name, error) from None
     except (Exception, SystemExit) as error:  # a plugin that leaves must not take the run with it
         raise DriveFault(
             FaultCause.INTERNAL, f"the drive plugin {name!r} raised {type(error).__name__}: {error}"

@@ -4,6 +4,7 @@ from orchestrator.estimation.delivery import deliver_model, estimate_of_map
 from orchestrator.estimation.estimation import estimate_recording
 from orchestrator.estimation.flux_map_file import flux_dataset, load_flux_map, save_flux_map
 from orchestrator.estimation.results import RECOMMENDED_MAP, has_estimates, load_estimates
+from orchestrator.estimation.staging import staging_folder
 
 __all__ = [
     "RECOMMENDED_MAP",
@@ -15,4 +16,5 @@ __all__ = [
     "load_estimates",
     "load_flux_map",
     "save_flux_map",
+    "staging_folder",
 ]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from pydantic import ValidationError
 
 from orchestrator.estimation.flux_map_file import save_flux_map
+from orchestrator.estimation.staging import staging_folder
 from orchestrator.formatting.sentences import visible
 from orchestrator.recording import replace_file
 from orchestrator.validation.plain_files import read_bytes
@@ -66,17 +66,17 @@ def write_results(
     text = (visible(report.model_dump_json(indent=2)) + "\n").encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=".estimating-", dir=folder) as staging:
+        with staging_folder(folder, ".estimating-") as staging:
             for name, flux_map in named.items():
                 about = {"motor": motor, "recording": recording, "model": _model_description(report, flux_map.method)}
-                save_flux_map(Path(staging) / f"{name}.nc", flux_map, **about)
-            if _is_same(folder, Path(staging), text):
+                save_flux_map(staging / f"{name}.nc", flux_map, **about)
+            if _is_same(folder, staging, text):
                 return report
             # The report is removed first and written last: a present report matches all maps.
             (folder / REPORT_NAME).unlink(missing_ok=True)
             for old in folder.glob("flux_map*.nc"):
                 old.unlink()
-            for new in Path(staging).iterdir():
+            for new in staging.iterdir():
                 new.replace(folder / new.name)
     except OSError as error:
         raise StorageError(f"{folder}: cannot be written: {error.strerror or error}") from error

@@ -1,8 +1,8 @@
 """The experiment that separates two effects, as a stage for a procedure.
 
 Every stage of the catalogue of contrasts is rated by the separation that the fitted model predicts, in chi2 per minute,
-for built-in and third-party effects alike. Where no stage separates enough, the contrast that both effects declare as
-needed decides.
+for built-in and third-party effects alike, at the sizes that the recording found. Where nothing can be predicted, the
+contrast that both effects declare as needed decides.
 """
 
 from __future__ import annotations
@@ -10,20 +10,31 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS
 from orchestrator.diagnosis.selection.contrasts import holds, separating_contrasts
 from orchestrator.diagnosis.selection.scoring import linear_view, score
-from orchestrator.experiment_design.contrasts import STAGES, Bench, Stage, minutes
-from orchestrator.experiment_design.separation import confounded_pair, separation
-from protocols import NextExperiment
+from orchestrator.experiment_design.contrasts import STAGES, Bench, Stage, minutes, round_for_people
+from orchestrator.experiment_design.separation import ConfoundedPair, confounded_pair, separation
+from protocols import Contrast, Inseparable, Interval, NextExperiment
+
+MAX_LENGTHENING: float = 3.0
+"""Largest factor of the separation that longer readings of a stage are proposed for; they last its square as long."""
+LENGTHENING_MARGIN: float = 1.3
+"""Factor of the duration beyond what the prediction requires."""
 
 
 def next_experiment(
     setup: DiagnosisSetup, fit: Fit, library: Sequence[CandidateEffect], first: str, second: str
-) -> NextExperiment | None:
-    """The experiment for a pair of effects; None where no stage of a procedure can separate them.
+) -> NextExperiment | Inseparable | None:
+    """The experiment for a pair of effects; `Inseparable` where no stage is predicted to separate them enough.
+
+    None where nothing can be predicted and no stage measures what both need, or where an operator can measure it, as
+    at a second angle.
 
     Parameters
     ----------
@@ -37,10 +48,59 @@ def next_experiment(
     """
     named = {candidate.name: candidate for candidate in library}
     active = next((a for a in fit.model.active if a.name == first), None) or _suspected(setup, fit, named[first])
-    stage = _predicted(setup, fit, active, named[second]) or _needed(setup, named[first], named[second])
-    if stage is None:
-        return None
-    return NextExperiment(stage=stage, separates=(first, second), minutes=round(minutes(stage), 2))
+    pair, separates = confounded_pair(setup, fit, active, named[second]), (first, second)
+    if pair is None:
+        stage = _needed(setup, named[first], named[second])
+        if stage is None:
+            return None
+        return NextExperiment(stage=stage, separates=separates, minutes=round(minutes(stage), 2))
+    least = math.sqrt(setup.prepared.criteria.design.least_separation)
+    rated = [(_sigmas(setup, pair, stage), stage) for stage in _candidates(setup, named[first], named[second])]
+    sufficient = [(sigmas, stage) for sigmas, stage in rated if sigmas > least]
+    if not sufficient:
+        longer = [_lengthened(stage, least / sigmas) for sigmas, stage in rated if least < MAX_LENGTHENING * sigmas]
+        rated += [(_sigmas(setup, pair, stage), stage) for stage in longer]
+        sufficient = [(sigmas, stage) for sigmas, stage in rated if sigmas > least]
+    if not sufficient:
+        if _needs_operator(setup, named[first], named[second]):
+            return None
+        best = max((sigmas for sigmas, _ in rated), default=0.0)
+        return Inseparable(separates=separates, best_sigmas=best, least_sigmas=least)
+    sigmas, stage = max(sufficient, key=lambda item: item[0] ** 2 / minutes(item[1]))
+    return NextExperiment(
+        stage=stage,
+        separates=separates,
+        minutes=round(minutes(stage), 2),
+        sigmas=_interval(sigmas, _relative_std(fit, active)),
+        least_sigmas=least,
+    )
+
+
+def _sigmas(setup: DiagnosisSetup, pair: ConfoundedPair, stage: Stage) -> float:
+    """Predicted separation by a stage in standard deviations; 0 where it cannot be predicted."""
+    gain = separation(setup, pair, stage)
+    return math.sqrt(max(gain, 0.0)) if math.isfinite(gain) else 0.0
+
+
+def _lengthened(stage: Stage, factor: float) -> Stage:
+    """The stage with readings so long that its separation grows by a factor, and a margin; chi2 grows with the time."""
+    return {**stage, "duration_s": round_for_people(LENGTHENING_MARGIN * factor**2 * float(stage["duration_s"]))}
+
+
+def _relative_std(fit: Fit, active: EffectTerm) -> float:
+    """Relative standard deviation of an effect's size in the fit; 0 where it is not in the model."""
+    which = [k for k, (a, n) in enumerate(fit.model.free) if a.name == active.name and n in a.candidate.amplitudes]
+    x = np.array([active.standardised_value(fit.model.free[k][1]) for k in which])
+    if not len(x):
+        return 0.0
+    covariance = fit.covariance(max(fit.chi2_per_dof, 1.0))[np.ix_(which, which)]
+    return float(math.sqrt(x @ covariance @ x) / (x @ x))
+
+
+def _interval(sigmas: float, relative_std: float) -> Interval:
+    """The separation with its 95 % interval: it is proportional to the size, and measured with a deviation of one."""
+    half = INTERVAL_SIGMAS * math.hypot(relative_std * sigmas, 1.0)
+    return Interval(value=sigmas, low=max(sigmas - half, 0.0), high=sigmas + half, unit="1")
 
 
 def catalogue(setup: DiagnosisSetup) -> list[Stage]:
@@ -58,18 +118,25 @@ def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> E
     return active
 
 
-def _predicted(setup: DiagnosisSetup, fit: Fit, first: EffectTerm, second: CandidateEffect) -> Stage | None:
-    """The stage of most separation per minute; None where none separates enough."""
-    pair = confounded_pair(setup, fit, first, second)
-    if pair is None:
-        return None
-    gains = [(separation(setup, pair, stage), stage) for stage in catalogue(setup)]
-    limit = setup.prepared.criteria.design.least_separation
-    sufficient = [(gain / minutes(stage), stage) for gain, stage in gains if math.isfinite(gain) and gain > limit]
-    return max(sufficient, key=lambda item: item[0])[1] if sufficient else None
+def _candidates(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> list[Stage]:
+    """The stages that may separate two effects: of a contrast that both need and the recording lacks, else all.
+
+    Without that contrast the two count as indistinguishable, whatever another stage adds.
+    """
+    bench = Bench.of(setup)
+    return [stage for c in _lacking(setup, first, second) for stage in STAGES[c](bench)] or catalogue(setup)
 
 
 def _needed(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> Stage | None:
     """The first stage for a contrast that both effects need and the recording lacks."""
-    lacking = [c for c in separating_contrasts(first.effect, second.effect) if not holds(setup.prepared, c)]
+    lacking = _lacking(setup, first, second)
     return next((stage for contrast in lacking for stage in STAGES[contrast](Bench.of(setup))), None)
+
+
+def _needs_operator(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> bool:
+    """Whether the recording lacks a contrast that both effects need and that no stage measures by itself."""
+    return any(not STAGES[contrast](Bench.of(setup)) for contrast in _lacking(setup, first, second))
+
+
+def _lacking(setup: DiagnosisSetup, first: CandidateEffect, second: CandidateEffect) -> list[Contrast]:
+    return [c for c in separating_contrasts(first.effect, second.effect) if not holds(setup.prepared, c)]

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from distributed import Client
 
 LOOPBACK = "127.0.0.1"
+DASHBOARD_ROUTES = ["distributed.http.health", "distributed.http.statics"]
+"""Routes of dask's beside the dashboard; its others serve data to any host name, or load styles from elsewhere."""
 IGNORE_SIGINT = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
 """First code of a local worker: Ctrl-C at a terminal reaches it too, but only the client may end it."""
 
@@ -30,8 +32,9 @@ class ClusterSettings(Strict):
     """Worker processes on this machine, one thread each."""
     scheduler: str | None = None
     """``tcp://HOST:PORT`` of an existing scheduler, whose workers are used; none is started then."""
-    dashboard_port: int = Field(default=8787, ge=0, le=65535)
-    """Port of the local cluster's page on 127.0.0.1; another one where it is in use."""
+    dashboard_port: int | None = Field(default=None, ge=0, le=65535)
+    """Port of the local cluster's page on 127.0.0.1, another one where it is in use; None: no page. It asks for no
+    token: every user of this machine can read it."""
     wait_s: float = Field(default=60.0, gt=0)
     """Waiting time for a first worker [s]."""
 
@@ -63,7 +66,8 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
         with _interruptible(), _client_of(settings.scheduler, settings) as client:
             yield client
         return
-    port = _free(settings.dashboard_port)
+    has_page = settings.dashboard_port is not None
+    port = _free(settings.dashboard_port or 0)
     # The engine repeats a task whose worker died, once; dask itself would do so three times.
     with (
         _interruptible(),
@@ -77,6 +81,9 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
                 "distributed.worker.memory.pause": False,
                 "distributed.worker.profile.enabled": False,  # samples each worker's stack a hundred times a second
                 "distributed.nanny.environ.PYTHONWARNINGS": "ignore",
+                "distributed.scheduler.http.routes": DASHBOARD_ROUTES if has_page else [],
+                "distributed.worker.http.routes": [],
+                "distributed.nanny.http.routes": [],
                 # Pages of other origins get no data.
                 "distributed.scheduler.dashboard.bokeh-application.allow_websocket_origin": [
                     f"{name}:{port}" for name in (LOOPBACK, "localhost")
@@ -88,7 +95,8 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
-            dashboard_address=f"{LOOPBACK}:{port}",
+            dashboard_address=f"{LOOPBACK}:{port}",  # dask listens there in any case; without routes nothing answers
+            scheduler_kwargs={"dashboard": has_page},
             security=security,
             silence_logs=logging.CRITICAL,
         ) as cluster,

@@ -53,7 +53,7 @@ def sources_below(url: str, *, files: bool = False) -> Iterator[Source]:
     Raises
     ------
     InputError
-        Where there is no such folder, or it cannot be listed.
+        Where there is no such folder, or it or a folder in it cannot be listed.
     """
     fs, root = filesystem_of(url)
     try:
@@ -69,19 +69,28 @@ def sources_below(url: str, *, files: bool = False) -> Iterator[Source]:
 def _walk(fs: Any, root: str, files: bool) -> Iterator[Source]:
     from orchestrator.importing import ENDINGS
 
-    for folder, folders, here in fs.walk(root, detail=True, topdown=True):
+    waiting = [root]
+    while waiting:  # fsspec's own walk passes over folders that cannot be listed
+        folder = waiting.pop()
+        listed = [info for info in fs.ls(folder, detail=True) if str(info["name"]).rstrip("/") != folder]
+        folders, here = ({PurePosixPath(str(i["name"])).name: i for i in one} for one in _split(listed))
         is_recording = RUN_FILES[0] in here or RUN_FILES[1] in here
         if files:
             for name in sorted(name for name in here if PurePosixPath(name).suffix.lower() in ENDINGS):
-                listed = [here[part] for part in parts_of_file(name) if part in here]
-                yield _source(fs, root, f"{folder.rstrip('/')}/{name}", listed)
+                parts = [here[part] for part in parts_of_file(name) if part in here]
+                yield _source(fs, root, f"{folder.rstrip('/')}/{name}", parts)
         elif is_recording:
             captures = fs.ls(f"{folder}/{CAPTURES}", detail=True) if CAPTURES in folders else []
             yield _source(fs, root, folder, [*(here[n] for n in RUN_FILES if n in here), *captures])
-        enter = not is_recording or files
-        kept = {name: folders[name] for name in sorted(folders) if enter and not name.startswith(".")}
-        folders.clear()  # the walk enters the remaining folders only; those of a recording are its own
-        folders.update(kept)
+        if files or not is_recording:  # the folders of a recording are its own
+            inner = sorted((name for name in folders if not name.startswith(".")), reverse=True)
+            waiting += [str(folders[name]["name"]).rstrip("/") for name in inner]
+
+
+def _split(listed: Sequence[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Folders, and everything else."""
+    folders = [info for info in listed if info["type"] == "directory"]
+    return folders, [info for info in listed if info["type"] != "directory"]
 
 
 def parts_of_file(name: str) -> list[str]:

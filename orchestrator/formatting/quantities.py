@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the command line's help must start fast
-    from protocols import AxisPercent
+    from protocols import AxisPercent, NextExperiment
 
 UNKNOWN = "–"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
@@ -217,3 +217,12 @@ def _trimmed(text: str) -> str:
 
 def _minus(text: str) -> str:
     return text.replace("-", "−")
+
+
+def predicted_separation(proposal: NextExperiment) -> str:
+    """How far a proposed stage separates two effects, as the rest of a sentence; empty where it is not predicted."""
+    if proposal.sigmas is None:
+        return ""
+    value, low, high = (number(x, 2) for x in (proposal.sigmas.value, proposal.sigmas.low, proposal.sigmas.high))
+    least = "" if proposal.least_sigmas is None else f"; {number(proposal.least_sigmas, 2)} are enough"
+    return f": by {value} sigma at the size found (95 %: {low} to {high}{least})"

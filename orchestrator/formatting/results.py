@@ -39,7 +39,10 @@ CHI2_MEANING = (
     "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most in it, because the "
     "noise averages out over their many samples."
 )
-UNDONE_BY = {"helps": None, "helps_at_bound": None, "does_not_help": "remove", "needed": "add", "not_needed": None}
+UNDONE_BY = {
+    "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
+    "needed": "add", "not_needed": None,
+}  # fmt: skip
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
 BENEFITS = frozenset(UNDONE_BY)
 _ENDS = ["in the first segment", "in the last"]

@@ -23,7 +23,7 @@ from orchestrator.importing._source import BLOCK_ROWS, Block, Source, Wanted, gu
 from orchestrator.validation.memory import require_memory
 from protocols import InputError
 
-_HEADER_BYTES, _TAG, _COMPRESSED = 128, struct.Struct("II"), 15
+_HEADER_BYTES, _TAG, _MATRIX, _COMPRESSED = 128, struct.Struct("II"), 14, 15
 _CHUNK_BYTES = 1 << 20
 """Bytes to read or inflate at a time."""
 _PART = re.compile(r"([A-Za-z]\w*)(?:\((:,)?([1-9]\d{0,8})\))?", re.ASCII)
@@ -40,11 +40,15 @@ class _Step:
 
 def open_matlab(path: Path, wanted: Wanted) -> Source:
     """A .mat file of version 5 or 7.3."""
+    return Source(guarded(path, "MATLAB", lambda: _blocks(path, wanted)))
+
+
+def _blocks(path: Path, wanted: Wanted) -> Iterator[Block]:
     import h5py
 
     is_hdf5 = h5py.is_hdf5(path)
     blocks = _object_blocks if holds_objects(path, is_hdf5) else _hdf5_blocks if is_hdf5 else _version_5_blocks
-    return Source(guarded(path, "MATLAB", lambda: blocks(path, wanted)))
+    return blocks(path, wanted)
 
 
 def _steps(path: Path, name: str) -> list[_Step]:
@@ -190,6 +194,8 @@ def inflated_size(path: Path) -> int:
         order = ">" if file.read(_HEADER_BYTES)[-2:] == b"MI" else "<"
         while len(tag := file.read(_TAG.size)) == _TAG.size:
             kind, length = struct.unpack(f"{order}II", tag)
+            if kind not in (_MATRIX, _COMPRESSED) or length == 0:
+                break  # no variable: the file is damaged, or has been filled up
             end = file.tell() + length
             size += _inflated(file, length) if kind == _COMPRESSED else length
             file.seek(end)

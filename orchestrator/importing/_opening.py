@@ -76,10 +76,13 @@ def open_source(
 def open_columns(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
     """Open a measurement file by its own column names; raises `InputError`."""
     ending = path.suffix.lower()
-    if ending in _TEXT:
-        return open_csv(path, wanted, layout)
-    if ending in _READERS:
-        return _READERS[ending](path, wanted)
+    try:
+        if ending in _TEXT:
+            return open_csv(path, wanted, layout)
+        if ending in _READERS:
+            return _READERS[ending](path, wanted)
+    except OSError as error:  # libraries do not name the file
+        raise InputError(str(path), "", f"cannot be read: {error.strerror or error}") from None
     raise InputError(str(path), "", f"unknown kind of file; known: {', '.join(ENDINGS)}")
 
 

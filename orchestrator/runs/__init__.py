@@ -2,9 +2,10 @@
 
 from orchestrator.runs._directory import RunDirectory, is_run, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
-from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows
+from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows, without_private
 from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
+from orchestrator.runs._staging import remove_stale_staging
 
 __all__ = [
     "Journal",
@@ -18,5 +19,7 @@ __all__ = [
     "provenance",
     "refuse_file",
     "refuse_folder_of_runs",
+    "remove_stale_staging",
     "run_rows",
+    "without_private",
 ]

@@ -11,6 +11,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
@@ -32,6 +33,7 @@ from orchestrator.registry.plugins import PluginInfo, PluginKind, installed
 from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, unsealed
+from orchestrator.runs._staging import remove_stale_staging
 from orchestrator.stages import parse_stages
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import read_bytes
@@ -55,6 +57,11 @@ _RECORD, _JOURNAL, _LOCK, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", ".l
 def private_directory(path: Path) -> Path:
     """The folder for data that no analysis may see: a sibling of the run directory."""
     return path.with_name(f"{path.name}.sealed")
+
+
+def is_private(path: Path) -> bool:
+    """Whether a path is a `private_directory`, of a run that may be deleted by now, and no run itself."""
+    return re.search(r"\.sealed(\.\d+)?$", path.name) is not None and path.is_dir() and not is_run(path)
 
 
 def is_run(path: Path) -> bool:
@@ -199,6 +206,8 @@ class RunDirectory:
         with self.journal:
             for folder in (self.path, self.path / _CAPTURES, self.private_directory):
                 remove_partial_files(folder)
+            for folder in (self.path, self.path / "results"):
+                remove_stale_staging(folder)
             yield
 
     def refuse_lost_journal(self) -> None:
@@ -318,7 +327,14 @@ def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
 
 def _read_json(file: Path) -> Any:
     try:
-        return json.loads(read_bytes(file))
+        content = read_bytes(file)
+        value = json.loads(content)
+        if b"\\ud" in content.lower():  # the escape of a surrogate: a pair is a character, and half a pair is none
+            json.dumps(value, ensure_ascii=False).encode()
+        return value
+    except UnicodeEncodeError as error:
+        half = ascii(error.object[error.start])
+        raise RecordingError(str(file), "", f"broken JSON: {half} is half a character") from None
     except OSError as error:
         raise RecordingError(str(file), "", f"cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:

@@ -147,6 +147,8 @@ class Journal:
         where = f"{self.path}:{number + 1}"
         try:
             raw: Any = json.loads(line)
+            if b"\\ud" in line.lower():  # half a character can be read, but never written
+                json.dumps(raw, ensure_ascii=False).encode()
         except (ValueError, RecursionError):
             raise RecordingError(where, "", "not a JSON object: the journal was damaged in its middle") from None
         try:

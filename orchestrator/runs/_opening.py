@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from orchestrator.recording import MANIFEST_NAME, Recording, open_recording
-from orchestrator.runs._directory import RunDirectory, is_run
+from orchestrator.runs._directory import RunDirectory, is_private, is_run
+from orchestrator.runs._staging import remove_stale_staging
 from protocols import FluxbenchError, InputError, RecordingError
 
 
@@ -22,6 +23,8 @@ def open_any(path: Path, *, keep: bool = False) -> Recording:
         refuse_folder_of_runs(path)
         return open_recording(path)
     run = RunDirectory.open(path)
+    for folder in (run.path, run.path / "results"):
+        remove_stale_staging(folder)
     return Recording(run.path, run.write_manifest() if keep else run.manifest())
 
 
@@ -30,6 +33,11 @@ def refuse_folder_of_runs(path: Path) -> None:
     if not is_run(path) and not (path / MANIFEST_NAME).exists() and any(path.glob("*/run.json")):
         problem = f"a folder of runs, not a run; `fluxbench runs --folder {path}` lists them"
         raise RecordingError(str(path), "", problem)
+
+
+def without_private(paths: Sequence[Path]) -> list[Path]:
+    """Several paths without the private folders beside runs, which the shell's ``runs/*`` includes; one stays."""
+    return [path for path in paths if not is_private(path)] or list(paths[:1])
 
 
 def refuse_file(path: Path) -> None:

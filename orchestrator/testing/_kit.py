@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 from importlib.metadata import entry_points
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
+
+from orchestrator.testing._faults import judged
 
 PLUGIN_NAME = re.compile(r"^[a-z][a-z0-9_]*$")
 
@@ -16,6 +18,16 @@ class Kit:
 
     registered: ClassVar[bool] = True
     """False for a plugin that is not installed, such as an example within a test."""
+
+    max_seconds: ClassVar[float] = 300.0
+    """Time for one check."""
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name in (name for name in dir(cls) if name.startswith("test_")):
+            check = getattr(cls, name)
+            if getattr(check, "__module__", "").startswith(__package__) and not hasattr(check, "__wrapped__"):
+                setattr(cls, name, judged(check))
 
     def require_entry_point(self, group: str, plugin: type) -> None:
         """Fail unless the plugin's class stands under its own name in this entry-point group."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from plugins.command_line import AsJson, entry_point
-from plugins.commands.fleet._work import Jobs, RetryFailed, Scheduler, complete
+from plugins.commands.fleet._work import Dashboard, Jobs, RetryFailed, Scheduler, complete
 
 if TYPE_CHECKING:
     from orchestrator.fleet.campaign import PowerReport
@@ -25,6 +25,7 @@ def campaign(
     ] = None,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
+    dashboard: Dashboard = False,
     retry_failed: RetryFailed = False,
     as_json: AsJson = False,
 ) -> int:
@@ -45,7 +46,7 @@ def campaign(
         folder = (keep or out / RECORDINGS).resolve()
         folder.mkdir(parents=True, exist_ok=True)
         job = CampaignJob(runs, table, plan.analysis(), folder, keep=keep is not None, tell=Progress())
-        complete(job, f"{len(job.runs)} virtual commissionings", scheduler, jobs, quiet=as_json)
+        complete(job, f"{len(job.runs)} virtual commissionings", scheduler, jobs, dashboard=dashboard, quiet=as_json)
     rows = [row for row in read_table(out) if row.key in job.runs]  # the table may hold another campaign
     report = power_of(rows, name=plan.name, table=str(out), found_with=plan.found_with)
     replace_file(out / REPORT, visible(report.model_dump_json(indent=1)).encode())

@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import math
 
+from orchestrator.driving.readings import MAX_CURRENT_RATIO
 from plugins.link._host import fault_names
-from plugins.wire import BlockLayout, DriveFacts, Measurement, Phase, PowerState, Progress, Status
+from plugins.link._link import LatestMessages
+from plugins.wire import BlockLayout, DriveFacts, Phase, PowerState, Progress
 from protocols import DriveFault, FaultCause
 
 ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
-MAX_CURRENT_RATIO = 1.5
-"""Measured current over the limit, at which the drive must have tripped."""
 
 
-def require_consistent_telemetry(
-    status: Status | None, measurement: Measurement | None, scale_a: float, limit_a: float | None
-) -> None:
+def require_consistent_telemetry(news: LatestMessages, scale_a: float, limit_a: float | None) -> None:
     """Check the latest telemetry for consistency and against the current limit of the run.
 
-    Raises `DriveFault`: wrong_data for a power stage that is on despite latched faults, overcurrent where the drive
-    continues above the limit.
+    Raises `DriveFault`: wrong_data for a power stage that is on despite latched faults and for a fault that was
+    reported and withdrawn, overcurrent where the drive continues above the limit.
     """
-    if status is not None and status.state in ENERGISED and status.faults:
-        detail = f"the drive reports {status.state.name.lower()} despite faults: {', '.join(fault_names(status))}"
+    status, measurement, faulted = news.status, news.measurement, news.faulted
+    for seen in (faulted, status):
+        if seen is not None and seen.state in ENERGISED and seen.faults:
+            detail = f"the drive reports {seen.state.name.lower()} despite faults: {', '.join(fault_names(seen))}"
+            raise DriveFault(FaultCause.WRONG_DATA, detail)
+    if status is not None and faulted is not None and not status.faults:
+        detail = f"the drive reported a fault and withdrew it: {', '.join(fault_names(faulted))}"
         raise DriveFault(FaultCause.WRONG_DATA, detail)
     if measurement is None or limit_a is None:
         return

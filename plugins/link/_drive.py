@@ -121,6 +121,7 @@ class LinkDrive(DriveShell):
         else:
             host.fault_reported = cause is not Fault.NONE
         host.write({"telemetry_period_s": self._options.telemetry_period_s}, anew=True)
+        host.link.news.faulted = host.link.news.status if host.fault_reported else None
         self._origin_s = 0.0
         self._origin_s = self._seconds(self._clock().now())
         return self._machine.capabilities
@@ -268,7 +269,7 @@ class LinkDrive(DriveShell):
                 raise DriveRefused(f"the drive refuses to clear its fault: {words(ack.status)}")
             time.sleep(0.05)
         self._await(host, (PowerState.DISARMED, *ENERGISED), TIMEOUTS.settle_s)
-        host.fault_reported = False
+        host.fault_reported, host.link.news.faulted = False, None
 
     def set_brake(self, engaged: bool) -> None:
         """Engage or release the brake; raises `DriveRefused` without one."""
@@ -300,8 +301,8 @@ class LinkDrive(DriveShell):
 
     def _check_telemetry(self) -> None:
         host, machine = self._connected()
-        news, limit_a = host.link.news, None if self.limits is None else self.limits.current_a
-        require_consistent_telemetry(news.status, news.measurement, machine.facts.scales.current_a, limit_a)
+        limit_a = None if self.limits is None else self.limits.current_a
+        require_consistent_telemetry(host.link.news, machine.facts.scales.current_a, limit_a)
 
     def _connected(self) -> tuple[Host, Machine]:
         """Host and drive; raises `DriveFault` where the link is lost, for good."""

@@ -47,6 +47,8 @@ class LatestMessages:
         self.measurement: Measurement | None = None
         self.progress: Progress | None = None
         self.tick: Tick | None = None
+        self.faulted: Status | None = None
+        """First status with a fault since the faults were cleared; a later one must have it as well."""
         self.statuses = self.measurements = self.ticks = 0
 
 
@@ -211,6 +213,8 @@ class Link:
                 self._replies.append(message)
             case Status() if self._status_gate.accept(message.seq, now_s):
                 news.status, news.statuses, self._silent_s = message, news.statuses + 1, 0.0
+                if message.faults and news.faulted is None:
+                    news.faulted = message
             case Measurement() if self._measurement_gate.accept(message.seq, now_s):
                 news.measurement, news.measurements = message, news.measurements + 1
             case Progress() if self._progress_gate.accept(message.seq, now_s):

@@ -35,7 +35,7 @@ EMPTY, RECORDINGS = 5000, 120
 def main(empty: int = EMPTY) -> None:
     """Print the figures."""
     for jobs in (1, 2):
-        with connected(ClusterSettings(jobs=jobs, dashboard_port=0)) as client:
+        with connected(ClusterSettings(jobs=jobs)) as client:
             _empty(client, 100)
             print(f"{jobs} workers: {_empty(client, empty)}", flush=True)
             print(f"{jobs} workers: {_recordings(client, jobs)}", flush=True)

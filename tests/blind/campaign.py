@@ -267,7 +267,11 @@ def _write(path: Path, rows: _Rows) -> str:
 
 
 def _manifest(bench: Bench, name: str, segments: list[dict[str, Any]]) -> dict[str, Any]:
-    m = bench.machine
+    return manifest(bench.machine, bench.drive_delay_samples, name, segments)
+
+
+def manifest(m: Machine, delay_samples: float, name: str, segments: list[dict[str, Any]]) -> dict[str, Any]:
+    """A recording's manifest, which holds nothing of the plant but its nameplate."""
     return {
         "format": "fluxbench-recording",
         "version": 1,
@@ -282,7 +286,7 @@ def _manifest(bench: Bench, name: str, segments: list[dict[str, Any]]) -> dict[s
         },
         "drive": {
             "name": "laboratory", "sampling_frequency_hz": m.sampling_hz, "pwm_frequency_hz": m.sampling_hz,
-            "dc_bus_voltage_v": m.bus_v, "voltage_delay_samples": bench.drive_delay_samples,
+            "dc_bus_voltage_v": m.bus_v, "voltage_delay_samples": delay_samples,
         },
         "segments": segments,
     }  # fmt: skip

@@ -124,7 +124,7 @@ def examine_all(
         case = next(rest, None)
         return None if case is None else Task(f"{case[0]}-{case[1]}", _draw_and_examine, (*case, seed, recordings))
 
-    with nullcontext() if jobs == 1 else connected(ClusterSettings(jobs=jobs, dashboard_port=0)) as client:
+    with nullcontext() if jobs == 1 else connected(ClusterSettings(jobs=jobs)) as client:
         for done in work_through(next_task, client):
             if done.failed is not None:
                 raise RuntimeError(f"{done.task.name}: {done.failed}")

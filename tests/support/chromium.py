@@ -87,6 +87,7 @@ class Chromium:
         tab = Tab(self, session)
         for domain in ("Page", "Runtime", "Log"):
             tab.call(f"{domain}.enable")
+        tab.call("Emulation.setFocusEmulationEnabled", enabled=True)  # seen, as if each had a window of its own
         tab.call("Page.navigate", url=address)
         return tab
 

@@ -162,7 +162,12 @@ def guard(request: dict[str, object], out: int, err: int, telling: int) -> None:
 
 
 def become(request: dict[str, object], out: int, err: int) -> None:
-    """Put this process into the state in which a new interpreter would be for this command."""
+    """Put this process into the state in which a new interpreter would be for this command.
+
+    It gets a session of its own: Linux shares the processors among sessions first, so that a command beside busy
+    tests in theirs is woken late by half a second, and one in its own is not (docs/robustness.md).
+    """
+    os.setsid()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     for source, target in ((out, 1), (err, 2)):
         os.dup2(source, target)

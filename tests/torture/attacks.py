@@ -31,6 +31,9 @@ from tests.plugins.link.test_drive import HOLD, INJECTION, TRAPEZOID, turned
 from tests.plugins.link.test_kills import Bench, require_named_end
 from tests.support.processes import called, wait_until
 from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_document, tiny_file
+from tests.torture.clocks import jumped
+from tests.torture.kills import commissioning_killed, fleet_killed
+from tests.torture.pages import flooded
 
 REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
 SHORT = [*STAGES[:4], STAGES[5]]
@@ -175,6 +178,43 @@ def lied(rng: random.Random, folder: Path) -> str:
     return "named" if any(named) else "harmless"
 
 
+def disturbed(rng: random.Random, folder: Path) -> str:
+    """A line that adds noise, halves frames and holds them back: a named fault, or the true capture."""
+    excitation = rng.choice((HOLD, INJECTION, TRAPEZOID))
+    script = Script()
+    with armed(script=script) as b:
+        script.noise = noise_of(rng)
+        named = [_named(lambda: _require_true(b, excitation)) for _ in range(2)]
+        script.noise = bytes
+        named += [_named(b.drive.ramp_down), _named(b.drive.disarm)]
+        wait_until(lambda: b.device.state in (PowerState.DISARMED, PowerState.FAULTED), 5.0)
+    return "named" if any(named) else "harmless"
+
+
+def noise_of(rng: random.Random) -> Callable[[bytes], bytes]:
+    """One kind of disturbance of a line, now and then."""
+    kind, often = rng.choice(("between", "half", "endless", "burst", "again", "flipped")), rng.choice((1.0, 0.3, 0.05))
+
+    def disturb(sent: bytes) -> bytes:
+        if rng.random() > often:
+            return sent
+        match kind:
+            case "between":
+                return b"".join(frame + b"\0" + rng.randbytes(rng.randrange(30)) for frame in sent.split(b"\0"))
+            case "half":
+                return sent[: rng.randrange(len(sent) + 1)]
+            case "endless":  # longer than any frame, and without the zero that ends one
+                return sent + rng.randbytes(rng.choice((300, 10_000))).replace(b"\0", b"\1")
+            case "burst":
+                return rng.randbytes(5000) + b"\0" + sent
+            case "again":
+                return sent + sent
+        at = rng.randrange(len(sent))
+        return sent[:at] + bytes([sent[at] ^ 1 << rng.randrange(8)]) + sent[at + 1 :]
+
+    return disturb
+
+
 def _require_true(b: LinkBench, excitation: Excitation) -> None:
     capture = taken(b.drive, excitation)
     i_dq, _ = waveforms(excitation, excitation.rows(FS))
@@ -254,5 +294,10 @@ ATTACKS = (
     Attack("inputs", 10_000, "read, or one line and exit 2 or 3", mutated),
     Attack("disks", 500, "safe end, whole after resuming", failed),
     Attack("lies", 200, "a named fault or the true capture; off in the end", lied),
+    Attack("noise", 300, "a named fault or the true capture; off in the end", disturbed),
     Attack("links", 400, "safe within 220 ms, named end within 1 s", cut),
+    Attack("pages", 100, "events within 3 s of each other, disarmed within 5 s of the stop, the server ends", flooded),
+    Attack("commissionings", 50, "resumed to a map; every point once; nothing half written", commissioning_killed),
+    Attack("fleets", 50, "each recording one row, none failed; no worker left", fleet_killed),
+    Attack("clocks", 200, "the wall clock jumps by up to 400 years: same points, same exit codes", jumped),
 )

@@ -41,7 +41,7 @@ class Budget:
 
         The median is robust against the first evaluations of a process, which are slow.
         """
-        ends = [begin for begin, _ in self._calls[1:]]
+        ends = [begin for begin, _ in self._calls[1:]] or [self.clock()]
         costs = [(end - begin) / cost for (begin, cost), end in zip(self._calls, ends, strict=False)]
         self._cost_s = median(costs) if costs else None
         self._calls.clear()

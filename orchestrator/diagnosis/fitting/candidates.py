@@ -181,7 +181,8 @@ def require_known(names: Sequence[str], effects: Sequence[Effect]) -> None:
     have = [e.name for e in effects] + list(MAP_RUNGS)
     for name in names:
         if name not in have:
-            raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}")
+            hint = "--effects FILE for one of your own"
+            raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}; {hint}")
 
 
 def standardised(p: EffectParameter, value: float) -> float:

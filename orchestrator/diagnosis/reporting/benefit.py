@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v, training
@@ -13,11 +13,17 @@ from orchestrator.formatting.quantities import quantity
 from orchestrator.formatting.sentences import listed
 from protocols import FoundEffect, Remark
 
+MAX_RISE_OF_ERROR: float = 0.01
+"""Relative rise of the rms error from which an effect does not help, whatever the likelihood."""
 
-def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) -> Remark:
-    """Whether an added effect helps: code ``helps``, ``helps_at_bound`` or ``does_not_help``.
 
-    One with a parameter at its bound may help more within wider ones, or imitate something else.
+def added_remark(
+    name: str, before: Fit, after: Fit, found: FoundEffect | None, resembles: Sequence[str] = ()
+) -> Remark:
+    """Whether an added effect helps: code ``helps``, ``helps_at_bound``, ``helps_besides`` or ``does_not_help``.
+
+    One with a parameter at its bound may help more within wider ones, or imitate something else. So may one that
+    resembles another effect of the model.
 
     Parameters
     ----------
@@ -25,6 +31,8 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
         The model without and with the effect.
     found : FoundEffect or None
         The effect with its intervals; None for a freed map.
+    resembles : sequence of str
+        Other effects of the model that resemble it.
     """
     errors = _errors(before, after)
     if helps(before, after):
@@ -33,6 +41,11 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
         if bounds:
             at = listed([f"its {parameter_words(parameter)} is at its bound {words}" for parameter, words in bounds])
             return _remark("helps_at_bound", "{effect} may help: " + f"{course}; but {at}", name, errors)
+        if resembles:
+            others = f"{listed([plain(other) for other in resembles])}: their sizes are not determined separately"
+            return _remark(
+                "helps_besides", "{effect} may help: " + f"{course}; but it resembles {others}", name, errors
+            )
         return _remark("helps", "{effect} helps: " + course, name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
     why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""
@@ -40,8 +53,13 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
 
 
 def helps(before: Fit, after: Fit) -> bool:
-    """Whether the fit with an effect predicts stages that were not fitted better than the fit without it."""
-    return _log_likelihood_gain(before, after) > _min_gain(after)
+    """Whether the fit with an effect predicts stages that were not fitted better than the fit without it.
+
+    Both in likelihood, which weighs slow errors most, and in rms, which is what is reported.
+    """
+    use = _evaluated_rows(before)
+    rises = (mean_rms_v(after, use) or 0.0) > (1.0 + MAX_RISE_OF_ERROR) * (mean_rms_v(before, use) or 0.0)
+    return _log_likelihood_gain(before, after) > _min_gain(after) and not rises
 
 
 def removed_remark(name: str, before: Fit, after: Fit) -> Remark:

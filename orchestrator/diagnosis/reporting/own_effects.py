@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.guarded import is_own
@@ -19,6 +19,7 @@ def own_effect_remarks(
     observable: Sequence[CandidateEffect],
     fit: Fit,
     events: Sequence[SearchEvent],
+    besides: Container[str] = (),
 ) -> list[Remark]:
     """A remark for each own effect that the model has not: code ``own_effect_tried`` or ``own_effect_not_tried``.
 
@@ -30,12 +31,14 @@ def own_effect_remarks(
         The search's last.
     events : sequence of SearchEvent
         The moves of the search.
+    besides : container of str
+        Effects that need no remark, because another one has their result.
     """
     can_show = {candidate.name for candidate in observable}
     remarks = []
     for candidate in candidates:
         name = candidate.name
-        if not is_own(candidate.effect) or name in fit.model.names:
+        if not is_own(candidate.effect) or name in fit.model.names or name in besides:
             continue
         trials = _trials(name, events)
         if trials:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Container
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
+from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.formatting.names import parameter_words
 from orchestrator.formatting.quantities import number, quantity
@@ -18,13 +19,22 @@ MAX_DISTANCE_OF_SHAPE: float = 0.01
 
 def bound_remarks(fit: Fit, besides: Container[str] = ()) -> list[Remark]:
     """A remark, code ``at_bound``, for each free amplitude or shape at a bound; effects in `besides` are left out."""
-    text = "{effect}: {parameter} is at its bound {bound}: its best value may lie beyond"
+    text = "{effect}: {parameter} is at its bound {bound}: its best value may lie beyond; {advice}"
     return [
-        Remark.of("at_bound", text, effect=term.name, parameter=parameter_words(name), bound=bound)
+        Remark.of(
+            "at_bound", text, effect=term.name, parameter=parameter_words(name), bound=bound, advice=bound_advice(term)
+        )
         for term in fit.model.active
         if term.name not in besides
         for name, bound in bounds_reached(term).items()
     ]
+
+
+def bound_advice(term: EffectTerm) -> str:
+    """What to do about a parameter at its bound: an own effect's can be wider, an installed one's is the plausible."""
+    if is_own(term.candidate.effect):
+        return "declare a wider bound in its class and fit again"
+    return "beyond it the effect is not plausible, so look for another cause as well"
 
 
 def bounds_reached(term: EffectTerm) -> dict[str, str]:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from operator import is_
 
 import numpy as np
 
 from orchestrator.diagnosis._diagnose import Diagnosis
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import duration, percent, quantity, value_and_interval
+from orchestrator.formatting.quantities import duration, percent, predicted_separation, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
-from protocols import DiagnosisReport, DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
+from protocols import Contrast, DiagnosisReport, DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
 
 _LOOKS = {
     "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
@@ -104,8 +105,9 @@ def _cause(diagnosis: Diagnosis) -> str:
         return f"none that counts; {listed([e.name for e in report.minor])} shows, and is in the model"
     if report.verdict == "clean":
         return "none: the model fits within the noise"
-    amplitudes = {a.name: a.candidate.amplitudes for a in diagnosis.search.fit.model.active}
-    named = [_named(e, amplitudes.get(e.name, ())) for e in report.effects]
+    terms = {a.name: a for a in diagnosis.search.fit.model.active}
+    better = _better_in_place(report)
+    named = [_named(e, terms.get(e.name), better.get(e.name)) for e in report.effects]
     if report.verdict == "unknown_remains":
         start = f"{listed(named)}, and " if named else ""
         if _time_constant_notes(report):
@@ -121,8 +123,15 @@ def _cause(diagnosis: Diagnosis) -> str:
     return listed(named) + rest
 
 
-def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
-    """The effect with its amplitudes as text."""
+def _better_in_place(report: DiagnosisReport) -> dict[str, str]:
+    """For each effect that is no certain cause, the one that fits better in its place."""
+    found = [remark.values for remark in report.remarks if remark.code == "fits_better_in_place"]
+    return {str(values["effect"]): str(values["other"]) for values in found}
+
+
+def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None) -> str:
+    """The effect with its amplitudes as text, those at a bound, and the one that fits better in its place."""
+    amplitudes = () if term is None else term.candidate.amplitudes
     sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
     parts = []
     for name in sizes:
@@ -134,8 +143,19 @@ def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
         for name, found in effect.derived.items()
         if not _is_parameter(effect, found)
     ]
+    reached = {} if term is None else bounds_reached(term)
+    parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
+    angle = ", at this angle; other angles unknown" if _is_of_one_angle(effect, term) else ""
     twins = f", indistinguishable from {listed(effect.twins)} here" if effect.twins else ""
-    return f"{effect.name} ({'; '.join(parts)}){twins}"
+    doubt = f", in whose place {better} fits better" if better is not None else ""
+    return f"{effect.name} ({'; '.join(parts)}){angle}{twins}{doubt}"
+
+
+def _is_of_one_angle(effect: FoundEffect, term: EffectTerm | None) -> bool:
+    """Whether size and sign belong to the only angle of the recording: a second one would show more amplitudes."""
+    if term is None or Contrast.SECOND_ANGLE not in term.candidate.effect.needs:
+        return False
+    return any(name not in effect.parameters for name in term.candidate.amplitudes)
 
 
 def _is_parameter(effect: FoundEffect, quantity: ParameterValue) -> bool:
@@ -165,13 +185,27 @@ def _next(diagnosis: Diagnosis) -> str:
     slow = _time_constant_notes(diagnosis.report)
     if diagnosis.report.verdict == "unknown_remains" and slow:
         return f"the same once more with faster readings: {'; '.join(slow)}"
+    better = {name: other for name, other in _better_in_place(diagnosis.report).items() if name in _names(diagnosis)}
+    if better:
+        name, other = next(iter(better.items()))
+        return f"`fluxbench diagnose --without {name}`: {other} fits better in its place"
+    for term in diagnosis.search.fit.model.active:
+        if term.name in _names(diagnosis) and (reached := list(bounds_reached(term))):
+            return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
         sizes = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
-        return f"{sizes}, tells {proposal.separates[0]} from {proposal.separates[1]}"
+        return f"{sizes}, tells {proposal.separates[0]} from {proposal.separates[1]}{predicted_separation(proposal)}"
+    if inseparable := next((r for r in diagnosis.report.remarks if r.code == "not_separable"), None):
+        return inseparable.text
     for found in diagnosis.report.effects:
         if needed := _needed(diagnosis, found):
             return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"
+    terms = {term.name: term for term in diagnosis.search.fit.model.active}
+    if of_angle := [e.name for e in diagnosis.report.effects if _is_of_one_angle(e, terms.get(e.name))]:
+        return (
+            f"{CONTRASTS[Contrast.SECOND_ANGLE].text}: size and sign of {listed(of_angle)} belong to this angle alone"
+        )
     if twins := [found for found in diagnosis.report.effects if found.twins]:
         return f"{twins[0].name} or {listed(twins[0].twins)}: too small to be separated by the measurements"
     if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):
@@ -186,6 +220,10 @@ def _next(diagnosis: Diagnosis) -> str:
     if diagnosis.report.verdict == "explained_in_another_form":
         return "nothing missing; the effect's form is not the library's, and the map's stated error includes that"
     return "nothing left to decide"
+
+
+def _names(diagnosis: Diagnosis) -> set[str]:
+    return {effect.name for effect in diagnosis.report.effects}
 
 
 def _time_constant_notes(report: DiagnosisReport) -> list[str]:

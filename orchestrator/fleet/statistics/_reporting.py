@@ -64,6 +64,7 @@ def report_of(
         last=datetime.fromtimestamp(times.max(), UTC) if len(times) else None,
         verdicts=_counts(verdict or "not diagnosed" for verdict in table.verdicts),
         failures=_counts(table.failures),
+        damaged=tuple(table.damaged) + (() if against is None else tuple(against.damaged)),
         quantities=quantities,
         distances=distances,
         outliers=outlying,
@@ -119,6 +120,10 @@ def _counts(words: Iterable[str]) -> tuple[CountOf, ...]:
 def _remarks(report: FleetReport, criteria: FleetCriteria) -> list[Remark]:
     """The report's main results as remarks."""
     remarks = []
+    if report.damaged:
+        text = "{what} of the table cannot be read, and their recordings are missing here: {first}"
+        what = plural(len(report.damaged), "part")
+        remarks.append(Remark.of("damaged", text, what=what, first=report.damaged[0]))
     if report.failures:
         count = sum(one.count for one in report.failures)
         text = "{what} without results, most often: {why}"

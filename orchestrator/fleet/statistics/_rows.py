@@ -125,6 +125,7 @@ def count_rows(report: FleetReport) -> Rows:
     """Numbers of verdicts and of failures."""
     rows = [(plain(one.what), str(one.count)) for one in report.verdicts]
     rows += [(f"failed: {one.what}", str(one.count)) for one in report.failures]
+    rows += [("in damaged parts of the table", "not known")] if report.damaged else []
     return [("verdict", "recordings"), *rows]
 
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 COPPER_PER_K = 0.00393
 """Relative rise of copper's resistance, at 20 C (IEC 60028)."""
+PARQUET_ENDINGS = (".parquet", ".parq", ".pq")
 _REFERRED = "R_s_20_ohm"
 _PLAIN = {
     "R_s_ohm": ("R_s", "ohm"),
@@ -105,6 +106,8 @@ class FleetTable:
     columns : mapping of Column
     failures : sequence of str
         The errors of the other recordings.
+    damaged : sequence of str
+        The errors of parts of the table that cannot be read.
     """
 
     place: str
@@ -115,6 +118,7 @@ class FleetTable:
     usable: Sequence[bool | None]
     columns: Mapping[str, Column]
     failures: Sequence[str]
+    damaged: Sequence[str] = ()
 
     def __len__(self) -> int:
         return len(self.recordings)
@@ -133,26 +137,51 @@ class FleetTable:
 
 
 def read_fleet(place: str) -> FleetTable:
-    """Read a data set: a Parquet file, or a folder of them.
+    """Read a data set: a Parquet file, or a folder of them; `damaged` has the parts that cannot be read.
 
     Raises
     ------
     InputError
-        Where it cannot be read, or is no fleet's table.
+        Where no part can be read, or it is no fleet's table.
     """
     import pyarrow as pa
-    import pyarrow.dataset as ds
 
     path = Path(place)
     if not path.exists():
         raise InputError(place, "", "no such table")
-    names = arrow_schema().names
+    parts = list(_parts_below(path)) if path.is_dir() else [path]
+    if not parts:
+        raise InputError(place, "", "no Parquet file in it")
+    tables, damage = [], []
+    for part in parts:
+        try:
+            tables.append(validate_types(_arrow_table(part), str(part)))
+        except InputError as error:
+            damage.append(error)
+    if not tables:
+        raise damage[0]
+    return replace(fleet_of(pa.concat_tables(tables), place), damaged=[str(error) for error in damage])
+
+
+def _parts_below(folder: Path) -> Iterator[Path]:
+    """Parquet files in and below a folder; as for other readers, names with a leading dot or underscore are none."""
+    for file in sorted(folder.rglob("*")):
+        hidden = any(name.startswith((".", "_")) for name in file.relative_to(folder).parts)
+        if not hidden and file.suffix in PARQUET_ENDINGS and not file.is_dir():
+            yield file
+
+
+def _arrow_table(part: Path) -> pa.Table:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    known = set(arrow_schema().names)
     try:
-        dataset = ds.dataset(str(path), format="parquet", exclude_invalid_files=path.is_dir())
-        table = dataset.to_table(columns=[name for name in names if name in dataset.schema.names])
+        file = pq.ParquetFile(part)
+        # Each column once: of two with one name, `validate_types` says so.
+        return file.read(columns=[name for name in dict.fromkeys(file.schema_arrow.names) if name in known])
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(place, "", f"cannot be read as Parquet: {str(error).splitlines()[0][:160]}") from None
-    return fleet_of(table, place)
+        raise InputError(str(part), "", f"cannot be read as Parquet: {str(error).splitlines()[0][:160]}") from None
 
 
 def fleet_of(table: pa.Table, place: str) -> FleetTable:

@@ -60,7 +60,8 @@ def estimate(
     estimators : sequence of str, optional
         Names of the estimators; all installed ones by default.
     out : path, optional
-        Folder for ``results/``; the recording by default.
+        Folder for ``results/``. By default the recording; for chosen estimators its ``estimators/<names>/``, so that
+        the results of all of them stay: a map of one alone lacks what the others contribute, and has fewer checks.
     on_estimate : callable
         Called with each resistance and each flux map as soon as its estimator is done.
 
@@ -71,11 +72,18 @@ def estimate(
     from orchestrator.estimation import estimate_recording
 
     path = Path(place)
-    target = Path(out) if out is not None else path
+    target = estimates_folder(path, estimators or (), out)
     refuse_file(target)
     refuse_file(target / "results")
     plugins = make_plugins(PluginKind.ESTIMATORS, estimators or None)
     return estimate_recording(open_any(path, keep=out is None), plugins, target, on_estimate=on_estimate)
+
+
+def estimates_folder(path: Path, estimators: Sequence[str], out: AnyPath | None) -> Path:
+    """The folder whose ``results/`` an estimation writes."""
+    if out is not None:
+        return Path(out)
+    return path / "estimators" / "+".join(dict.fromkeys(estimators)) if estimators else path
 
 
 @one_thread()

@@ -10,10 +10,14 @@ OBJECTS_PER_COLLECTION = 50_000
 
 def main() -> None:
     """Entry point of `fluxbench`: exit 0 done, 2 bad input, 3 the run ended in a fault, 130 interrupted."""
-    from orchestrator.interface.cli._early_signals import EarlySignals
+    try:
+        from orchestrator.interface.cli._early_signals import EarlySignals
 
+        signals = EarlySignals()  # before any slow import
+    except KeyboardInterrupt:  # in the few milliseconds before
+        os.write(2, b"fluxbench: interrupted by SIGINT\n")
+        os._exit(130)
     gc.set_threshold(OBJECTS_PER_COLLECTION)
-    signals = EarlySignals()  # before any slow import
     from orchestrator.interface.cli._process import leave, silence_libraries
     from orchestrator.interface.cli._running import run_app
 

@@ -27,7 +27,8 @@ def estimate_command(
         Path | None, typer.Option(help="Folder to write results/ to, instead of the recording.", metavar="FOLDER")
     ] = None,
     estimators: Annotated[
-        list[str] | None, typer.Option("--estimator", help="Only this estimator (may be repeated).")
+        list[str] | None,
+        typer.Option("--estimator", help="Only this one (repeatable), into estimators/NAME/results/."),
     ] = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -57,6 +58,10 @@ def compare_command(
     --effects, whether each candidate in that file would help. Several: R_s, inductances, flux, effects and verdict
     of each, and the changes beyond noise from the first to the others; `report` and `view` take the same runs.
     """
+    if len(recordings) > 1:
+        from orchestrator.runs import without_private
+
+        recordings = without_private(recordings)
     if len(recordings) > 1 and any(option is not None for option in (model, effects, out)):
         raise typer.BadParameter("require a single recording", param_hint="--model, --effects and --out")
     for recording in recordings:

@@ -28,6 +28,14 @@ from orchestrator.interface.cli._options import (
 commands = typer.Typer()
 
 
+def _announce(name: str, *, log: str, remote: str | None, quiet: bool, as_json: bool) -> None:
+    """Print what is being loaded; nothing for `--quiet` or another program, aside where the output is JSON."""
+    from orchestrator.interface.cli._output import announce_loading
+
+    if remote is None and not quiet:
+        announce_loading(name, aside=as_json or log == "json")
+
+
 @commands.command("run")
 def run_command(
     procedure: Annotated[
@@ -68,9 +76,11 @@ def run_command(
     With --from: measure the experiment that the diagnosis of a finished run proposes, into the same recording, and
     diagnose again.
     """
+    _check_options(log, remote, unattended)
+    if source is None or (source / "run.json").is_file():  # of a foreign recording a stage is printed, and no more
+        _announce(str(source or procedure or "demo"), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, run, run_further
 
-    _check_options(log, remote, unattended)
     audience = Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote)
     if source is None:
         if rounds is not None:
@@ -98,9 +108,10 @@ def resume_command(
 
     It starts at the first unmeasured point, and energises only after your confirmation.
     """
+    _check_options(log, remote, unattended)
+    _announce(str(path), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, resume
 
-    _check_options(log, remote, unattended)
     return resume(path, Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote))
 
 

@@ -26,7 +26,7 @@ from orchestrator.engine import (
 )
 from orchestrator.interface.api import as_overrides, run_directory
 from orchestrator.interface.cli._output import complain, give_up_broken_output, say_document, say_notes
-from protocols import FluxbenchError
+from protocols import DriveFault, FaultCause, FluxbenchError
 
 
 @dataclass(frozen=True)
@@ -146,11 +146,19 @@ def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int
         if outcome.reason == NOTHING_LEFT and not as_json:
             _print(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute again")
         return 0
-    if not isinstance(outcome.error, FluxbenchError):
-        raise outcome.error  # a defect: show its traceback, now that the drive is safe
     resume_hint = f"`fluxbench resume {result.path}` continues at the first unmeasured point"
-    _warn("; ".join([f"{outcome.ending}: {outcome.reason}", resume_hint, *troubles]))
-    return max(outcome.error.exit_code, 3)
+    from orchestrator.interface.cli._defects import describe_defect, keep_traceback, place_of
+
+    error, reason, code = outcome.error, outcome.reason, 3
+    if not isinstance(error, FluxbenchError):
+        reason = describe_defect(error)[0] + keep_traceback(error, result.path)
+    else:
+        code = max(error.exit_code, 3)
+        cause = error.__cause__
+        if isinstance(error, DriveFault) and error.cause is FaultCause.INTERNAL and cause is not None:
+            reason += place_of(cause) + keep_traceback(error, result.path)
+    _warn("; ".join([f"{outcome.ending}: {reason}", resume_hint, *troubles]))
+    return code
 
 
 def _warn(line: str) -> None:

@@ -96,7 +96,7 @@ def add(
         tell = _progress(as_json).result
         report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
-    _print_refit(report, path, as_json)
+    _print_refit(report, path, out, as_json)
     return 0
 
 
@@ -105,7 +105,7 @@ def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_jso
     with prompt_interrupt():
         report = api.remove(path, name, effects=effects or (), out=out, tell=_progress(as_json).result)
         refresh_report(path, out)
-    _print_refit(report, path, as_json)
+    _print_refit(report, path, out, as_json)
     return 0
 
 
@@ -158,13 +158,18 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     say(f"flux map: NOT RELIABLE: {why}")
 
 
-def _print_refit(report: AddReport, path: Path, as_json: bool) -> None:
+def _print_refit(report: AddReport, path: Path, out: Path | None, as_json: bool) -> None:
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return
     _print_ladder(report)
-    say("", *(benefit_line(remark, str(path)) for remark in report.remarks if remark.code in BENEFITS))
+    run = str(path) if out is None else f"{path} --out {out}"
+    say("", *(benefit_line(remark, run) for remark in report.remarks if remark.code in BENEFITS))
     say_notes(remark.text for remark in report.remarks if remark.code not in BENEFITS)
+    if out is None:
+        say(f"model: {path / 'model.json'}")
+    else:
+        say(f"model: {out / 'model.json'}; {path} is unchanged")
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:

@@ -88,15 +88,18 @@ def runs_command(
         list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
     ] = None,
     folder: Annotated[Path, typer.Option(help="Folder to search.")] = Path("runs"),
+    skip_damaged: Annotated[
+        bool, typer.Option("--skip-damaged", help="Exit with 0, not 3, although some runs cannot be read.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> int:
     """List the runs below a folder, filtered by words.
 
-    Motor, serial number, operator, tags, notes, time and outcome of each.
+    Motor, serial number, operator, tags, notes, time and outcome of each. A run that cannot be read is named.
     """
     from orchestrator.interface.cli._inspect import runs
 
-    return runs(folder, words or [], as_json)
+    return runs(folder, words or [], skip_damaged, as_json)
 
 
 @commands.command("new")

@@ -37,6 +37,9 @@ def next_stages(source: Path, rounds: int) -> tuple[Path, tuple[StageEntry, ...]
         report = diagnose_recording(open_any(path), make_plugins(PluginKind.EFFECTS), propose=next_experiment).report
     if report.next_experiment is None:
         verdict = plain(report.verdict)
+        inseparable = next((remark.text for remark in report.remarks if remark.code == "not_separable"), None)
+        if inseparable is not None:
+            raise InputError(str(path), "", inseparable)
         raise InputError(str(path), "", f"nothing to decide: {verdict}, and no experiment is proposed")
     experiment = report.next_experiment.stage
     if not is_run(path):

@@ -78,14 +78,16 @@ def _list(summaries: Mapping[str, str], as_json: bool) -> None:
         say(f"{name:<{widest}}  {text}")
 
 
-def runs(folder: Path, words: Sequence[str], as_json: bool) -> int:
-    """List the runs that contain all words, the newest last; unreadable runs are reported and skipped."""
+def runs(folder: Path, words: Sequence[str], skip_damaged: bool, as_json: bool) -> int:
+    """List the runs that contain all words, the newest last; 3 where a run cannot be read, unless that is skipped."""
     from orchestrator.runs import run_rows
 
     if not folder.is_dir():
         raise InputError(str(folder), "", "no such folder")
     lower = [word.lower() for word in words]
-    found = [row for row in run_rows(folder, complain) if all(word in " ".join(row.values()).lower() for word in lower)]
+    damaged: list[str] = []
+    listed = list(run_rows(folder, damaged.append))
+    found = [row for row in listed if all(word in " ".join(row.values()).lower() for word in lower)]
     rows = sorted(found, key=lambda row: row["created"])
     if as_json:
         say_document(json.dumps(rows, indent=2))
@@ -96,7 +98,9 @@ def runs(folder: Path, words: Sequence[str], as_json: bool) -> int:
         place = next((word for word in words if Path(word).is_dir()), None)
         hint = "" if place is None else f"; `fluxbench runs --folder {place}` lists those below {place}"
         say(f"no run below {folder}" + (f" has the words {' '.join(words)}" if words else "") + hint)
-    return 0
+    for problem in damaged:
+        complain(problem)
+    return 3 if damaged and not skip_damaged else 0
 
 
 def schema(name: str, plugin: str | None, as_table: bool) -> int:

@@ -32,6 +32,12 @@ def announce(path: Path, as_json: bool) -> None:
         print(for_output(cut(f"reading {path}"), where), file=where, flush=True)
 
 
+def announce_loading(name: str, *, aside: bool = False) -> None:
+    """Print what is being loaded before slow imports begin; on standard error if `aside`."""
+    where = sys.stderr if aside else sys.stdout
+    print(for_output(cut(f"loading {name}"), where), file=where, flush=True)
+
+
 def say_document(text: str) -> None:
     """Print a whole document, as JSON or YAML."""
     print(visible(text))

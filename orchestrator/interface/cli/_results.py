@@ -9,6 +9,7 @@ from orchestrator.formatting.names import PAPER_CROSSINGS
 from orchestrator.formatting.quantities import UNKNOWN, axes_percent
 from orchestrator.formatting.results import check_rows, coefficient_rows, resistance, resistance_course, usability_rows
 from orchestrator.interface import api
+from orchestrator.interface.api.analysing import estimates_folder
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
 from orchestrator.interface.cli._refreshing import PAGE, refresh_report
 from protocols import EstimationReport
@@ -17,12 +18,15 @@ from protocols import EstimationReport
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the estimators; results go into the recording's own results/, or below `out`."""
     report = api.estimate(path, estimators=names, out=out)
-    refresh_report(path, out)
+    folder = estimates_folder(path, names, out)
+    refresh_report(path, None if folder == path else folder)
     if as_json:
         say_document(report.model_dump_json(indent=2))
     else:
-        _print_report(report, (out or path) / "results")
-        if out is None and not (path / PAGE).is_file():
+        _print_report(report, folder / "results")
+        if names and out is None:
+            say(f"of {', '.join(names)} alone; {path / 'results'} is unchanged")
+        elif out is None and not (path / PAGE).is_file():
             say(f"as a page with pictures: fluxbench report {path}")
     return 0
 

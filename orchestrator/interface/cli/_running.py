@@ -54,19 +54,22 @@ def run_app(arguments: Sequence[str], settle: Callable[[bool], None] | None = No
     except MemoryError as error:  # numpy's error has a text, Python's own has none
         return _fail(f"not enough memory: {error}" if str(error) else "not enough memory", 3)
     except Exception as error:
-        return _explain(error)
+        return _explain(error, arguments)
     return code
 
 
-def _explain(error: Exception) -> int:
-    """One line and an exit code for an error of ours or of the arguments; a defect is raised again."""
+def _explain(error: Exception, arguments: Sequence[str]) -> int:
+    """One line and an exit code for an error; the traceback of one that nothing expected goes to a file."""
     usage = getattr(error, "format_message", None)  # as all of typer's own errors have it
     if usage is not None:
         return _fail(usage(), getattr(error, "exit_code", 2))
     from protocols import FluxbenchError  # a late import: it takes most of the time of --help
 
     if not isinstance(error, FluxbenchError):
-        raise error
+        from orchestrator.interface.cli._defects import describe_defect, keep_traceback, run_among
+
+        line, is_plugins = describe_defect(error)
+        return _fail(line + keep_traceback(error, run_among(arguments)), 2 if is_plugins else 3)
     return _fail(f"{error}{_place_of(error)}", error.exit_code, getattr(error, "choices", ()))
 
 

@@ -21,6 +21,8 @@ class Bounds:
     """Largest number of bytes of an answer, which bounds the delay of the next command."""
     max_turn_s: float = 4e-3
     """Longest computation of the plant between two checks of link and watchdog."""
+    max_rest_s: float = 0.01
+    """Longest pause after a computation, where the process has real-time priority."""
     max_catch_up_s: float = 0.25
     """Longest simulated time that is caught up after a suspension; the rest is skipped."""
     max_trip_delay_s: float = 0.015

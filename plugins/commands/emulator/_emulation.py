@@ -38,6 +38,9 @@ class Emulation:
         self._outbox = Outbox(port, Lossy(settings.losses, f"{settings.seed} out", port.damage), settings.rate)
         self._lossy: Lossy[Frame] = Lossy(settings.losses, f"{settings.seed} in", port.damage_received)
         self._connected: bool | None = None
+        self.rests = False
+        """Whether each cycle is followed by a pause as long as its computation."""
+        self._computed_s = 0.0
 
     def turn(self) -> None:
         """Run one cycle; waits for the link while nothing else is due."""
@@ -45,8 +48,11 @@ class Emulation:
         wait_s = device.wait_s()
         if not self._outbox.empty:
             wait_s = min(BOUNDS.backlog_period_s, wait_s) if self._outbox.blocked else 0.0
+        if self.rests:
+            wait_s = max(wait_s, min(self._computed_s, BOUNDS.max_rest_s))
         power.guard(time.monotonic())
         frames = self._lossy(self._port.receive(wait_s))
+        begun_s = time.monotonic()
         self._log_connection()
         power.guard(time.monotonic())
         device.receive(frames)
@@ -56,6 +62,7 @@ class Emulation:
         device.urgent.clear()
         device.bulk.clear()
         self._outbox.pump(time.monotonic())
+        self._computed_s = time.monotonic() - begun_s
 
     def _log_connection(self) -> None:
         connected = self._port.connected
@@ -73,7 +80,9 @@ def run_emulation(device: Device, port: Port, settings: LinkSettings, log: Log) 
     with _ending_signals() as ending:
         try:
             port.publish()
-            log("started", pid=os.getpid(), priority=settings.priority and _request_priority())
+            # With real-time priority it would leave the processors to nobody, not even to its host.
+            emulation.rests = settings.priority and _request_priority()
+            log("started", pid=os.getpid(), priority=emulation.rests)
             while not ending():
                 emulation.turn()
         finally:

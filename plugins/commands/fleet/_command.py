@@ -9,6 +9,7 @@ import typer
 import typer.core
 
 from plugins.command_line import AsJson, group_entry_point
+from plugins.commands.fleet._damage import SkipDamaged, exit_code
 from plugins.commands.fleet._report import report
 from plugins.commands.fleet._run import run
 
@@ -28,6 +29,7 @@ def priors(
     motor: Annotated[
         str | None, typer.Option(help="Nameplate's name, where the table has several kinds of motor.")
     ] = None,
+    skip_damaged: SkipDamaged = False,
     as_json: AsJson = False,
 ) -> int:
     """Priors for the next motor of the fleet: frequency and size of each effect, R_s, L_d and L_q."""
@@ -35,16 +37,17 @@ def priors(
     from orchestrator.formatting.sentences import shown, text_table, visible
     from orchestrator.recording import replace_file
 
-    document = priors_of(read_fleet(table), motor)
+    fleet = read_fleet(table)
+    document = priors_of(fleet, motor)
     text = visible(document.model_dump_json(indent=2))
     replace_file(out, (text + "\n").encode("utf-8"))
     if as_json:
         print(text)
-        return 0
+        return exit_code(fleet.damaged, skip_damaged)
     rows = prior_rows(document)
     print(shown(text_table(rows[0], rows[1:], numbers=False)))
     print(shown(str(out)))
-    return 0
+    return exit_code(fleet.damaged, skip_damaged)
 
 
 app = typer.Typer(cls=_RunUnlessNamed, add_completion=False, rich_markup_mode=None)

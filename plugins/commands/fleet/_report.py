@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from plugins.command_line import AsJson
+from plugins.commands.fleet._damage import SkipDamaged, exit_code
 
 if TYPE_CHECKING:
     from orchestrator.fleet.statistics import FleetTable
@@ -30,9 +31,13 @@ def report(
     out: Annotated[
         Path | None, typer.Option(help="Folder for the page and its JSON; by default _report in the table's folder.")
     ] = None,
+    skip_damaged: SkipDamaged = False,
     as_json: AsJson = False,
 ) -> int:
-    """Write distributions, outliers, drift, batches, limits and pairs of a fleet as one page, and as JSON."""
+    """Write distributions, outliers, drift, batches, limits and pairs of a fleet as one page, and as JSON.
+
+    Parts of the table that cannot be read are named and counted; the exit code is then 3.
+    """
     from orchestrator.fleet.statistics import WITHIN, outlier_rows, read_fleet, read_limits, report_of
     from orchestrator.formatting.sentences import shown, text_table, visible
     from orchestrator.interface.api import one_thread
@@ -56,13 +61,13 @@ def report(
             make_fleet_view(stats, files[-1])
     if as_json:
         print(visible(stats.model_dump_json(indent=2)))
-        return 0
+        return exit_code(stats.damaged, skip_damaged)
     rows = outlier_rows(stats)
     for line in (*(remark.text for remark in stats.remarks), *([text_table(rows[0], rows[1:], False)] if rows else [])):
         print(shown(line))
     for file in files:
         print(shown(str(file)))
-    return 0
+    return exit_code(stats.damaged, skip_damaged)
 
 
 def _require_known(limits: FleetLimits, place: str, table: FleetTable) -> None:

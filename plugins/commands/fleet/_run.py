@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, get_args
 import typer
 
 from plugins.command_line import AsJson
-from plugins.commands.fleet._work import Jobs, RetryFailed, Scheduler, complete
+from plugins.commands.fleet._work import Dashboard, Jobs, RetryFailed, Scheduler, complete
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -34,6 +34,7 @@ def run(
     ] = None,
     jobs: Jobs = None,
     scheduler: Scheduler = None,
+    dashboard: Dashboard = False,
     limit: Annotated[int | None, typer.Option(min=1, help="Analyse only this many recordings.")] = None,
     retry_failed: RetryFailed = False,
     as_json: AsJson = False,
@@ -52,7 +53,7 @@ def run(
     recordings = find_sources(sources, files=plan.mapping is not None, limit=limit, tell=tell)
     with FleetTable.opened(out, forget_failed=retry_failed) as table:
         job = FleetJob(recordings, table, plan, tell)
-        complete(job, plural(len(recordings), "recording"), scheduler, jobs, quiet=as_json)
+        complete(job, plural(len(recordings), "recording"), scheduler, jobs, dashboard=dashboard, quiet=as_json)
     report = job.report(out, time.monotonic() - began)
     if as_json:
         print(visible(report.model_dump_json(indent=2)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
@@ -19,7 +19,7 @@ from starlette.routing import Route
 from orchestrator.validation.messages import first_problem
 from plugins.commands.serve._choices import REPORT, choices, run_folder
 from plugins.commands.serve._guard import Guard
-from plugins.commands.serve._run import NotNowError, RunOfThePage, checked
+from plugins.commands.serve._run import Checks, NotNowError, RunOfThePage
 from plugins.commands.serve._wanted import Answer, RunNamed, Wanted
 from protocols import FluxbenchError, InputError, Strict
 
@@ -53,17 +53,13 @@ class _Page:
     """Handlers of the addresses, named like them."""
 
     def __init__(self, run: RunOfThePage, folder: Path) -> None:
-        self._run, self._folder = run, folder
+        self._run, self._folder, self._checks = run, folder, Checks(folder)
 
     async def choices(self, request: Request) -> Response:
         return JSONResponse(await run_in_threadpool(choices, self._folder))
 
     async def events(self, request: Request) -> Response:
-        async def lines() -> AsyncIterator[str]:
-            async for view in self._run.views():
-                yield f"data: {json.dumps(view)}\n\n"
-
-        return StreamingResponse(lines(), media_type="text/event-stream")
+        return StreamingResponse(self._run.viewers.events(), media_type="text/event-stream")
 
     async def report(self, request: Request) -> Response:
         file = run_folder(self._folder, request.path_params["run"]) / REPORT
@@ -72,28 +68,28 @@ class _Page:
         return FileResponse(file, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
 
     async def check(self, request: Request) -> Response:
-        code, out, err = await checked((await _body(request, Wanted)).checking(self._folder), self._folder)
+        code, out, err = await self._checks.run((await _body(request, Wanted)).checking(self._folder))
         if code:
             return _problem(err.removeprefix("fluxbench: ") or f"ended with {code}", 400)
         return Response(out, media_type="application/json")
 
     async def start(self, request: Request) -> Response:
         wanted = await _body(request, Wanted)
-        await self._run.start(wanted.running(self._folder), wanted.subject)
+        self._run.start(wanted.running(self._folder), wanted.subject)
         return JSONResponse({})
 
     async def resume(self, request: Request) -> Response:
         named = await _body(request, RunNamed)
-        await self._run.start(["resume", str(run_folder(self._folder, named.run))], named.run)
+        self._run.start(["resume", str(run_folder(self._folder, named.run))], named.run)
         return JSONResponse({})
 
     async def answer(self, request: Request) -> Response:
         given = await _body(request, Answer)
-        await self._run.answer(given.question, given.answer)
+        self._run.answer(given.question, given.answer)
         return JSONResponse({})
 
     async def stop(self, request: Request) -> Response:
-        await self._run.stop("stopped by a person at the page")
+        self._run.stop("stopped by a person at the page")
         return JSONResponse({})
 
 

@@ -25,7 +25,7 @@ def choices(folder: Path) -> dict[str, Any]:
         "procedures": [*_procedures(folder)],
         "motors": [*_motors(folder)],
         "drives": sorted(info.name for info in installed(PluginKind.DRIVES)),
-        "runs": _runs(folder),
+        **_runs(folder),
     }
 
 
@@ -44,9 +44,12 @@ def motor_word(folder: Path, name: str) -> str:
 def run_folder(folder: Path, name: str) -> Path:
     """Folder of a listed run; raises `InputError` for others."""
     place = folder / RUNS / name
-    if name in ("", ".", "..") or Path(name).name != name or not (place / "run.json").is_file():
-        raise InputError("runs", "", "no such run")
-    return place
+    try:
+        if name not in ("", ".", "..") and Path(name).name == name and (place / "run.json").is_file():
+            return place
+    except OSError:  # a name that is too long for the file system
+        pass
+    raise InputError("runs", "", "no such run")
 
 
 def _procedures(folder: Path) -> Iterator[dict[str, str]]:
@@ -70,16 +73,16 @@ def _choice(name: str, word: str, summary: Callable[[str], str | None]) -> dict[
         return {"name": name, "summary": "", "problem": shown(str(error))}
 
 
-def _runs(folder: Path, max_runs: int = 30) -> list[dict[str, Any]]:
-    """Up to `max_runs` runs, the newest first."""
-    if not (folder / RUNS).is_dir():
-        return []
-    rows = sorted(run_rows(folder / RUNS, lambda _: None), key=lambda row: row["created"], reverse=True)
+def _runs(folder: Path, max_runs: int = 30) -> dict[str, Any]:
+    """Up to `max_runs` runs, the newest first, and the errors of those that cannot be read."""
+    problems: list[str] = []
+    rows = list(run_rows(folder / RUNS, problems.append)) if (folder / RUNS).is_dir() else []
+    rows.sort(key=lambda row: row["created"], reverse=True)
     below = [row | {"run": Path(row["run"]).name} for row in rows if Path(row["run"]).parent == folder / RUNS]
     shortened: list[dict[str, Any]] = [{key: shown(value) for key, value in row.items()} for row in below[:max_runs]]
     for row in shortened:
         row["has_report"] = (folder / RUNS / row["run"] / REPORT).is_file()
-    return shortened
+    return {"runs": shortened, "unreadable": [shown(problem) for problem in problems[:max_runs]]}
 
 
 def _files(folder: Path, max_bytes: int = 1 << 20) -> Iterator[tuple[str, str]]:

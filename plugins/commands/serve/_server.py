@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import socket
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 
 import uvicorn
 
 from orchestrator.formatting.sentences import shown
 from plugins.commands.serve._app import page_app
+from plugins.commands.serve._connections import Connection
 from plugins.commands.serve._guard import new_token
 from plugins.commands.serve._run import RunOfThePage
 from protocols import InputError
+
+ACCEPTED_AT_ONCE = 32
+"""Connections between two looks at what clients sent: fewer than `Connection.max_connections`."""
+WAITING_CONNECTIONS = 1024
 
 
 def serve_page(folder: Path, host: str, port: int) -> int:
@@ -35,6 +43,8 @@ async def _serve(folder: Path, listening: socket.socket) -> int:
     token, run = new_token(), RunOfThePage(folder)
     config = uvicorn.Config(
         page_app(run, folder, token),
+        http=Connection,
+        backlog=ACCEPTED_AT_ONCE,
         access_log=False,  # addresses contain the token
         log_config=None,
         log_level="critical",
@@ -55,30 +65,51 @@ async def _serve(folder: Path, listening: socket.socket) -> int:
 
 
 class _Server(uvicorn.Server):
-    """A server that does not handle signals."""
+    """A server that does not handle signals, and drops connections whose clients are overdue."""
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
         yield
 
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        for listening in sockets or ():
+            listening.listen(WAITING_CONNECTIONS)  # asyncio has set the number that it accepts at once
+
+    async def on_tick(self, counter: int) -> bool:
+        now_s = time.monotonic()
+        for connection in list(self.server_state.connections):
+            if isinstance(connection, Connection):
+                connection.drop_if_overdue(now_s)
+        return await super().on_tick(counter)
+
 
 def _end_by_signals(server: uvicorn.Server, run: RunOfThePage) -> None:
-    """Handle signals: the first stops an active run and then the server, the second the server at once."""
+    """Handle signals: the first stops an active run and then the server, the second ends this process at once.
+
+    The second needs no event loop. A run that is still active then finds its pipe closed, and stops by itself.
+    """
+    loop = asyncio.get_running_loop()
     ending: list[asyncio.Task[None]] = []
+    names: list[str] = []
 
     async def end(name: str) -> None:
+        try:
+            await run.close(f"the page's server was ended by {name}")
+        finally:
+            server.should_exit = True
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if names:
+            _print_message("ended without waiting; an active run stops by itself")
+            os._exit(130)
+        names.append(signal.Signals(number).name)
         if run.is_going:
             _print_message("stopping the run; another signal ends the server without waiting")
-        await run.close(f"the page's server was ended by {name}")
-        server.should_exit = True
-
-    def handle(number: signal.Signals) -> None:
-        if ending:
-            server.should_exit = server.force_exit = True
-        ending.append(asyncio.ensure_future(end(number.name)))
+        loop.call_soon_threadsafe(lambda: ending.append(loop.create_task(end(names[0]))))
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        asyncio.get_running_loop().add_signal_handler(number, handle, number)
+        signal.signal(number, handle)
 
 
 def _bound(host: str, port: int) -> socket.socket:
@@ -94,5 +125,5 @@ def _bound(host: str, port: int) -> socket.socket:
 
 
 def _print_message(line: str) -> None:
-    with suppress(OSError):  # the terminal has been closed
-        print(f"fluxbench: {line}", file=sys.stderr, flush=True)
+    with suppress(OSError):  # the terminal has been closed; no buffer, since a signal's handler prints too
+        os.write(sys.stderr.fileno(), f"fluxbench: {line}\n".encode(errors="replace"))

@@ -5,12 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from plugins.commands.serve._choices import motor_word, procedure_word
 from protocols import Strict
 
-Line = Annotated[str, Field(max_length=2000)]
+
+def _without_nul(text: str) -> str:
+    if "\0" in text:
+        raise ValueError("contains a NUL character, which no command line can hold")
+    return text
+
+
+Line = Annotated[str, Field(max_length=2000), AfterValidator(_without_nul)]
 
 
 class Wanted(Strict):

@@ -29,6 +29,8 @@ BIT_RATES = {
 }
 _ANSWER_END = re.compile(rb"[\r\a]")
 """End of an answer: done (CR) or refused (BEL)."""
+_MAX_ANSWER_CHARACTERS = 64
+"""More than any answer has: noise that never ends one is not kept."""
 _HEADER_CHARACTERS = 5
 """Characters before a frame's data: t, three of the identifier, one of the length."""
 
@@ -105,6 +107,7 @@ class SlcanPort:
 
     def receive(self, timeout_s: float) -> list[Frame]:
         *answers, self._rest = _ANSWER_END.split(self._rest + self._line.read(timeout_s))
+        self._rest = self._rest[-_MAX_ANSWER_CHARACTERS:]
         return [frame for answer in answers if (frame := self._frame(answer)) is not None]
 
     def _frame(self, answer: bytes) -> Frame | None:

@@ -96,7 +96,7 @@ class Board:
         """Firmware version and register map."""
         wanted = {self._map.FIRMWARE_VERSION: 2, self._map.REGISTER_MAP_VERSION: 2}
         values = await self._answered(self._controller.make_custom_query(wanted))
-        return {key.name.lower(): int(values[key]) for key in wanted if key in values}
+        return {key.name.lower(): _whole(key.name.lower(), values[key]) for key in wanted if key in values}
 
     async def numbers(self) -> dict[str, float]:
         """What has to be known of its configuration; the telemetry's layouts are learned on the way."""
@@ -121,9 +121,12 @@ class Board:
             problem = f"answers on the diagnostic stream are not those of their questions: {error}"
             raise DriveFault(FaultCause.WRONG_DATA, problem) from error
         try:
-            return float(answer)
-        except ValueError as error:
-            raise DriveFault(FaultCause.WRONG_DATA, f"the board has no number for {name}: {answer}") from error
+            value = float(answer)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise DriveFault(FaultCause.WRONG_DATA, f"the board has no number for {name}: {answer}")
+        return value
 
     async def limit_current(self, current_a: float) -> None:
         """Set the board's own limit in its memory (not for good), and read it back."""
@@ -141,7 +144,7 @@ class Board:
         r = self._map
         try:
             return Reading(
-                *(int(values[k]) for k in (r.MODE, r.FAULT)),
+                *(_whole(k.name.lower(), values[k]) for k in (r.MODE, r.FAULT)),
                 *(float(values[k]) for k in (r.D_CURRENT, r.Q_CURRENT, r.VOLTAGE, r.TEMPERATURE)),
             )
         except KeyError as error:
@@ -247,6 +250,13 @@ class Board:
 
     def _silent(self) -> DriveFault:
         return DriveFault(FaultCause.LINK_LOST, f"{self._options.where} does not answer")
+
+
+def _whole(register: str, value: float) -> int:
+    """A register that counts; the library reads the lowest value of an integer as NaN."""
+    if not math.isfinite(value):
+        raise DriveFault(FaultCause.WRONG_DATA, f"the board has no number for register {register}: {value}")
+    return int(value)
 
 
 def _query(moteus: Any) -> Any:

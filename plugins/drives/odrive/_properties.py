@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 
-from plugins.link import DriveLine
+from plugins.link import DriveLine, ProcessClock
 from protocols import DriveFault, FaultCause
 
 ANSWER_TIMEOUT_S = 0.5
+"""Time of this process without an answer, after which the line is lost."""
+POLL_PERIOD_S = 0.05
 WRITE_TIMEOUT_S = 0.5
 
 
@@ -55,12 +56,11 @@ class Properties(DriveLine):
             raise DriveFault(FaultCause.WRONG_DATA, message) from None
 
     def _next(self) -> str:
-        deadline = time.monotonic() + ANSWER_TIMEOUT_S
+        waited_s = ProcessClock()
         while b"\n" not in self._received:
-            remaining_s = deadline - time.monotonic()
-            if remaining_s <= 0.0:
+            if waited_s() > ANSWER_TIMEOUT_S:
                 raise self.lose(f"does not answer within {ANSWER_TIMEOUT_S:g} s")
-            self._received += self.read_bytes(remaining_s)
+            self._received += self.read_bytes(POLL_PERIOD_S)
         answer, _, self._received = self._received.partition(b"\n")
         return answer.strip().decode("latin1")
 

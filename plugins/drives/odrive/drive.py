@@ -117,7 +117,7 @@ class OdriveDrive(PolledDrive[Axis]):
             raise DriveRefused(f"{line.where}: axis {o.axis} is not idle: another host controls it")
         self._clear_stale_errors(axis)
         bus_v = axis.bus_v()
-        if bus_v <= 0.0:
+        if not 0.0 < bus_v < math.inf:
             raise DriveFault(FaultCause.BUS_VOLTAGE, f"{line.where}: reads a bus of {bus_v:g} V")
         self.origin_s = time.monotonic()
         return Capabilities(

@@ -13,6 +13,7 @@ from typing import Any
 
 from plugins.drives.vesc._link import Link
 from plugins.drives.vesc._packets import Command, Sampling, Values, numbers_in, rows_of
+from plugins.link import ProcessClock
 from protocols import DriveFault, DriveRefused, FaultCause
 
 ANSWER_TIMEOUT_S = 1.0
@@ -163,8 +164,8 @@ class Board:
         expression = f"(progn {before} (list {query}))"
         self._link.forget(Command.LISP_PRINT)
         self._evaluate(expression)
-        deadline, output = time.monotonic() + ANSWER_TIMEOUT_S, ""
-        while (remaining_s := deadline - time.monotonic()) > 0.0:
+        waited_s, output = ProcessClock(), ""
+        while (remaining_s := ANSWER_TIMEOUT_S - waited_s()) > 0.0:
             answer = self._link.take(Command.LISP_PRINT, remaining_s)
             if answer is None:
                 break

@@ -8,7 +8,7 @@ from collections import defaultdict
 from contextlib import suppress
 
 from plugins.drives.vesc._packets import Decoder, encode_frame
-from plugins.link import DriveLine
+from plugins.link import DriveLine, ProcessClock
 from protocols import DriveFault
 
 POLL_PERIOD_S = 0.05
@@ -38,12 +38,15 @@ class Link(DriveLine):
         self.write_bytes(encode_frame(payload))
 
     def take(self, command: int, timeout_s: float) -> bytes | None:
-        """The next payload of a command; None after `timeout_s` without one."""
+        """The next payload of a command; None after `timeout_s` without one, in which this process was running."""
         self.check()
-        try:
-            return self._queues[command].get(timeout_s > 0, max(timeout_s, 0.0))
-        except queue.Empty:
-            return None
+        waited_s = ProcessClock()
+        while True:
+            remaining_s = timeout_s - waited_s()
+            with suppress(queue.Empty):
+                return self._queues[command].get(remaining_s > 0.0, min(max(remaining_s, 0.0), POLL_PERIOD_S))
+            if remaining_s <= 0.0:
+                return None
 
     def ask(self, payload: bytes, answer: int, timeout_s: float) -> bytes:
         """Send, and return the next payload of the command `answer`; raises `DriveFault` without one."""
@@ -68,5 +71,6 @@ class Link(DriveLine):
         decoder = Decoder()
         with suppress(DriveFault):  # kept for the next use of the link
             while not self._closed.is_set() and self.lost is None:
-                for payload in decoder.feed(self.read_bytes(POLL_PERIOD_S)):
+                octets = self.read_bytes(POLL_PERIOD_S)
+                for payload in decoder.feed(octets) if octets else decoder.pause():
                     self._queues[payload[0]].put(payload)

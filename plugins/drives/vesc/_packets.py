@@ -70,14 +70,21 @@ class Decoder:
 
     def feed(self, octets: bytes) -> list[bytes]:
         """The payloads that these octets complete."""
-        data, at, payloads = self._waiting + octets, 0, []
+        return self._decoded(self._waiting + octets, is_over=False)
+
+    def pause(self) -> list[bytes]:
+        """The payloads behind the start of a frame that did not go on: after a pause of the line it was noise."""
+        return self._decoded(self._waiting, is_over=True)
+
+    def _decoded(self, data: bytes, is_over: bool) -> list[bytes]:
+        at, payloads = 0, list[bytes]()
         while at < len(data):
             payload, used = _first(data, at)
             if payload is not None:
                 payloads.append(payload)
-            elif used == 0:
+            elif used == 0 and not is_over:
                 break
-            at += used
+            at += used or 1
         self._waiting = data[at:]
         return payloads
 

@@ -124,7 +124,7 @@ class VescDrive(PolledDrive[Board]):
         _require_usable(settings, link.where)
         fs = _rate(settings.zero_vectors_hz, board.row_rate_hz(), link.where)
         bus_v = board.values().bus_v
-        if bus_v <= 0.0:
+        if not 0.0 < bus_v < math.inf:
             raise DriveFault(FaultCause.BUS_VOLTAGE, f"{link.where}: reads a bus of {bus_v:g} V")
         self.origin_s = time.monotonic()
         pwm = 0.5 * settings.zero_vectors_hz

@@ -50,7 +50,7 @@ def library() -> Any:
         return SimpleNamespace(
             Master=importlib.import_module("pyxcp.master").Master,
             config=importlib.import_module("pyxcp.config"),
-            timeout=importlib.import_module("pyxcp.types").XcpTimeoutError,
+            types=importlib.import_module("pyxcp.types"),
             daq=importlib.import_module("pyxcp.transport.transport_ext").FrameCategory.DAQ,
         )
     except ImportError as error:
@@ -86,10 +86,8 @@ class Arrivals:
 
     def take(self) -> bytes:
         """Remove all queued frames and return them, concatenated."""
-        frames = []
-        with suppress(IndexError):
-            while True:
-                frames.append(self._frames.popleft())
+        # Those that are there now: of a flood, the next ones come faster than they are taken.
+        frames = [self._frames.popleft() for _ in range(len(self._frames))]
         return b"".join(frames)
 
 
@@ -110,7 +108,7 @@ class Link:
         pyxcp = library()
         self.where = f"XCP at {host}:{port}"
         self._at, self._extension = address, extension
-        self._timeout_s, self._timeout = timeout_s, pyxcp.timeout
+        self._timeout_s, self._types = timeout_s, pyxcp.types
         self._talk = threading.Lock()
         self.lost: DriveFault | None = None
         transport = pyxcp.config.Transport(create_daq_timestamps=False)
@@ -121,9 +119,10 @@ class Link:
         try:
             self._master = pyxcp.Master("eth", SimpleNamespace(general=general, transport=transport), self._rows)
         except Exception as error:  # pyxcp raises the errors of its parts, without a common base
-            raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {_first_line(error)}") from error
+            raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {self._reason(error)}") from error
         self._master.transport.get = self._answer
         self._master.transport._record_pdu = lambda *pdu: None  # diagnostics take most of a row's CPU time
+        self._master.transport.process_event_packet = lambda packet: None  # nothing is asked of them; they are printed
         self.layout = Layout("<")
         self._head, self._quiet = 0, ProcessClock()
 
@@ -179,7 +178,10 @@ class Link:
 
         def upload() -> bytes:
             m.setMta(self._at + offset, self._extension)
-            return bytes(m.fetch(octets))
+            data = bytes(m.fetch(octets))
+            if len(data) != octets:
+                raise ValueError(f"{len(data)} octets answer a request for {octets}")
+            return data
 
         return self._call(upload)
 
@@ -223,7 +225,10 @@ class Link:
             if waited_s() > self._timeout_s:
                 raise self._lose(f"no row for {self._timeout_s:g} s")
             time.sleep(0.001)
-        row: np.void = np.frombuffer(self._rows.newest[1][self._head :], self.layout.row)[0]
+        octets = self._rows.newest[1][self._head :]
+        if len(octets) != self.layout.row.itemsize:
+            raise self._lose("rows of a wrong length")
+        row: np.void = np.frombuffer(octets, self.layout.row)[0]
         return row
 
     def check(self) -> None:
@@ -236,19 +241,21 @@ class Link:
         self.check()
         with self._talk:
             try:
-                with suppress(self._timeout):
+                with suppress(self._types.XcpTimeoutError):
                     return exchange()
                 self._synchronise()
                 return exchange()
             except DriveRefused:
                 raise
             except Exception as error:  # as in `__init__`
-                raise self._lose(_first_line(error)) from error
+                raise self._lose(self._reason(error)) from error
 
     def _synchronise(self) -> None:
         """Skip late answers, up to that of SYNCH (error 0), which the ECU sends last."""
-        answer = self._master.synch()
+        answer, waited_s = self._master.synch(), ProcessClock()
         while bytes(answer) != b"\0":
+            if waited_s() > self._timeout_s:
+                raise self._types.XcpTimeoutError("answers that nobody requested, and none to SYNCH")
             answer = self._answer()[1:]
 
     def _answer(self) -> Any:
@@ -259,7 +266,7 @@ class Link:
         with transport.resQueue_condition:
             while not transport.resQueue:
                 if waited_s() > self._timeout_s:
-                    raise self._timeout("no answer")
+                    raise self._types.XcpTimeoutError("no answer")
                 transport.resQueue_condition.wait(0.02)
             return transport.resQueue.popleft()
 
@@ -268,6 +275,14 @@ class Link:
         self.lost = self.lost or fault
         return fault
 
-
-def _first_line(error: BaseException) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0]
+    def _reason(self, error: Exception) -> str:
+        """The error in words: that of the ECU with its code, the system's, or what could not be read."""
+        if isinstance(error, self._types.XcpResponseError):
+            code = error.get_error_code()
+            known = str(code) in self._types.XcpError.encmapping
+            name = str(code) if known else f"{int(code):#04x}, which XCP does not define"
+            return f"the ECU answers with the error {name}"
+        if isinstance(error, OSError):
+            return error.strerror or str(error)
+        text = (str(error) or type(error).__name__).splitlines()[0]
+        return text if isinstance(error, self._types.XcpTimeoutError) else f"an answer that cannot be read ({text})"

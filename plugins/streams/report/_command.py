@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from orchestrator.formatting.sentences import shown
+from orchestrator.runs import RunDirectory, is_run, without_private
 from plugins.command_line import entry_point
 from plugins.streams.report._page import write_report
 
@@ -22,11 +23,14 @@ def report(
     pdf: Annotated[bool, typer.Option("--pdf", help="Write a PDF as well; needs Chromium on this machine.")] = False,
 ) -> int:
     """Write the report of a run or recording, or of several side by side: one self-contained page."""
+    directories = without_private(directories)
     if len(directories) > 1:
         from plugins.streams.report._comparison_page import write_comparison
 
         page = write_comparison(directories, out)
     else:
+        if is_run(directories[0]):
+            RunDirectory.open(directories[0])  # raises where run.json is damaged: a page without it says too little
         page = write_report(directories[0], out)
     print(shown(str(page)))
     if pdf:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
@@ -12,9 +14,9 @@ from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
 from orchestrator.formatting.quantities import duration, fixed, percent, plural, quantity, with_error
 from orchestrator.formatting.results import coefficient_rows, resistance, resistance_course
-from orchestrator.formatting.sentences import typographic
+from orchestrator.formatting.sentences import listed, typographic
 from plugins.streams.report._collect import Material
-from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor
+from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor, SegmentStage
 
 NOT_MEASURED = "not measured"
 
@@ -31,22 +33,24 @@ class Line:
 
 @dataclass(frozen=True)
 class Bar:
-    """One figure of a check: as text, as a part of its bar, and where on the bar the paper's is."""
+    """One figure of a check: as text, as a part of its bar, and where on the bar the limit is."""
 
     axis: str
     text: str
     part: float
     tick: float
+    is_beyond: bool = False
+    """Whether the figure is larger than the limit."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One card: a check with its figures beside the paper's."""
+    """One card: a check with its figures, and their limit or what would measure them."""
 
     name: str
     meaning: str
     bars: tuple[Bar, ...]
-    paper: str
+    limit: str
 
 
 @dataclass(frozen=True)
@@ -109,10 +113,24 @@ def summary(material: Material) -> Iterator[Line]:
         yield Line("Measured", f"{plural(len(segments), 'segment')}, {duration(seconds)} of waveforms")
 
 
-def remarks(material: Material) -> list[str]:
-    """What the estimators say beside their numbers."""
+@dataclass(frozen=True)
+class Remarks:
+    """What the estimators say beside their numbers: on the recommended results, and on the other maps."""
+
+    main: list[str]
+    others: list[str]
+
+
+def remarks(material: Material) -> Remarks:
+    """The estimators' remarks; those on the maps that are not recommended apart."""
     report = material.estimates
-    return [typographic(remark.text) for remark in report.remarks] if report is not None else []
+    if report is None:
+        return Remarks([], [])
+    others = {name for name in report.maps if name != report.method}
+    is_other = [remark.code.partition(".")[0] in others for remark in report.remarks]
+    texts = [typographic(remark.text) for remark in report.remarks]
+    main, rest = ([t for t, o in zip(texts, is_other, strict=True) if o is wanted] for wanted in (False, True))
+    return Remarks(main, rest) if report.usable else Remarks([*main, *rest], [])
 
 
 @dataclass(frozen=True)
@@ -132,22 +150,71 @@ def formulas(material: Material) -> Iterator[Formula]:
 
 
 def checks(material: Material) -> Iterator[Check]:
-    """Self-consistency checks, each beside what the paper prints of its own crossings."""
+    """Self-consistency checks, each with its limit; crossings also beside what the paper prints of its own."""
     report = material.estimates
     if report is None:
         return
     parity, reciprocity, whose = _symmetry(report)
-    both = f"the paper’s: {percent(PAPER_CROSSINGS.d_percent)} on d, {percent(PAPER_CROSSINGS.q_percent)} on q"
-    tick = "tick: the paper’s crossings"
-    meaning = "Largest flux difference where current paths cross, of the rated flux."
-    yield Check("Crossings", meaning, _bars(report.crossings), both)
-    meaning = f"Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.{whose}"
-    yield Check("Parity", meaning, _bars(parity), tick)
-    meaning = f"rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d, of the mean inductance.{whose}"
-    yield Check("Reciprocity", meaning, (_bar("", reciprocity),), f"{tick} on d")
-    meaning = "rms of the flux difference over the plane, of the rated flux."
-    bar = _bar("", report.classical_against_injection_percent)
-    yield Check("Classical against injection", meaning, (bar,), f"{tick} on d")
+    limits = report.criteria
+    paper = f"the paper’s: {percent(PAPER_CROSSINGS.d_percent)} on d, {percent(PAPER_CROSSINGS.q_percent)} on q"
+    for name, meaning, value, limit, beside in (
+        (
+            "Crossings",
+            "Largest flux difference where current paths cross, of the rated flux.",
+            report.crossings or AxisPercent(d_percent=None, q_percent=None),
+            limits.crossings_percent,
+            f"; {paper}",
+        ),
+        (
+            "Parity",
+            f"Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.{whose}",
+            parity or AxisPercent(d_percent=None, q_percent=None),
+            limits.parity_percent,
+            "",
+        ),
+        (
+            "Reciprocity",
+            f"rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d, of the mean inductance.{whose}",
+            reciprocity,
+            limits.reciprocity_percent,
+            "",
+        ),
+        (
+            "Classical against injection",
+            "rms of the flux difference over the plane, of the rated flux.",
+            report.classical_against_injection_percent,
+            limits.accuracy_percent,
+            "",
+        ),
+    ):
+        bars = _bars(value, limit) if isinstance(value, AxisPercent) else (_bar("", value, limit),)
+        is_known = any(bar.text != NOT_MEASURED for bar in bars)
+        text = f"tick: the limit, {percent(limit)}{beside}" if is_known else _what_measures(material, report, name)
+        yield Check(name, meaning, bars, text)
+
+
+_STAGES_OF_CHECKS = {
+    "Crossings": (SegmentStage.CLASSICAL,),
+    "Classical against injection": (SegmentStage.CLASSICAL, SegmentStage.INJECTION),
+}
+"""The stages without which a check has no figure; the others need a map with i_q of both signs."""
+
+
+def _what_measures(material: Material, report: EstimationReport, name: str) -> str:
+    """How a check that has no figure gets one: by a command, by a stage of the procedure, or not at all."""
+    if report.model is not None and report.estimators is None:
+        return f"`fluxbench estimate {typed(material)}` computes it from this recording"
+    recorded = set() if material.manifest is None else {segment.stage for segment in material.manifest.segments}
+    lacking = [stage.value for stage in _STAGES_OF_CHECKS.get(name, ()) if stage not in recorded]
+    if lacking:
+        return f"needs {listed([f'a stage {stage}' for stage in lacking])} in the procedure: this recording has none"
+    return "this recording’s maps do not allow it"
+
+
+def typed(material: Material) -> str:
+    """The run as a command takes it from this folder; the name of one elsewhere, as a page does not tell its place."""
+    place, here = material.directory.resolve(), Path.cwd()
+    return shlex.quote(str(place.relative_to(here)) if place.is_relative_to(here) else place.name)
 
 
 def _symmetry(report: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
@@ -161,15 +228,15 @@ def _symmetry(report: EstimationReport) -> tuple[AxisPercent | None, float | Non
     return own.parity, own.reciprocity_percent, f" Of the {other} map; that by {report.method} has it by construction."
 
 
-def _bars(value: AxisPercent | None) -> tuple[Bar, ...]:
-    return tuple(_bar(axis, getattr(value, f"{axis}_percent", None)) for axis in "dq")
+def _bars(value: AxisPercent, limit: float) -> tuple[Bar, ...]:
+    return tuple(_bar(axis, getattr(value, f"{axis}_percent"), limit) for axis in "dq")
 
 
-def _bar(axis: str, value: float | None) -> Bar:
-    paper = (PAPER_CROSSINGS.q_percent if axis == "q" else PAPER_CROSSINGS.d_percent) or 1.0
-    full = max(1.15 * (value or 0.0), 1.5 * paper)
+def _bar(axis: str, value: float | None, limit: float) -> Bar:
+    full = max(1.15 * (value or 0.0), 1.25 * limit) or 1.0
     text = NOT_MEASURED if value is None else percent(value)
-    return Bar(axis, text, round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
+    is_beyond = value is not None and value > limit
+    return Bar(axis, text, round(100.0 * (value or 0.0) / full, 1), round(100.0 * limit / full, 1), is_beyond)
 
 
 def map_rows(grid: FluxMap, motor: Motor | None) -> list[list[str]]:
@@ -239,10 +306,16 @@ def _resistance(material: Material) -> Line:
     return Line("R_s", f"{resistance(estimate)}; {resistance_course(estimate)}{beside}")
 
 
+def _not_estimated(material: Material) -> str:
+    """Why there is no estimate; with the command, where it was not tried."""
+    tried = material.estimates is not None
+    return NOT_MEASURED if tried else f"not estimated yet: `fluxbench estimate {typed(material)}`"
+
+
 def _map_lines(material: Material) -> Iterator[Line]:
     report = material.estimates
     if report is None or report.method is None:
-        yield Line("Flux map", NOT_MEASURED)
+        yield Line("Flux map", _not_estimated(material))
         return
     shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from orchestrator.formatting.names import plain
-from orchestrator.formatting.quantities import duration, number, percent, quantity
+from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
 from orchestrator.formatting.results import ladder_rows as rungs
 from orchestrator.formatting.results import parameter_rows
 from orchestrator.formatting.sentences import listed, typographic
@@ -92,4 +92,5 @@ def experiment(diagnosis: SavedDiagnosis) -> Experiment | None:
         return None
     text = yaml.safe_dump({"stages": [proposal.stage]}, sort_keys=False, default_flow_style=None, width=60)
     first, second = map(plain, proposal.separates)
-    return Experiment(text, f"Tells {first} from {second}, {duration(60.0 * proposal.minutes)}.")
+    takes, how_far = duration(60.0 * proposal.minutes), predicted_separation(proposal)
+    return Experiment(text, f"Tells {first} from {second}, {takes}{how_far}.")

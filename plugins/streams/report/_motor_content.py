@@ -28,8 +28,7 @@ def motor_lines(material: Material) -> Iterator[Line]:
     if report is not None and report.resistance is not None:
         of_model = any(remark.code == "model.of_the_model" for remark in report.resistance.remarks)
         yield Line("R_s", resistance(report.resistance) + (" at 0 s, by the model" if of_model else ""))
-        ambient_c = None if material.record is None else material.record.procedure.about.ambient_c
-        yield Line("R_s at 20 °C", _at_20_c(report.resistance, ambient_c))
+        yield Line("R_s at 20 °C", _at_20_c(report.resistance, material))
         yield Line("R_s over the run", resistance_course(report.resistance))
     shown = material.maps.get(report.method) if report is not None and report.method is not None else None
     if shown is not None and motor is not None:
@@ -45,12 +44,20 @@ def _magnet_by_emf(report: EstimationReport | None) -> tuple[float, float] | Non
     return None
 
 
-def _at_20_c(estimate: ResistanceEstimate, ambient_c: float | None) -> str:
+def _at_20_c(estimate: ResistanceEstimate, material: Material) -> str:
     """By copper's coefficient, from the first reading, which the winding's own heat has not reached yet."""
-    if ambient_c is None:
-        return "not known: the room's temperature was not given (--ambient)"
-    cold = estimate.first_ohm / (1.0 + COPPER_COEFFICIENT_PER_K * (ambient_c - 20.0))
-    return f"{quantity(cold, 'ohm', 4)}, if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
+    ambient_c = None if material.record is None else material.record.procedure.about.ambient_c
+    logged_c = next(iter(material.paths.temperature_c[:, 1]), None)
+    if ambient_c is not None:
+        start_c, why = ambient_c, f"if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
+    elif logged_c is not None:
+        start_c, why = float(logged_c), f"by the first logged temperature, {logged_c:.1f} °C"
+    elif material.record is None:
+        return "not known: no temperature was logged; `temperature` in the import's mapping names its column"
+    else:
+        return "not known: the room's temperature was not given; `fluxbench run --ambient 23` stores it"
+    cold = estimate.first_ohm / (1.0 + COPPER_COEFFICIENT_PER_K * (start_c - 20.0))
+    return f"{quantity(cold, 'ohm', 4)}, {why}"
 
 
 def _of_map(grid: FluxMap, motor: Motor, magnet: tuple[float, float] | None) -> Iterator[Line]:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Sequence
-from pathlib import Path
 
-from orchestrator.formatting.names import plain
-from orchestrator.formatting.quantities import duration
+from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.quantities import duration, predicted_separation, quantity
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
-from plugins.streams.report._content import Line
-from protocols import PluginError, is_compensable
+from plugins.streams.report._content import Line, typed
+from protocols import FoundEffect, PluginError, is_compensable
 
 
 def next_steps(material: Material) -> list[Line]:
@@ -25,34 +23,30 @@ def next_steps(material: Material) -> list[Line]:
     return lines
 
 
-def _typed(material: Material) -> str:
-    """The run as a command takes it from this folder; the name of one elsewhere, as a page does not tell its place."""
-    place, here = material.directory.resolve(), Path.cwd()
-    return shlex.quote(str(place.relative_to(here)) if place.is_relative_to(here) else place.name)
-
-
 def _about_map(material: Material) -> str:
-    report, run = material.estimates, _typed(material)
+    report, run = material.estimates, typed(material)
     if report is None:
-        return f"none yet: fluxbench estimate {run} makes it."
+        return f"none yet: `fluxbench estimate {run}` makes it."
     if report.usable and "flux_map" in report.files:
-        return f"use results/{report.files['flux_map']}; fluxbench export {run} writes it for a drive or a simulation."
+        return (
+            f"use `results/{report.files['flux_map']}`; `fluxbench export {run}` writes it for a drive or a simulation."
+        )
     why = next((typographic(remark.text) for remark in report.remarks), "none could be made")
     return f"do not rely on it: {why}."
 
 
 def _about_model(material: Material) -> str:
-    run = _typed(material)
+    run = typed(material)
     if material.diagnosis is None:
-        return f"not diagnosed: fluxbench diagnose {run} names what it misses."
+        return f"not diagnosed: `fluxbench diagnose {run}` names what it misses."
     report = material.diagnosis.report
     if report.convention is not None:
         return f"{typographic(report.convention.correction.text)}; then diagnose again."
     if report.next_experiment is not None:
         proposed = report.next_experiment
         first, second = map(plain, proposed.separates)
-        takes = duration(60.0 * proposed.minutes)
-        return f"fluxbench run --from {run} measures {takes} more, to tell {first} from {second}."
+        takes, how_far = duration(60.0 * proposed.minutes), predicted_separation(proposed)
+        return f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}{how_far}."
     match report.verdict:
         case "clean":
             return "nothing is missing in it."
@@ -60,22 +54,35 @@ def _about_model(material: Material) -> str:
             if twins := [effect for effect in report.effects if effect.twins]:
                 names = " or ".join(plain(name) for name in (twins[0].name, *twins[0].twins))
                 return f"compensate nothing until it is known whether it is {names}; model.json serves for either."
-            causes = [effect.name for effect in report.effects if effect.material is not False]
+            if any(r.code == "fits_better_in_place" for r in report.remarks):
+                return f"{typographic(material.diagnosis.words.to_decide)}; compensate nothing until then."
+            causes = [effect for effect in report.effects if effect.material is not False]
             return f"nothing is left to measure; {_remedy(causes)}."
         case _:
             return f"{typographic(material.diagnosis.words.to_decide)}."
 
 
-def _remedy(causes: Sequence[str]) -> str:
-    """Compensation in the drive for those causes that allow it, and the model for all."""
+def _remedy(causes: Sequence[FoundEffect]) -> str:
+    """Compensation in the drive for those causes that allow it, with their sizes, and the model for all."""
     if not causes:
         return "no effect is large enough to be compensated; model.json includes them"
-    in_drive = [plain(name) for name in causes if _is_compensable(name)]
-    others = [plain(name) for name in causes if not _is_compensable(name)]
+    in_drive = [f"{plain(cause.name)} ({_size(cause)})" for cause in causes if _is_compensable(cause.name)]
+    others = [plain(cause.name) for cause in causes if not _is_compensable(cause.name)]
     if not others:
         return f"compensate {listed(in_drive)} in the drive, or use model.json, which includes that"
     rest = f"use model.json for {listed(others)}, which no drive compensates"
     return f"compensate {listed(in_drive)} in the drive, and {rest}" if in_drive else rest
+
+
+def _size(cause: FoundEffect) -> str:
+    """What the drive is set to: the first quantity as on its data sheet, and the parameters of the first one's unit."""
+    sizes = {name: p for name, p in cause.parameters.items() if not p.bends_form}
+    unit = next((p.unit for p in sizes.values()), "")
+    shown = {parameter_words(name): quantity(p.value, p.unit, 4) for name, p in sizes.items() if p.unit == unit}
+    first = next(iter(cause.derived.items()), None)
+    if first is not None and quantity(first[1].value, first[1].unit, 4) not in shown.values():
+        shown = {plain(first[0]): quantity(first[1].value, first[1].unit, 4), **shown}
+    return ", ".join(f"{name} {size}" for name, size in shown.items())
 
 
 def _is_compensable(name: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
 from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
 from plugins.streams.report._next_steps import next_steps
 from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 FILE_NAME = "report.html"
 INDUCTANCES = {
@@ -79,6 +82,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         name=material.directory.resolve().name,
         created=content.date(created or (material.record.created if material.record is not None else "")),
         about=material.record.procedure.about.lines() if material.record is not None else [],
+        typed=content.typed(material),
         now=next_steps(material),
         motor=list(motor_lines(material)),
         torque_head=TORQUE_HEAD,
@@ -109,8 +113,19 @@ def filled(template: str, **values: Any) -> str:
     environment = Environment(
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_shown
     )
+    environment.filters["with_code"] = _with_code
     text, style = ((files(__package__) / name).read_text(encoding="utf-8") for name in (template, "style.css"))
     return environment.from_string(text).render(style=Markup(style), **values)
+
+
+def _with_code(text: str) -> Markup:
+    """Text whose parts in backticks are set as code."""
+    from markupsafe import Markup, escape
+
+    parts = [escape(part) for part in visible(cut(text)).split("`")]
+    if len(parts) % 2 == 0:  # a backtick without its other one
+        return escape(visible(cut(text)))
+    return Markup("").join(Markup("<code>{}</code>").format(part) if k % 2 else part for k, part in enumerate(parts))
 
 
 def _shown(value: object) -> object:

@@ -22,6 +22,16 @@ if TYPE_CHECKING:
 
 MEMORY_LIMIT = "4GB"
 SUFFIX = ".rrd"
+MAX_NAMES = 8
+"""Runs of a folder that an error lists."""
+TABS = (
+    "What is it doing?", "Is every point reached?", "What does the ripple say?", "How does R_s move?",
+    "What is the flux?", "How does it saturate?", "Can I trust the map?",
+    "Which effect is missing?", "Where does the model fail?", "Does it predict the current?",
+    "Do the flux loops close?",
+)  # fmt: skip
+"""Names of the tabs of a commissioning, then of a diagnosis."""
+TAB_HELP = f"Tab that the picture shows: {', '.join(repr(tab) for tab in TABS)}."
 
 
 def view(
@@ -32,13 +42,17 @@ def view(
     web: Annotated[bool, typer.Option("--web", help="Open in the browser; always so without a display.")] = False,
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="Port of the viewer, or of its page.")] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write a picture to this file and open nothing.")] = None,
-    tab: Annotated[str | None, typer.Option(help="Name of the tab that the picture shows.")] = None,
+    tab: Annotated[str | None, typer.Option(help=TAB_HELP)] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print a folder's table as JSON only.")] = False,
 ) -> int:
     """See a run: while it happens, or afterwards; or several side by side."""
     for path in paths:
         if not path.exists():
             raise RecordingError(str(path), "", "no such file or directory")
+    if len(paths) > 1:
+        from orchestrator.runs import without_private
+
+        paths = without_private(paths)
     if len(paths) > 1:
         from plugins.streams.rerun._making import comparison_view
 
@@ -57,6 +71,12 @@ def view(
     runs = runs_in(path)
     if not runs:
         raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
+    if screenshot is not None or not (as_json or web or sys.stdout.isatty()):
+        names = ", ".join(run.name for run in runs[:MAX_NAMES])
+        more = f" and {len(runs) - MAX_NAMES} more" if len(runs) > MAX_NAMES else ""
+        raise RecordingError(
+            str(path), "", f"a folder of runs, not a run: {names}{more}; name one, or --web serves all"
+        )
     rows = [row(run) for run in runs]
     print(visible(json.dumps(rows, indent=2)) if as_json else shown(as_text(rows)), flush=True)
     return 0 if as_json else _browse(runs, web, port)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from orchestrator.estimation import staging_folder
 from orchestrator.runs import is_run
 from plugins.streams.rerun._stream import RerunOptions, RerunStream
 from plugins.streams.rerun._tape import FILE_NAME, is_whole, refuse_foreign
@@ -78,8 +79,8 @@ def make_view(directory: Path) -> Found:
     """Replay a run or recording into a view; into the run itself, or elsewhere where it is not ours to write to."""
     try:
         if is_run(directory) and os.access(directory, os.W_OK):
-            with tempfile.TemporaryDirectory(prefix=".view-", dir=directory) as name:
-                view = _replayed(directory, Path(name))
+            with staging_folder(directory, ".view-") as folder:
+                view = _replayed(directory, folder)
                 return Found(view.replace(directory / FILE_NAME))
         with _new_folder(directory.resolve().name) as folder:
             return Found(_replayed(directory, folder), f"kept in {folder}: the recording is left as it is", folder)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import http.client
+import re
 import socket
 import ssl
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import psutil
 import pytest
 
 from orchestrator.fleet import (
@@ -39,7 +42,7 @@ def one_by_one(tasks: list[Task]) -> Callable[[], Task | None]:
 
 @pytest.fixture(scope="module")
 def client() -> Iterator[Client]:
-    with connected(ClusterSettings(jobs=2, dashboard_port=0)) as found:
+    with connected(ClusterSettings(jobs=2)) as found:
         yield found
 
 
@@ -53,9 +56,41 @@ def test_without_a_cluster_everything_is_done_here() -> None:
     }
 
 
-def test_the_dashboard_is_on_this_machine_alone(client: Client) -> None:
-    assert client.dashboard_link.startswith("http://127.0.0.1:")
+DASK_PAGES = ("/status", "/info/main/workers.html", "/json/identity.json", "/metrics", "/health", "/proxy/80/127.0.0.1")
+
+
+def pages_of_this_process() -> dict[str, bytes]:
+    """What the HTTP ports of this process and its workers answer to a foreign host name."""
+    answers: dict[str, bytes] = {}
+    here = psutil.Process()
+    for process in (here, *here.children(recursive=True)):
+        for line in process.net_connections(kind="inet"):
+            if line.status != psutil.CONN_LISTEN:
+                continue
+            assert line.laddr.ip == "127.0.0.1"
+            for page in DASK_PAGES:
+                connection = http.client.HTTPConnection("127.0.0.1", line.laddr.port, timeout=5.0)
+                # The ports of tasks speak TLS.
+                with suppress(OSError, http.client.HTTPException), closing(connection):
+                    connection.request("GET", page, headers={"Host": "elsewhere.example"})
+                    answer = connection.getresponse()
+                    if answer.status == 200:
+                        answers[page] = answer.read()
+    return answers
+
+
+def test_dask_shows_no_page_unless_it_is_requested(client: Client) -> None:
     assert all(address.startswith("tls://127.0.0.1:") for address in client.nthreads())
+    assert pages_of_this_process() == {}
+
+
+@pytest.mark.slow
+def test_a_dashboard_that_is_requested_serves_no_data_and_loads_nothing_from_elsewhere() -> None:
+    with connected(ClusterSettings(jobs=1, dashboard_port=0)) as client:
+        assert client.dashboard_link.startswith("http://127.0.0.1:")
+        answers = pages_of_this_process()
+    assert set(answers) == {"/status", "/health"}
+    assert not re.findall(rb'(?:src|href)="(?:https?:)?//(?!127)', answers["/status"])
 
 
 def test_who_has_not_the_key_gives_the_workers_nothing_to_do(client: Client) -> None:

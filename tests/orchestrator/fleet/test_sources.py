@@ -7,6 +7,7 @@ from pathlib import Path
 
 import fsspec
 import pytest
+from fsspec.implementations.local import LocalFileSystem
 
 from orchestrator.fleet import Source, find_sources, sources_below
 from orchestrator.fleet._content import content_sha256, local_copy
@@ -81,6 +82,21 @@ def test_what_overlaps_is_found_once_and_a_limit_is_kept(tmp_path: Path) -> None
     places = [str(tmp_path), str(tmp_path / "r001")]
     assert len(find_sources(places, files=False, limit=None, tell=lambda _: None)) == 3
     assert len(find_sources(places, files=False, limit=2, tell=lambda _: None)) == 2
+
+
+def test_a_folder_that_cannot_be_listed_is_not_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    small_recordings(tmp_path / "bench", 2)
+    (tmp_path / "closed").mkdir()
+    listed = LocalFileSystem.ls
+
+    def ls(self: LocalFileSystem, path: str, detail: bool = False, **options: object) -> object:
+        if path.endswith("closed"):
+            raise PermissionError(13, "Permission denied", path)
+        return listed(self, path, detail=detail, **options)
+
+    monkeypatch.setattr(LocalFileSystem, "ls", ls)
+    with pytest.raises(InputError, match=r"cannot be listed: PermissionError: .*closed"):
+        find_sources([str(tmp_path)], files=False, limit=None, tell=lambda _: None)
 
 
 @pytest.mark.parametrize("place", ["nowhere", "quux://bench", "."])

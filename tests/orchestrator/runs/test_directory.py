@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.recording import capture_path, open_recording
-from orchestrator.runs import RunDirectory, private_directory
+from orchestrator.runs import RunDirectory, private_directory, without_private
 from protocols import Capabilities, Note, PointDone, Procedure, RecordingError, StorageError
 
 Measure = Callable[..., PointDone]
@@ -235,3 +235,13 @@ def test_a_refused_folder_is_left_as_it_was(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="not empty"), RunDirectory.claim(tmp_path / "letters"):
         pytest.fail("it was claimed")
     assert [file.name for file in (tmp_path / "letters").iterdir()] == ["to-aunt.txt"]
+
+
+def test_of_several_paths_those_that_are_private_are_left_out_and_a_run_of_such_a_name_is_not(tmp_path: Path) -> None:
+    names = ("a", "a.sealed", "b.sealed.2", "c.sealed")
+    paths = [tmp_path / name for name in names]
+    for path in paths:
+        path.mkdir()
+    (tmp_path / "c.sealed" / "run.json").touch()
+    assert without_private(paths) == [tmp_path / "a", tmp_path / "c.sealed"]
+    assert without_private(paths[1:3]) == [tmp_path / "a.sealed"]  # something is left to be refused by name

@@ -118,6 +118,10 @@ class Script:
     """Commands that it acknowledges and does not do."""
     saturated: int = 0
     """So many rows of a capture, from the first, stand at the end of the scale."""
+    voltage_step_v: float = 0.0
+    """Its voltages are rounded to whole multiples of this."""
+    noise: Callable[[bytes], bytes] = bytes
+    """What a serial line makes of the bytes that it sends at once."""
     described: str = "\nclock: simulated"
     """More lines of its description."""
 
@@ -324,6 +328,8 @@ class Device:
         if mask:
             form = RowFormat(mask, CaptureFormat.INT16, self.facts.scales)
             i, v = ((x[:, 0] + 1j * x[:, 1]) * turn for x in (i_dq, v_dq))
+            if step_v := self.script.voltage_step_v:
+                v = step_v * (np.round(v.real / step_v) + 1j * np.round(v.imag / step_v))
             v[: self.script.saturated] += 1e6
             columns = {
                 Channel.I_ALPHA: i.real,
@@ -468,7 +474,7 @@ def on_a_pty(script: Script | None = None, link: str | None = None) -> Iterator[
             return []
 
     def write(frames: Sequence[Frame]) -> None:
-        data = all_to_serial(frames)
+        data = device.script.noise(all_to_serial(frames)) if frames else b""
         while data and not over.is_set():
             try:
                 data = data[os.write(master, data) :]

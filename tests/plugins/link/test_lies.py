@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from itertools import count
 from pathlib import Path
@@ -11,7 +12,19 @@ import pytest
 from orchestrator.engine import PowerStage
 from plugins.link._timeline import Timeline
 from plugins.link._timeouts import TIMEOUTS
-from plugins.wire import Ack, Measurement, Message, Op, ParameterValue, Phase, PowerState, Progress, Status, Tick
+from plugins.wire import (
+    Ack,
+    Command,
+    Measurement,
+    Message,
+    Op,
+    ParameterValue,
+    Phase,
+    PowerState,
+    Progress,
+    Status,
+    Tick,
+)
 from plugins.wire import register_index as index_of
 from protocols import DriveFault, Excitation, FaultCause, Hold, Note
 from tests.plugins.link.bench import LIMITS, armed, beating, bench, taken
@@ -183,6 +196,62 @@ def test_a_late_tick_of_an_honest_clock_is_requested_again(monkeypatch: pytest.M
     timeline.now()
     host_s = 110.0
     assert timeline.now() == 20_000
+
+
+def test_a_fault_that_is_withdrawn_is_named() -> None:
+    def tripped_once(message: Message) -> Message:
+        is_first = isinstance(message, Status) and next(numbers) == 0
+        return message._replace(state=PowerState.FAULTED, faults=1 << 5) if is_first else message  # type: ignore[call-arg]
+
+    numbers = count()
+    with armed() as b:
+        statuses = b.drive._host.link.news.statuses  # type: ignore[union-attr]
+        b.script.lie = tripped_once
+        b.drive._host.link.wait(lambda: b.drive._host.link.news.statuses > statuses + 3, 5.0)  # type: ignore[union-attr]
+        with pytest.raises(DriveFault, match="the drive reported a fault and withdrew it: overtemperature"):
+            taken(b.drive, HOLD)
+
+
+# Readings that the engine's check refuses, over the same line
+
+
+def flash_of_a_fault() -> Lie:
+    """One status of a run with a fault, and none after it."""
+    numbers = count()
+
+    def lie(message: Message) -> Message:
+        is_on = isinstance(message, Status) and message.state is PowerState.RUNNING
+        return message._replace(faults=1 << 5) if is_on and next(numbers) == 3 else message  # type: ignore[call-arg]
+
+    return lie
+
+
+def start_before_the_experiment(message: Message) -> Message:
+    """The first capture begins a day and 22 hours before the drive was connected."""
+    is_start = isinstance(message, ParameterValue) and message.parameter == index_of("capture_start_high")
+    return message._replace(value=60441.0) if is_start and isinstance(message, ParameterValue) else message
+
+
+@pytest.mark.parametrize(
+    ("script", "reason"),
+    [
+        (Script(voltage_step_v=10.0), r"the voltages come in steps of 10 V, 3\.3 % of the bus voltage"),
+        (Script(lie=flash_of_a_fault(), speed=1.0), "the drive reports running despite faults: overtemperature"),
+        (Script(lie=start_before_the_experiment), "its clock stands at -.* s, before the experiment's begin"),
+    ],
+)
+def test_a_run_does_not_believe_what_no_drive_reads(script: Script, reason: str, tmp_path: Path) -> None:
+    stages = [stage for stage in STAGES if stage["kind"] in ("gates_off", "classical")]
+    with on_a_pty(script) as (device, port):
+        drive = {"name": "serial", "port": port, "telemetry_period_s": 0.15}
+        result = run_tiny(tmp_path, drive=drive, stages=stages, motor=THIS_MOTOR)
+        assert result.outcome.ending == "faulted"
+        assert re.search(reason, result.outcome.reason), result.outcome.reason
+        assert "\n" not in result.outcome.reason
+        assert device.state is PowerState.DISARMED
+        assert device.i_dq == (0.0, 0.0)
+        ops = [message.op for message in device.received if isinstance(message, Command)]
+        assert ops[ops.index(Op.STOP) :].count(Op.DISARM) == 1, "stopped first, then disarmed"
 
 
 # Disarming

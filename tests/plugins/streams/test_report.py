@@ -25,11 +25,13 @@ from plugins.streams.report._figures import (
     held_currents,
     inductance_figure,
 )
-from plugins.streams.report._page import _shown, render
+from plugins.streams.report._page import _shown, _with_code, render
 from protocols import (
+    AxisPercent,
     Basis,
     ClosedForm,
     Coefficient,
+    DeliveredModel,
     MapChecks,
     MapReport,
     NoOptions,
@@ -37,6 +39,7 @@ from protocols import (
     Remark,
     RunEnded,
     SeenByInjection,
+    SegmentStage,
     StorageError,
     StreamSetup,
 )
@@ -207,7 +210,7 @@ def test_a_run_without_results_says_so_and_draws_what_was_measured(run: Path) ->
     shutil.rmtree(run / "results")
     page = page_of(run)
     assert len(page.all("img")) == 2  # the paths, and R_s from the journal
-    assert "Flux map not measured" in page.text
+    assert f"Flux map not estimated yet: fluxbench estimate {run.name}" in page.text
     assert "Not drawn: no flux map was made." in page.text
     assert "Not measured: there is no flux map" in page.text
 
@@ -281,6 +284,63 @@ def test_unmeasured_checks_are_stated_not_to_be_measured(run: Path) -> None:
     material = collect(run)
     parity = next(c for c in checks(material) if c.name == "Parity")
     assert [bar.text for bar in parity.bars] == ["not measured", "not measured"]
+    assert parity.limit == "this recording’s maps do not allow it"
+
+
+def test_checks_that_no_estimator_made_name_the_command_that_makes_them(run: Path) -> None:
+    material = collect(run, reads_paths=False)
+    assert material.estimates is not None
+    assert material.estimates.resistance is not None
+    alone = {
+        "model": DeliveredModel(title="saturated", segments="", resistance=material.estimates.resistance),
+        "estimators": None,
+        "crossings": None,
+    }
+    lacking = replace(material, estimates=material.estimates.model_copy(update=alone))
+    crossings = next(check for check in checks(lacking) if check.name == "Crossings")
+    assert crossings.limit == f"`fluxbench estimate {run.name}` computes it from this recording"
+
+
+def test_a_check_that_lacks_a_stage_names_it(run: Path) -> None:
+    material = collect(run, reads_paths=False)
+    assert material.estimates is not None
+    assert material.manifest is not None
+    held = [s for s in material.manifest.segments if s.stage is not SegmentStage.CLASSICAL]
+    lacking = replace(
+        material,
+        manifest=material.manifest.model_copy(update={"segments": tuple(held)}),
+        estimates=material.estimates.model_copy(update={"crossings": None}),
+    )
+    crossings = next(check for check in checks(lacking) if check.name == "Crossings")
+    assert crossings.limit == "needs a stage classical in the procedure: this recording has none"
+
+
+def test_remarks_on_maps_that_are_not_recommended_are_folded(run: Path) -> None:
+    material = collect(run, reads_paths=False)
+    report = material.estimates
+    assert report is not None
+    other = next(name for name in report.maps if name != report.method)
+    said = (Remark(code=f"{report.method}.noisy", text="noisy"), Remark(code=f"{other}.coarse", text="coarse"))
+    usable = replace(material, estimates=report.model_copy(update={"remarks": said, "usable": True}))
+    assert (remarks(usable).main, remarks(usable).others) == (["noisy"], ["coarse"])
+    page = render(usable, draws=False)
+    assert "Remarks on the maps that are not recommended (1)" in page
+    objected = replace(material, estimates=report.model_copy(update={"remarks": said, "usable": False}))
+    assert (remarks(objected).main, remarks(objected).others) == (["noisy", "coarse"], [])
+
+
+def test_commands_of_a_text_are_set_as_code_and_nothing_else_of_it_is_obeyed() -> None:
+    assert _with_code("run `fluxbench <x>` & go") == "run <code>fluxbench &lt;x&gt;</code> &amp; go"
+    assert _with_code("a ` alone <b>") == "a ` alone &lt;b&gt;"
+
+
+def test_a_figure_beyond_its_limit_is_marked(run: Path) -> None:
+    material = collect(run, reads_paths=False)
+    assert material.estimates is not None
+    wide = material.estimates.model_copy(update={"crossings": AxisPercent(d_percent=6.0, q_percent=0.1)})
+    crossings = next(check for check in checks(replace(material, estimates=wide)) if check.name == "Crossings")
+    assert [bar.is_beyond for bar in crossings.bars] == [True, False]
+    assert crossings.limit.startswith("tick: the limit, 5 %; the paper’s: 1.3 % on d")
 
 
 def test_a_run_that_was_stopped_is_reported_without_waiting_for_pictures(run: Path) -> None:
@@ -381,7 +441,7 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path
     material = collect(estimated(run, maps=made, remarks=flux_error))
     (formula,) = formulas(material)
     assert formula.rows == (("L_d", "43.20 mH", "0.10"), ("α30", "−12.5 A/Wb²", "0.3"))
-    assert remarks(material) == ["energy: known to ±0.1 %"]
+    assert remarks(material).main == ["energy: known to ±0.1 %"]
     page = render(material, draws=False)
     assert "The map by polynomial as a formula" in page
     assert "−12.5" in page

@@ -20,8 +20,10 @@ function rows(list, pairs) {
   list.replaceChildren(...pairs.filter((pair) => pair[1]).flatMap(([label, text]) => [element("dt", label), element("dd", text)]));
 }
 
-async function ask(path, body) {
-  const answer = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+async function ask(path, body, patience_ms = 1000) {
+  const waiting = setTimeout(giveWay, patience_ms);
+  const request = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
+  const answer = await fetch(path, { ...request, signal: AbortSignal.timeout(path === "/check" ? 150000 : 10000) }).finally(() => clearTimeout(waiting));
   const content = await answer.json().catch(() => ({ problem: `the server says ${answer.status}` }));
   if (!answer.ok) throw new Error(content.problem);
   return content;
@@ -39,7 +41,7 @@ function show(now) {
   const showsRun = !wantsForm && (now.going || p !== null || now.problem !== "");
   $("run").hidden = !showsRun;
   form.hidden = showsRun || known === null;
-  $("runs").hidden = now.going || known === null || known.runs.length === 0;
+  $("runs").hidden = now.going || known === null || known.runs.length + known.unreadable.length === 0;
   $("stopbar").hidden = !busy;
   set("stopping", now.stopping ? "stopping: current to zero, drive disarmed" : "");
   chip(now, p);
@@ -203,6 +205,7 @@ async function loadChoices() {
   options(form.drive, [["", "the procedure's own"], ...known.drives.map((name) => [name, name])]);
   summarise();
   $("rows").replaceChildren(...known.runs.map(runRow));
+  $("unreadable").replaceChildren(...known.unreadable.map((problem) => element("li", problem)));
   if (view) show(view);
 }
 
@@ -273,7 +276,17 @@ form.procedure.onchange = () => { summarise(); $("plan").replaceChildren(); };
 form.onsubmit = (event) => { event.preventDefault(); $("plan").replaceChildren(); begin("/start", wanted()); };
 $("check").onclick = async () => { const plan = await begin("/check", wanted()); if (plan) drawPlan(plan); };
 $("again").onclick = () => { wantsForm = true; show(view); };
-$("stop").onclick = () => ask("/stop", {}).catch((error) => set("stopping", error.message));
+$("stop").onclick = async () => {
+  $("stop").disabled = true;
+  set("stopping", "stop requested");
+  for (let arrived = false; !arrived && view && view.going;) {
+    try { await ask("/stop", {}, 0); arrived = true; } catch (error) {
+      set("stopping", `the stop has not arrived (${error.message}): trying again. Where the motor still turns, cut its power.`);
+      await new Promise((done) => setTimeout(done, 500));
+    }
+  }
+  $("stop").disabled = false;
+};
 for (const id of ["yes", "no"]) {
   $(id).onclick = () => {
     const number = Number($(id).dataset.number);
@@ -282,7 +295,45 @@ for (const id of ["yes", "no"]) {
   };
 }
 
-const events = new EventSource("/events");
-events.onmessage = (event) => { $("gone").hidden = true; show(JSON.parse(event.data)); };
-events.onerror = () => { $("gone").hidden = false; };
+// Events -------------------------------------------------------------------------------------------------------------
+// A browser opens six connections to a server, for all its tabs: a tab that nobody sees holds none, and all give theirs
+// up for a moment where a request of any tab has to wait.
+
+const OLD_MS = 3000, QUIET_MS = 10000, AWAY_MS = 2000;
+const tabs = new BroadcastChannel("fluxbench");
+let events = null, heard_ms = performance.now(), age_ms = 0, again = null;
+
+function heard(stateAge_ms) { heard_ms = performance.now(); age_ms = stateAge_ms; $("gone").hidden = true; drawAge(); }
+
+function listen() {
+  clearTimeout(again);
+  if (events !== null || document.hidden) return;
+  events = new EventSource("/events");
+  events.onmessage = (event) => { heard(0); show(JSON.parse(event.data)); };
+  events.addEventListener("alive", (event) => heard(1000 * JSON.parse(event.data).age_s));
+  events.onerror = () => {
+    $("gone").hidden = false;
+    if (events.readyState === EventSource.CLOSED) { mute(); again = setTimeout(listen, AWAY_MS); }
+  };
+}
+
+function mute() { if (events !== null) events.close(); events = null; }
+
+function pause() { mute(); clearTimeout(again); again = setTimeout(listen, AWAY_MS); }
+
+function giveWay() { tabs.postMessage("pause"); pause(); }
+
+function drawAge() {
+  const silent_ms = performance.now() - heard_ms, busy = view !== null && view.going && !(view.picture && view.picture.outcome);
+  const old = silent_ms > OLD_MS, quiet = !old && busy && age_ms > QUIET_MS;
+  $("age").hidden = !old && !quiet;
+  document.body.classList.toggle("old", old);
+  if (old) set("age", `No event for ${Math.floor(silent_ms / 1000)} s: what is shown is that old.`);
+  if (quiet) set("age", `The server answers; the run has reported nothing for ${Math.floor(age_ms / 1000)} s.`);
+}
+
+tabs.onmessage = pause;
+document.onvisibilitychange = () => { if (document.hidden) mute(); else listen(); };
+setInterval(drawAge, 500);
+listen();
 loadChoices();

@@ -6,7 +6,8 @@ import pytest
 
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.benefit import added_remark, removed_remark
+from orchestrator.diagnosis.reporting import benefit
+from orchestrator.diagnosis.reporting.benefit import added_remark, helps, removed_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import Effect
@@ -56,3 +57,15 @@ def test_without_held_out_stages_the_fitted_error_judges() -> None:
     assert reported.values["judged_on"] == "fitted"
     assert "the error (nothing was held out) falls from" in reported.text
     assert reported.code == "helps"
+
+
+def test_an_effect_with_which_the_error_rises_does_not_help_whatever_the_likelihood(
+    biased: tuple[Fit, Fit], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = biased
+    assert helps(before, after)
+    errors = {id(before): 0.339, id(after): 0.356}
+    monkeypatch.setattr(benefit, "mean_rms_v", lambda fit, _: errors[id(fit)])
+    assert not helps(before, after)
+    reported = added_remark("voltage_bias", before, after, None)
+    assert reported.text.startswith("voltage bias does not help: the held-out error rises from 339 mV to 356 mV")

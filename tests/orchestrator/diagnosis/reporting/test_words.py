@@ -9,14 +9,18 @@ import pytest
 
 from orchestrator.diagnosis import Diagnosis, in_words
 from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.reporting.ladder import rung
+from orchestrator.diagnosis.reporting.resemblance import inseparable_remark
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from plugins.effects.inverter import VoltageBias
+from plugins.effects.iron import SlotHarmonics
 from plugins.effects.sensors import CurrentOffset
-from protocols import Contrast
-from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
+from protocols import Contrast, Effect, Inseparable
+from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias, with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
+from tests.orchestrator.diagnosis.reporting.test_parameter_bounds import Narrow
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 MAKER = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
@@ -142,3 +146,65 @@ def test_an_unknown_is_described_by_its_shape(search: SearchResult) -> None:
     words = stated(search, verdict="unknown_remains", effects=[], unexplained={"fraction": 0.9, "shape": shape})
     assert words.what_it_looks_like.startswith("80 % periodic at the mains frequency; 20 % constant")
     assert words.likely_cause == "something that no effect of the library explains"
+
+
+@pytest.mark.parametrize(
+    ("effect", "advice"),
+    [
+        (guarded(Narrow()), "bias of narrow_bias: declare a wider bound in its class and fit again"),
+        (Narrow(), "bias of narrow_bias: beyond it the effect is not plausible, so look for another cause as well"),
+    ],
+)
+def test_a_cause_at_its_bound_is_stated_with_the_bound_and_what_to_do(effect: Effect, advice: str) -> None:
+    bare = MAKER.fit(free_model())
+    after = MAKER.fit(with_free(bare.model, MAKER, effect))
+    found = {**BIAS, "name": "narrow_bias", "parameters": {"bias_v": {**BIAS["parameters"]["bias_a_v"], "value": 0.1}}}
+    words = stated(SearchResult([AcceptedModel(None, bare), AcceptedModel("narrow_bias", after)]), effects=[found])
+    assert "; bias at its bound " in words.likely_cause
+    assert "(high = 100 mV" in words.likely_cause
+    assert words.to_decide == advice
+
+
+def test_a_cause_in_whose_place_another_fits_better_is_no_certain_one(search: SearchResult) -> None:
+    values = {"effect": "voltage_bias", "other": "current_offset", "gain_nat": 20.0}
+    words = stated(search, remarks=[{"code": "fits_better_in_place", "text": "fits better", "values": values}])
+    assert words.likely_cause.endswith("), in whose place current_offset fits better")
+    assert words.to_decide == "`fluxbench diagnose --without voltage_bias`: current_offset fits better in its place"
+
+
+def test_a_proposal_states_how_far_it_separates_at_the_size_found(search: SearchResult) -> None:
+    proposal = {
+        "stage": {"kind": "gates_off", "duration_s": 30.0},
+        "separates": ["voltage_bias", "current_offset"],
+        "minutes": 0.5,
+        "sigmas": {"value": 12.34, "low": 10.2, "high": 14.7, "unit": "1"},
+        "least_sigmas": 5.0,
+    }
+    text = stated(search, next_experiment=proposal).to_decide
+    assert text.endswith("from current_offset: by 12 sigma at the size found (95 %: 10 to 15; 5 are enough)")
+
+
+def test_what_no_experiment_separates_is_stated_with_the_best_one_s_separation(search: SearchResult) -> None:
+    pair = Inseparable(separates=("voltage_bias", "current_offset"), best_sigmas=1.26, least_sigmas=5.0)
+    words = stated(search, remarks=[inseparable_remark(pair).model_dump()])
+    assert words.to_decide == (
+        "voltage bias and current offset: not separable by any experiment this bench can make: at the size found the "
+        "best would separate them by 1.3 sigma, and 5 are needed"
+    )
+
+
+def test_a_size_that_belongs_to_one_rotor_angle_is_stated_so_and_a_second_angle_is_proposed() -> None:
+    bare = MAKER.fit(free_model())
+    after = MAKER.fit(with_free(bare.model, MAKER, SlotHarmonics()))
+    slots = {
+        **BIAS,
+        "name": "slot_harmonics",
+        "parameters": {"relative": {**BIAS["parameters"]["bias_a_v"], "unit": "1"}},
+    }
+    search = SearchResult([AcceptedModel(None, bare), AcceptedModel("slot_harmonics", after)])
+    words = stated(search, effects=[slots])
+    assert words.likely_cause.endswith("), at this angle; other angles unknown")
+    angle = "the rotor locked at a second angle: size and sign of slot_harmonics belong to this angle alone"
+    assert words.to_decide == angle
+    every = dict.fromkeys(("relative", "across", "along_d", "along_q"), slots["parameters"]["relative"])
+    assert "other angles" not in stated(search, effects=[{**slots, "parameters": every}]).likely_cause

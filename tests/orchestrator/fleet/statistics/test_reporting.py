@@ -179,6 +179,35 @@ def test_a_folder_of_parquet_files_is_one_table(tmp_path: Path) -> None:
     assert [r.serial for r in read_fleet(str(tmp_path)).recordings] == [row.serial for row in rows]
 
 
+def damaged_in(part: Path, offset: int) -> None:
+    """Change bytes: of the footer, or of a page of data."""
+    content = bytearray(part.read_bytes())
+    content[offset : offset + 8 if offset >= 0 else None] = b"\xff" * (8 if offset >= 0 else -offset)
+    part.write_bytes(content)
+
+
+@pytest.mark.parametrize("offset", [-20, 60], ids=["footer", "data"])
+def test_a_part_that_cannot_be_read_is_named_and_counted(tmp_path: Path, offset: int) -> None:
+    rows = Fleet(90).rows()
+    for k in range(3):
+        written(rows[30 * k : 30 * k + 30], tmp_path / f"part-{k}.parquet")
+    damaged_in(tmp_path / "part-1.parquet", offset)
+    table = read_fleet(str(tmp_path))
+    assert len(table) == 60
+    (problem,) = table.damaged
+    assert problem.startswith(f"{tmp_path / 'part-1.parquet'}: cannot be read as Parquet: ")
+    report = report_of(table)
+    assert report.damaged == (problem,)
+    assert codes(report)[0] == "damaged"
+    assert report.remarks[0].text.startswith("1 part of the table cannot be read, and their recordings are missing")
+
+
+def test_where_no_part_can_be_read_there_is_no_report(tmp_path: Path) -> None:
+    (tmp_path / "part-0.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="cannot be read as Parquet"):
+        read_fleet(str(tmp_path))
+
+
 def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path: Path) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq

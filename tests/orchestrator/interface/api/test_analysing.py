@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 import fluxbench
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.interface.api import add, chosen_effects, chosen_model, compare, diagnose, estimate, map_of, remove
+from orchestrator.interface.api.analysing import estimates_folder
 from orchestrator.recording import read_model
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import (
@@ -92,6 +94,17 @@ def test_results_go_where_they_are_wanted(tmp_path: Path) -> None:
     assert not (DATA / "results").exists()
     with pytest.raises(InputError, match="is not a directory"):
         estimate(DATA, out=tmp_path / "results" / "estimates.json")
+
+
+def test_an_estimator_alone_leaves_the_results_of_all_unchanged(tmp_path: Path) -> None:
+    recording = Path(shutil.copytree(DATA, tmp_path / "recording"))
+    (recording / "results").mkdir()
+    (recording / "results" / "estimates.json").write_text("of all")
+    estimate(recording, estimators=["resistance"])
+    assert (recording / "results" / "estimates.json").read_text() == "of all"
+    assert (recording / "estimators" / "resistance" / "results" / "estimates.json").is_file()
+    assert estimates_folder(recording, ["injection", "resistance"], None).name == "injection+resistance"
+    assert estimates_folder(recording, [], None) == recording
 
 
 def test_estimates_are_given_as_they_come_before_anything_is_written(tmp_path: Path) -> None:

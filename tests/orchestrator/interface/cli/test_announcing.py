@@ -43,3 +43,34 @@ def test_each_of_several_runs_is_named(tmp_path: Path, monkeypatch: pytest.Monke
         (tmp_path / run).mkdir()
     done = CliRunner().invoke(app, ["compare", str(tmp_path / "a"), str(tmp_path / "b")])
     assert done.stdout.splitlines() == [f"reading {tmp_path / run}" for run in "ab"]
+
+
+@pytest.mark.parametrize(
+    ("words", "out", "err"),
+    [
+        (["run", "nosuch"], "loading nosuch\n", ""),
+        (["run"], "loading demo\n", ""),
+        (["run", "--from", "a"], "", ""),  # a foreign recording's stage to paste follows alone
+        (["resume", "a"], "loading a\n", ""),
+        (["run", "--json"], "", "loading demo\n"),
+        (["run", "--log", "json"], "", "loading demo\n"),
+        (["run", "--quiet"], "", ""),
+        (["run", "--remote", "page"], "", ""),
+    ],
+)
+def test_a_run_states_what_it_loads_before_anything_heavy_is_imported(
+    words: list[str], out: str, err: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "orchestrator.interface.cli._commission", None)
+    done = CliRunner().invoke(app, words)
+    assert isinstance(done.exception, ImportError)
+    assert (done.stdout, done.stderr) == (out, err)
+
+
+def test_private_folders_that_a_pattern_includes_are_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "orchestrator.interface.cli._diagnosis", None)
+    for name in ("run", "run.sealed", "gone.sealed", "gone.sealed.1"):
+        (tmp_path / name).mkdir()
+    done = CliRunner().invoke(app, ["compare", *map(str, sorted(tmp_path.iterdir(), reverse=True))])
+    assert isinstance(done.exception, ImportError)  # one run is left: it is compared with its model
+    assert done.stdout == f"reading {tmp_path / 'run'}\n"

@@ -22,6 +22,8 @@ def test_estimating_again_writes_the_report_anew_where_there_is_one(tmp_path: Pa
     assert called("estimate", recording, "--estimator", "resistance", "--out", tmp_path / "elsewhere").returncode == 0
     assert page.read_text() == "of old"
     assert called("estimate", recording, "--estimator", "resistance").returncode == 0
+    assert page.read_text() == "of old"  # results of one alone are elsewhere
+    assert called("estimate", recording).returncode == 0
     assert page.read_text().startswith("<!DOCTYPE html>")
 
 

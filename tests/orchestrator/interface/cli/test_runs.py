@@ -65,4 +65,21 @@ def test_a_folder_that_is_not_there_and_a_damaged_run_are_stated(folder: Path, t
     damaged.mkdir()
     (damaged / "run.json").write_text("{")
     done = called("runs", "--folder", tmp_path)
-    assert (done.returncode, "broken JSON" in done.stderr) == (0, True)
+    assert (done.returncode, "broken JSON" in done.stderr) == (3, True)
+
+
+def test_a_run_that_cannot_be_read_is_named_and_the_exit_code_says_so(folder: Path) -> None:
+    broken = folder / "runs" / "broken"
+    broken.mkdir()
+    (broken / "run.json").write_text("{")
+    try:
+        listed = called("runs", cwd=folder)
+        assert listed.returncode == 3
+        assert "runs/two" in listed.stdout
+        assert listed.stderr.startswith("fluxbench: runs/broken/run.json: broken JSON")
+        assert listed.stderr.count("\n") == 1
+        skipped = called("runs", "--skip-damaged", cwd=folder)
+        assert (skipped.returncode, skipped.stdout, skipped.stderr) == (0, listed.stdout, listed.stderr)
+    finally:
+        (broken / "run.json").unlink()
+        broken.rmdir()

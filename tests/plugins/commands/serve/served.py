@@ -71,9 +71,11 @@ class Served:
         """What the page receives, from now on."""
         with closing(http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)) as line:
             line.request("GET", "/events", headers=self.cookie)
+            name = b""
             for row in line.getresponse():
-                if row.startswith(b"data: "):
+                if row.startswith(b"data: ") and not name:
                     yield json.loads(row[6:])
+                name = row[7:] if row.startswith(b"event: ") else b""
 
     def view_when(self, condition: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """The first view that is like that; there is none any more when the run has ended."""

@@ -112,7 +112,9 @@ def test_another_user_of_this_machine_is_reported_nothing(served: Served) -> Non
     assert os.read(reading, 1000).decode().split() == ["403"] * 3 + ["False"] * 3
 
 
-@pytest.mark.parametrize("run", ["..", "%2e%2e", "..%2f..%2fetc", "nothing", "a/b"])
+@pytest.mark.parametrize(
+    "run", ["..", "%2e%2e", "..%2f..%2fetc", "nothing", "a/b", "%00", "a%00b", "x" * 300, "%ff", "%ed%a0%80"]
+)
 def test_reports_are_those_of_the_folder_s_runs(run: str, served: Served) -> None:
     assert served.get(f"/report/{run}").status in (400, 404)
 
@@ -132,6 +134,21 @@ def test_what_is_not_on_the_list_is_not_started(name: str, served: Served) -> No
     assert served.post("/start", {"procedure": name}).status == 400
     if name:
         assert served.post("/start", {"procedure": "demo", "motor": name}).status == 400
+
+
+@pytest.mark.parametrize("path", ["/start", "/check"])
+@pytest.mark.parametrize("text", ["a\0b", "\ud800", "x" * 3000])
+@pytest.mark.parametrize("field", ["procedure", "motor", "drive", "settings", "serial", "operator", "tags", "note"])
+def test_a_text_that_no_command_line_holds_is_refused(field: str, text: str, path: str, served: Served) -> None:
+    value = [text] if field in ("settings", "tags") else text
+    reply = served.post(path, {"procedure": "demo"} | {field: value})
+    assert reply.status == 400
+    assert field in reply.content["problem"] or "surrogate" in reply.content["problem"]
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 300, "x" * 1900])
+def test_a_run_that_no_file_system_holds_is_none(name: str, served: Served) -> None:
+    assert served.post("/resume", {"run": name}).status == 400
 
 
 def test_a_port_that_is_taken_is_stated_in_one_line(served: Served, tmp_path: Path) -> None:

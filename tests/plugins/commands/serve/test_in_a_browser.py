@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,8 +12,10 @@ import yaml
 from protocols import OperatorAnswered, RunEnded
 from tests.pictures.report import browser
 from tests.plugins.commands.serve.served import serving
-from tests.plugins.commands.serve.test_serving import ASKING
+from tests.plugins.commands.serve.test_floods import LONG
+from tests.plugins.commands.serve.test_serving import ASKING, ended_safely, until_energised
 from tests.support.chromium import Chromium, Tab, with_chromium
+from tests.support.processes import wait_until
 from tests.support.tiny import messages_of, tiny_document
 
 pytestmark = [
@@ -115,3 +118,34 @@ def test_the_page_says_when_its_server_is_gone(tmp_path: Path, chromium: Chromiu
         tab.until(is_seen("gone"))
         assert "disarmed" in tab.value("document.getElementById('gone').textContent")
         chromium.complaints.clear()  # it looks for the server again and again
+
+
+def test_a_page_without_events_says_how_old_it_is(tmp_path: Path, chromium: Chromium) -> None:
+    with serving(tmp_path) as served:
+        tab = chromium.open(served.address)
+        tab.until("document.getElementById('state')?.textContent === 'nothing is going'")
+        assert not tab.value(is_seen("age"))
+        served.process.send_signal(signal.SIGSTOP)
+        try:
+            tab.until(is_seen("age"), 10.0)
+            assert tab.value("document.getElementById('age').textContent").startswith("No event for ")
+        finally:
+            served.process.send_signal(signal.SIGCONT)
+        tab.until("document.getElementById('age').hidden", 10.0)
+
+
+def test_a_stop_arrives_although_streams_hold_all_connections_of_the_browser(
+    tmp_path: Path, chromium: Chromium
+) -> None:
+    document = tiny_document(stages=LONG, drive={"realtime_factor": 1.0, "watchdog_s": 60.0})
+    (tmp_path / "asking.yaml").write_text(yaml.safe_dump(document))
+    with serving(tmp_path) as served:
+        run = until_energised(served)
+        first = chromium.open(served.address)
+        first.until(f"document.getElementById('stop') !== null && {is_seen('stop')}")
+        for _ in range(5):  # each is seen and holds a stream: six, as many as a browser opens to a server
+            chromium.open(served.address)
+        press(first, "stop")
+        wait_until(lambda: isinstance(messages_of(run)[-1], RunEnded), 15.0)
+        assert ended_safely(run).reason == "stopped by a person at the page"
+        chromium.complaints.clear()  # of tabs that were closed while they loaded

@@ -185,4 +185,10 @@ def test_what_is_wrong_with_a_run_is_reported_before_and_after_it_is_started(ser
     over = served.view_when(lambda view: not view["going"])
     assert over["picture"] is None
     assert "limits.current_a" in over["problem"]
-    assert served.get("/choices").content["runs"] == []
+    choices = served.get("/choices").content
+    assert (choices["runs"], choices["unreadable"]) == ([], [])
+    broken = served.folder / "runs" / "broken"
+    broken.mkdir(parents=True)
+    (broken / "run.json").write_text("{")
+    (problem,) = served.get("/choices").content["unreadable"]
+    assert "broken/run.json: broken JSON" in problem

@@ -172,3 +172,20 @@ def test_settings_that_are_not_heeded_here_are_left_to_python_can(more: dict[str
     assert opened.bulk_rate(CLASSIC_LAYOUT) == pytest.approx(RATE)
     opened.close()
     line.close()
+
+
+@given(st.binary(max_size=300).filter(lambda noise: b"\r" not in noise and b"\a" not in noise), frames)
+@settings(max_examples=15)
+def test_noise_that_ends_no_answer_is_not_kept_and_the_next_frame_comes(noise: bytes, frame: Frame) -> None:
+    adapter = Adapter()
+    port = SlcanPort(adapter.path, 1_000_000, RATE, settings=AWAKE)
+    try:
+        for _ in range(20):
+            adapter.write(noise)
+            port.receive(0.001)
+        assert len(port._rest) <= 64
+        adapter.write(b"\r" + port._encode([frame]))
+        assert received(port, 1) == [frame]
+    finally:
+        port.close()
+        adapter.close()

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import cmath
 import math
+import random
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -32,7 +34,8 @@ from protocols import (
     Motor,
     PluginError,
 )
-from tests.plugins.drives.moteus.emulator import Fdcanusb, Servo, can_bus, fdcanusb
+from tests.plugins.drives.moteus.emulator import Fdcanusb, Servo, _checked, can_bus, fdcanusb
+from tests.support.processes import wait_until
 
 MOTOR = Motor(name="mj5208", pole_pairs=7, rated_current_rms_a=5.0, stator_resistance_ohm=0.4)
 LIMITS = Limits(current_a=8.0, voltage_v=10.0)
@@ -389,7 +392,7 @@ def test_rows_are_no_copies_of_each_other() -> None:
 
 
 def test_a_board_on_a_can_bus_is_reached_as_well() -> None:
-    options = MoteusOptions(interface="virtual", channel="moteus-test", sampling_frequency_hz=50.0)
+    options = MoteusOptions(interface="virtual", channel="moteus-test", sampling_frequency_hz=RATE_HZ)
     with can_bus("moteus-test") as servo:
         drive = MoteusDrive(DriveSetup(motor=MOTOR, options=options, seed=1))
         drive.connect()
@@ -401,3 +404,98 @@ def test_a_board_on_a_can_bus_is_reached_as_well() -> None:
         drive.close()
     assert abs(complex(*i_ab.mean(axis=0)) - complex(3.0, -2.0) * cmath.exp(0.7j)) < 0.02
     assert servo.mode == 0
+
+
+# Lies
+
+
+def configured(name: str, value: float) -> Callable[[Servo], Any]:
+    return lambda servo: servo.configuration.update({name: value})
+
+
+def reads(register: int, value: float) -> Callable[[Servo], Any]:
+    """The register has this value while the power stage is on."""
+
+    def change(servo: Servo) -> None:
+        honest = servo._read
+        vars(servo)["_read"] = lambda wanted: value if wanted == register and servo.mode == 10 else honest(wanted)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda servo: setattr(servo, "bus_v", math.nan), "a bus voltage of nan V"),
+        (lambda servo: setattr(servo, "bus_v", math.inf), "moteus gave an impossible value: dc_bus_voltage_v: Input"),
+        (configured("motor.poles", math.nan), "the board has no number for motor.poles: nan"),
+        (configured("motor.poles", math.inf), "the board has no number for motor.poles: inf"),
+        (configured("servo.max_current_A", -1.0), "moteus gave an impossible value: max_current_a: Input"),
+        (configured("servo.pwm_rate_hz", 0.0), "moteus gave an impossible value: pwm_frequency_hz: Input"),
+    ],
+)
+def test_what_no_board_is_configured_for_is_its_fault_in_one_line(change: Callable[[Servo], Any], message: str) -> None:
+    with fdcanusb(change) as port:
+        drive = made(port)
+        with pytest.raises(DriveFault, match=re.escape(message)) as fault:
+            drive.connect()
+        drive.close()
+    assert fault.value.cause is FaultCause.WRONG_DATA
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "cause"),
+    [(0x005, math.nan, FaultCause.OVERCURRENT), (0x004, 1e30, FaultCause.OVERCURRENT)],
+)
+def test_a_current_that_is_none_trips(register: int, value: float, cause: FaultCause) -> None:
+    with connected(reads(register, value)) as (drive, port):
+        with HeartbeatThread(drive, 0.1), pytest.raises(DriveFault) as fault:
+            arm_and_hold(drive)
+        assert fault.value.cause is cause
+        assert port.servo.mode in (0, 11)
+
+
+def arm_and_hold(drive: MoteusDrive) -> None:
+    drive.arm(LIMITS)
+    list(drive.execute(HOLD))
+
+
+def twice(port: Fdcanusb) -> None:
+    """Every line of the board comes twice."""
+    honest = port._answers
+    vars(port)["_answers"] = lambda line: [answer for answer in honest(line) for _ in range(2)]
+
+
+def of_another(port: Fdcanusb) -> None:
+    """Before each answer comes one of another board on the bus, with wild readings."""
+    honest = port._answers
+    stranger = _checked(b"rcv 0500 240D01 b F")
+    vars(port)["_answers"] = lambda line: [part for answer in honest(line) for part in (stranger, answer)]
+
+
+def noisy(port: Fdcanusb) -> None:
+    """Random octets between the lines."""
+    honest, rng = port._answers, random.Random(3)
+
+    def answers(line: bytes) -> Iterator[bytes]:
+        for answer in honest(line):
+            yield rng.randbytes(rng.randrange(40)) + b"\n"
+            yield answer
+
+    vars(port)["_answers"] = answers
+
+
+@pytest.mark.parametrize("disturb", [twice, of_another, noisy])
+def test_disturbed_lines_are_a_true_capture_or_a_named_fault(disturb: Callable[[Fdcanusb], None]) -> None:
+    with connected() as (drive, port):
+        disturb(port)
+        expected = HOLD.current_d_a + 1j * HOLD.current_q_a
+        with HeartbeatThread(drive, 0.1), suppress(DriveFault):
+            drive.arm(LIMITS)
+            capture = measure(drive, HOLD)
+            mean = complex(*capture.i_ab.mean(axis=0)) * cmath.exp(-1j * HOLD.rotor_angle_rad)
+            assert abs(mean - expected) < 0.05
+        with suppress(DriveFault):
+            drive.disarm()
+        wait_until(lambda: port.servo.answer(b"\x50") is None and port.servo.mode in (0, 1, 11), 5.0)

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,45 @@ def test_a_configuration_that_does_not_fit_is_refused(change: dict[str, float], 
         with pytest.raises(DriveRefused, match=message):
             drive.connect()
         drive.close()
+
+
+def test_time_in_which_the_host_was_suspended_is_no_silence_of_the_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    suspended_s = 0.0
+    clock = SimpleNamespace(monotonic=lambda: time.monotonic() + suspended_s)
+    monkeypatch.setattr("plugins.link._timeouts.time", clock)
+    with on_tcp() as (board, port):
+        line = Properties(port, 115200)
+        read = line.read_bytes
+
+        def read_after_a_suspension(wait_s: float) -> bytes:
+            nonlocal suspended_s
+            suspended_s += 10.0
+            return read(wait_s) if suspended_s > 20.0 else b""
+
+        monkeypatch.setattr(line, "read_bytes", read_after_a_suspension)
+        assert line.read(["vbus_voltage"]) == [board.values["vbus_voltage"]]
+        line.close()
+
+
+@pytest.mark.parametrize("bus_v", [float("nan"), float("inf"), -3.0, 0.0])
+def test_a_bus_voltage_that_is_none_is_the_boards_fault_in_one_line(bus_v: float) -> None:
+    with on_a_line(lambda board: board.values.update(vbus_voltage=bus_v)) as (_, port):
+        drive = drive_at(port)
+        with pytest.raises(DriveFault, match=f"reads a bus of {bus_v:g} V$") as fault:
+            drive.connect()
+        drive.close()
+    assert fault.value.cause is FaultCause.BUS_VOLTAGE
+
+
+@pytest.mark.parametrize("limit_a", [float("nan"), float("inf"), -1.0])
+def test_a_capability_that_cannot_be_is_the_boards_fault_in_one_line(limit_a: float) -> None:
+    with on_a_line(lambda board: board.values.update({"axis0.motor.config.current_lim": limit_a})) as (_, port):
+        drive = drive_at(port)
+        with pytest.raises(DriveFault, match="odrive gave an impossible value: max_current_a: Input should") as fault:
+            drive.connect()
+        drive.close()
+    assert fault.value.cause is FaultCause.WRONG_DATA
+    assert "\n" not in str(fault.value)
 
 
 def test_a_current_points_where_it_is_wanted_and_the_board_is_left_as_it_was() -> None:

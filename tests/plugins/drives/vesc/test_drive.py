@@ -6,12 +6,16 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import count
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from plugins.drives.vesc import VescDrive, VescOptions
+from plugins.drives.vesc._link import Link
+from plugins.drives.vesc._packets import Command
 from plugins.drives.vesc._rows import ANGLE_STEP_RAD, TONE_TABLE, tone, turning_frame, window
 from protocols import DriveFault, DriveRefused, DriveSetup, FaultCause, GatesOff, Hold, Injection, Limits, Motor
 from tests.plugins.drives.vesc.emulator import Firmware, on_a_line, on_tcp
@@ -113,6 +117,18 @@ def test_a_current_that_the_board_does_not_hold_is_a_fault() -> None:
         firmware.configuration["l-current-max-scale"] = 0.05
         with pytest.raises(DriveFault, match="limits or has released it"):
             whole(drive, HOLD)
+
+
+def test_time_in_which_the_host_was_suspended_is_no_silence_of_the_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    readings = count()
+    # Ten seconds pass between any two readings of the clock: in none of them did this process run.
+    clock = SimpleNamespace(monotonic=lambda: 10.0 * next(readings))
+    with on_tcp() as (_, port):
+        link = Link(port, 115200)
+        monkeypatch.setattr("plugins.link._timeouts.time", clock)
+        link.send(bytes([Command.FW_VERSION]))
+        assert link.take(Command.FW_VERSION, 1.0) is not None
+        link.close()
 
 
 def test_a_row_that_is_lost_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:

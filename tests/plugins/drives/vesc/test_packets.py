@@ -41,6 +41,16 @@ def test_nothing_damaged_comes_out_and_what_follows_does(payload: bytes, noise: 
     assert b"after" in found
 
 
+@given(st.binary(max_size=60), payloads, st.integers(1, 700))
+def test_a_frame_behind_noise_comes_out_at_the_next_pause(noise: bytes, payload: bytes, length: int) -> None:
+    """Noise that begins a frame of any length: the one behind it must not wait for octets that never come."""
+    start = bytes([3]) + length.to_bytes(2)
+    decoder = Decoder()
+    found = decoder.feed(noise + start + encode_frame(payload))
+    assert payload in [*found, *decoder.pause()]
+    assert decoder.feed(encode_frame(payload)) == [payload]
+
+
 def test_rows_are_refused_where_one_is_missing_or_short() -> None:
     rows = np.zeros(3, ROW)
     rows["index"] = [0, 1, 2]

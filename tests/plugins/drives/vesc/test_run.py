@@ -17,7 +17,7 @@ from orchestrator.config import load_procedure
 from orchestrator.engine import SAFE_BENCH_WORDS, AbsentOperator, Interrupts, RunServices, start_run
 from orchestrator.recording import open_recording
 from protocols import SegmentStage
-from tests.plugins.drives.vesc.emulator import on_a_line, on_tcp
+from tests.plugins.drives.vesc.emulator import Firmware, on_a_line, on_tcp
 from tests.support.processes import start_fluxbench, wait_until
 
 PAGE = Path(__file__).parents[4] / "docs" / "vesc.md"
@@ -65,3 +65,29 @@ def test_a_host_that_is_killed_leaves_the_bridge_off(tmp_path: Path) -> None:
         process.send_signal(signal.SIGKILL)
         process.communicate()
         wait_until(lambda: not firmware.running, 2.5)
+
+
+def test_a_voltage_that_the_bus_cannot_give_ends_the_run_with_the_bridge_off(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("plugins.drives.vesc._board.CONSOLE_PERIOD_S", 0.04)
+    monkeypatch.setattr("tests.plugins.drives.vesc.emulator.DEAF_S", 0.03)
+    tell = Firmware._tell
+
+    def lie(firmware: Firmware, mask: int) -> None:
+        """2.1 MV along d, on a bus of 24 V."""
+        firmware._sums[2] = 2.147e6 * max(firmware._count, 1) if firmware.running else 0.0
+        tell(firmware, mask)
+
+    monkeypatch.setattr(Firmware, "_tell", lie)
+    with on_tcp() as (firmware, port):
+        path = procedure_at(port, tmp_path, 10.0)
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document["stages"] = [stage for stage in document["stages"] if stage["kind"] == "resistance"][:1]
+        path.write_text(yaml.safe_dump(document), encoding="utf-8")
+        services = RunServices(AbsentOperator(SAFE_BENCH_WORDS), Interrupts())
+        result = start_run(load_procedure(str(path)), tmp_path / "run", services)
+        assert not firmware.running
+    assert result.outcome.ending == "faulted"
+    expected = r"wrong_data: resistance-000: 2\.147e\+06 V at the motor, from a bus of 24 V"
+    assert re.search(expected, result.outcome.reason), result.outcome.reason

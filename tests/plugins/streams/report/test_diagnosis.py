@@ -228,11 +228,11 @@ def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: 
     text = words_of(page)
     assert text.index("Explained") < text.index("χ² is 1.02; noise makes up to 1.08.") < text.index("Where it fails")
     assert "0.4 % of its range (rms)" in text
-    (folded,) = re.findall(r"<details>.*?</details>", page, flags=re.S)
+    (folded,) = (part for part in re.findall(r"<details>.*?</details>", page, flags=re.S) if "Steps of" in part)
     assert words_of(folded).split("decision ")[1].startswith("1 screen dead time 60000 of χ² 32 of χ² – tried 2 add")
     assert "Steps of the search (2)" in folded
 
 
 def test_a_diagnosis_without_reasons_has_no_empty_list(page: str) -> None:
-    assert "<details>" not in page
+    assert "Steps of the search" not in page
     assert 'class="reasons"' not in page

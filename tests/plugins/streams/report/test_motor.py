@@ -100,3 +100,10 @@ def test_voltage_steps_and_a_turning_rotor_are_drawn_where_their_currents_were(m
     page = render(Material(**{**vars(material), "paths": paths}))
     assert "3 captures of voltage steps and 2 points of a rotor that turns, as measured." in page
     assert "Not drawn: neither sweeps, steps" in render(Material(**{**vars(material), "paths": Paths()}))
+
+
+def test_a_logged_temperature_gives_the_resistance_at_20_c(material: Material) -> None:
+    logged = replace(material.paths, temperature_c=np.array([[0.0, 45.0], [10.0, 60.0]]))
+    text = lines(replace(material, record=None, paths=logged))["R_s at 20 °C"]
+    assert text.endswith("by the first logged temperature, 45.0 °C")
+    assert "`temperature` in the import's mapping" in lines(replace(material, record=None))["R_s at 20 °C"]

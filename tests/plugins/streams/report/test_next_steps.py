@@ -11,7 +11,7 @@ from orchestrator.diagnosis import SavedDiagnosis
 from plugins.streams.report._collect import Material, Paths
 from plugins.streams.report._motor_content import torque_rows
 from plugins.streams.report._next_steps import next_steps
-from protocols import EstimationReport, FluxMap, Motor
+from protocols import EstimationReport, FluxMap, Motor, Remark
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
 
@@ -27,31 +27,31 @@ def an_estimate(**change: object) -> EstimationReport:
 @pytest.mark.parametrize(
     ("estimates", "text"),
     [
-        (None, "none yet: fluxbench estimate runs/first makes"),
-        (an_estimate(), "use results/flux_map.nc; fluxbench export runs/first writes"),
+        (None, "none yet: `fluxbench estimate runs/first` makes"),
+        (an_estimate(), "use `results/flux_map.nc`; `fluxbench export runs/first` writes"),
         (an_estimate(usable=False, reasons=["the rotor turned"]), "do not rely on it: the rotor turned."),
     ],
 )
 def test_the_first_line_is_about_the_map(estimates: EstimationReport | None, text: str) -> None:
     about_map, about_model = next_steps(Material(Path("runs/first"), None, None, (), estimates, {}, Paths(), None, ()))
     assert about_map.text.startswith(text)
-    assert about_model.text.startswith("not diagnosed: fluxbench diagnose runs/first names")
+    assert about_model.text.startswith("not diagnosed: `fluxbench diagnose runs/first` names")
 
 
 def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
     _, about_model = next_steps(Material(tmp_path / "a run", None, None, (), None, {}, Paths(), None, ()))
-    assert about_model.text.startswith("not diagnosed: fluxbench diagnose 'a run' names")
+    assert about_model.text.startswith("not diagnosed: `fluxbench diagnose 'a run'` names")
 
 
 @pytest.mark.parametrize(
     ("causes", "advice"),
     [
-        (["dead_time"], "compensate dead time in the drive, or use model.json, which includes that."),
+        (["dead_time"], "compensate dead time (voltage 400 mV) in the drive, or use model.json, which includes that."),
         (["hysteresis"], "use model.json for hysteresis, which no drive compensates."),
         (
             ["current_offset", "rotor_misalignment", "skin_effect"],
-            "compensate current offset and rotor misalignment in the drive, and use model.json for skin effect, which "
-            "no drive compensates.",
+            "compensate current offset (voltage 400 mV) and rotor misalignment (voltage 400 mV) in the drive, and use "
+            "model.json for skin effect, which no drive compensates.",
         ),
     ],
 )
@@ -75,6 +75,28 @@ def test_twins_and_immaterial_effects_are_not_to_be_compensated(change: dict[str
     saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), WORDS, ())
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
     assert lines[-1].text.startswith(advice)
+
+
+def test_what_the_drive_is_set_to_stands_first_as_on_its_data_sheet() -> None:
+    found = a_diagnosis().effects[0].model_dump()
+    effect = {
+        **found,
+        "twins": (),
+        "derived": {"dead_time": {"value": 2.03e-7, "low": None, "high": None, "unit": "s"}},
+    }
+    saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), WORDS, ())
+    lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
+    assert "compensate dead time (dead time 203 ns, voltage 400 mV) in the drive" in lines[-1].text
+
+
+def test_nothing_is_compensated_while_another_effect_fits_better_in_place() -> None:
+    effect = a_diagnosis().effects[0].model_copy(update={"twins": ()})
+    doubt = Remark(code="fits_better_in_place", text="device drop fits better")
+    report = a_diagnosis(effects=[effect], next_experiment=None).model_copy(update={"remarks": (doubt,)})
+    lines = next_steps(
+        Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), SavedDiagnosis(report, WORDS, ()), ())
+    )
+    assert lines[-1].text.endswith("; compensate nothing until then.")
 
 
 def test_a_model_that_was_changed_since_the_diagnosis_is_reported() -> None:

@@ -18,8 +18,10 @@ from urllib.parse import unquote, urlsplit
 import pytest
 
 from orchestrator.estimation import load_estimates
+from plugins.streams.rerun._blueprints import diagnosis
 from plugins.streams.rerun._catalogue import row, served
-from plugins.streams.rerun._command import Later, command
+from plugins.streams.rerun._command import TABS, Later, command
+from plugins.streams.rerun._diagnosis import Contents
 from plugins.streams.rerun._live import HOST, free_port, wait_for_viewer
 from plugins.streams.rerun._making import comparison_view, whole_view
 from plugins.streams.rerun._replay import replay
@@ -166,6 +168,23 @@ def test_the_catalogue_serves_runs_with_their_properties_to_this_machine_alone(t
     with served(files) as url:
         assert url.startswith(f"rerun+http://{HOST}:")
         assert listening(os.getpid()) == {HOST}
+
+
+@pytest.mark.parametrize("more", [[], ["--screenshot", "picture.png"], ["--web", "--screenshot", "picture.png"]])
+def test_a_folder_of_runs_in_a_pipe_is_refused_with_the_runs_in_it(tmp_path: Path, more: list[str]) -> None:
+    for name in "abcdefghi":
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").touch()
+    with pytest.raises(RecordingError, match=r"a folder of runs, not a run: a, b, c, d, e, f, g, h and 1 more; name"):
+        command([str(tmp_path), *more])
+
+
+def test_the_tabs_that_help_lists_are_those_of_the_layouts() -> None:
+    layout = diagnosis(Contents(excerpts=1, loops=1, resistance=True), measured=True)
+    named = [str(tab.name) for tab in layout.root_container.contents]
+    assert sorted(named) == sorted(TABS)
+    page = (Path(__file__).parents[4] / "docs" / "viewer.md").read_text(encoding="utf-8")
+    assert all(tab in " ".join(page.split()) for tab in TABS)
 
 
 @pytest.mark.parametrize("name", ["nowhere", "empty"])

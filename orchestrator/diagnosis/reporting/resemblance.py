@@ -1,0 +1,203 @@
+"""Effects that resemble each other in a recording: how much of one's signal the other imitates, and which fits better.
+
+With x the standardised amplitudes of an effect and M the normal matrix of their columns, the columns of R_s, the map
+and all other parameters eliminated, its signal has chi2 = x'Mx. An effect resembles it where that falls to a small part
+once its columns are eliminated too. Unlike `contrasts`, this needs no declaration and holds for anybody's effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.guarded import is_own
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.scoring import fits_as_well, log_evidence
+from orchestrator.diagnosis.selection.search import with_effect
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import number
+from orchestrator.numerics.types import Array
+from protocols import Inseparable, Remark
+
+MIN_IMITATED_SHARE: float = 0.8
+"""Part of an effect's signal that another one imitates, from which they resemble each other."""
+MAX_ALTERNATIVES: int = 2
+"""Effects that are refitted in the place of one, those that imitate most of it first."""
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another effect in the place of one of a fit.
+
+    Attributes
+    ----------
+    name, other : str
+        The effect of the fit, and the one that was refitted in its place.
+    fit, in_place : Fit
+        With the effect, and with the other one.
+    gain : float
+        Gain in log evidence by the other one [nat].
+    """
+
+    name: str
+    other: str
+    fit: Fit
+    in_place: Fit
+    gain: float
+
+    @property
+    def is_tied(self) -> bool:
+        """Whether both fit equally well."""
+        lesser, better = (self.fit, self.in_place) if self.gain > 0.0 else (self.in_place, self.fit)
+        return abs(self.gain) < self.fit.criteria.selection.tie or fits_as_well(lesser, better)
+
+    @property
+    def fits_better(self) -> bool:
+        """Whether the other one fits better."""
+        return self.gain > 0.0 and not self.is_tied
+
+
+def imitated_shares(fitter: Fitter, fit: Fit, name: str, candidates: Sequence[CandidateEffect]) -> dict[str, float]:
+    """The part of an effect's signal that each other effect imitates, the largest first.
+
+    Parameters
+    ----------
+    name : str
+        An effect of the fit's model.
+    candidates : sequence of CandidateEffect
+        Compared with it, besides the other effects of the model.
+    """
+    columns = [*fit.model.free, *absent_columns([c for c in candidates if c.name not in fit.model.names])]
+    normal, _ = fitter.evaluate(fit.model, fit.linearisation, columns[len(fit.model.free) :], known=fit).projected()
+    of = [active.name for active, _ in columns]
+    own = [k for k, (active, n) in enumerate(columns) if of[k] == name and n in active.candidate.amplitudes]
+    x = np.array([columns[k][0].standardised_value(columns[k][1]) for k in own])
+    shares = {}
+    for other in dict.fromkeys(of):
+        beside = [k for k in range(len(fit.model.free)) if of[k] not in (name, other)]
+        alone = _signal(normal, own, beside, x)
+        if other != name and alone > 0.0:
+            imitating = [k for k, effect in enumerate(of) if effect == other]
+            shares[other] = 1.0 - _signal(normal, own, [*beside, *imitating], x) / alone
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def resembling(fitter: Fitter, fit: Fit, name: str, candidates: Sequence[CandidateEffect]) -> list[str]:
+    """The effects of the model and candidates that resemble an effect of the model, the most similar first."""
+    shares = imitated_shares(fitter, fit, name, candidates)
+    return [other for other, share in shares.items() if share > MIN_IMITATED_SHARE]
+
+
+def alternatives_to(
+    setup: DiagnosisSetup, fit: Fit, name: str, candidates: Sequence[CandidateEffect]
+) -> list[Alternative]:
+    """The absent effects that resemble one of the model, each refitted in its place."""
+    absent = {c.name: c for c in candidates if c.name not in fit.model.names}
+    others = [absent[other] for other in resembling(setup.fitter, fit, name, candidates) if other in absent]
+    without = fit.model.with_active([a for a in fit.model.active if a.name != name])
+    reduced = setup.fitter.evaluate(without, fit.linearisation) if others else fit
+    return [_alternative(setup, fit, name, reduced, other) for other in others[:MAX_ALTERNATIVES]]
+
+
+def _alternative(setup: DiagnosisSetup, fit: Fit, name: str, reduced: Fit, other: CandidateEffect) -> Alternative:
+    trial = with_effect(setup, reduced, other)
+    trial = setup.fitter.fit(trial.model, trial.linearisation)
+    inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
+    return Alternative(name, other.name, fit, trial, log_evidence(trial, inflation) - log_evidence(fit, inflation))
+
+
+def own_alternatives(setup: DiagnosisSetup, fit: Fit, candidates: Sequence[CandidateEffect]) -> list[Alternative]:
+    """Alternatives to the own effects of the model, and own effects as alternatives to the installed ones."""
+    own = [c for c in candidates if is_own(c.effect)]
+    return [
+        alternative
+        for active in (fit.model.active if own else ())
+        for alternative in alternatives_to(setup, fit, active.name, candidates if active.candidate in own else own)
+    ]
+
+
+def alternative_remarks(alternatives: Sequence[Alternative]) -> list[Remark]:
+    """A remark for each: ``indistinguishable``, ``fits_better_in_place`` or ``fits_worse_in_place``."""
+    remarks = []
+    for one in alternatives:
+        if one.is_tied:
+            code, text = "indistinguishable", "{effect} and {other} are indistinguishable here: {fits}"
+        elif one.fits_better:
+            code = "fits_better_in_place"
+            text = "{other} resembles {effect} and fits better in its place: {fits}; {effect} is no certain cause"
+        else:
+            code, text = "fits_worse_in_place", "{other} resembles {effect} and fits worse in its place: {fits}"
+        words = {"effect": plain(one.name), "other": plain(one.other), "fits": _fits_in_words(one)}
+        values = {"effect": one.name, "other": one.other, "gain_nat": one.gain}
+        remarks.append(Remark.of(code, text, **words).model_copy(update={"values": values}))
+    return remarks
+
+
+def resembling_pairs(fitter: Fitter, fit: Fit, names: Sequence[str]) -> list[tuple[str, str]]:
+    """Pairs of one of these effects of the model and another of the model that resembles it."""
+    pairs: list[tuple[str, str]] = []
+    for name in (n for n in names if n in fit.model.names):
+        others = resembling(fitter, fit, name, ())
+        pairs += [(name, other) for other in others if (other, name) not in pairs]
+    return pairs
+
+
+def pair_remarks(pairs: Sequence[tuple[str, str]]) -> list[Remark]:
+    """A remark, ``resemble_each_other``, for each pair of effects that are both in the model."""
+    text = (
+        "{effect} and {other} are both in the model and resemble each other: this recording does not determine their "
+        "sizes separately; remove one of them"
+    )
+    return [
+        Remark.of("resemble_each_other", text, effect=plain(one), other=plain(other)).model_copy(
+            update={"values": {"effect": one, "other": other}}
+        )
+        for one, other in pairs
+    ]
+
+
+def inseparable_remark(pair: Inseparable) -> Remark:
+    """Remark, ``not_separable``, on two effects that no stage separates."""
+    text = (
+        "{first} and {second}: not separable by any experiment this bench can make: at the size found the best would "
+        "separate them by {best:.2g} sigma, and {least:.2g} are needed"
+    )
+    first, second = map(plain, pair.separates)
+    return Remark.of("not_separable", text, first=first, second=second, best=pair.best_sigmas, least=pair.least_sigmas)
+
+
+def with_tied(
+    indistinguishable: Mapping[str, Sequence[str]],
+    alternatives: Sequence[Alternative],
+    pairs: Sequence[tuple[str, str]],
+) -> dict[str, list[str]]:
+    """The indistinguishable effects by name, with tied alternatives and pairs added."""
+    tied = {name: list(others) for name, others in indistinguishable.items()}
+    links = [(one.name, one.other) for one in alternatives if one.is_tied]
+    for name, other in (*links, *pairs, *((other, name) for name, other in pairs)):
+        if other not in tied.setdefault(name, []):
+            tied[name].append(other)
+    return tied
+
+
+def _signal(normal: Array, own: Sequence[int], others: Sequence[int], x: Array) -> float:
+    """chi2 of an effect's signal that the other columns, under their unit priors, do not imitate."""
+    block = normal[np.ix_(own, own)]
+    if others:
+        across = normal[np.ix_(others, own)]
+        inner = normal[np.ix_(others, others)] + np.eye(len(others))
+        block = block - across.T @ np.linalg.solve(inner, across)
+    return float(x @ block @ x)
+
+
+def _fits_in_words(one: Alternative) -> str:
+    """``chi2 1.02 with dead time, 885 with tanh drop (log evidence -1200 nat)``."""
+    gain = number(round(one.gain) if abs(one.gain) >= 10.0 else one.gain, 6)
+    sign = "+" if one.gain > 0.0 else ""
+    ends = f"chi2 {number(one.fit.chi2_per_dof, 4)} with {plain(one.name)}, "
+    return f"{ends}{number(one.in_place.chi2_per_dof, 4)} with {plain(one.other)} (log evidence {sign}{gain} nat)"

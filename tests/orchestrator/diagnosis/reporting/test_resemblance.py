@@ -1,0 +1,115 @@
+"""Effects that resemble each other are reported with the one that fits better, whatever their declarations."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.guarded import guarded
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.benefit import added_remark
+from orchestrator.diagnosis.reporting.resemblance import (
+    alternative_remarks,
+    imitated_shares,
+    own_alternatives,
+    pair_remarks,
+    resembling_pairs,
+    with_tied,
+)
+from plugins.effects.inverter import DeadTime, VoltageBias
+from protocols import Contrast, Correction, Effect, EffectLayer, EffectParameters, Signals, amplitude
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage, setup_of
+
+
+class SameBias(VoltageBias):
+    name: ClassVar[str] = "same_bias"
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+
+
+class AlphaBias:
+    """A constant voltage along one axis alone."""
+
+    name: ClassVar[str] = "alpha_bias"
+    summary: ClassVar[str] = "A constant voltage along alpha."
+    signature: ClassVar[str] = "A constant residual along alpha."
+    layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = ""
+
+    class Parameters(EffectParameters):
+        bias_v: float = amplitude("V", typical=0.1, prior_width=0.2, low=-10.0, high=10.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        return Correction(v_ab=signals.v_ab - np.array([p.bias_v, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def maker() -> Fitter:
+    return fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.1])))
+
+
+def fitted(maker: Fitter, *effects: Effect) -> Fit:
+    terms = [with_free(free_model(), maker, effect).active[0] for effect in effects]
+    return maker.fit(free_model().with_active(terms))
+
+
+def remarks(maker: Fitter, effect: Effect, *others: Effect) -> list[tuple[str, str]]:
+    library = scaled_library([effect, *others], maker.prepared.manifest)
+    fit = maker.fit(free_model().with_active([library[0].absent()]))
+    return [(one.code, one.text) for one in alternative_remarks(own_alternatives(setup_of(maker), fit, library))]
+
+
+def test_an_effect_s_signal_is_imitated_by_its_like_alone(maker: Fitter) -> None:
+    library = scaled_library([VoltageBias(), guarded(SameBias()), DeadTime()], maker.prepared.manifest)
+    shares = imitated_shares(maker, fitted(maker, VoltageBias()), "voltage_bias", library)
+    assert list(shares) == ["same_bias", "dead_time"]
+    assert shares["same_bias"] > 0.95
+    assert shares["dead_time"] < 0.5
+
+
+def test_an_own_effect_like_one_of_the_model_is_indistinguishable_from_it(maker: Fitter) -> None:
+    ((code, text),) = remarks(maker, VoltageBias(), guarded(SameBias()))
+    assert code == "indistinguishable"
+    assert text.startswith("voltage bias and same bias are indistinguishable here: chi2 ")
+
+
+def test_an_installed_effect_that_fits_better_takes_an_own_one_s_certainty(maker: Fitter) -> None:
+    ((code, text),) = remarks(maker, guarded(AlphaBias()), VoltageBias())
+    assert code == "fits_better_in_place"
+    assert text.startswith("voltage bias resembles alpha bias and fits better in its place: chi2 ")
+    assert text.endswith(" nat); alpha bias is no certain cause")
+
+
+def test_installed_effects_alone_are_not_refitted(maker: Fitter) -> None:
+    assert remarks(maker, VoltageBias(), DeadTime()) == []
+
+
+def test_two_alike_in_one_model_are_one_pair_and_each_other_s_twins(maker: Fitter) -> None:
+    fit = fitted(maker, VoltageBias(), guarded(SameBias()))
+    pairs = resembling_pairs(maker, fit, ["same_bias", "voltage_bias"])
+    assert pairs == [("same_bias", "voltage_bias")]
+    (remark,) = pair_remarks(pairs)
+    assert "does not determine their sizes separately" in remark.text
+    assert with_tied({}, [], pairs) == {"same_bias": ["voltage_bias"], "voltage_bias": ["same_bias"]}
+
+
+def test_an_effect_that_helps_beside_its_like_only_may_help(maker: Fitter) -> None:
+    before, after = maker.fit(free_model()), fitted(maker, VoltageBias())
+    assert added_remark("voltage_bias", before, after, None).code == "helps"
+    reported = added_remark("voltage_bias", before, after, None, ["same_bias"])
+    assert reported.code == "helps_besides"
+    assert reported.text.endswith("; but it resembles same bias: their sizes are not determined separately")
+
+
+def test_what_is_tied_already_is_stated_once(maker: Fitter) -> None:
+    (one,) = own_alternatives(
+        setup_of(maker),
+        fitted(maker, VoltageBias()),
+        scaled_library([VoltageBias(), guarded(SameBias())], maker.prepared.manifest),
+    )
+    assert with_tied({"voltage_bias": ["same_bias"]}, [one], []) == {"voltage_bias": ["same_bias"]}
