@@ -23,7 +23,7 @@ from orchestrator.diagnosis.reporting.resemblance import (
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import Contrast, Correction, Effect, EffectLayer, EffectParameters, Signals, amplitude
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage, setup_of
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
 
 
 class SameBias(VoltageBias):
