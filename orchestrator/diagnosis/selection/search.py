@@ -98,6 +98,7 @@ def best_first(
         is_over = state.fitter.budget.is_spent and not state.is_joint
         better = None if is_over else first_accepted(state, _moves(state, library), tried)
         if better is None:
+            interim.record(state, steps)
             return state
         if better.fit is not state.fit:
             state.fitter.tell(f"{len(better.fit.model.active)} effects: chi2 {number(better.fit.chi2_per_dof)}")
