@@ -28,6 +28,8 @@ class VerdictLimits(Lenient):
 
     noise_chi2: float
     """Largest chi2 per degree of freedom that noise alone makes."""
+    least_chi2: float = 0.0
+    """Smallest chi2 per degree of freedom of a known noise: less means that it was overestimated."""
     chance_sigmas: float
     """Standard deviations sqrt(2 / degrees of freedom) by which chance may raise chi2."""
     explained_fraction: float

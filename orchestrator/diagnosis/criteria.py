@@ -82,6 +82,9 @@ class VerdictCriteria(Strict):
 
     noise_chi2: float = _is(1.08, "1", "simulated")
     """chi2 per degree of freedom up to which a model fits within the noise."""
+    least_chi2: float = _is(0.5, "1", "simulated")
+    """chi2 per degree of freedom below which the noise was overestimated and may hide an effect. Coarsely rounded
+    readings have 0.68; where a response to the voltage was taken for noise it was 0.0098."""
     chance_sigmas: float = _is(3.0, "1", "theory")
     """Excess chi2 attributed to chance with few readings, in its standard deviations sqrt(2 / dof)."""
     explained_fraction: float = _is(0.05, "1", "practice")

@@ -181,6 +181,13 @@ def _gates_off(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
 def _doubts(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
     """Reasons why a model that fits may still be wrong."""
     doubts = []
+    if record.chi2_after is not None and record.chi2_after < limits.least_chi2:
+        value, allowed = _as_texts(record.chi2_after, limits.least_chi2)
+        text = (
+            f"chi2 per degree of freedom is {value}, far below one; the limit is {allowed}. The readings' noise was "
+            "overestimated, and an effect may hide in it."
+        )
+        doubts.append(Reason(quantity="chi2_per_dof", value=record.chi2_after, limit=limits.least_chi2, sentence=text))
     if large := jointly_implausible(record.effect_widths, limits):
         sizes = listed([f"{plain(name)} ({number(record.effect_widths[name], 2)})" for name in large])
         text = (
