@@ -28,6 +28,7 @@ SIZEABLE = 0.1
 """Size, in units of the typical one, from which an effect of an ordinary bench counts as one to be found."""
 ACCEPTED_PERCENT = 1.0
 ACCEPTED = "usable or explained: map within 1 % of the rated flux"
+ACCEPTED_VERDICTS = ("clean", "explained", "explained_in_another_form")
 SWITCHED_PERCENT = 0.3
 SWITCHED_MAP = "map within 0.3 % of the rated flux"
 WITHIN = 0.2
@@ -84,7 +85,7 @@ def judge(answer: Answer) -> Judgement:
     right = _right(case, report)
     if case.kind == "clutter" and answer.removal is not None:
         right |= _of_clutter(answer.removal, report)
-    if answer.delivered is not None and (answer.delivered["usable"] or report["verdict"] in ("clean", "explained")):
+    if answer.delivered is not None and (answer.delivered["usable"] or report["verdict"] in ACCEPTED_VERDICTS):
         right[ACCEPTED] = answer.delivered["map_percent"] <= ACCEPTED_PERCENT
     closed, over_floor = _closed(report)
     in_catalogue = case.kind in ("single", "double", "clutter")

@@ -21,7 +21,7 @@ MATERIAL_FLUX_PERCENT, MATERIAL_VOLTAGE_PERCENT = 0.2, 0.5
 MAP_PERCENT = 1.0
 BROUGHT = {"minimum_pulse", "duty_quantum"}
 """Names that are true of an ordinary bench beside the truths: it leaves short pulses out."""
-EXPLAINED = ("explained", "mostly_explained")
+EXPLAINED = ("explained", "explained_in_another_form", "mostly_explained")
 RISE = "rise of R_s in the end, %"
 DIRECT: Mapping[str, Mapping[str, tuple[str, float]]] = {
     "dead_time": {"lost at large currents, V": ("voltage_v", 1.0)},
