@@ -108,6 +108,8 @@ class VerdictRecord(Lenient):
     """rms of the applied voltage [V]."""
     map_error: Number = None
     """Half width of the map's 95 % band, as a part of the rated flux; null where none was computed."""
+    hidden_map_error: Number = None
+    """The part of it by absent effects that the recording may hide; null where none was computed."""
     current_error: Number = None
     """rms error of the simulated current over the current's range; null where none was simulated."""
     limits: VerdictLimits

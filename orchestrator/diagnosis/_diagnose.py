@@ -333,7 +333,8 @@ def _report(
     is_beyond_noise = last.chi2_per_dof - 1.0 > last.criteria.verdict.noise_accuracy_excess_chi2
     mixture = mix_forms(setup.fitter, last, material) if is_beyond_noise else None
     uncertainty = MapUncertainty.of(setup.fitter, last, library).with_mixture(mixture)
-    map_error = uncertainty.band_wb(mean_currents(last)) / rated_flux_wb(setup)
+    points, rated_wb = mean_currents(last), rated_flux_wb(setup)
+    map_error = uncertainty.band_wb(points) / rated_wb
     record = verdict_record(
         first,
         held,
@@ -342,6 +343,7 @@ def _report(
         noise_v=noise_rms_v(last),
         current_error=error,
         map_error=map_error,
+        hidden_map_error=uncertainty.hidden_wb(points) / rated_wb,
         mixture=mixture,
     )
     judgement = judge(record)

@@ -12,7 +12,6 @@ from collections.abc import Callable
 import numpy as np
 from pydantic import ValidationError
 
-from orchestrator.numerics.frames import to_dq
 from orchestrator.validation.plausibility import MAX_VOLTAGE_RATIO, PLAUSIBLE_BOUNDS, Numbers
 from protocols import (
     Capabilities,
@@ -134,6 +133,8 @@ class ReadingCheck:
 
     def _collect_levels(self, capture: Capture) -> None:
         """Distinct values of the current, and of each voltage in the stator's and in the rotor's frame."""
+        from orchestrator.numerics.frames import to_dq  # imported on use: kernels take long to load
+
         v_dq = to_dq(capture.v_ab, self._excitation.rotor_angle_rad)
         columns = [capture.i_ab[:, 0] + capture.i_ab[:, 1], *capture.v_ab.T, *v_dq.T]
         most = [MIN_LEVELS_RATIO * MAX_LEVELS, *[MAX_LEVELS] * 4]

@@ -8,8 +8,8 @@ With the excess e = chi2/dof - 1 of the fitted stages, and l the larger one of t
 - where a mixture of the effects' forms takes up much of the residual, it is ``explained_in_another_form``.
 
 A periodic disturbance, or a reading with the gates off that contradicts the model, is unknown whatever the fit. A good
-fit under large noise, with a wrong simulated current, with implausibly many large effects, or ``clean`` with a map too
-uncertain to show a material effect, is ``cannot_tell``.
+fit under large noise, with a wrong simulated current, with implausibly many large effects, or ``clean`` where a
+material effect may be hidden, is ``cannot_tell``.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def judge(record: VerdictRecord, limits: VerdictLimits | None = None) -> Judgeme
         return Judgement(verdict="unknown_remains", reasons=(*contradictions, *more))
     doubts = [] if verdict == "unknown_remains" else _doubts(record, limits)
     if verdict == "clean":
-        doubts += _hidden_by_band(record, limits)
+        doubts += _hidden_effects(record, limits)
     return Judgement(verdict="cannot_tell" if doubts else verdict, reasons=(*doubts, *reasons))
 
 
@@ -216,17 +216,17 @@ def _doubts(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
     return doubts
 
 
-def _hidden_by_band(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
-    """The reason against ``clean`` where the map is too uncertain to show a material effect."""
-    band = record.map_error
-    if band is None or band <= limits.material_flux:
+def _hidden_effects(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
+    """The reason against ``clean`` where an effect that the recording hardly shows may be material."""
+    hidden = record.hidden_map_error
+    if hidden is None or hidden <= limits.material_flux:
         return []
-    value, allowed = _as_texts(100.0 * band, 100.0 * limits.material_flux)
+    value, allowed = _as_texts(100.0 * hidden, 100.0 * limits.material_flux)
     text = (
-        f"The map is uncertain by {value} % of the rated flux. Above {allowed} % an effect that matters may not show. "
-        "More or longer stages narrow it."
+        f"Effects that this recording hardly shows may move the map by {value} % of the rated flux (95 %); above "
+        f"{allowed} % that matters. More or longer stages show them."
     )
-    return [_percentage("map_error", band, limits.material_flux, text)]
+    return [_percentage("hidden_map_error", hidden, limits.material_flux, text)]
 
 
 def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) -> list[Reason]:

@@ -92,10 +92,15 @@ class MapUncertainty:
         noise = _quadratic(rows, self.covariance)
         variance = np.maximum(noise, np.sum((self.pulls @ rows.T) ** 2, axis=0))
         variance = variance + np.sum((self.forms @ rows.T) ** 2, axis=0)
+        variance = variance + self._variance_by_absent_effects(rows, noise)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def _variance_by_absent_effects(self, rows: Array, noise: Array) -> Array:
+        variance = np.zeros(len(rows))
         for one in self.absent:
             more = np.maximum(_quadratic(rows, one.covariance) - noise, 0.0)
             variance = variance + one.probability * (more + (rows @ one.shift) ** 2)
-        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+        return variance
 
     @property
     def resistance_ohm(self) -> float:
@@ -106,11 +111,21 @@ class MapUncertainty:
 
     def band_wb(self, i_dq: Array) -> float:
         """Half width of the flux's 95 % band, rms over given currents and both axes [Wb]."""
+        rows = self._rows_of_flux(i_dq)
+        return INTERVAL_SIGMAS * math.sqrt(float(np.mean(self.spread(rows) ** 2))) if len(rows) else 0.0
+
+    def hidden_wb(self, i_dq: Array) -> float:
+        """The part of `band_wb` by absent effects, which the recording may hide [Wb]."""
+        rows = self._rows_of_flux(i_dq)
+        variance = self._variance_by_absent_effects(rows, _quadratic(rows, self.covariance))
+        return INTERVAL_SIGMAS * math.sqrt(float(np.mean(variance))) if len(rows) else 0.0
+
+    def _rows_of_flux(self, i_dq: Array) -> Array:
+        """Derivative of the flux by R_s and the map's free coefficients; empty for a map that is not free."""
         if self.fit.model.space.directions.shape[1] == 0:
-            return 0.0
+            return np.zeros((0, len(self.covariance)))
         rows = flux_rows(self.fit, i_dq)
-        spread = self.spread(np.column_stack([np.zeros(len(rows)), rows]))
-        return INTERVAL_SIGMAS * math.sqrt(float(np.mean(spread**2)))
+        return np.column_stack([np.zeros(len(rows)), rows])
 
     def of_map(self, i_dq: Array) -> Array:
         """Standard deviations (n, 5) of psi_d, psi_q (from zero current), L_dd, L_dq, L_qq at currents (n, 2)."""

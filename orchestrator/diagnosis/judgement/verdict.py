@@ -34,6 +34,7 @@ def verdict_record(
     noise_v: float | None = None,
     current_error: float | None = None,
     map_error: float | None = None,
+    hidden_map_error: float | None = None,
     mixture: FormMixture | None = None,
 ) -> VerdictRecord:
     """The record of a finished search.
@@ -52,6 +53,8 @@ def verdict_record(
         rms error of the simulated current over its range.
     map_error : float, optional
         Half width of the map's 95 % band over the rated flux.
+    hidden_map_error : float, optional
+        The part of it by absent effects.
     mixture : FormMixture, optional
         Mixture of the named effects' forms, where the effects leave more than noise.
     """
@@ -68,6 +71,7 @@ def verdict_record(
         excitation_v=excitation_v(after),
         current_error=current_error,
         map_error=map_error,
+        hidden_map_error=hidden_map_error,
         chi2_in_other_forms=None if mixture is None else 1.0 + (1.0 - mixture.share) * (after.chi2_per_dof - 1.0),
         other_forms=() if mixture is None else mixture.effects,
         limits=verdict_limits(after.criteria),

@@ -56,9 +56,9 @@ CASES = [
     ({"noise_v": 2.0}, "cannot_tell", "noise_of_excitation_percent"),
     ({"current_error": 0.46}, "cannot_tell", "current_error_percent"),
     ({"effect_widths": LARGE}, "cannot_tell", "large_effects"),
-    (NONE | {"map_error": 0.02}, "cannot_tell", "map_error_percent"),
-    (NONE | {"map_error": 0.001}, "clean", "chi2_per_dof"),
-    ({"map_error": 0.02}, "explained", "chi2_per_dof"),
+    (NONE | {"hidden_map_error": 0.02}, "cannot_tell", "hidden_map_error_percent"),
+    (NONE | {"map_error": 0.02, "hidden_map_error": 0.001}, "clean", "chi2_per_dof"),
+    ({"hidden_map_error": 0.02}, "explained", "chi2_per_dof"),
     ({"noise_v": 2.0, "chi2_after": 90.0, "chi2_before": 91.0}, "unknown_remains", "left_of_first_error_percent"),
 ]  # fmt: skip
 

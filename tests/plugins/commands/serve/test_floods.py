@@ -206,3 +206,25 @@ def test_of_too_many_connections_the_one_that_waited_longest_is_dropped(port: in
         many[-1].settimeout(0.05)
         with pytest.raises(TimeoutError):
             many[-1].recv(1)
+
+
+@pytest.mark.slow
+def test_a_client_that_reads_no_answer_is_dropped(served: Served) -> None:
+    request = f"GET /?token={served.token} HTTP/1.1\r\nHost: 127.0.0.1:{served.port}\r\n\r\n".encode()
+    with socket.socket() as line:
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        line.connect(("127.0.0.1", served.port))
+        line.settimeout(0.2)
+        begun_s = time.monotonic()
+
+        def is_dropped() -> bool:
+            try:
+                line.send(request)
+            except TimeoutError:  # the server reads no more of it
+                return line.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) != 0
+            except OSError:
+                return True
+            return False
+
+        wait_until(is_dropped, 60.0)
+    assert time.monotonic() - begun_s > 0.5 * Connection.client_timeout_s
