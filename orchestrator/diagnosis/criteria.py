@@ -101,7 +101,8 @@ class VerdictCriteria(Strict):
     A hidden effect that was not named left 7.8."""
     other_form_share: float = _is(0.33, "1", "simulated")
     """Part of chi2 - 1 that a mixture of the named effects' forms has to take up for ``explained_in_another_form``.
-    It takes up 0.42 of a foreign hysteresis' rest, and 0.02 to 0.1 of an effect that is missing."""
+    Where the form was another it took up 0.38 to 0.69, where an effect was missing 0.04 to 0.28. Two missing effects
+    that act much like a dead time left it 0.76 and 0.86, but chi2 above 25."""
     noise_accuracy_excess_chi2: float = _is(0.15, "1", "practice")
     """chi2 - 1 attributed to the noise estimate's error where the residual is immaterial: quantum, colour and ripple of
     a reading are known to a few percent each."""

@@ -23,8 +23,8 @@ from orchestrator.numerics.types import Array
 from protocols import ParameterRole
 
 FORMS: int = 64
-"""Forms of each effect: with twice as many a foreign hysteresis' mixture takes up 60 % of the rest, not 42 %, but an
-unknown effect's 13 %, not 8 %."""
+"""Forms of each effect: with twice as many a foreign hysteresis' mixture takes up 60 % of the rest, not 42 %, at twice
+the computing time."""
 FORM_WIDTHS: float = 1.5
 """Standard deviation with which shapes and refinements are drawn, in those of their priors."""
 REFINED_PROBABILITY: float = 0.5

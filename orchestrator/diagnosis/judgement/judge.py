@@ -133,23 +133,20 @@ def _in_other_forms(record: VerdictRecord, limits: VerdictLimits) -> list[Reason
         return []
     share = (record.chi2_after - record.chi2_in_other_forms) / (record.chi2_after - 1.0)
     left = residual_fraction(_or_infinite(record.chi2_before), record.chi2_in_other_forms, limits.noise_chi2)
-    if share < limits.other_form_share or left > limits.explained_fraction:
+    too_much = record.chi2_in_other_forms - 1.0 > limits.immaterial_excess_chi2 or left > limits.explained_fraction
+    if share < limits.other_form_share or too_much:
         return []
     value, allowed = _as_texts(100.0 * share, 100.0 * limits.other_form_share)
     names = listed([plain(name) for name in record.other_forms])
     text = (
         f"Other forms of {names} take up {value} % of the excess chi2, which falls from {number(record.chi2_after, 3)} "
-        f"to {number(record.chi2_in_other_forms, 3)}; an effect that is missing would leave them less than {allowed} %."
+        f"to {number(record.chi2_in_other_forms, 3)}; {allowed} % is required."
     )
+    rest, most = _as_texts(100.0 * left, 100.0 * limits.explained_fraction)
+    remaining = f"{rest} % of the first error is left then; up to {most} % is allowed."
     return [
         _percentage("taken_up_by_other_forms", share, limits.other_form_share, text),
-        _percentage(
-            "left_of_first_error",
-            left,
-            limits.explained_fraction,
-            f"{_text(100.0 * left)} % of the first error is left then; up to "
-            f"{_text(100.0 * limits.explained_fraction)} % is allowed.",
-        ),
+        _percentage("left_of_first_error", left, limits.explained_fraction, remaining),
     ]
 
 

@@ -45,6 +45,7 @@ CASES = [
     (LEFT | {"fine_map": True}, "unknown_remains", "chi2_per_dof_on_fine_map"),
     (FORMS, "explained_in_another_form", "taken_up_by_other_forms_percent"),
     (FORMS | {"fine_map": True}, "explained_in_another_form", "taken_up_by_other_forms_percent"),
+    (FORMS | {"chi2_after": 60.0, "chi2_in_other_forms": 9.0, "chi2_before": 1e6}, "unknown_remains", "chi2_per_dof"),
     (FORMS | {"chi2_in_other_forms": 8.5}, "unknown_remains", "chi2_per_dof"),
     (FORMS | {"chi2_before": 500.0}, "unknown_remains", "chi2_per_dof"),
     (FORMS | {"chi2_before": 80.0}, "unknown_remains", "left_of_first_error_percent"),
