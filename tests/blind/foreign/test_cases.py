@@ -70,6 +70,7 @@ def test_a_healthy_plant_agrees_with_its_own_map() -> None:
     assert misaligned["flux_percent"] > 10 * nothing["flux_percent"]
 
 
+@pytest.mark.slow
 def test_gaps_split_a_segment_and_keep_its_time() -> None:
     case = quick(synrm_case("current_offset"), "gaps")
     found, drive = captured(case.rig)
@@ -81,6 +82,7 @@ def test_gaps_split_a_segment_and_keep_its_time() -> None:
     assert set(stages) == {"resistance", "classical", "injection"}
 
 
+@pytest.mark.slow
 def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--make", "single:7", "--seed", "7", "--out", str(tmp_path / "again")]) == 0
     assert "current_filter" in capsys.readouterr().out

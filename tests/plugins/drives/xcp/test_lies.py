@@ -111,10 +111,10 @@ def arm_and_hold(drive: XcpDrive) -> None:
         (answers(bytes([ERROR, 0x2B])), "the ECU answers with the error 0x2b, which XCP does not define"),
         (answers(bytes([ERROR, 0x29])), "the ECU answers with the error ERR_SEQUENCE"),
         (answers(bytes([RESPONSE])), r"cannot be read \(0 octets answer a request for 88\)"),
-        (garbage, "drive fault (link_lost|wrong_data|no_answer)"),
+        pytest.param(garbage, "drive fault (link_lost|wrong_data|no_answer)", marks=pytest.mark.slow),
         (flood_of_messages, "drive fault (link_lost|wrong_data|no_answer)"),
         (flood_of_answers, "drive fault (link_lost|wrong_data|no_answer)"),
-        (huge_length, "no (row for 2 s|answer)"),
+        pytest.param(huge_length, "no (row for 2 s|answer)", marks=pytest.mark.slow),
     ],
 )
 def test_altered_messages_are_a_lost_link_with_its_reason(
