@@ -104,7 +104,10 @@ class InterimRecorder:
 
 
 def _clear_effects(fit: Fit) -> tuple[str, ...]:
-    """Effects of a joint fit whose log evidence exceeds half of the excess chi2, the largest first."""
+    """Effects of a joint fit whose log evidence exceeds half of the excess chi2, the largest first.
+
+    The causes of the answer (`naming.build_ladder`) need a refit for each effect, too much while the search goes on.
+    """
     factors, spare = log_bayes_factors(fit), set(redundant_terms(fit))
     rest = 0.5 * max(fit.chi2 - fit.dof, 0.0)
     clear = [name for name in fit.model.names if name not in spare and factors[name] > rest]

@@ -80,7 +80,7 @@ def run_emulation(device: Device, port: Port, settings: LinkSettings, log: Log) 
     with _ending_signals() as ending:
         try:
             port.publish()
-            # With real-time priority it would leave the processors to nobody, not even to its host.
+            # With real-time priority it would take the processors from all others, its host included.
             emulation.rests = settings.priority and _request_priority()
             log("started", pid=os.getpid(), priority=emulation.rests)
             while not ending():

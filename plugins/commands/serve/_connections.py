@@ -1,6 +1,6 @@
 """Connections that do not wait for their clients for ever, and of which there are not too many.
 
-uvicorn itself keeps a connection open on which no request comes, and a response that nobody reads.
+uvicorn itself keeps a connection open on which no request comes, and a response that is not read.
 """
 
 from __future__ import annotations

@@ -122,7 +122,7 @@ class Link:
             raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {self._reason(error)}") from error
         self._master.transport.get = self._answer
         self._master.transport._record_pdu = lambda *pdu: None  # diagnostics take most of a row's CPU time
-        self._master.transport.process_event_packet = lambda packet: None  # nothing is asked of them; they are printed
+        self._master.transport.process_event_packet = lambda packet: None  # the default prints it
         self.layout = Layout("<")
         self._head, self._quiet = 0, ProcessClock()
 
@@ -255,7 +255,7 @@ class Link:
         answer, waited_s = self._master.synch(), ProcessClock()
         while bytes(answer) != b"\0":
             if waited_s() > self._timeout_s:
-                raise self._types.XcpTimeoutError("answers that nobody requested, and none to SYNCH")
+                raise self._types.XcpTimeoutError("answers without a request, and none to SYNCH")
             answer = self._answer()[1:]
 
     def _answer(self) -> Any:

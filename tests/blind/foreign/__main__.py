@@ -64,7 +64,7 @@ def _make(label: str, seed: int, out: Path | None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.blind.foreign", description=__doc__)
-    parser.add_argument("--seed", type=int, help="by default one that nobody chose; it stands in the table")
+    parser.add_argument("--seed", type=int, help="random by default; it is in the table")
     parser.add_argument("--count", type=int, help=f"recordings a class; by default {USUAL}")
     parser.add_argument("--classes", nargs="+", choices=KINDS, help="only these")
     parser.add_argument(

@@ -320,12 +320,12 @@ def test_remarks_on_maps_that_are_not_recommended_are_folded(run: Path) -> None:
     report = material.estimates
     assert report is not None
     other = next(name for name in report.maps if name != report.method)
-    said = (Remark(code=f"{report.method}.noisy", text="noisy"), Remark(code=f"{other}.coarse", text="coarse"))
-    usable = replace(material, estimates=report.model_copy(update={"remarks": said, "usable": True}))
+    findings = (Remark(code=f"{report.method}.noisy", text="noisy"), Remark(code=f"{other}.coarse", text="coarse"))
+    usable = replace(material, estimates=report.model_copy(update={"remarks": findings, "usable": True}))
     assert (remarks(usable).main, remarks(usable).others) == (["noisy"], ["coarse"])
     page = render(usable, draws=False)
     assert "Remarks on the maps that are not recommended (1)" in page
-    objected = replace(material, estimates=report.model_copy(update={"remarks": said, "usable": False}))
+    objected = replace(material, estimates=report.model_copy(update={"remarks": findings, "usable": False}))
     assert (remarks(objected).main, remarks(objected).others) == (["noisy", "coarse"], [])
 
 

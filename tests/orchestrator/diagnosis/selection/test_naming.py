@@ -60,7 +60,7 @@ def test_effects_that_were_added_one_by_one_are_causes_in_their_order() -> None:
 
 
 def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
-    """A biased voltage, and gains that nobody looks for: another resistance in a phase takes some of what they do."""
+    """A biased voltage, and gains that are not searched: another resistance in a phase takes some of what they do."""
     setup, bare, whole = _fitted(0.2, [VoltageBias(), PhaseResistanceImbalance()])
     search = _ladder(setup, bare, whole)
     assert search.contributions["phase_resistance_imbalance"].relative_to_error > whole.criteria.selection.named_share

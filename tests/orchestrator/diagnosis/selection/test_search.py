@@ -1,4 +1,4 @@
-"""The search names what is there, and nothing in noise, whether few effects are missing or many."""
+"""The search names the effects that are present, and none in noise, whether few effects are missing or many."""
 
 from __future__ import annotations
 

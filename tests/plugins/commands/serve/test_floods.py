@@ -1,4 +1,4 @@
-"""What other clients do takes from nobody the events, the stop, or the next start; and the server always ends."""
+"""Whatever other clients do, events, stop and next start work for everybody, and the server always ends."""
 
 from __future__ import annotations
 
