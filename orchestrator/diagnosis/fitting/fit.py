@@ -149,7 +149,7 @@ class Fitter:
             An earlier fit's; reused if it has the same map, else renewed as far as the map changes it.
         steps : int
             Maximum number of Gauss-Newton steps with one linearisation.
-        renewals : int
+        relinearisations : int
             Maximum number of relinearisations.
         tolerance : float
             Fall of the objective over the excess chi2, below which the fit ends.
