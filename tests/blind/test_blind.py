@@ -80,12 +80,20 @@ def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.Capture
     assert json.loads((tmp_path / "again" / "recording.json").read_text())["segments"]
 
 
+def test_the_right_thing_is_stated_of_a_short_recording() -> None:
+    case = draw_case("single", number_of("voltage_bias", CATALOGUE), SEED)
+    short = dataclasses.replace(case.campaign, period_s=0.3, injection_s=0.15, dwell_s=0.08)
+    answer = examine(dataclasses.replace(case, campaign=short), held_against_others=False)
+    assert judge(answer).wrong == [], f"{answer.case.hidden}: {stated(answer)}"
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "index"),
     [
         ("single", number_of("voltage_bias", CATALOGUE)),
-        pytest.param("clean", 0, marks=pytest.mark.slow),
-        pytest.param("foreign", number_of("mains_hum", FOREIGN), marks=pytest.mark.slow),
+        ("clean", 0),
+        ("foreign", number_of("mains_hum", FOREIGN)),
     ],
 )
 def test_the_right_thing_is_stated(kind: str, index: int) -> None:
