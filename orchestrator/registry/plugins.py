@@ -10,13 +10,13 @@ import importlib.util
 import inspect
 import sys
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from enum import Enum, StrEnum
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint
 from pathlib import Path
 from types import UnionType
-from typing import Any, ClassVar, Literal, get_args, get_origin
+from typing import Any, ClassVar, Literal, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -226,7 +226,7 @@ def _reason(error: BaseException) -> str:
 
 
 def _check_contract(info: PluginInfo, plugin: type[Any]) -> None:
-    problem = _contract_problem(info.kind, plugin)
+    problem = _contract_problem(info.kind, cast(Hashable, plugin))
     if problem:
         raise PluginError(info.kind.value, str(info), problem)
 

@@ -15,14 +15,14 @@ READ_ONLY = ("test_input_is_not_modified", "test_a_batch_is_not_modified")
 
 
 def _slow(check: str) -> Callable[[EffectConformance], None]:
-    inherited = getattr(EffectConformance, check)
+    inherited: Callable[[EffectConformance], None] = getattr(EffectConformance, check)
 
-    @pytest.mark.slow
     @functools.wraps(inherited)
     def test(self: EffectConformance) -> None:
         inherited(self)
 
-    return test
+    marked: Callable[[EffectConformance], None] = pytest.mark.slow(test)
+    return marked
 
 
 def _kit(name: str) -> type[EffectConformance]:
