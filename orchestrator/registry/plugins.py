@@ -10,13 +10,13 @@ import importlib.util
 import inspect
 import sys
 import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from enum import Enum, StrEnum
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint
 from pathlib import Path
 from types import UnionType
-from typing import Any, ClassVar, Literal, get_args, get_origin
+from typing import Any, ClassVar, Literal, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
@@ -226,9 +226,17 @@ def _reason(error: BaseException) -> str:
 
 
 def _check_contract(info: PluginInfo, plugin: type[Any]) -> None:
-    contract = _CONTRACTS[info.kind]
+    problem = _contract_problem(info.kind, cast(Hashable, plugin))
+    if problem:
+        raise PluginError(info.kind.value, str(info), problem)
+
+
+@lru_cache(maxsize=256)  # a procedure loads its stages' plugins again and again
+def _contract_problem(kind: PluginKind, plugin: type[Any]) -> str | None:
+    """Why a class is not what `protocols` says such a plugin is; None where it is."""
+    contract = _CONTRACTS[kind]
     if issubclass(contract, BaseModel) and not issubclass(plugin, contract):
-        raise PluginError(info.kind.value, str(info), f"has to be a sub-class of {contract.__name__}")
+        return f"has to be a sub-class of {contract.__name__}"
     # A base class has what pydantic declares for itself as well, and properties of its own.
     is_base = issubclass(contract, BaseModel)
     own: dict[str, Any] = (
@@ -241,16 +249,13 @@ def _check_contract(info: PluginInfo, plugin: type[Any]) -> None:
     for attribute, wanted in hints.items():
         problem = _attribute_problem(plugin, attribute, wanted)
         if problem:
-            raise PluginError(info.kind.value, str(info), f"attribute {attribute!r} {problem}")
+            return f"attribute {attribute!r} {problem}"
     for method, definition in vars(contract).items():
         if inspect.isfunction(definition) and not method.startswith("_"):
             problem = method_problem(plugin, method, contract)
             if problem:
-                raise PluginError(info.kind.value, str(info), f"method {method!r} {problem}")
-    if info.kind is PluginKind.EFFECTS:
-        problem = hook_problem(plugin)
-        if problem:
-            raise PluginError(info.kind.value, str(info), problem)
+                return f"method {method!r} {problem}"
+    return hook_problem(plugin) if kind is PluginKind.EFFECTS else None
 
 
 def _attribute_problem(plugin: type[Any], attribute: str, wanted: Any) -> str | None:

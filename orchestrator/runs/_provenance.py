@@ -5,7 +5,8 @@ from __future__ import annotations
 import platform
 import re
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
@@ -45,13 +46,14 @@ def provenance(plugins: Iterable[PluginInfo] = ()) -> Provenance:
         fluxbench=_version(_DISTRIBUTION) or "?",
         python=platform.python_version(),
         platform=platform.platform(),
-        packages=_packages(),
+        packages=dict(_packages()),
         plugins=tuple(plugins),
-        git=_git_state(Path(__file__).resolve().parents[2]),
+        git=_own_git_state(),
     )
 
 
-def _packages() -> dict[str, str]:
+@cache  # parses the metadata of each package, and what is imported stays as it is
+def _packages() -> Mapping[str, str]:
     try:
         needed = requires(_DISTRIBUTION) or []
     except PackageNotFoundError:
@@ -65,6 +67,11 @@ def _version(distribution: str) -> str | None:
         return version(distribution)
     except PackageNotFoundError:
         return None
+
+
+@cache  # the code that runs is the code that was imported, whatever becomes of the files
+def _own_git_state() -> GitState | None:
+    return _git_state(Path(__file__).resolve().parents[2])
 
 
 def _git_state(source: Path) -> GitState | None:

@@ -11,7 +11,7 @@ import pytest
 
 from orchestrator.testing._faults import faults_as_failures
 from orchestrator.testing._kit import PLUGIN_NAME, Kit, bounded
-from orchestrator.testing._recordings import Disguised, Empty, digest, turned
+from orchestrator.testing._recordings import Disguised, Empty, digest, read_only, turned
 from protocols import (
     Estimate,
     EstimationContext,
@@ -97,7 +97,7 @@ class EstimatorConformance(Kit, ABC):
     def test_recording_is_not_modified(self) -> None:
         recording = self.recording()
         before = digest(recording)
-        self._estimate(Disguised(recording))
+        self._estimate(Disguised(recording, read_only))
         assert digest(recording) == before, "the recording is not what it was before the estimate"
 
     def test_recording_without_its_stages_is_not_measured(self) -> None:

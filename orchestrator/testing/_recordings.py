@@ -20,7 +20,7 @@ class Disguised:
     ----------
     recording : RecordingReader
     capture : callable
-        From a segment's capture to the one handed out; arrays are made read-only after it.
+        From a segment's capture to the one handed out.
     segment : callable
         From a manifest's segment to the one handed out.
     """
@@ -45,7 +45,7 @@ class Disguised:
         return [shown[s.id] for s in self._recording.segments(*stages)]
 
     def load(self, segment: Segment) -> Capture:
-        return read_only(self._capture(self._recording.load(self._original[segment.id])))
+        return self._capture(self._recording.load(self._original[segment.id]))
 
 
 class Empty:

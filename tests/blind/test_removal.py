@@ -60,6 +60,7 @@ def test_rows_carry_the_voltage_in_which_they_were_impressed() -> None:
     assert 0 < counts[0] - counts[1] < 100
 
 
+@pytest.mark.slow
 def test_slots_alone_are_the_whole_error() -> None:
     case = short("single", 17)
     (done,) = removals(case).values()

@@ -42,9 +42,12 @@ def start_afresh(*words: str | Path) -> subprocess.Popen[str]:
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float = 120.0) -> None:
-    """Look every few milliseconds until it is so."""
+    """Look every few milliseconds until it is so, and less often where to look takes long."""
     deadline = time.monotonic() + timeout_s
-    while not condition():
-        if time.monotonic() > deadline:
+    while True:
+        begun = time.monotonic()
+        if condition():
+            return
+        if begun > deadline:
             raise TimeoutError("it never came to be so")
-        time.sleep(0.005)
+        time.sleep(max(0.005, 3.0 * (time.monotonic() - begun)))

@@ -17,15 +17,13 @@ from orchestrator.diagnosis.selection.search_state import SearchState
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeadTime, VoltageBias
-from plugins.effects.resistance import WindingHeating
-from plugins.effects.sensors import CurrentOffset
 from plugins.effects.timing import VoltageDelay
 from protocols import Effect, RunInterrupted
 from tests.orchestrator.diagnosis import pieces as made_of
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
 
-LIBRARY: list[Effect] = [DeadTime(), VoltageBias(), VoltageDelay(), CurrentOffset(), WindingHeating()]
+LIBRARY: list[Effect] = [DeadTime(), VoltageBias()]
 THREADS = "fluxbench-equations"
 
 
@@ -85,7 +83,7 @@ def test_what_was_found_so_far_is_fitted_to_the_whole_and_reported_as_unfinished
     [
         pytest.param(Impatient(KeyboardInterrupt), False, id="nobody wants a report"),
         pytest.param(Impatient(KeyboardInterrupt, times=2), True, id="the second time"),
-        pytest.param(Impatient(RunInterrupted), True, id="a run is stopped"),
+        pytest.param(Impatient(RunInterrupted), True, id="a run is stopped", marks=pytest.mark.slow),
         pytest.param(Impatient(KeyboardInterrupt, words="search for a few"), True, id="nothing was found yet"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -84,6 +85,22 @@ def test_a_batch_is_not_written_to(name: str) -> None:
         if isinstance(one, RandomBatchEffect):
             one.random_directions_batch(batch, p)
     assert [key for key, array in arrays.items() if array.tobytes() != before[key]] == []
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_segment_is_not_written_to(name: str) -> None:
+    one, segments = effect(name), segments_with_a_model()
+    written = []
+    for signals in segments:
+        named = {field.name: getattr(signals, field.name) for field in fields(signals)}
+        arrays = {key: array for key, array in named.items() if isinstance(array, np.ndarray)}
+        before = {key: array.tobytes() for key, array in arrays.items()}
+        for _, p in settings(parameters_of(one)):
+            one.correct(signals, p)
+            if isinstance(one, RandomBatchEffect):
+                one.random_directions(signals, p)
+        written += [key for key, array in arrays.items() if array.tobytes() != before[key]]
+    assert written == []
 
 
 def test_what_depends_on_a_value_alone_is_worked_out_once_for_each() -> None:

@@ -2,13 +2,33 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+
+import pytest
+
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.testing import EffectConformance
 
+READ_ONLY = ("test_input_is_not_modified", "test_a_batch_is_not_modified")
+"""Every kernel is compiled anew for arrays that cannot be written to. `test_batches` guards ordinary ones."""
+
+
+def _slow(check: str) -> Callable[[EffectConformance], None]:
+    inherited: Callable[[EffectConformance], None] = getattr(EffectConformance, check)
+
+    @functools.wraps(inherited)
+    def test(self: EffectConformance) -> None:
+        inherited(self)
+
+    marked: Callable[[EffectConformance], None] = pytest.mark.slow(test)
+    return marked
+
 
 def _kit(name: str) -> type[EffectConformance]:
-    made = {"make_effect": lambda self: load_plugin(PluginKind.EFFECTS, name)()}
-    return type(f"Test_{name}", (EffectConformance,), made)
+    members: dict[str, object] = {check: _slow(check) for check in READ_ONLY}
+    members["make_effect"] = lambda self: load_plugin(PluginKind.EFFECTS, name)()
+    return type(f"Test_{name}", (EffectConformance,), members)
 
 
 for _info in installed(PluginKind.EFFECTS):

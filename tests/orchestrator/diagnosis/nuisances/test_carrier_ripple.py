@@ -26,9 +26,12 @@ def flux(magnetics: Magnetics, i_dq: Array) -> Array:
 def current(magnetics: Magnetics, psi: Array, near: Array) -> Array:
     """The current of a flux, by Newton's method."""
     i = near.copy()
-    for _ in range(8):
+    for _ in range(20):
         at, (dd, dq, qq) = (x[0] for x in magnetics.flux_and_inductance(i[None]))
-        i = i + np.linalg.solve(np.array([[dd, dq], [dq, qq]]), psi - at)
+        step = np.linalg.solve(np.array([[dd, dq], [dq, qq]]), psi - at)
+        i = i + step
+        if np.abs(step).max() < 1e-9:  # the next one would be its square
+            break
     return i
 
 

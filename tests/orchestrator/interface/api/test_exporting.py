@@ -11,19 +11,20 @@ from protocols import InputError, Motor
 from tests.support.tiny import run_tiny
 
 
-def test_a_run_s_map_is_written_with_the_resistance_that_was_measured(tmp_path: Path) -> None:
-    run_tiny(tmp_path)
-    run = tmp_path / "run"
-    api.estimate(run)
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with its estimates."""
+    return run_tiny(tmp_path_factory.mktemp("exported")).path
+
+
+def test_a_run_s_map_is_written_with_the_resistance_that_was_measured(run: Path, tmp_path: Path) -> None:
     report = api.export(run, "csv", out=tmp_path / "out")
     assert [file.format for file in report.files] == ["csv"]
     assert list((tmp_path / "out").iterdir())
 
 
-def test_a_map_file_takes_the_motor_that_is_named(tmp_path: Path) -> None:
-    run_tiny(tmp_path)
-    api.estimate(tmp_path / "run")
-    (map_file,) = (tmp_path / "run" / "results").glob("flux_map.nc")
+def test_a_map_file_takes_the_motor_that_is_named(run: Path, tmp_path: Path) -> None:
+    (map_file,) = (run / "results").glob("flux_map.nc")
     with pytest.raises(InputError, match="a map file has no motor"):
         api.export(map_file, "csv", out=tmp_path / "none")
     motor = Motor(name="mine", pole_pairs=2)

@@ -6,12 +6,13 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from orchestrator.interface.cli._defects import TRACEBACKS, describe_defect, keep_traceback
-from tests.support.processes import FLUXBENCH, called
+from tests.support.processes import called
 from tests.support.tiny import run_tiny, tiny_file
 
 PLUGINS = """from plugins.drives.simulated import SimulatedDrive
@@ -37,23 +38,17 @@ ENTRIES = "[fluxbench.estimators]\ntorn = torn_plugins:Estimator\n[fluxbench.dri
 
 
 @pytest.fixture
-def plugins(tmp_path: Path) -> Path:
-    """A distribution with an estimator and a drive that raise."""
+def plugins(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A distribution with an estimator and a drive that raise, installed."""
     folder = tmp_path / "plugins"
     about = folder / "torn-1.0.dist-info"
     about.mkdir(parents=True)
     (about / "METADATA").write_text("Metadata-Version: 2.1\nName: torn\nVersion: 1.0\n")
     (about / "entry_points.txt").write_text(ENTRIES)
     (folder / "torn_plugins.py").write_text(PLUGINS)
-    return folder
-
-
-def run_with(plugins: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    path = os.pathsep.join(filter(None, (os.environ.get("PYTHONPATH"), str(plugins))))
-    environment = os.environ | {"PYTHONPATH": path, "TMPDIR": str(plugins.parent)}
-    return subprocess.run(
-        [FLUXBENCH, *map(str, words)], capture_output=True, text=True, env=environment, timeout=120, check=False
-    )
+    monkeypatch.syspath_prepend(str(folder))
+    yield folder
+    sys.modules.pop("torn_plugins", None)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +57,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_an_estimator_that_raises_is_one_line_and_the_traceback_is_in_the_run(plugins: Path, run: Path) -> None:
-    done = run_with(plugins, "estimate", run, "--estimator", "torn")
+    done = called("estimate", run, "--estimator", "torn")
     assert done.returncode == 2
     place = re.escape(f"{plugins / 'torn_plugins.py'}, line {LINE}")
     line = rf"fluxbench: estimators: torn: KeyError: 'gone\\nand more' \({place}\); the traceback is in (.+)\n"
@@ -76,7 +71,7 @@ def test_an_estimator_that_raises_is_one_line_and_the_traceback_is_in_the_run(pl
 
 def test_a_drive_that_raises_is_one_line_after_a_safe_end(plugins: Path, tmp_path: Path) -> None:
     procedure = tiny_file(tmp_path)
-    done = run_with(plugins, "run", procedure, "--drive", "torn", "--out", tmp_path / "run", "--quiet")
+    done = called("run", procedure, "--drive", "torn", "--out", tmp_path / "run", "--quiet")
     assert done.returncode == 3
     (line,) = done.stderr.splitlines()
     assert f"raised KeyError: 'gone\\nand more' ({plugins / 'torn_plugins.py'}, line {LINE})" in line

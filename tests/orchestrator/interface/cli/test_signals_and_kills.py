@@ -15,7 +15,7 @@ import xarray as xr
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import Note, PointDone, RunEnded, StateChanged
-from tests.support.processes import FLUXBENCH, called, start_afresh, start_fluxbench, wait_until
+from tests.support.processes import FLUXBENCH, called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_file
 
 STATES = (
@@ -29,8 +29,9 @@ STATES = (
 
 
 def reached(run: Path, state: str) -> bool:
-    if not (run / "journal.jsonl").exists():
-        return False
+    journal = run / "journal.jsonl"
+    if not journal.exists() or f'"{state}"' not in journal.read_text(encoding="utf-8"):
+        return False  # looked for again and again: what is not in the text need not be decoded
     return any(isinstance(message, StateChanged) and message.target == state for message in messages_of(run))
 
 
@@ -47,7 +48,7 @@ def test_a_signal_ends_the_run_disarmed(tmp_path: Path) -> None:
 
 def signalled_at(state: str, number: signal.Signals, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    process = start_afresh("run", tiny_file(tmp_path, drive={"realtime_factor": 2.0}), "--out", run)
+    process = start_fluxbench("run", tiny_file(tmp_path, drive={"realtime_factor": 2.0}), "--out", run)
     wait_until(lambda: reached(run, state) or process.poll() is not None)
     process.send_signal(number)
     _, message = process.communicate(timeout=30)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
-import subprocess
+import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from tests.support.processes import FLUXBENCH
+from tests.support.forking import ForkedCommand
+from tests.support.processes import start_fluxbench, wait_until
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Reply:
 class Served:
     """A server that listens, and its token."""
 
-    process: subprocess.Popen[str]
+    process: ForkedCommand
     folder: Path
     address: str
 
@@ -89,12 +90,10 @@ class Served:
 @contextmanager
 def serving(folder: Path) -> Iterator[Served]:
     """A server for a folder, ended with its run."""
-    process = subprocess.Popen(
-        [FLUXBENCH, "serve", str(folder)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    process = start_fluxbench("serve", folder)
     try:
-        assert process.stdout is not None
-        yield Served(process, folder, process.stdout.readline().strip())
+        wait_until(lambda: "\n" in process.printed_so_far() or process.poll() is not None)
+        yield Served(process, folder, process.printed_so_far().strip())
     finally:
-        process.terminate()
+        process.send_signal(signal.SIGTERM)
         process.communicate(timeout=60)

@@ -65,7 +65,7 @@ def withstood(served: Served, attack: Callable[[], AbstractContextManager[Any]],
 
 
 def test_tabs_that_come_and_go_take_nothing_from_the_others(served: Served) -> None:
-    withstood(served, lambda: tabs(served, 10, random.Random(1)), 3.0)
+    withstood(served, lambda: tabs(served, 10, random.Random(1)), 1.0)
 
 
 @pytest.mark.slow
