@@ -14,7 +14,7 @@ from orchestrator.estimation.flux_map_file import load_flux_map
 from orchestrator.estimation.judgement import inductances_of
 from orchestrator.estimation.nameplate import with_nameplate_checks
 from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates, write_results
-from orchestrator.estimation.usability import convex, flux_band, met, resistance_checks, unmet
+from orchestrator.estimation.usability import MODEL, convex, flux_band, met, resistance_checks, unmet
 from protocols import (
     DeliveredModel,
     EstimationReport,
@@ -82,11 +82,12 @@ def join_model(
         Report of the estimators alone.
     """
     map_report = MapReport(basis=flux_map.basis, checks=MapChecks(), inductances=inductances_of(flux_map))
+    bare = base.without_check(MODEL)  # the diagnosed model's own check replaces it
     if model.objections:
-        report = base.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
-        report = report.checked(unmet("model", model.objections))
+        report = bare.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
+        report = report.checked(unmet(MODEL, model.objections))
     else:
-        report = _recommended(base, flux_map, map_report, model, motor)
+        report = _recommended(bare, flux_map, map_report, model, motor)
         report = with_nameplate_checks(report, {flux_map.method: flux_map}, motor)
     fields: dict[str, Any] = {"model": model}
     if base.maps or base.resistance:
@@ -152,7 +153,7 @@ def _recommended(
     explains = Remark.of("model", "the model explains the recording: the diagnosis has no objection to its map")
     return report.checked(
         [
-            met("model", explains),
+            met(MODEL, explains),
             flux_band(model_map, reference_flux_wb(model_map, motor), base.criteria),
             convex(model_map),
             *resistance_checks(resistance, motor, set(), base.criteria),

@@ -15,7 +15,7 @@ from orchestrator.runs import RunDirectory
 from orchestrator.validation.plain_files import read_bytes
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole
-from protocols import Diagnosed, EstimationReport, FluxbenchError, Message, PointDone, RunEnded
+from protocols import Diagnosed, EstimationReport, FluxbenchError, Message, PointDone, RunEnded, Usability
 
 DATASET = "runs"
 COLUMNS = ("run", "created", "motor", "drive", "points", "outcome", "r_s_ohm", "map_by", "usable", "verdict", "view")
@@ -45,7 +45,11 @@ def row(path: Path) -> dict[str, Any]:
     found = _estimates(path) or (None if ended is None else ended.estimates)
     if found is not None:
         value = None if found.resistance is None else found.resistance.value_ohm
-        cells |= {"r_s_ohm": value, "map_by": found.method, "usable": found.usable}
+        cells |= {
+            "r_s_ohm": value,
+            "map_by": found.method,
+            "usable": None if found.usability is Usability.NOT_JUDGED else found.usable,
+        }
     return cells | {"verdict": _verdict(path, messages)}
 
 
