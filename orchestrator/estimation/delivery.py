@@ -14,7 +14,7 @@ from orchestrator.estimation.flux_map_file import load_flux_map
 from orchestrator.estimation.judgement import inductances_of
 from orchestrator.estimation.nameplate import with_nameplate_checks
 from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates, write_results
-from orchestrator.estimation.usability import MODEL, convex, flux_band, met, resistance_checks, unmet
+from orchestrator.estimation.usability import MODEL, convex, flux_band, met, missing_model, resistance_checks, unmet
 from protocols import (
     DeliveredModel,
     EstimationReport,
@@ -83,6 +83,8 @@ def join_model(
     """
     map_report = MapReport(basis=flux_map.basis, checks=MapChecks(), inductances=inductances_of(flux_map))
     bare = base.without_check(MODEL)  # the diagnosed model's own check replaces it
+    if bare.usable:
+        base = bare.checked([missing_model("the diagnosed model is judged instead")])
     if model.objections:
         report = bare.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
         report = report.checked(unmet(MODEL, model.objections))

@@ -116,11 +116,9 @@ def estimate_recording(
     by_method = {method: found.map for method, found in maps.items()}
     report = with_nameplate_checks(report, by_method, motor).checked(unmet("conventions", data_faults))
     earlier = earlier_model(out, recording.manifest)
-    if report.usable:
-        if check_model is None or earlier is not None:
-            check = missing_model("no model was fitted to the recording here")
-        else:
-            check = check_model(recording, by_method[str(report.method)], report.criteria)
+    if report.usable and earlier is None:
+        judged = (recording, by_method[str(report.method)], report.criteria)
+        check = missing_model("no model was fitted") if check_model is None else check_model(*judged)
         report = report.checked([check])
     if earlier is not None:
         report, by_method = join_model(report, by_method, *earlier, motor)

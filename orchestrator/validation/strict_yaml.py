@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from orchestrator.validation.json_text import refuse_half_characters
 from orchestrator.validation.messages import KeyPath
 from orchestrator.validation.plain_files import read_text
-from protocols import InputError, ProcedureError
+from protocols import SMALLEST_NUMBER, InputError, ProcedureError
 
 _INT = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -161,6 +162,10 @@ class _Reading:
             return self._mapping(events, path)
         if _kind(event) == "SequenceStart":
             return self._sequence(events, path)
+        try:
+            refuse_half_characters(event.value)
+        except ValueError as error:
+            raise self._wrong(event, path, str(error)) from None
         return event.value if event.style is not None else self._plain(event, path)
 
     def _mapping(self, events: Iterator[Any], path: KeyPath) -> dict[str, Any]:
@@ -196,6 +201,8 @@ class _Reading:
             number = float(text)
             if not math.isfinite(number):
                 raise self._wrong(event, path, f"{text[:40]} is too large a number")
+            if 0.0 < abs(number) < SMALLEST_NUMBER or (number == 0.0 and re.search("[1-9]", re.split("[eE]", text)[0])):
+                raise self._wrong(event, path, f"{text[:40]} is too small a number")
             return number
         return text
 

@@ -64,7 +64,7 @@ def test_injection_is_recommended_and_every_map_has_its_file(tmp_path: Path) -> 
 def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -> None:
     percent = AxisPercent(d_percent=1.0, q_percent=None)
     checks = MapChecks(crossings=percent, parity=percent, reciprocity_percent=0.5)
-    report = estimate_recording(RECORDING, [Resistance(), Sweeps(checks=checks)], tmp_path)
+    report = estimate_recording(RECORDING, [Resistance(), Sweeps(checks=checks)], tmp_path, check_model=explained)
     text = (tmp_path / "results" / "estimates.json").read_text()
     assert EstimationReport.model_validate_json(text) == report
     written = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
