@@ -115,7 +115,8 @@ def estimate_recording(
     report = report_with_checks(found, motor, criteria or MapCriteria())
     by_method = {method: found.map for method, found in maps.items()}
     report = with_nameplate_checks(report, by_method, motor).checked(unmet("conventions", data_faults))
-    earlier = earlier_model(out, recording.manifest)
+    earlier, left_out = earlier_model(out, recording.manifest)
+    report = report.model_copy(update={"remarks": (*report.remarks, *left_out)})
     if report.usable and earlier is None:
         judged = (recording, by_method[str(report.method)], report.criteria)
         check = missing_model("no model was fitted") if check_model is None else check_model(*judged)
