@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -27,9 +28,9 @@ from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.judgement.verdict import verdict_record
 from orchestrator.diagnosis.reporting.delivery import EXPLAINED, objections_to
 from orchestrator.diagnosis.reporting.ladder import current_error, noise_rms_v
-from orchestrator.diagnosis.selection.adding import add_moves
+from orchestrator.diagnosis.selection.adding import added
 from orchestrator.diagnosis.selection.environment_moves import noise_moves
-from orchestrator.diagnosis.selection.scoring import linear_view, score
+from orchestrator.diagnosis.selection.scoring import Score, linear_view, score
 from orchestrator.diagnosis.selection.search_state import Move, SearchState, first_accepted
 from orchestrator.diagnosis.selection.shape_moves import fixed_parameters, free_moves
 from orchestrator.estimation import missing_model, model_check
@@ -99,7 +100,7 @@ class _Screened:
     def check(self, flux_map: FluxMap, criteria: MapCriteria) -> UsabilityCheck:
         verdict, names = self.judgement.verdict, [plain(name) for name in self.fit.model.names]
         if verdict not in EXPLAINED or self.objections:
-            why = self.objections or self.judgement.reasons[0].sentence
+            why = self.objections or self.judgement.reasons[-1].sentence
             model = f"R_s, a map and {listed(names)} do" if names else "R_s and a map alone do"
             text = f"{model} not explain the recording ({{verdict}}: {{why}})"
             if self.strongest is not None and not names:
@@ -143,7 +144,9 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
         map_error=band_wb / rated_wb,
         hidden_map_error=uncertainty.hidden_wb(currents) / rated_wb,
     )
-    judgement = judge(record)
+    # What `explained` bears beside effects is borne without any: a rest that is small and immaterial moves no map.
+    bearable = {"noise_accuracy_excess_chi2": record.limits.explained_excess_chi2}
+    judgement = judge(record, record.limits.model_copy(update=bearable))
     moved = {name: share.relative_to_flux for name, share in contributions(setup, first, last).items()}
     objections = objections_to(last, judgement.verdict, 100.0 * band_wb / rated_wb, moved)
     return _Screened(
@@ -175,6 +178,22 @@ def _explaining(setup: DiagnosisSetup, first: Fit, library: Library) -> tuple[Di
 def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     """The search's cheap moves, the largest predicted gain first."""
     view = linear_view(state.fitter, state.fit, library, fixed_parameters(state.fit.model))
-    moves = [*free_moves(state, view, details=False), *add_moves(state, view, library)]
+    moves = [*free_moves(state, view, details=False), *_add_moves(state, score(view))]
     yield from sorted(moves, key=lambda move: -move.gain)
     yield from noise_moves(state, library)
+
+
+def _add_moves(state: SearchState, scores: Sequence[Score]) -> Iterator[Move]:
+    """Add one of the effects with the largest linear gain, however small: nothing is named here, only explained."""
+    limits, noise = state.limits, max(1.0, (state.fit.chi2 - scores[0].gain) / state.fit.dof) if scores else 1.0
+    shortlist = [s for s in scores[: limits.most_trials] if s.gain > 2.0 * limits.log_evidence * noise]
+    if shortlist:
+        effects = tuple(s.candidate.name for s in shortlist)
+        yield Move("add", effects, partial(_with_best, state, shortlist), shortlist[0].gain)
+
+
+def _with_best(state: SearchState, shortlist: Sequence[Score]) -> SearchState | None:
+    best = min((added(state, scored) for scored in shortlist), key=lambda trial: trial.objective)
+    grown = state.minimum(best.model, best)
+    threshold = 2.0 * state.limits.log_evidence * max(1.0, grown.chi2_per_dof)
+    return state.after(grown) if state.fit.objective - grown.objective > threshold else None

@@ -81,7 +81,7 @@ def _one_axis(factor: float, axis: int) -> RealArray:
 
 def _currents(wrong: Rewritten, change: Callable[[RealArray, Capture], RealArray]) -> Rewritten:
     def changed(c: Capture) -> dict[str, RealArray]:
-        return {"i_ab": change(np.asarray(c.i_ab, dtype=np.float64), c).astype(np.float32)}
+        return {"i_ab": change(np.array(c.i_ab, dtype=np.float64), c).astype(np.float32)}
 
     return wrong.captured(changed)
 
@@ -241,10 +241,6 @@ def _heating(rng: random.Random, wrong: Rewritten) -> Rewritten:
     )
 
 
-def _wrong_rate(rng: random.Random, wrong: Rewritten) -> Rewritten:
-    return wrong.driven(sampling_frequency_hz=1e4 * (1.0 + rng.choice((-1, 1)) * _size(rng, 0.01, 0.5)))
-
-
 MUTILATIONS: dict[str, Change] = {
     "backlash": _backlash,
     "bent sensor": _bent,
@@ -268,7 +264,6 @@ MUTILATIONS: dict[str, Change] = {
     "voltage steps": _voltage_steps,
     "wrong angle": _constant_angle,
     "wrong pole pairs": _wrong_pole_pairs,
-    "wrong rate": _wrong_rate,
 }
 
 

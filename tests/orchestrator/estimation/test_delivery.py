@@ -19,6 +19,7 @@ from protocols import (
     ResistanceEstimate,
     Segment,
     SegmentStage,
+    Usability,
 )
 from tests.orchestrator.analysis.test_checks import exact_map
 from tests.orchestrator.estimation.made_up import RECORDING, Resistance, Ripples, Sweeps, explained
@@ -106,7 +107,9 @@ def test_a_model_of_other_segments_is_forgotten(tmp_path: Path) -> None:
     manifest = RECORDING.manifest.model_copy(update={"segments": (longer,)})
     report = deliver_model(tmp_path, model_map(), R_S, (), manifest=manifest)
     assert report.method == "model"
-    assert estimate_recording(RECORDING, ALL, tmp_path, check_model=explained).method != "model"
+    again = estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
+    assert again.method != "model"
+    assert "is of other segments and left out" in "".join(again.reasons)
     assert not (tmp_path / "results" / "flux_map_model.nc").exists()
 
 
@@ -128,3 +131,23 @@ def test_the_models_resistance_is_held_beside_the_nameplate(tmp_path: Path, time
     report = deliver(tmp_path, motor=plate)
     assert report.usable
     assert [r.code for r in report.remarks if r.code == "far_from_nameplate"] == codes
+
+
+def test_earlier_results_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "estimates.json").write_text("{", encoding="utf-8")
+    report = estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
+    (text,) = (remark.text for remark in report.remarks if remark.code == "results_left_out")
+    assert text.startswith("earlier results are left out: ")
+    assert "estimates.json" in text
+    (tmp_path / "results" / "estimates.json").write_text("{", encoding="utf-8")
+    assert "results_left_out" in [remark.code for remark in deliver(tmp_path).remarks]
+
+
+def test_without_a_model_no_map_is_judged_and_a_diagnosis_decides(tmp_path: Path) -> None:
+    report = estimate_recording(RECORDING, ALL, tmp_path)
+    assert (report.usable, report.usability) == (False, Usability.NOT_JUDGED)
+    assert report.remarks[0].code == "not_judged"
+    assert deliver(tmp_path).usability is Usability.USABLE
+    assert deliver(tmp_path, *AGAINST).usability is Usability.NOT_USABLE
+    assert "not_judged" not in [remark.code for remark in deliver(tmp_path, *AGAINST).remarks]
