@@ -135,7 +135,7 @@ from protocols._model import (
     Saturated,
     TimerPhases,
 )
-from protocols._motor import SMALLEST_NUMBER, Motor, Positive, ProcedureMotor
+from protocols._motor import Motor, Positive, ProcedureMotor
 from protocols._procedure import (
     About,
     DriveChoice,
@@ -204,7 +204,6 @@ __all__ = [
     "FORMER_HOOKS",
     "PLAIN_UNITS",
     "SCALED_UNITS",
-    "SMALLEST_NUMBER",
     "About",
     "AddReport",
     "ArrayModel",

@@ -9,12 +9,12 @@ from pydantic import AfterValidator, Field
 
 from protocols._base import Lenient, Strict
 
-SMALLEST_NUMBER: float = 1e-30
-"""Size below which a number other than zero is no quantity of a motor or a plan: what divides by it overflows."""
+_SMALLEST: float = 1e-30
+"""Size below which a positive number is no quantity of a motor or a plan: what divides by it overflows."""
 
 
 def _not_too_small(value: float) -> float:
-    if value < SMALLEST_NUMBER:
+    if value < _SMALLEST:
         raise ValueError(f"{value:g} is too small a number")
     return value
 

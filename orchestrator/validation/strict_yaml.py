@@ -17,7 +17,7 @@ from typing import Any
 from orchestrator.validation.json_text import refuse_half_characters
 from orchestrator.validation.messages import KeyPath
 from orchestrator.validation.plain_files import read_text
-from protocols import SMALLEST_NUMBER, InputError, ProcedureError
+from protocols import InputError, ProcedureError
 
 _INT = re.compile(r"[-+]?[0-9]+")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
@@ -201,8 +201,6 @@ class _Reading:
             number = float(text)
             if not math.isfinite(number):
                 raise self._wrong(event, path, f"{text[:40]} is too large a number")
-            if 0.0 < abs(number) < SMALLEST_NUMBER or (number == 0.0 and re.search("[1-9]", re.split("[eE]", text)[0])):
-                raise self._wrong(event, path, f"{text[:40]} is too small a number")
             return number
         return text
 

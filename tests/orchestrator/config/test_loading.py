@@ -146,6 +146,7 @@ def replaced(old: str, new: str) -> str:
         (replaced("pole_pairs: 2", "pole_pairs: true"), 6, "motor.pole_pairs", "got True"),
         (replaced("current_a: 5.0", "current_a: true"), 11, "limits.current_a", "expected a number in A, got True"),
         (replaced("current_a: 5.0", "current_a: -5.0"), 11, "limits.current_a", "greater than 0, got -5.0"),
+        (replaced("current_a: 5.0", "current_a: 5e-324"), 11, "limits.current_a", "4.94066e-324 is too small a number"),
         (replaced("current_a: 5.0", "current_a: .nan"), 11, "limits.current_a", "finite"),
         (replaced("current_a: 5.0", "current_a: -.inf"), 11, "limits.current_a", "finite"),
         (replaced("current_a: 5.0", "current_a: 1e999"), 11, "limits.current_a", "too large"),
