@@ -10,7 +10,7 @@ What a few moves do not explain is not judged: the whole search of `fluxbench di
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -44,6 +44,7 @@ from protocols import (
     NotMeasuredError,
     PluginError,
     RecordingReader,
+    Remark,
     UsabilityCheck,
 )
 
@@ -149,6 +150,7 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
     judgement = judge(record, record.limits.model_copy(update=bearable))
     moved = {name: share.relative_to_flux for name, share in contributions(setup, first, last).items()}
     objections = objections_to(last, judgement.verdict, 100.0 * band_wb / rated_wb, moved)
+    objections += _implausible(record.effect_widths, record.limits.shape_widths)
     return _Screened(
         setup=setup,
         fit=last,
@@ -157,6 +159,13 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
         strongest=scores[0].candidate.name if scores and scores[0].gain > 0.0 else None,
         objections="; ".join(remark.text for remark in objections),
     )
+
+
+def _implausible(widths: Mapping[str, float | None], limit: float) -> list[Remark]:
+    """Objections to effects that are far larger than in any drive: such a one may stand in for another."""
+    text = "{effect} would be {widths:.2g} standard deviations of its prior, and may stand in for something else"
+    far = [(name, size) for name, size in widths.items() if size is None or size > limit]
+    return [Remark.of("implausible", text, effect=plain(name), widths=size) for name, size in far]
 
 
 def _explaining(setup: DiagnosisSetup, first: Fit, library: Library) -> tuple[DiagnosisSetup, Fit]:

@@ -79,9 +79,9 @@ def test_a_shipped_procedure_survives_being_written_and_read_again(name: str, wr
 
 
 number = st.floats(allow_nan=False, allow_infinity=False)
-positive = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+positive = st.floats(min_value=1e-30, allow_infinity=False)
 angle = st.floats(min_value=-12.0, max_value=12.0)
-seconds = st.floats(min_value=0, exclude_min=True, max_value=86_400)
+seconds = st.floats(min_value=1e-30, max_value=86_400)
 point = st.tuples(number, number)
 stages = st.one_of(
     st.fixed_dictionaries({"kind": st.just("gates_off")}, optional={"duration_s": seconds}),
