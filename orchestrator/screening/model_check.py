@@ -10,7 +10,7 @@ What a few moves do not explain is not judged: the whole search of `fluxbench di
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -150,7 +150,7 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
     judgement = judge(record, record.limits.model_copy(update=bearable))
     moved = {name: share.relative_to_flux for name, share in contributions(setup, first, last).items()}
     objections = objections_to(last, judgement.verdict, 100.0 * band_wb / rated_wb, moved)
-    objections += _implausible(record.effect_widths, record.limits.shape_widths)
+    objections += _more_than_noise(last)
     return _Screened(
         setup=setup,
         fit=last,
@@ -161,11 +161,11 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
     )
 
 
-def _implausible(widths: Mapping[str, float | None], limit: float) -> list[Remark]:
-    """Objections to effects that are far larger than in any drive: such a one may stand in for another."""
-    text = "{effect} would be {widths:.2g} standard deviations of its prior, and may stand in for something else"
-    far = [(name, size) for name, size in widths.items() if size is None or size > limit]
-    return [Remark.of("implausible", text, effect=plain(name), widths=size) for name, size in far]
+def _more_than_noise(fit: Fit) -> list[Remark]:
+    """An objection where effects leave more than noise: after a few moves that may be an effect which was not tried."""
+    if not fit.model.active or fit.chi2_per_dof - 1.0 <= fit.criteria.verdict.noise_accuracy_excess_chi2:
+        return []
+    return [Remark.of("not_noise", "chi2 {chi2:.3g} per degree of freedom is more than noise", chi2=fit.chi2_per_dof)]
 
 
 def _explaining(setup: DiagnosisSetup, first: Fit, library: Library) -> tuple[DiagnosisSetup, Fit]:
