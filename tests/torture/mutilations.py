@@ -58,7 +58,7 @@ def judged(wrong: Rewritten, folder: Path) -> tuple[Usability, float]:
     if report.method is None:
         return Usability.NOT_USABLE, math.inf
     found = load_flux_map(folder / "results" / "flux_map.nc")
-    i_dq = np.stack(np.meshgrid(found.i_d, found.i_q, indexing="ij"), axis=-1).reshape(-1, 2)
+    i_dq = np.stack(np.meshgrid(found.i_d, found.i_q, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
     off = np.stack([found.psi_d.ravel(), found.psi_q.ravel()], axis=1) - flux_for(i_dq, saturated_current)
     off = off[np.isfinite(off).all(axis=1)]
     return report.usability, 100.0 * float(np.sqrt(np.mean((off - off.mean(axis=0)) ** 2))) / RATED_WB

@@ -15,7 +15,7 @@ from orchestrator.screening import check_model
 from plugins.effects.inverter import DeadTime
 from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.resistance import ResistanceEstimator
-from protocols import Capture, CheckOutcome, FluxMap, MapCriteria, Usability, UsabilityCheck
+from protocols import Capture, CheckOutcome, Estimator, FluxMap, MapCriteria, Usability, UsabilityCheck
 from tests.plugins.estimators.recordings import behind_dead_time, classical_of, clean
 from tests.support.rewriting import Rewritten
 
@@ -92,7 +92,7 @@ def test_a_broken_effect_leaves_the_map_not_judged() -> None:
 
 @pytest.mark.slow
 def test_an_estimation_is_usable_by_its_model_and_not_judged_without_one(tmp_path: Path) -> None:
-    estimators = [ResistanceEstimator(), EnergyEstimator()]
+    estimators: list[Estimator] = [ResistanceEstimator(), EnergyEstimator()]
     unjudged = estimate_recording(right(), estimators, tmp_path)
     assert (unjudged.usable, unjudged.usability) == (False, Usability.NOT_JUDGED)
     report = estimate_recording(right(), estimators, tmp_path, check_model=partial(check_model, chosen_effects()))

@@ -10,7 +10,7 @@ import pytest
 from orchestrator.diagnosis import add_effects, compare_recording, diagnose_recording, in_words
 from orchestrator.estimation import estimate_recording
 from orchestrator.formatting.names import VERDICTS
-from protocols import NotMeasuredError
+from protocols import Estimator, NotMeasuredError
 from tests.orchestrator.estimation.made_up import Resistance, Ripples, Sweeps, explained
 from tests.orchestrator.recording_checks.conftest import right
 from tests.support.rewriting import Rewritten, exchanged
@@ -39,7 +39,7 @@ def test_an_estimation_says_the_same_and_that_its_map_is_not_usable(right: Rewri
     )
     assert not found.usable
     assert "rms for peak" in found.reasons[0]
-    sound = [Resistance(), Sweeps(), Ripples()]
+    sound: list[Estimator] = [Resistance(), Sweeps(), Ripples()]
     assert estimate_recording(right, sound, tmp_path, check_model=explained).usable
 
 
