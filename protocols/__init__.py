@@ -179,6 +179,7 @@ from protocols._reports import (
     ShapeShare,
     StageError,
     Unexplained,
+    Usability,
     UsabilityCheck,
     WorstSegment,
 )
@@ -380,6 +381,7 @@ __all__ = [
     "Trapezoid",
     "UnderWay",
     "Unexplained",
+    "Usability",
     "UsabilityCheck",
     "Vectors",
     "Verdict",

@@ -5,11 +5,21 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from protocols._base import Lenient, Strict
 
-Positive = Annotated[float, Field(gt=0)]
+_SMALLEST: float = 1e-30
+"""Size below which a positive number is no quantity of a motor or a plan: what divides by it overflows."""
+
+
+def _not_too_small(value: float) -> float:
+    if value < _SMALLEST:
+        raise ValueError(f"{value:g} is too small a number")
+    return value
+
+
+Positive = Annotated[float, Field(gt=0), AfterValidator(_not_too_small)]
 
 
 class Motor(Lenient):

@@ -378,6 +378,16 @@ class UsabilityCheck(Lenient):
         return missing or self.outcome is CheckOutcome.PASSED
 
 
+class Usability(StrEnum):
+    """Whether a map can be relied on."""
+
+    USABLE = "usable"
+    NOT_USABLE = "not_usable"
+    """A check failed."""
+    NOT_JUDGED = "not_judged"
+    """No check failed, but one that is required was not possible: a diagnosis decides."""
+
+
 class MapCriteria(Lenient):
     """Requirements on a usable flux map; per cent of the rated flux unless stated otherwise."""
 
@@ -427,7 +437,7 @@ class EstimatorsReport(Lenient):
     classical_against_injection_percent: float | None
     """rms of the flux difference between integration and injection over the latter's grid, of the rated flux."""
     usable: bool
-    """Whether the recommended map can be relied on: there is one, and each of `checks` is met."""
+    """Whether the recommended map can be relied on: there is one, and each of `checks` is met; see `usability`."""
     checks: tuple[UsabilityCheck, ...] = ()
     """All checks of the recommended map and of R_s, with what each found; files of older versions have none."""
     remarks: Remarks = ()
@@ -447,6 +457,16 @@ class EstimatorsReport(Lenient):
         """The remarks' sentences."""
         return tuple(remark.text for remark in self.remarks)
 
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def usability(self) -> Usability:
+        """Why a map is not `usable`, if it is not: a check failed, or one that is required was not possible."""
+        if self.usable:
+            return Usability.USABLE
+        unmet = [check.outcome for check in self.checks if not check.is_met]
+        is_open = self.method is not None and bool(unmet) and CheckOutcome.FAILED not in unmet
+        return Usability.NOT_JUDGED if is_open else Usability.NOT_USABLE
+
     def with_resistance(self, resistance: ResistanceEstimate | None) -> Self:
         """The report with another R_s."""
         return self.model_copy(update={"resistance": resistance})
@@ -460,6 +480,13 @@ class EstimatorsReport(Lenient):
             "remarks": (*against, *self.remarks),
         }
         return self.model_copy(update=fields)
+
+    def without_check(self, name: str) -> Self:
+        """The report without a check, and without its remark."""
+        gone = [check.remark for check in self.checks if check.name == name]
+        left = tuple(check for check in self.checks if check.name != name)
+        remarks = tuple(remark for remark in self.remarks if remark not in gone)
+        return self.model_copy(update={"checks": left, "remarks": remarks}).checked(())
 
     def objected(self, against: Sequence[Remark]) -> Self:
         """The report with objections to its use before all other remarks; unchanged where there are none."""

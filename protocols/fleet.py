@@ -108,7 +108,7 @@ class FleetRow(Lenient):
     effects: tuple[FleetEffect, ...] | None = None
     verdict: str | None = None
     usable: bool | None = None
-    """Whether the recommended map can be relied on."""
+    """Whether the recommended map can be relied on; null where there is none, or only a diagnosis can judge it."""
     chi2: Number = None
     """Per degree of freedom: of the diagnosed model, else of the one compared with."""
     error_mv: Number = None

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
+
+from pydantic import ValidationError
 
 from orchestrator.config._adapting import PlanAdapter
 from orchestrator.stages import NOMINAL_SAMPLING_HZ, parse_stages
@@ -125,8 +128,21 @@ def _filled(
         for k, stage in enumerate(stages):
             if stage.looks_ahead is ahead:
                 later = stages[k + 1 :] if ahead else ()
-                stages[k] = stage.filled(StageContext(procedure, first + k, sampling_hz, later, notes))
+                with _located(procedure.name, first + k, stage):
+                    stages[k] = stage.filled(StageContext(procedure, first + k, sampling_hz, later, notes))
     return stages
+
+
+@contextmanager
+def _located(procedure: str, index: int, stage: Stage) -> Iterator[None]:
+    """An impossible value that is derived, for example from limits that are too small, as an error of its stage."""
+    try:
+        yield
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(map(str, first["loc"]))
+        text = f"{stage.name}: nameplate and limits lead to an impossible {field}: {first['msg']}"
+        raise ProcedureError(procedure, f"stages.{index}", text) from None
 
 
 def _points(procedure: str, stages: Sequence[Stage], pwm_hz: float | None, adapter: PlanAdapter) -> list[PlannedPoint]:
@@ -137,7 +153,9 @@ def _points(procedure: str, stages: Sequence[Stage], pwm_hz: float | None, adapt
         if stage.believed_angle_rad is not None:
             angle = stage.believed_angle_rad
         first = len(points)
-        for point in stage.points():
+        with _located(procedure, index, stage):
+            planned = list(stage.points())
+        for point in planned:
             assert stage.records_as is not None
             rotated = point.excitation.model_copy(update={"rotor_angle_rad": angle})
             for excitation in adapter.adapt(rotated, stage, index):

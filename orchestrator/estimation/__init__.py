@@ -5,6 +5,7 @@ from orchestrator.estimation.estimation import estimate_recording
 from orchestrator.estimation.flux_map_file import flux_dataset, load_flux_map, save_flux_map
 from orchestrator.estimation.results import RECOMMENDED_MAP, has_estimates, load_estimates
 from orchestrator.estimation.staging import staging_folder
+from orchestrator.estimation.usability import missing_model, model_check
 
 __all__ = [
     "RECOMMENDED_MAP",
@@ -15,6 +16,8 @@ __all__ = [
     "has_estimates",
     "load_estimates",
     "load_flux_map",
+    "missing_model",
+    "model_check",
     "save_flux_map",
     "staging_folder",
 ]

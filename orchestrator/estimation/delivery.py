@@ -13,8 +13,8 @@ from orchestrator.analysis._checks import reference_flux_wb
 from orchestrator.estimation.flux_map_file import load_flux_map
 from orchestrator.estimation.judgement import inductances_of
 from orchestrator.estimation.nameplate import with_nameplate_checks
-from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates, write_results
-from orchestrator.estimation.usability import convex, flux_band, met, resistance_checks, unmet
+from orchestrator.estimation.results import RECOMMENDED_MAP, has_estimates, load_estimates, write_results
+from orchestrator.estimation.usability import MODEL, convex, flux_band, met, missing_model, resistance_checks, unmet
 from protocols import (
     DeliveredModel,
     EstimationReport,
@@ -82,11 +82,14 @@ def join_model(
         Report of the estimators alone.
     """
     map_report = MapReport(basis=flux_map.basis, checks=MapChecks(), inductances=inductances_of(flux_map))
+    bare = base.without_check(MODEL)  # the diagnosed model's own check replaces it
+    if bare.usable:
+        base = bare.checked([missing_model("the diagnosed model is judged instead")])
     if model.objections:
-        report = base.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
-        report = report.checked(unmet("model", model.objections))
+        report = bare.model_copy(update={"maps": {**base.maps, flux_map.method: map_report}})
+        report = report.checked(unmet(MODEL, model.objections))
     else:
-        report = _recommended(base, flux_map, map_report, model, motor)
+        report = _recommended(bare, flux_map, map_report, model, motor)
         report = with_nameplate_checks(report, {flux_map.method: flux_map}, motor)
     fields: dict[str, Any] = {"model": model}
     if base.maps or base.resistance:
@@ -94,16 +97,30 @@ def join_model(
     return report.model_copy(update=fields), {flux_map.method: flux_map, **maps}
 
 
-def earlier_model(directory: Path, manifest: Manifest) -> tuple[FluxMap, DeliveredModel] | None:
-    """The model that a diagnosis of the same segments left in a directory, and its map; None where there is none."""
+def earlier_model(
+    directory: Path, manifest: Manifest
+) -> tuple[tuple[FluxMap, DeliveredModel] | None, tuple[Remark, ...]]:
+    """The model that a diagnosis of the same segments left in a directory, and its map; None where there is none.
+
+    A remark says which one was left out, because it is of other segments or cannot be read.
+    """
+    if not has_estimates(directory):
+        return None, ()
     try:
         report = load_estimates(directory)
         model, method = report.model, report.model_method
-        if model is None or method is None or model.segments != _digest(manifest):
-            return None
-        return load_flux_map(_map_file(directory, report, method)), model
-    except RecordingError:
-        return None
+        if model is None or method is None:
+            return None, ()
+        if model.segments != _digest(manifest):
+            text = "the diagnosed model {title} is of other segments and left out: diagnose again"
+            return None, (Remark.of("model_left_out", text, title=model.title),)
+        return (load_flux_map(_map_file(directory, report, method)), model), ()
+    except RecordingError as error:
+        return None, (_unreadable(error),)
+
+
+def _unreadable(error: RecordingError) -> Remark:
+    return Remark.of("results_left_out", "earlier results are left out: {problem}", problem=str(error))
 
 
 def estimate_of_map(grid: FluxMap, report: EstimationReport | None, points_per_axis: int = 9) -> FluxMapEstimate:
@@ -152,7 +169,7 @@ def _recommended(
     explains = Remark.of("model", "the model explains the recording: the diagnosis has no objection to its map")
     return report.checked(
         [
-            met("model", explains),
+            met(MODEL, explains),
             flux_band(model_map, reference_flux_wb(model_map, motor), base.criteria),
             convex(model_map),
             *resistance_checks(resistance, motor, set(), base.criteria),
@@ -162,6 +179,8 @@ def _recommended(
 
 def _estimator_results(directory: Path, method: str) -> tuple[EstimationReport, dict[str, FluxMap]]:
     """Report and maps (by method) of the estimators alone; empty where they did not run."""
+    if not has_estimates(directory):
+        return _NOTHING, {}
     try:
         report = load_estimates(directory)
         if report.estimators is None and report.model is not None:
@@ -169,8 +188,8 @@ def _estimator_results(directory: Path, method: str) -> tuple[EstimationReport, 
         base = EstimationReport(**{**_fields(report.estimators or report), "files": {}})
         names = [name for name in base.maps if name != method]
         return base, {name: load_flux_map(_map_file(directory, report, name)) for name in names}
-    except RecordingError:
-        return _NOTHING, {}
+    except RecordingError as error:
+        return _NOTHING.model_copy(update={"remarks": (_unreadable(error),)}), {}
 
 
 def _map_file(directory: Path, report: EstimationReport, method: str) -> Path:

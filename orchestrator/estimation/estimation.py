@@ -13,7 +13,7 @@ from orchestrator.estimation.delivery import earlier_model, join_model
 from orchestrator.estimation.judgement import EstimatorResults, report_with_checks
 from orchestrator.estimation.nameplate import with_nameplate_checks
 from orchestrator.estimation.results import write_results
-from orchestrator.estimation.usability import unmet
+from orchestrator.estimation.usability import missing_model, unmet
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import (
     Convention,
@@ -21,6 +21,7 @@ from protocols import (
     EstimationContext,
     EstimationReport,
     Estimator,
+    FluxMap,
     FluxMapEstimate,
     MapCriteria,
     NotMeasuredError,
@@ -29,7 +30,11 @@ from protocols import (
     Remark,
     ResistanceEstimate,
     SegmentStage,
+    UsabilityCheck,
 )
+
+ModelCheck = Callable[[RecordingReader, FluxMap, MapCriteria], UsabilityCheck]
+"""Whether a model explains a recording, and has the map that was estimated from it."""
 
 
 def estimate_recording(
@@ -39,6 +44,7 @@ def estimate_recording(
     *,
     criteria: MapCriteria | None = None,
     on_estimate: Callable[[Estimate], None] | None = None,
+    check_model: ModelCheck | None = None,
 ) -> EstimationReport:
     """Run the estimators and write results/flux_map.nc, flux_map_<method>.nc and estimates.json below `out`.
 
@@ -57,6 +63,9 @@ def estimate_recording(
         Thresholds of the maps' checks.
     on_estimate : callable, optional
         Called with each estimate as soon as it is there.
+    check_model : callable, optional
+        Whether a model explains the recording, as from `orchestrator.screening`; called for a map that passes every
+        other check. Without it, no map is judged to be usable. The model of an earlier diagnosis decides without it.
 
     Raises
     ------
@@ -106,7 +115,12 @@ def estimate_recording(
     report = report_with_checks(found, motor, criteria or MapCriteria())
     by_method = {method: found.map for method, found in maps.items()}
     report = with_nameplate_checks(report, by_method, motor).checked(unmet("conventions", data_faults))
-    earlier = earlier_model(out, recording.manifest)
+    earlier, left_out = earlier_model(out, recording.manifest)
+    report = report.model_copy(update={"remarks": (*report.remarks, *left_out)})
+    if report.usable and earlier is None:
+        judged = (recording, by_method[str(report.method)], report.criteria)
+        check = missing_model("no model was fitted") if check_model is None else check_model(*judged)
+        report = report.checked([check])
     if earlier is not None:
         report, by_method = join_model(report, by_method, *earlier, motor)
     return write_results(report, by_method, out / "results", motor=motor.name, recording=recording.manifest.name)

@@ -37,6 +37,8 @@ from protocols import (
     UsabilityCheck,
 )
 
+NOT_JUDGED = "not_judged"
+"""Code of the remark on a map of whose recording no model is known to explain it."""
 _SWEEPS = {SegmentStage.CLASSICAL, SegmentStage.STEPS}
 _RESISTANCE_STAGES = {*_SWEEPS, SegmentStage.RESISTANCE}
 _MIRRORED_SHARE = 0.5
@@ -351,6 +353,40 @@ def _worst(percent: AxisPercent | None) -> tuple[str, float | None]:
         return "q", None
     value, axis = max(known)
     return axis, value
+
+
+MODEL = "model"
+"""The check that a model explains the recording, without which no map is usable."""
+
+
+def model_check(
+    distance_percent: float, band_percent: float, criteria: MapCriteria, *, verdict: str, effects: str
+) -> UsabilityCheck:
+    """The check of a map against that of a model which explains its recording.
+
+    Parameters
+    ----------
+    distance_percent, band_percent : float
+        rms distance from the model's map, and half width of that one's 95 % band, of the rated flux.
+    verdict, effects : str
+        The verdict on the model, and its effects; empty without any.
+    """
+    value, limit = distance_percent + band_percent, criteria.accuracy_percent
+    figures = {"apart_percent": distance_percent, "band_percent": band_percent, "verdict": verdict, "effects": effects}
+    if value > limit:
+        text = (
+            "the model that explains the recording has another map, {apart_percent:.2g} % away, +-{band_percent:.2g} %"
+        )
+        return missing_model(text, **figures)
+    model = "R_s, a map and {effects}" if effects else "R_s and a map alone"
+    text = f"{model} explain the recording ({{verdict}}); their map is {{apart_percent:.2g}} % away"
+    return _within(MODEL, value, limit, text, figures, bad=NOT_JUDGED)
+
+
+def missing_model(text: str, **values: Any) -> UsabilityCheck:
+    """The check where no model explains the recording: `text` says why."""
+    remark = Remark.of(NOT_JUDGED, f"not judged, `fluxbench diagnose` decides: {text}", **values)
+    return UsabilityCheck(name=MODEL, outcome=CheckOutcome.NOT_POSSIBLE, required=True, remark=remark)
 
 
 def _within(

@@ -14,7 +14,7 @@ from orchestrator.estimation import RECOMMENDED_MAP, load_estimates, load_flux_m
 from orchestrator.interface.comparison import RunSummary
 from orchestrator.recording import Recording
 from orchestrator.runs import RunDirectory, is_run
-from protocols import About, DiagnosisReport, FoundEffect
+from protocols import About, DiagnosisReport, FoundEffect, Usability
 from protocols.fleet import FleetEffect, FleetSetPoint
 
 RELATIVE_SET_POINTS = (
@@ -70,7 +70,8 @@ def temperature(recording: Recording) -> dict[str, Any]:
 def estimate_fields(run: RunSummary) -> dict[str, Any]:
     """R_s, and the recommended map's values at rest and at the set points."""
     resistance, estimates = run.estimates.resistance, run.estimates
-    fields: dict[str, Any] = {"usable": estimates.usable}
+    is_open = estimates.usability is Usability.NOT_JUDGED
+    fields: dict[str, Any] = {"usable": None if is_open else estimates.usable}
     if resistance is not None:
         low, high = resistance.low, resistance.high
         fields |= {"R_s_ohm": resistance.value_ohm, "R_s_low_ohm": low, "R_s_high_ohm": high}

@@ -6,6 +6,7 @@ import platform
 import resource
 import tempfile
 import time
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -123,8 +124,11 @@ def _run_steps(order: Order, path: Path, scratch: Path, fields: dict[str, Any]) 
         fields["name"] = PurePosixPath(order.source.url).stem
     if "estimate" in plan.steps or "export" in plan.steps:
         from orchestrator.estimation import estimate_recording
+        from orchestrator.screening import check_model
 
-        estimate_recording(recording, make_plugins(PluginKind.ESTIMATORS), out)
+        # A diagnosis decides itself whether its model explains the recording.
+        judge = None if "diagnose" in plan.steps else partial(check_model, chosen_effects())
+        estimate_recording(recording, make_plugins(PluginKind.ESTIMATORS), out, check_model=judge)
         fields |= rows.estimate_fields(rows.summary_of(recording, out))
     if "compare" in plan.steps:
         from orchestrator.diagnosis import compare_recording

@@ -32,6 +32,7 @@ from protocols import (
     Remark,
     ResistanceEstimate,
     Rung,
+    Usability,
     UsabilityCheck,
 )
 
@@ -45,6 +46,9 @@ UNDONE_BY = {
 }  # fmt: skip
 """Codes of remarks on whether an effect helps, each with the command that undoes the change, if advised."""
 BENEFITS = frozenset(UNDONE_BY)
+USABILITY_WORDS = {
+    Usability.USABLE: "usable", Usability.NOT_USABLE: "not reliable", Usability.NOT_JUDGED: "not judged"
+}  # fmt: skip
 _ENDS = ["in the first segment", "in the last"]
 
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from orchestrator.formatting.sentences import visible
 from orchestrator.recording._files import replace_file
+from orchestrator.validation.json_text import parse_json
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import MAX_FILE_SIZES, read_text
 from protocols import Manifest, MotorModel, RecordingError, StorageError
@@ -98,7 +99,7 @@ def _parsed(path: Path) -> Any:
     except UnicodeDecodeError as error:
         raise RecordingError(str(path), "", f"not UTF-8 at byte {error.start}") from None
     try:
-        return json.loads(text, parse_constant=_refuse, parse_float=_finite)
+        return parse_json(text, parse_constant=_refuse, parse_float=_finite)
     except json.JSONDecodeError as error:
         raise RecordingError(f"{path}:{error.lineno}", "", f"broken JSON: {error.msg}") from None
     except (ValueError, RecursionError) as error:

@@ -35,6 +35,7 @@ from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, unsealed
 from orchestrator.runs._staging import remove_stale_staging
 from orchestrator.stages import parse_stages
+from orchestrator.validation.json_text import parse_json
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import read_bytes
 from protocols import (
@@ -327,14 +328,7 @@ def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
 
 def _read_json(file: Path) -> Any:
     try:
-        content = read_bytes(file)
-        value = json.loads(content)
-        if b"\\ud" in content.lower():  # the escape of a surrogate: a pair is a character, and half a pair is none
-            json.dumps(value, ensure_ascii=False).encode()
-        return value
-    except UnicodeEncodeError as error:
-        half = ascii(error.object[error.start])
-        raise RecordingError(str(file), "", f"broken JSON: {half} is half a character") from None
+        return parse_json(read_bytes(file))
     except OSError as error:
         raise RecordingError(str(file), "", f"cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:

@@ -9,7 +9,6 @@ the last good sync, and accepts no record until it is opened again.
 
 from __future__ import annotations
 
-import json
 import os
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -21,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator.formatting.sentences import visible
 from orchestrator.recording import storage_error, sync_folder
+from orchestrator.validation.json_text import parse_json
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import read_bytes
 from protocols import JournalledMessage, RecordingError, StorageError
@@ -146,9 +146,7 @@ class Journal:
     def _parse(self, number: int, line: bytes) -> JournalRecord:
         where = f"{self.path}:{number + 1}"
         try:
-            raw: Any = json.loads(line)
-            if b"\\ud" in line.lower():  # half a character can be read, but never written
-                json.dumps(raw, ensure_ascii=False).encode()
+            raw: Any = parse_json(line)
         except (ValueError, RecursionError):
             raise RecordingError(where, "", "not a JSON object: the journal was damaged in its middle") from None
         try:

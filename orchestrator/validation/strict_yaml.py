@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from orchestrator.validation.json_text import refuse_half_characters
 from orchestrator.validation.messages import KeyPath
 from orchestrator.validation.plain_files import read_text
 from protocols import InputError, ProcedureError
@@ -161,6 +162,10 @@ class _Reading:
             return self._mapping(events, path)
         if _kind(event) == "SequenceStart":
             return self._sequence(events, path)
+        try:
+            refuse_half_characters(event.value)
+        except ValueError as error:
+            raise self._wrong(event, path, str(error)) from None
         return event.value if event.style is not None else self._plain(event, path)
 
     def _mapping(self, events: Iterator[Any], path: KeyPath) -> dict[str, Any]:

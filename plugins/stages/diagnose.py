@@ -11,7 +11,7 @@ from pydantic import Field
 
 from orchestrator.recording import Recording
 from orchestrator.stages import parse_stage
-from plugins.stages.estimate import EstimateStage
+from plugins.stages.estimate import DIAGNOSIS, EstimateStage
 from plugins.stages.operator import OperatorStage
 from protocols import (
     CapabilityError,
@@ -51,7 +51,7 @@ class DiagnoseStage(Stage):
     (a stage more, of the run's own recording), the estimators run anew, and so does the diagnosis.
     """
 
-    name = "diagnose"
+    name = DIAGNOSIS
     title = "diagnosis"
     working = (COMPARING, DIAGNOSING, PROPOSING)
 

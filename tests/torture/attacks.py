@@ -33,6 +33,7 @@ from tests.support.processes import called, wait_until
 from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_document, tiny_file
 from tests.torture.clocks import jumped
 from tests.torture.kills import commissioning_killed, fleet_killed
+from tests.torture.mutilations import harmless, mutilated
 from tests.torture.pages import flooded
 
 REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
@@ -300,4 +301,6 @@ ATTACKS = (
     Attack("commissionings", 50, "resumed to a map; every point once; nothing half written", commissioning_killed),
     Attack("fleets", 50, "each recording one row, none failed; no worker left", fleet_killed),
     Attack("clocks", 200, "the wall clock jumps by up to 400 years: same points, same exit codes", jumped),
+    Attack("mutilations", 200, "a map that is called usable is within 1 % of the rated flux", mutilated),
+    Attack("harmless", 60, "the map is right; at most 5 % are not called usable", harmless),
 )

@@ -16,6 +16,8 @@ SAMPLE = {"kills": 0, "inputs": 10, "disks": 0, "lies": 1, "noise": 6, "links": 
     "commissionings": 0,
     "fleets": 0,
     "clocks": 0,
+    "mutilations": 1,
+    "harmless": 1,
 }
 """Of each attack; most have tests of their own, and hundreds of them in `make torture`."""
 

@@ -105,7 +105,7 @@ def _checks(table: FleetTable, limits: FleetLimits, k: int) -> Iterator[tuple[Ju
         elif verdict not in limits.verdicts:
             yield "fail", f"verdict {verdict}"
     if limits.usable and table.usable[k] is not True:
-        yield ("fail", "map not reliable") if table.usable[k] is False else ("not_measured", "no map")
+        yield ("fail", "map not reliable") if table.usable[k] is False else ("not_measured", "no map that is judged")
 
 
 def _check_value(table: FleetTable, name: str, limit: FleetLimit, k: int, guard: bool) -> tuple[Judgement, str]:

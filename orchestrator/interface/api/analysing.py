@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Collection, Sequence
 from difflib import get_close_matches
+from functools import partial
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -70,13 +71,20 @@ def estimate(
     RecordingError, NotMeasuredError, StorageError
     """
     from orchestrator.estimation import estimate_recording
+    from orchestrator.screening import check_model
 
     path = Path(place)
     target = estimates_folder(path, estimators or (), out)
     refuse_file(target)
     refuse_file(target / "results")
     plugins = make_plugins(PluginKind.ESTIMATORS, estimators or None)
-    return estimate_recording(open_any(path, keep=out is None), plugins, target, on_estimate=on_estimate)
+    return estimate_recording(
+        open_any(path, keep=out is None),
+        plugins,
+        target,
+        on_estimate=on_estimate,
+        check_model=partial(check_model, chosen_effects()),
+    )
 
 
 def estimates_folder(path: Path, estimators: Sequence[str], out: AnyPath | None) -> Path:

@@ -26,6 +26,7 @@ from orchestrator.interface import api
 from orchestrator.interface.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.interface.cli._refreshing import refresh_report
+from orchestrator.interface.cli._results import in_capitals
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
 
 if TYPE_CHECKING:
@@ -155,7 +156,7 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
         say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
         return
     why = next((r.text for r in estimates.remarks), "no estimator succeeded")
-    say(f"flux map: NOT RELIABLE: {why}")
+    say(f"flux map: {in_capitals(estimates.usability)}: {why}")
 
 
 def _print_refit(report: AddReport, path: Path, out: Path | None, as_json: bool) -> None:

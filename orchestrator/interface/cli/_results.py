@@ -7,12 +7,19 @@ from pathlib import Path
 
 from orchestrator.formatting.names import PAPER_CROSSINGS
 from orchestrator.formatting.quantities import UNKNOWN, axes_percent
-from orchestrator.formatting.results import check_rows, coefficient_rows, resistance, resistance_course, usability_rows
+from orchestrator.formatting.results import (
+    USABILITY_WORDS,
+    check_rows,
+    coefficient_rows,
+    resistance,
+    resistance_course,
+    usability_rows,
+)
 from orchestrator.interface import api
 from orchestrator.interface.api.analysing import estimates_folder
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_table
 from orchestrator.interface.cli._refreshing import PAGE, refresh_report
-from protocols import EstimationReport
+from protocols import EstimationReport, Usability
 
 
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
@@ -31,11 +38,19 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
     return 0
 
 
+def in_capitals(usability: Usability) -> str:
+    """Whether a map can be relied on; in capitals where it cannot."""
+    words = USABILITY_WORDS[usability]
+    return words if usability is Usability.USABLE else words.upper()
+
+
 def _print_report(report: EstimationReport, folder: Path) -> None:
     if report.resistance is not None:
         say(f"R_s {resistance(report.resistance)}; {resistance_course(report.resistance)}")
     if report.method is not None:
-        say(f"flux map by {report.method}: {'usable' if report.usable else 'NOT RELIABLE'}")
+        say(f"flux map by {report.method}: {in_capitals(report.usability)}")
+    if report.usability is Usability.NOT_JUDGED:
+        say(f"whether it is usable: fluxbench diagnose {folder.parent}")
     papers = {"crossings": axes_percent(PAPER_CROSSINGS)}
     say_table(("check", "here", "in the paper"), [(*row, papers.get(row[0], UNKNOWN)) for row in check_rows(report)])
     if report.checks:

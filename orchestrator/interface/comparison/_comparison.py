@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.results import USABILITY_WORDS
 from orchestrator.interface.comparison._run_summary import RunSummary, spread_of
 from orchestrator.numerics.types import Array
-from protocols import InputError, Interval, Number, Remark, Strict
+from protocols import InputError, Interval, Number, Remark, Strict, Usability
 
 COPPER_PER_K = 0.00393
 """Relative rise of copper's resistance, at 20 C (IEC 60028)."""
@@ -29,6 +30,7 @@ class RunEntry(Strict):
     motor: str
     method: str | None
     usable: bool
+    usability: Usability
     verdict: str | None
     """None: not diagnosed."""
 
@@ -137,6 +139,7 @@ def _run_of(run: RunSummary, name: str) -> RunEntry:
         motor=run.manifest.motor.name,
         method=run.estimates.method,
         usable=run.estimates.usable,
+        usability=run.estimates.usability,
         verdict=None if run.diagnosis is None else run.diagnosis.report.verdict,
     )
 
@@ -275,7 +278,8 @@ def _remarks(
         remarks.append(Remark.of("other_motors", text, motors=which))
     for k, (run, name) in enumerate(zip(runs, names, strict=True)):
         if not run.estimates.usable:
-            remarks.append(Remark.of("unusable", "the map of {run} is not reliable", run=name))
+            words = USABILITY_WORDS[run.estimates.usability]
+            remarks.append(Remark.of("unusable", "the map of {run} is {words}", run=name, words=words))
         if not k:
             continue
         changes = [q.name for q in (*quantities, *effects) if q.changed[k]]

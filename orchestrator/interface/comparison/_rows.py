@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.formatting.quantities import UNKNOWN, measured, percent, quantity, vector
+from orchestrator.formatting.results import USABILITY_WORDS
 from orchestrator.interface.comparison._comparison import MapChange, RunsComparison
 
 _WORDS = {None: UNKNOWN, True: "changed", False: "same"}
@@ -13,7 +14,8 @@ def run_rows(comparison: RunsComparison) -> list[tuple[str, ...]]:
     head = ("run", "motor", "measured", "map", "verdict")
     rows = []
     for run in comparison.runs:
-        flux_map = "none" if run.method is None else run.method if run.usable else f"{run.method}, not reliable"
+        how = "" if run.usable else f", {USABILITY_WORDS[run.usability]}"
+        flux_map = "none" if run.method is None else f"{run.method}{how}"
         rows.append((run.name, run.motor, run.created, flux_map, run.verdict or "not diagnosed"))
     return [head, *rows]
 

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._faults import STARTING, Mode, fault_of
+from plugins.drives.moteus._io import within
 from plugins.drives.moteus._options import MoteusOptions
 from protocols import DriveFault, FaultCause, PluginError
 
@@ -224,7 +225,7 @@ class Board:
     async def _exchange(self, command: Any) -> Any:
         """One exchange; by USB the library would wait for ever."""
         try:
-            return await asyncio.wait_for(self._controller.execute(command), BOUNDS.answer_timeout_s)
+            return await within(self._controller.execute(command), BOUNDS.answer_timeout_s)
         except TimeoutError as error:
             raise self._silent() from error
 
@@ -242,7 +243,7 @@ class Board:
         async def whole() -> T:
             async with self._talk:
                 try:
-                    return await asyncio.wait_for(repeated(), BOUNDS.stream_timeout_s)
+                    return await within(repeated(), BOUNDS.stream_timeout_s)
                 except TimeoutError as error:
                     raise self._silent() from error
 

@@ -13,6 +13,8 @@ class Bounds:
     """For a conversation of several frames."""
     loop_timeout_s: float = 1.0
     """Time beyond a call's own after which the event loop counts as dead."""
+    max_stall_s: float = 2.0
+    """Time without a turn of the event loop after which the link counts as lost: a call of the library blocks it."""
     answer_timeout_s: float = 0.5
     """Time after which a board that answers no frame counts as absent."""
     stream_timeout_s: float = 1.5

@@ -16,6 +16,21 @@ from protocols import DriveFault, FaultCause, FluxbenchError
 T = TypeVar("T")
 
 
+async def within(work: Awaitable[T], timeout_s: float) -> T:
+    """What some work comes to in this time; raises `TimeoutError` then, whatever the work does about its end.
+
+    `asyncio.wait_for` waits until the work has ended, which a library that catches its cancellation never does.
+    """
+    task = asyncio.ensure_future(work)
+    try:
+        done, _ = await asyncio.wait({task}, timeout=timeout_s)
+    finally:
+        task.cancel()  # of no effect where it has ended
+    if not done:
+        raise TimeoutError
+    return task.result()
+
+
 class Io:
     """Owner of the thread; begun by making it, ended by `close`.
 
@@ -32,11 +47,20 @@ class Io:
         self._beat: asyncio.Task[None] | None = None
         self._loop = asyncio.new_event_loop()
         self._loop.set_exception_handler(self._broken)
+        self._turned_s = time.monotonic()
+        self._loop.call_soon(self._turn)
         self._thread = threading.Thread(target=self._loop.run_forever, name="moteus", daemon=True)
         self._thread.start()
 
+    def _turn(self) -> None:
+        """Note that the loop turns, again and again."""
+        self._turned_s = time.monotonic()
+        self._loop.call_later(BOUNDS.poll_period_s, self._turn)
+
     def check(self) -> None:
         """Raises `DriveFault` (link_lost) once the link is lost; there is no way back."""
+        if self.lost is None and time.monotonic() - self._turned_s > BOUNDS.max_stall_s:
+            self._lose(f"the library has blocked for {BOUNDS.max_stall_s:g} s")
         if self.lost is not None:
             raise DriveFault(self.lost.cause, self.lost.detail)
 
@@ -51,7 +75,7 @@ class Io:
         self.check()
 
         async def timed() -> T:
-            return await asyncio.wait_for(work(), timeout_s)
+            return await within(work(), timeout_s)
 
         future = self.start(timed)
         self.wait(future, timeout_s + BOUNDS.loop_timeout_s)
@@ -68,6 +92,7 @@ class Io:
         while not future.done() and self.lost is None:
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
+                self.check()
                 return False
             concurrent.futures.wait([future], min(left_s, BOUNDS.poll_period_s))
         return True
@@ -121,7 +146,11 @@ class Io:
     def close(self, release: Callable[[], None]) -> None:
         """Stop the thread, let go of what runs on it, and of the transport."""
         self._loop.call_soon_threadsafe(self._loop.stop)
-        self._thread.join()
+        self._thread.join(BOUNDS.loop_timeout_s)
+        if self._thread.is_alive():  # a call of the library blocks it: the thread is left, and the port taken from it
+            with suppress(Exception):
+                release()
+            return
         self._loop.set_exception_handler(lambda loop, context: None)
         self._loop.call_soon(self._loop.stop)
         try:
@@ -133,7 +162,8 @@ class Io:
 
 async def _let_go(release: Callable[[], None]) -> None:
     release()
-    tasks = asyncio.all_tasks() - {asyncio.current_task()}
+    tasks = [task for task in asyncio.all_tasks() if task is not asyncio.current_task()]
     for task in tasks:
         task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+    if tasks:
+        await asyncio.wait(tasks, timeout=BOUNDS.loop_timeout_s)

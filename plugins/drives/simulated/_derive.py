@@ -101,6 +101,10 @@ def bus_voltage(options: SimulatedOptions, nameplate: Nameplate) -> float:
     return 2.0 * SQRT3 * nameplate.rated_voltage_v
 
 
+MAX_SUBSTEPS = 10_000
+"""Integration steps a sample beyond which a simulation would not end; the stiffest plants in use need some dozens."""
+
+
 def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> TruePlant:
     """The plant's energy, parameters and sensors.
 
@@ -298,4 +302,7 @@ def _substeps(p: PlantParameters, magnetics: Magnetics) -> int:
         fastest = max(fastest, p.torsion_rate)
     elif p.twist_rad_per_nm > 0.0:
         fastest = max(fastest, 1.0 / (0.5 * p.twist_lag_s))
+    if not fastest * p.sample_s <= MAX_SUBSTEPS:
+        problem = f"so stiff a plant needs over {MAX_SUBSTEPS} integration steps a sample; make its effects smaller"
+        raise InputError("drive.plant", "effects", problem)
     return max(1, math.ceil(fastest * p.sample_s))

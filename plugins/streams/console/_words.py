@@ -12,7 +12,7 @@ from orchestrator.formatting.quantities import UNKNOWN, duration, number, plural
 from orchestrator.formatting.results import check_rows, resistance
 from orchestrator.formatting.sentences import shortened, typographic
 from plugins.streams.console._progress import Progress, StageProgress
-from protocols import DiagnosisStep, EstimationReport, RunEnded
+from protocols import DiagnosisStep, EstimationReport, RunEnded, Usability
 
 
 def stage_title(progress: Progress, stage: StageProgress) -> str:
@@ -64,13 +64,20 @@ def summary_rows(message: RunEnded, run: Path, longest: int = 220) -> Iterator[t
     yield "run", str(run)
 
 
+_USABLE = {
+    Usability.USABLE: "yes",
+    Usability.NOT_USABLE: "no",
+    Usability.NOT_JUDGED: "not judged; fluxbench diagnose decides",
+}
+
+
 def _estimate_rows(report: EstimationReport, folder: Path, longest: int) -> Iterator[tuple[str, str]]:
     """The estimates, their remarks, and their files."""
     if report.resistance is not None:
         yield "R_s", resistance(report.resistance)
     if report.method is not None:
         yield "map by", report.method
-    yield "map usable", "yes" if report.usable else "no"
+    yield "map usable", _USABLE[report.usability]
     yield from (row for row in check_rows(report) if row[1] != UNKNOWN)
     for k, remark in enumerate(report.remarks):
         yield "" if k else "remarks", shortened(typographic(remark.text), longest)

@@ -16,7 +16,7 @@ from orchestrator.formatting.quantities import duration, fixed, percent, plural,
 from orchestrator.formatting.results import coefficient_rows, resistance, resistance_course
 from orchestrator.formatting.sentences import listed, typographic
 from plugins.streams.report._collect import Material
-from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor, SegmentStage
+from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor, SegmentStage, Usability
 
 NOT_MEASURED = "not measured"
 
@@ -312,6 +312,14 @@ def _not_estimated(material: Material) -> str:
     return NOT_MEASURED if tried else f"not estimated yet: `fluxbench estimate {typed(material)}`"
 
 
+_USES = {
+    Usability.USABLE: ("usable", "good"),
+    Usability.NOT_USABLE: ("not to be used", "bad"),
+    Usability.NOT_JUDGED: ("not judged, for a diagnosis to decide", "warning"),
+}
+"""What is said of the use of a map, and its mood."""
+
+
 def _map_lines(material: Material) -> Iterator[Line]:
     report = material.estimates
     if report is None or report.method is None:
@@ -319,8 +327,8 @@ def _map_lines(material: Material) -> Iterator[Line]:
         return
     shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"
-    use = "usable" if report.usable else "not to be used"
-    yield Line("Flux map", f"{use}: by {report.method}{size}", "good" if report.usable else "bad")
+    use, kind = _USES[report.usability]
+    yield Line("Flux map", f"{use}: by {report.method}{size}", kind)
     if not report.usable:
         for place, remark in enumerate(report.remarks[:3]):
             yield Line("" if place else "because", typographic(remark.text))

@@ -10,7 +10,7 @@ from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, typed
-from protocols import FoundEffect, PluginError, is_compensable
+from protocols import FoundEffect, PluginError, Usability, is_compensable
 
 
 def next_steps(material: Material) -> list[Line]:
@@ -31,6 +31,8 @@ def _about_map(material: Material) -> str:
         return (
             f"use `results/{report.files['flux_map']}`; `fluxbench export {run}` writes it for a drive or a simulation."
         )
+    if report.usability is Usability.NOT_JUDGED:
+        return f"not judged: `fluxbench diagnose {run}` decides whether it is usable."
     why = next((typographic(remark.text) for remark in report.remarks), "none could be made")
     return f"do not rely on it: {why}."
 

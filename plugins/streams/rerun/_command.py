@@ -77,7 +77,7 @@ def view(
         raise RecordingError(
             str(path), "", f"a folder of runs, not a run: {names}{more}; name one, or --web serves all"
         )
-    rows = [row(run) for run in runs]
+    rows = [row(run, _tell) for run in runs]
     print(visible(json.dumps(rows, indent=2)) if as_json else shown(as_text(rows)), flush=True)
     return 0 if as_json else _browse(runs, web, port)
 

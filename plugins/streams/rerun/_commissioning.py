@@ -28,6 +28,7 @@ from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.profiles import flux_at_zero
 from orchestrator.formatting.quantities import vector
+from orchestrator.formatting.results import USABILITY_WORDS
 from orchestrator.formatting.sentences import shown
 from orchestrator.stages import installed_stages
 from plugins.streams._ripple import FluxTree, RippleFit, fit_ripple
@@ -320,7 +321,7 @@ class Commissioning:
         out = [*self.waveforms(), *self._reached()]
         if message.estimates is not None:
             method = message.estimates.method
-            facts |= {"method": str(method), "usable": str(message.estimates.usable)}
+            facts |= {"method": str(method), "usable": USABILITY_WORDS[message.estimates.usability]}
             if method in self._maps and method != self._shown_map:
                 out += self._show_map(self._maps[method])
         return [*out, properties("outcome", facts), *self._logged(message), self._page()]

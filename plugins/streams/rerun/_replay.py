@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.diagnosis import load_diagnosis
-from orchestrator.estimation import estimate_of_map, load_estimates, load_flux_map
+from orchestrator.estimation import estimate_of_map, has_estimates, load_estimates, load_flux_map
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, RunDirectory, is_run
@@ -117,7 +117,8 @@ def _samples(recording: Recording, segment: Segment) -> Iterator[Message]:
 
 
 def _results(directory: Path) -> Iterator[Message]:
-    """What was found out: R_s, the maps, and the latest diagnosis."""
+    """What was found out: R_s, the maps, and the latest diagnosis; a warning for each that cannot be read."""
+    yield from _unreadable_report(directory)
     report = _report(directory)
     if report is not None and report.resistance is not None:
         yield ResistanceEstimated(estimate=report.resistance)
@@ -143,6 +144,15 @@ def _maps(directory: Path) -> Iterator[Message]:
             yield Note(level="warning", text=str(error))
             continue
         yield MapEstimated(estimate=estimate_of_map(grid, report))
+
+
+def _unreadable_report(directory: Path) -> Iterator[Note]:
+    """A warning where there is a report that cannot be read."""
+    try:
+        if has_estimates(directory):
+            load_estimates(directory)
+    except RecordingError as error:
+        yield Note(level="warning", text=f"left out: {error}")
 
 
 def _report(directory: Path) -> EstimationReport | None:

@@ -79,9 +79,9 @@ def test_a_shipped_procedure_survives_being_written_and_read_again(name: str, wr
 
 
 number = st.floats(allow_nan=False, allow_infinity=False)
-positive = st.floats(min_value=0, exclude_min=True, allow_infinity=False)
+positive = st.floats(min_value=1e-30, allow_infinity=False)
 angle = st.floats(min_value=-12.0, max_value=12.0)
-seconds = st.floats(min_value=0, exclude_min=True, max_value=86_400)
+seconds = st.floats(min_value=1e-30, max_value=86_400)
 point = st.tuples(number, number)
 stages = st.one_of(
     st.fixed_dictionaries({"kind": st.just("gates_off")}, optional={"duration_s": seconds}),
@@ -146,6 +146,7 @@ def replaced(old: str, new: str) -> str:
         (replaced("pole_pairs: 2", "pole_pairs: true"), 6, "motor.pole_pairs", "got True"),
         (replaced("current_a: 5.0", "current_a: true"), 11, "limits.current_a", "expected a number in A, got True"),
         (replaced("current_a: 5.0", "current_a: -5.0"), 11, "limits.current_a", "greater than 0, got -5.0"),
+        (replaced("current_a: 5.0", "current_a: 5e-324"), 11, "limits.current_a", "4.94066e-324 is too small a number"),
         (replaced("current_a: 5.0", "current_a: .nan"), 11, "limits.current_a", "finite"),
         (replaced("current_a: 5.0", "current_a: -.inf"), 11, "limits.current_a", "finite"),
         (replaced("current_a: 5.0", "current_a: 1e999"), 11, "limits.current_a", "too large"),

@@ -141,3 +141,12 @@ def test_full_holds_what_parts_effects() -> None:
     assert len(anchors) == 4
     assert {p.excitation.rotor_angle_rad for p in anchors} == {0.0}
     assert stages.count("lock_check") == stages.count("alignment") == 2
+
+
+def test_a_setting_that_follows_from_an_impossible_limit_is_one_line_with_its_stage() -> None:
+    procedure = load_procedure("quick", overrides=["limits.current_a=1e-30"])
+    with pytest.raises(ProcedureError) as refused:
+        make_plan(procedure, None)
+    assert "stages." in str(refused.value)
+    assert "is too small a number" in str(refused.value)
+    assert "\n" not in str(refused.value)

@@ -6,23 +6,27 @@ from typing import ClassVar
 
 import numpy as np
 
+from orchestrator.estimation import model_check
 from protocols import (
     AxisPercent,
     Basis,
     DriveRecord,
     Estimate,
     EstimationContext,
+    FluxMap,
     FluxMapEstimate,
     FluxPoints,
     IncrementalInductances,
     Manifest,
     MapChecks,
+    MapCriteria,
     Motor,
     NotMeasuredError,
     RecordingReader,
     Remark,
     ResistanceEstimate,
     ResistanceReading,
+    UsabilityCheck,
 )
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.test_checks import exact_map
@@ -50,6 +54,11 @@ R_S = ResistanceEstimate(
         ResistanceReading(start_s=9.0, value_ohm=4.2, std_ohm=0.01),
     ),
 )
+
+
+def explained(recording: RecordingReader, flux_map: FluxMap, criteria: MapCriteria) -> UsabilityCheck:
+    """The check of a map whose recording a model explains."""
+    return model_check(0.1, 0.1, criteria, verdict="clean", effects="")
 
 
 SOUND = MapChecks(

@@ -19,9 +19,10 @@ from protocols import (
     ResistanceEstimate,
     Segment,
     SegmentStage,
+    Usability,
 )
 from tests.orchestrator.analysis.test_checks import exact_map
-from tests.orchestrator.estimation.made_up import RECORDING, Resistance, Ripples, Sweeps
+from tests.orchestrator.estimation.made_up import RECORDING, Resistance, Ripples, Sweeps, explained
 
 REMARK = Remark(code="model.of_the_model", text="model: R_s is that of the whole model")
 R_S = ResistanceEstimate(value_ohm=4.1, low=4.09, high=4.11, first_ohm=4.1, last_ohm=4.3, remarks=(REMARK,))
@@ -41,7 +42,7 @@ def deliver(where: Path, *against: Remark, scale: float = 1.0, motor: Motor | No
 
 
 def test_the_models_map_and_resistance_take_first_place(tmp_path: Path) -> None:
-    own = estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
+    own = estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path, check_model=explained)
     report = deliver(tmp_path, scale=1.5)
     assert (report.method, report.usable) == ("model", True)
     assert list(report.maps) == ["model", *own.maps]
@@ -65,7 +66,7 @@ def test_what_speaks_against_the_model_speaks_against_every_map(tmp_path: Path) 
 
 @pytest.mark.slow
 def test_a_later_model_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
-    own = estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
+    own = estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path, check_model=explained)
     once = deliver(tmp_path, scale=1.5)
     deliver(tmp_path, *AGAINST)
     again = deliver(tmp_path, scale=1.5)
@@ -84,34 +85,36 @@ def test_a_model_is_delivered_where_no_estimator_was_requested(tmp_path: Path) -
 
 
 def test_a_new_pass_of_the_estimators_leaves_the_model_in_its_place(tmp_path: Path) -> None:
-    estimate_recording(RECORDING, ALL, tmp_path)
+    estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
     diagnosed = deliver(tmp_path)
-    again = estimate_recording(RECORDING, ALL, tmp_path)
+    again = estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
     assert again.model_dump() == diagnosed.model_dump()
     assert load_flux_map(tmp_path / "results" / "flux_map.nc").method == "model"
 
 
 def test_a_new_pass_keeps_the_objections_to_the_model(tmp_path: Path) -> None:
-    assert estimate_recording(RECORDING, ALL, tmp_path).usable
+    assert estimate_recording(RECORDING, ALL, tmp_path, check_model=explained).usable
     deliver(tmp_path, *AGAINST)
-    again = estimate_recording(RECORDING, ALL, tmp_path)
+    again = estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
     assert not again.usable
     assert again.remarks[0].code == "unexplained"
 
 
 def test_a_model_of_other_segments_is_forgotten(tmp_path: Path) -> None:
-    estimate_recording(RECORDING, ALL, tmp_path)
+    estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
     deliver(tmp_path)
     longer = Segment(id="more", stage=SegmentStage.GATES_OFF, start_s=0.0, samples=1)
     manifest = RECORDING.manifest.model_copy(update={"segments": (longer,)})
     report = deliver_model(tmp_path, model_map(), R_S, (), manifest=manifest)
     assert report.method == "model"
-    assert estimate_recording(RECORDING, ALL, tmp_path).method != "model"
+    again = estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
+    assert again.method != "model"
+    assert "is of other segments and left out" in "".join(again.reasons)
     assert not (tmp_path / "results" / "flux_map_model.nc").exists()
 
 
 def test_each_map_file_says_which_model_it_is_of(tmp_path: Path) -> None:
-    own = estimate_recording(RECORDING, ALL, tmp_path)
+    own = estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
     deliver(tmp_path)
     results = tmp_path / "results"
     with h5netcdf.File(results / "flux_map.nc", "r") as file:
@@ -124,7 +127,27 @@ def test_each_map_file_says_which_model_it_is_of(tmp_path: Path) -> None:
 def test_the_models_resistance_is_held_beside_the_nameplate(tmp_path: Path, times: float, codes: list[str]) -> None:
     plate = Motor.model_validate({**MOTOR.model_dump(), "stator_resistance_ohm": R_S.value_ohm / times})
     # What was stated of the estimators' own is not stated again.
-    estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
+    estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path, check_model=explained)
     report = deliver(tmp_path, motor=plate)
     assert report.usable
     assert [r.code for r in report.remarks if r.code == "far_from_nameplate"] == codes
+
+
+def test_earlier_results_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "estimates.json").write_text("{", encoding="utf-8")
+    report = estimate_recording(RECORDING, ALL, tmp_path, check_model=explained)
+    (text,) = (remark.text for remark in report.remarks if remark.code == "results_left_out")
+    assert text.startswith("earlier results are left out: ")
+    assert "estimates.json" in text
+    (tmp_path / "results" / "estimates.json").write_text("{", encoding="utf-8")
+    assert "results_left_out" in [remark.code for remark in deliver(tmp_path).remarks]
+
+
+def test_without_a_model_no_map_is_judged_and_a_diagnosis_decides(tmp_path: Path) -> None:
+    report = estimate_recording(RECORDING, ALL, tmp_path)
+    assert (report.usable, report.usability) == (False, Usability.NOT_JUDGED)
+    assert report.remarks[0].code == "not_judged"
+    assert deliver(tmp_path).usability is Usability.USABLE
+    assert deliver(tmp_path, *AGAINST).usability is Usability.NOT_USABLE
+    assert "not_judged" not in [remark.code for remark in deliver(tmp_path, *AGAINST).remarks]

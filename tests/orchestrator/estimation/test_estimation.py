@@ -23,7 +23,7 @@ from protocols import (
     ResistanceEstimate,
     SegmentStage,
 )
-from tests.orchestrator.estimation.made_up import R_S, RECORDING, Mapper, Resistance, Ripples, Sweeps, Swept
+from tests.orchestrator.estimation.made_up import R_S, RECORDING, Mapper, Resistance, Ripples, Sweeps, Swept, explained
 
 
 def numbers(value: Any) -> list[float]:
@@ -53,7 +53,7 @@ def test_an_estimator_of_rare_stages_is_requested_only_where_there_is_one(tmp_pa
 
 
 def test_injection_is_recommended_and_every_map_has_its_file(tmp_path: Path) -> None:
-    report = estimate_recording(RECORDING, [Mapper("other"), Sweeps(), Ripples()], tmp_path)
+    report = estimate_recording(RECORDING, [Mapper("other"), Sweeps(), Ripples()], tmp_path, check_model=explained)
     assert report.method == "ripples"
     names = {path.name for path in (tmp_path / "results").iterdir()}
     assert names == {"flux_map.nc", "flux_map_sweeps.nc", "flux_map_other.nc", "estimates.json"}
@@ -64,7 +64,7 @@ def test_injection_is_recommended_and_every_map_has_its_file(tmp_path: Path) -> 
 def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -> None:
     percent = AxisPercent(d_percent=1.0, q_percent=None)
     checks = MapChecks(crossings=percent, parity=percent, reciprocity_percent=0.5)
-    report = estimate_recording(RECORDING, [Resistance(), Sweeps(checks=checks)], tmp_path)
+    report = estimate_recording(RECORDING, [Resistance(), Sweeps(checks=checks)], tmp_path, check_model=explained)
     text = (tmp_path / "results" / "estimates.json").read_text()
     assert EstimationReport.model_validate_json(text) == report
     written = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
@@ -86,7 +86,7 @@ def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -
 
 
 def test_what_could_not_be_measured_is_a_reason(tmp_path: Path) -> None:
-    report = estimate_recording(RECORDING, [Ripples(missing=True), Sweeps()], tmp_path)
+    report = estimate_recording(RECORDING, [Ripples(missing=True), Sweeps()], tmp_path, check_model=explained)
     assert report.method == "sweeps"
     assert report.usable
     assert any("no ripples here" in reason for reason in report.reasons)
@@ -111,7 +111,7 @@ def test_equations_without_a_solution_are_one_clear_line(tmp_path: Path) -> None
         estimate_recording(RECORDING, [Singular()], tmp_path)
     assert "\n" not in str(reported.value)
     assert reported.value.exit_code == 2
-    report = estimate_recording(RECORDING, [Singular(), Ripples()], tmp_path)
+    report = estimate_recording(RECORDING, [Singular(), Ripples()], tmp_path, check_model=explained)
     assert report.method == "ripples"
     assert "singular.no_solution" in {remark.code for remark in report.remarks}
 

@@ -36,6 +36,7 @@ from tests.orchestrator.estimation.made_up import (
     Resistance,
     Ripples,
     Sweeps,
+    explained,
 )
 from tests.support.cases import few
 
@@ -43,7 +44,7 @@ WORSE = AxisPercent(d_percent=1.0, q_percent=12.0)
 
 
 def judged(folder: Path, *estimators: Estimator, **criteria: float) -> EstimationReport:
-    return estimate_recording(RECORDING, estimators, folder, criteria=MapCriteria(**criteria))
+    return estimate_recording(RECORDING, estimators, folder, criteria=MapCriteria(**criteria), check_model=explained)
 
 
 def stated(report: EstimationReport, code: str) -> Remark:

@@ -23,7 +23,16 @@ from protocols import (
 )
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.test_checks import exact_map
-from tests.orchestrator.estimation.made_up import R_S, RECORDING, SOUND, OneEnergy, Resistance, Ripples, Sweeps
+from tests.orchestrator.estimation.made_up import (
+    R_S,
+    RECORDING,
+    SOUND,
+    OneEnergy,
+    Resistance,
+    Ripples,
+    Sweeps,
+    explained,
+)
 
 EXACT = exact_map("ripples")
 AT_REST = np.unravel_index(np.argmin(np.add.outer(EXACT.i_d**2, EXACT.i_q**2)), EXACT.l_dd.shape)
@@ -39,7 +48,9 @@ def report(folder: Path, **times: float) -> EstimationReport:
     plate = {name: times[name] * value for name, value in values.items() if name in times}
     motor = Motor.model_validate({**RECORDING.manifest.motor.model_dump(), **plate})
     manifest = RECORDING.manifest.model_copy(update={"motor": motor})
-    return estimate_recording(MemoryRecording(manifest, {}), [Resistance(), Sweeps(), Ripples()], folder)
+    return estimate_recording(
+        MemoryRecording(manifest, {}), [Resistance(), Sweeps(), Ripples()], folder, check_model=explained
+    )
 
 
 def far(found: EstimationReport) -> dict[str, float]:
@@ -115,6 +126,6 @@ def test_a_nameplate_is_compared_with_the_corrected_map_where_injection_s_is_not
     motor = Motor.model_validate({**RECORDING.manifest.motor.model_dump(), **plate})
     recording = MemoryRecording(RECORDING.manifest.model_copy(update={"motor": motor}), {})
     estimators: list[Estimator] = [Resistance(), Sweeps(), WrongRipples(checks=checks), LesserEnergy()]
-    found = estimate_recording(recording, estimators, tmp_path)
+    found = estimate_recording(recording, estimators, tmp_path, check_model=explained)
     assert (found.method, found.usable) == ("ripples", reliable)
     assert far(found) == pytest.approx(ratios)

@@ -18,6 +18,7 @@ from plugins.estimators.injection import InjectionEstimator
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import EstimationContext, Estimator, FluxMapEstimate, NotMeasuredError, SegmentStage
 from tests.orchestrator.analysis.plant import Array, flux_for, saturated_current, saturated_hessian
+from tests.orchestrator.estimation.made_up import explained
 from tests.plugins.estimators.recordings import (
     behind_dead_time,
     classical_of,
@@ -105,7 +106,7 @@ def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
         ClassicalEstimator(),
         ResistanceEstimator(),
     ]
-    report = estimate_recording(behind_dead_time(), estimators, tmp_path)
+    report = estimate_recording(behind_dead_time(), estimators, tmp_path, check_model=explained)
     assert report.method == "energy"
     assert report.usable
     assert "energy.flux_error" in {remark.code for remark in report.remarks}

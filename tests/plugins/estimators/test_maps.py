@@ -18,6 +18,7 @@ from protocols import (
     SegmentStage,
 )
 from tests.orchestrator.analysis.plant import flux_for, saturated_current, saturated_hessian
+from tests.orchestrator.estimation.made_up import explained
 from tests.plugins.estimators.recordings import (
     classical_of,
     clean,
@@ -104,7 +105,7 @@ def test_one_line_of_points_or_paths_is_no_map() -> None:
 
 def test_whole_estimate_from_recording_to_files(tmp_path: Path) -> None:
     estimators: list[Estimator] = [InjectionEstimator(), ClassicalEstimator(), ResistanceEstimator()]
-    report = estimate_recording(clean(), estimators, tmp_path)
+    report = estimate_recording(clean(), estimators, tmp_path, check_model=explained)
     assert report.usable
     assert report.method == "injection"
     assert report.classical_against_injection_percent is not None

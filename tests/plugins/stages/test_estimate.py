@@ -13,6 +13,10 @@ class TestEstimate(StageConformance):
 
 
 def test_all_installed_estimators_are_used_unless_some_are_named() -> None:
-    assert list(EstimateStage().uses()) == [PluginUse("estimators", None)]
+    assert list(EstimateStage().uses()) == [PluginUse("estimators", None), PluginUse("effects", None)]
     named = EstimateStage(estimators=("classical", "energy")).uses()
-    assert [(use.name, use.field) for use in named] == [("classical", "estimators.0"), ("energy", "estimators.1")]
+    assert [(use.name, use.field) for use in named] == [
+        ("classical", "estimators.0"),
+        ("energy", "estimators.1"),
+        (None, named[-1].field),
+    ]

@@ -10,8 +10,8 @@ import pytest
 from orchestrator.diagnosis import add_effects, compare_recording, diagnose_recording, in_words
 from orchestrator.estimation import estimate_recording
 from orchestrator.formatting.names import VERDICTS
-from protocols import NotMeasuredError
-from tests.orchestrator.estimation.made_up import Resistance, Ripples, Sweeps
+from protocols import Estimator, NotMeasuredError
+from tests.orchestrator.estimation.made_up import Resistance, Ripples, Sweeps, explained
 from tests.orchestrator.recording_checks.conftest import right
 from tests.support.rewriting import Rewritten, exchanged
 
@@ -39,7 +39,8 @@ def test_an_estimation_says_the_same_and_that_its_map_is_not_usable(right: Rewri
     )
     assert not found.usable
     assert "rms for peak" in found.reasons[0]
-    assert estimate_recording(right, [Resistance(), Sweeps(), Ripples()], tmp_path).usable
+    sound: list[Estimator] = [Resistance(), Sweeps(), Ripples()]
+    assert estimate_recording(right, sound, tmp_path, check_model=explained).usable
 
 
 def test_an_estimation_of_a_dead_sensor_ends_with_the_line_of_the_diagnosis(right: Rewritten, tmp_path: Path) -> None:

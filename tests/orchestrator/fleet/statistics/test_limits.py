@@ -50,7 +50,10 @@ def test_what_was_not_measured_did_not_pass() -> None:
     assert judge(limits).passed == 12
     none = {"L_d_h": None, "verdict": None, "usable": None}
     judgement = judge(limits, none)
-    assert first_not_passed(judgement) == ("not_measured", ("L_d not measured", "not diagnosed", "no map"))
+    assert first_not_passed(judgement) == (
+        "not_measured",
+        ("L_d not measured", "not diagnosed", "no map that is judged"),
+    )
     assert judgement.not_measured == 1
     bad = {"verdict": "unknown_remains", "usable": False}
     assert first_not_passed(judge(limits, bad))[1] == ("verdict unknown_remains", "map not reliable")

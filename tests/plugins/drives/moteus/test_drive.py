@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import cmath
 import math
 import random
@@ -234,6 +235,45 @@ def test_a_pulled_plug_is_a_lost_link() -> None:
         assert time.monotonic() - begun_s < 2.0
         with pytest.raises(DriveFault, match="link_lost"):
             drive.disarm()
+
+
+def deaf(drive: MoteusDrive) -> None:
+    """Exchanges that never end, and do not let themselves be cancelled."""
+
+    async def execute(command: Any) -> Any:
+        while True:
+            with suppress(asyncio.CancelledError):
+                await asyncio.sleep(3600.0)
+
+    drive.connected()[0]._controller.execute = execute
+
+
+def blocking(drive: MoteusDrive) -> None:
+    """Exchanges that block the event loop."""
+
+    async def execute(command: Any) -> Any:
+        time.sleep(8.0)
+
+    drive.connected()[0]._controller.execute = execute
+
+
+@pytest.mark.parametrize("fall_silent", [deaf, blocking])
+def test_a_library_that_never_comes_back_is_a_lost_link_within_three_seconds(
+    fall_silent: Callable[[MoteusDrive], None],
+) -> None:
+    with armed() as (drive, port):
+        under_way = iter(drive.execute(HOLD.model_copy(update={"duration_s": 60.0})))
+        next(under_way)
+        fall_silent(drive)
+        begun_s = time.monotonic()
+        with pytest.raises(DriveFault) as fault:
+            list(under_way)
+        assert time.monotonic() - begun_s < 3.0
+        assert fault.value.cause is FaultCause.LINK_LOST
+        # No setpoint feeds the board's watchdog any more.
+        wait_until(lambda: port.servo.answer(b"\x50") is None and port.servo.mode == 11, 2.0)
+        begun_s = time.monotonic()
+    assert time.monotonic() - begun_s < 5.0, "closing waits for the library"
 
 
 def test_an_iterator_that_was_left_commands_nothing_any_more() -> None:

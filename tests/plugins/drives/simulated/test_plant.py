@@ -14,7 +14,7 @@ from plugins.drives.simulated._derive import TruePlant, bus_voltage, derive, rea
 from plugins.drives.simulated._energy import current
 from plugins.drives.simulated._program import tune
 from plugins.drives.simulated._run import GIVEN, Piece, run
-from protocols import CurrentControl, Motor
+from protocols import CurrentControl, InputError, Motor
 from tests.plugins.drives.simulated.conftest import MOTORS, PM400, options_of
 
 FS = 10_000.0
@@ -155,3 +155,8 @@ def test_a_closed_flux_loop_costs_energy_with_hysteresis_only() -> None:
 
     assert loss({"hysteresis": {"half_width_a": 0.05}}) > 1e-3
     assert abs(loss({})) < 1e-5
+
+
+def test_a_plant_too_stiff_to_simulate_is_refused() -> None:
+    with pytest.raises(InputError, match="needs over 10000 integration steps a sample"):
+        plant_of(effects={"dead_time": {"voltage_v": 1e12}})
