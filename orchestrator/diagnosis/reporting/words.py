@@ -65,7 +65,7 @@ def _where(diagnosis: Diagnosis) -> str:
     reach = f"|i_d| to {quantity(i_d, 'A', 2)}, |i_q| to {quantity(i_q, 'A', 2)}"
     return (
         f"worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms "
-        f"where noise alone makes {quantity(floor, 'V')}"
+        f"where noise alone makes {quantity(floor, 'V')} in this segment"
     )
 
 
@@ -188,7 +188,7 @@ def _next(diagnosis: Diagnosis) -> str:
     better = {name: other for name, other in _better_in_place(diagnosis.report).items() if name in _names(diagnosis)}
     if better:
         name, other = next(iter(better.items()))
-        return f"`fluxbench diagnose --without {name}`: {other} fits better in its place"
+        return f"`fluxbench diagnose RUN --without {name}`: {other} fits better in its place"
     for term in diagnosis.search.fit.model.active:
         if term.name in _names(diagnosis) and (reached := list(bounds_reached(term))):
             return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"

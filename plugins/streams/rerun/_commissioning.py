@@ -142,8 +142,8 @@ class Commissioning:
         names = ["L_dd [mH]", "L_dq [mH]", "L_qq [mH]"]
         out.append(_dots("point/inductance", names, [D_AXIS, GUIDE, Q_AXIS]))
         out.append(_dots("point/off_target", ["off target, d [mA]", "off target, q [mA]"], [D_AXIS, Q_AXIS]))
-        readings = rr.Measurements.from_fields(names=["reading ± σ [Ω]"], colors=packed_all([MEASURED_ON_SCREEN]))
-        out.append(entry("resistance/readings", ALWAYS, readings))
+        names = ["reading [Ω]", "reading − σ", "reading + σ"]
+        out.append(_dots("resistance/readings", names, [MEASURED_ON_SCREEN, GUIDE, GUIDE]))
         out.append(_series("resistance/estimate", ["estimate [Ω]", "95 % low", "95 % high"], [MODEL, GUIDE, GUIDE]))
         return out
 
@@ -281,8 +281,8 @@ class Commissioning:
             at = np.array([r.start_s for r in estimate.readings])
             order = np.argsort(at, kind="stable")
             value = np.array([r.value_ohm for r in estimate.readings])[order]
-            variance = np.square([r.std_ohm for r in estimate.readings])[order]
-            out.append(_measurements("resistance/readings", at[order], value, variance))
+            std = np.array([r.std_ohm for r in estimate.readings])[order]
+            out.append(scalars("resistance/readings", at[order], np.stack([value, value - std, value + std], axis=1)))
             first_s, last_s = float(at.min()), max(float(at.max()), last_s)
         return [*out, *self._resistance_line(estimate, first_s, last_s)]
 
@@ -341,14 +341,6 @@ def _ripple_chart(when: When, fit: RippleFit, seconds: float) -> list[Entry]:
         out.append(chart.line("fitted", when, time_ms, fitted, MODEL))
         out.append(chart.legend(when, [("measured", MEASURED_ON_SCREEN), ("fitted", MODEL)]))
     return out
-
-
-def _measurements(path: str, times_s: Any, values: Any, variances: Any) -> Entry:
-    def write(stream: rr.RecordingStream) -> None:
-        columns = rr.Measurements.columns(values=values, variances=variances)
-        stream.send_columns(path, indexes=[rr.TimeColumn("experiment", duration=times_s)], columns=columns)
-
-    return Entry(path, write, 24 * len(times_s))
 
 
 def _state_colours() -> Iterator[tuple[str, str]]:
