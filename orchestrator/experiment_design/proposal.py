@@ -73,11 +73,11 @@ def next_experiment(
         minutes=round(minutes(stage), 2),
         sigmas=_interval(sigmas, _relative_std(fit, active)),
         least_sigmas=least,
-        is_repetition=_is_repetition(setup, stage),
+        is_repetition=is_repetition(setup, stage),
     )
 
 
-def _is_repetition(setup: DiagnosisSetup, stage: Stage) -> bool:
+def is_repetition(setup: DiagnosisSetup, stage: Stage) -> bool:
     """Whether the recording holds what the stage measures, whatever the readings' duration."""
 
     def without_duration(of: Stage) -> Stage:

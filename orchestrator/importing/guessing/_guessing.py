@@ -266,8 +266,8 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
     columns = {name: values[good] for name, values in block.numbers.items()}
     time_s = time_s[good]
     if back := np.flatnonzero(np.diff(time_s) < 0.0).tolist():
-        problem = f"its time runs backwards {len(back)} times, first to {time_s[back[0] + 1]:.6g} s"
-        raise InputError(str(path), "", f"{problem}: sort the rows, or give each experiment a file or a label")
+        problem = f"its time runs backwards: after {time_s[back[0]]:.6g} s comes {time_s[back[0] + 1]:.6g} s"
+        raise InputError(str(path), "", f"{problem}; sort the rows, or give each experiment a file or a label")
     bus, pairs = mapping.bus, mapping.motor.pole_pairs
     dc_v = np.full(time_s.size, mapping.drive.dc_bus_voltage_v) if bus is None else columns[bus.column]
     i, v = (vectors(signal, columns, 0.0, pairs, dc_v) for signal in (mapping.current, mapping.voltage))

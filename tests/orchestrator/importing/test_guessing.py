@@ -151,7 +151,12 @@ def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
             "one file per channel (LeCroy): add the other files",
         ),
         ("TIME,CH1,CH2,CH3", [SOME.t, *columns(SOME)[:3]], "no column names identify the currents"),
-        ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], "no column names identify the voltages"),
+        ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], r"no column names identify the voltages \(va, vb, vc, vd, vq"),
+        (
+            "t,ia,ib,ic,va,vb,vc",
+            [np.roll(SOME.t, 200), *columns(SOME)],
+            r"its time runs backwards: after \S+ s comes 0 s; sort the rows",
+        ),
         ("ia,ib,ic,va,vb,vc", columns(SOME), "no column of time, and no sampling frequency in the file"),
         ("t,ia,ib,ic,va,vb,vc", [np.arange(SOME.t.size), *columns(SOME)], "t: steps of 1 may be ms or us; the unit"),
         (

@@ -130,7 +130,7 @@ def test_tables_tell_values_with_their_intervals_and_twins() -> None:
     ]
     small = a_diagnosis().effects[0].model_copy(update={"name": "eddy_currents", "twins": ()})
     rows = findings.effect_rows(saved(minor=[small]))
-    assert rows[2] == ("eddy currents (immaterial)", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "nothing")
+    assert rows[2] == ("eddy currents (immaterial)", "voltage", "400.0 mV", "399.0 to 401.0", "5 %", "nothing")
     assert findings.ladder_rows(saved()) == [
         ("the model alone", "5489", "300 mV", "350 mV", "60 mA"),
         ("+ dead time", "1.02", "4.1 mV", "4.2 mV", "5 mA"),
