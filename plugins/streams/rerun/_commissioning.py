@@ -95,6 +95,7 @@ class Commissioning:
         self._reach_a = 1.0  # until the limits are known
         self._resistance_ohm = 0.0
         self._resistance_until_s: float | None = None
+        self._resistances_ohm: list[float] = []
         self._achieved: list[tuple[float, float]] = []
         self._achieved_shown = 0
         self._maps: dict[str, FluxMapEstimate] = {}
@@ -123,6 +124,15 @@ class Commissioning:
     def when(self) -> When:
         """Now, on the experiment's timeline."""
         return When(experiment_s=self._clock.now())
+
+    @property
+    def resistance_span_ohm(self) -> tuple[float, float] | None:
+        """What estimates and readings of R_s went through, and a fifth of that beside it; None before the first."""
+        if not self._resistances_ohm:
+            return None
+        low, high = min(self._resistances_ohm), max(self._resistances_ohm)
+        beside = 0.2 * (high - low) or 0.05 * high
+        return low - beside, high + beside
 
     @property
     def waveform_rows(self) -> int:
@@ -275,6 +285,7 @@ class Commissioning:
         self._status.resistance = estimate
         out = [page("resistance/page", self.when, resistance_page(estimate)), self._page()]
         facts = {"value_ohm": estimate.value_ohm, "low": estimate.low, "high": estimate.high}
+        self._resistances_ohm += [estimate.value_ohm, *(r.value_ohm for r in estimate.readings)]
         out.append(properties("resistance", facts))
         first_s, last_s = 0.0, self._clock.now()
         if estimate.readings:
