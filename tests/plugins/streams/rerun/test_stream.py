@@ -28,7 +28,6 @@ from protocols import (
     ResistanceEstimate,
     ResistanceEstimated,
     ResistanceReading,
-    ResistanceReading,
     RunEnded,
     RunStarted,
     SamplesCaptured,
