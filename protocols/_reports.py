@@ -81,6 +81,8 @@ class FoundEffect(Lenient):
     """Its parameters as quantities of a drive's data sheet, such as a dead time in seconds."""
     relative_size: Number
     """|first parameter| over its typical value (inverted where small is strong)."""
+    typical: ParameterValue | None = None
+    """That typical value on this machine, as the quantity of a drive's data sheet where there is one."""
     log_evidence: Number
     probability: Number = None
     """Probability that it is present, given all others in the model."""
@@ -146,6 +148,8 @@ class NextExperiment(Lenient):
     the size and of the noise. None where it cannot be predicted."""
     least_sigmas: Number = None
     """Separation from which two effects count as separated."""
+    is_repetition: bool = False
+    """Whether the recording holds such a stage already, which did not separate the two."""
 
 
 class Inseparable(Lenient):

@@ -141,7 +141,10 @@ def _read(source: str) -> Document:
         return parse_document(shipped_procedure(source), f"{source}.yaml (shipped)")
     path = Path(source)
     if path.suffix in (".yaml", ".yml") or path.name != source or _is_file(path):
-        return read_document(path, ProcedureError)
+        document = read_document(path, ProcedureError)
+        if "motor" in document.data and not {"format", "stages"} & document.data.keys():
+            raise ProcedureError(source, "", f"a motor file instead of a procedure: give it as demo --motor {source}")
+        return document
     names = shipped_procedures()
     problem = f"neither a file nor a shipped procedure ({', '.join(names)}); {suggestion(source, names)}"
     raise ProcedureError(source, "", problem)

@@ -81,9 +81,17 @@ class Requirements:
             those = ", ".join(drive.interlocks) or "none"
             raise self._error("interlocks", f"{drive.name!r} has no input {', '.join(missing)}; it has {those}")
         if limits.current_a > drive.max_current_a:
-            raise self._error("limits.current_a", f"{limits.current_a:g} A, the drive takes {drive.max_current_a:g} A")
+            drive_takes = f"the drive takes {drive.max_current_a:.4g} A"
+            raise self._error(
+                "limits.current_a",
+                f"{limits.current_a:g} A, {drive_takes}: set it lower, by --set or in the motor file",
+            )
         if limits.voltage_v > drive.max_voltage_v:
-            raise self._error("limits.voltage_v", f"{limits.voltage_v:g} V, the drive gives {drive.max_voltage_v:g} V")
+            drive_gives = f"the drive gives {drive.max_voltage_v:.4g} V"
+            raise self._error(
+                "limits.voltage_v",
+                f"{limits.voltage_v:g} V, {drive_gives}: set it lower, by --set or in the motor file",
+            )
         if self._procedure.accept_no_watchdog is None:
             self._check_watchdog(drive)
 

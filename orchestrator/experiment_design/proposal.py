@@ -73,7 +73,22 @@ def next_experiment(
         minutes=round(minutes(stage), 2),
         sigmas=_interval(sigmas, _relative_std(fit, active)),
         least_sigmas=least,
+        is_repetition=is_repetition(setup, stage),
     )
+
+
+def is_repetition(setup: DiagnosisSetup, stage: Stage) -> bool:
+    """Whether the recording holds what the stage measures, whatever the readings' duration."""
+
+    def without_duration(of: Stage) -> Stage:
+        return {name: value for name, value in of.items() if name != "duration_s"}
+
+    bench = Bench.of(setup)
+    measures = {
+        contrast: any(without_duration(one) == without_duration(stage) for one in stages(bench))
+        for contrast, stages in STAGES.items()
+    }
+    return any(measures.values()) and all(holds(setup.prepared, c) for c, measured in measures.items() if measured)
 
 
 def _sigmas(setup: DiagnosisSetup, pair: ConfoundedPair, stage: Stage) -> float:

@@ -55,7 +55,7 @@ def basis_rows(effects: Sequence[EffectBasis]) -> list[tuple[str, ...]]:
     return [
         (
             plain(effect.name),
-            number(effect.relative_size),
+            percent(None if effect.relative_size is None else 100.0 * effect.relative_size),
             percent(None if effect.share is None else 100.0 * effect.share),
             _scored(effect.log_evidence, "log_evidence"),
             percent(None if effect.probability is None else 100.0 * effect.probability, 4),

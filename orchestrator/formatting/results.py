@@ -143,7 +143,7 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
     return [
         (
             plain(effect.name),
-            number(effect.relative_size),
+            size_in_words(effect),
             percent(None if effect.share is None else 100.0 * effect.share),
             percent(None if effect.probability is None else 100.0 * effect.probability, 4),
             {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
@@ -152,13 +152,21 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
     ]
 
 
+def size_in_words(effect: FoundEffect) -> str:
+    """An effect's size as a part of what is typical, and what that is: ``14 % of 1.5 µs``."""
+    if effect.relative_size is None:
+        return UNKNOWN
+    part = percent(100.0 * effect.relative_size)
+    return part if effect.typical is None else f"{part} of {quantity(effect.typical.value, effect.typical.unit, 2)}"
+
+
 def large_share_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
     """A note where an effect's part of the error is above 100 %."""
     text = (
         "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
         "whose R_s and map compensated a part of it"
     )
-    return [text] if any((effect.share or 0.0) > 1.0 for effect in effects) else []
+    return [text] if any((effect.share or 0.0) >= 1.005 for effect in effects) else []
 
 
 def share_notes(report: DiagnosisReport) -> list[str]:

@@ -1,6 +1,6 @@
 """Quantities like ``60 uH``, ``5 ms``, ``90 deg``, converted to numbers in the unit that a field's name ends with.
 
-Prefixes go from nano to mega. Each conversion is returned as a sentence for the user.
+Prefixes go from nano to mega. Each conversion of a number is returned as a sentence for the user.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _QUANTITY = re.compile(r"([-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]
 
 
 def read_quantities(document: Document, sections: Collection[str] | None = None) -> list[str]:
-    """Replace a document's quantities by numbers; returns a sentence for each.
+    """Replace a document's quantities by numbers; returns a sentence for each that changes.
 
     Parameters
     ----------
@@ -63,7 +63,8 @@ def read_quantities(document: Document, sections: Collection[str] | None = None)
         for key in path[:-1]:
             parent = parent[key]
         parent[path[-1]] = value
-        sentences.append(f"{dotted}: {text.strip()} is read as {value:.6g} {unit}")
+        if factor != 1.0:
+            sentences.append(f"{dotted}: {text.strip()} is read as {value:.6g} {unit}")
     return sentences
 
 

@@ -27,7 +27,9 @@ class RotorMisalignment(BatchEffect):
     signature: ClassVar[str] = "A map that is not even in i_q, with reciprocity kept."
     layer: ClassVar[EffectLayer] = EffectLayer.FRAME
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
-    gauge: ClassVar[str] = "The angle is visible only through the assumed evenness in i_q."
+    gauge: ClassVar[str] = (
+        "The angle is that at which the map is symmetric in i_q; that the motor's map is symmetric is assumed."
+    )
     compensable: ClassVar[bool] = True
     """By the angle's offset in the drive."""
 

@@ -340,7 +340,9 @@ class VoltageBias(BatchEffect):
     signature: ClassVar[str] = "A constant residual, the same at every current."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
-    gauge: ClassVar[str] = "Without a gates-off reading a bias of R_s o equals a current offset o."
+    gauge: ClassVar[str] = (
+        "Only readings with the gates off tell it from a current offset, whose voltage is R_s times the offset."
+    )
 
     class Parameters(EffectParameters):
         bias_a_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)

@@ -356,7 +356,9 @@ class SlotHarmonics(BatchEffect):
     signature: ClassVar[str] = "A fixed parity break at one angle, another one at the next."
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
-    gauge: ClassVar[str] = "A part that is even in the true i_q belongs to the map at this angle."
+    gauge: ClassVar[str] = (
+        "Only what breaks the map's symmetry in i_q shows; the rest of the slotting counts as this angle's map."
+    )
 
     class Parameters(EffectParameters):
         relative: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)

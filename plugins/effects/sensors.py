@@ -123,7 +123,7 @@ class CurrentOffset(BatchEffect):
     )
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
-    gauge: ClassVar[str] = "Without a gates-off reading an offset o equals a voltage bias R_s o."
+    gauge: ClassVar[str] = "Only readings with the gates off tell it from a voltage bias of R_s times the offset."
 
     class Parameters(EffectParameters):
         offset_a_a: float = amplitude("A", typical=0.015, prior_width=0.02, low=-0.5, high=0.5)

@@ -62,6 +62,7 @@ def found_effects(
                 derived=derived_quantities(active, parameters, fit.prepared.manifest.drive),
                 twins=tuple(indistinguishable.get(active.name, ())),
                 relative_size=active.relative_size,
+                typical=typical_size(active, fit.prepared.manifest.drive),
                 log_evidence=evidence.get(active.name, 0.0),
                 probability=presence[active.name],
                 share=sizes[active.name].relative_to_error if active.name in sizes else None,
@@ -106,6 +107,19 @@ def _interval(active: EffectTerm, name: str, half: float) -> ParameterValue:
     ends = sorted((value_at(p, x - half), value_at(p, x + half)))
     bends = p.role is ParameterRole.REFINEMENT
     return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit, bends_form=bends)
+
+
+def typical_size(active: EffectTerm, drive: DriveRecord) -> ParameterValue:
+    """The typical value that `EffectTerm.relative_size` refers to, as a quantity of the drive where there is one."""
+    amplitudes = [active.candidate.named(name) for name in active.candidate.amplitudes]
+    by_ratio = {
+        abs(p.typical / active.values[p.name] if p.strong_when_small else active.values[p.name] / p.typical): p
+        for p in amplitudes
+    }
+    largest = by_ratio[max(by_ratio)]
+    of_drive = _derived_values(active, {**active.values, largest.name: largest.typical}, drive)
+    value, unit = next(iter(of_drive.values()), (largest.typical, largest.unit))
+    return ParameterValue(value=value, low=None, high=None, unit=unit)
 
 
 def map_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, ...]:
@@ -153,23 +167,13 @@ def derived_quantities(
     PluginError
         If the effect's code fails.
     """
-    hook = hook_of(active.candidate.effect, "derived")
-    if hook is None:
-        return {}
-
-    def at(values: Mapping[str, float]) -> Mapping[str, tuple[float, str]]:
-        try:
-            return dict(hook(active.candidate.effect.Parameters(**values), drive))
-        except Exception as error:  # somebody else's code may raise anything
-            raise PluginError("effects", active.name, f"derived: {type(error).__name__}: {error}") from error
-
-    middle = at(active.values)
+    middle = _derived_values(active, active.values, drive)
     below, above = dict.fromkeys(middle, 0.0), dict.fromkeys(middle, 0.0)
     for parameter, interval in parameters.items():
         for end in (interval.low, interval.high):
             if end is None:
                 continue
-            moved = at({**active.values, parameter: end})
+            moved = _derived_values(active, {**active.values, parameter: end}, drive)
             for name, (value, _) in middle.items():
                 change = moved.get(name, (value, ""))[0] - value
                 side = below if change < 0.0 else above
@@ -178,3 +182,14 @@ def derived_quantities(
         name: ParameterValue(value=value, low=value - below[name], high=value + above[name], unit=unit)
         for name, (value, unit) in middle.items()
     }
+
+
+def _derived_values(
+    active: EffectTerm, values: Mapping[str, float], drive: DriveRecord
+) -> dict[str, tuple[float, str]]:
+    """Values and units that an effect derives from these values of its parameters; raises `PluginError`."""
+    hook = hook_of(active.candidate.effect, "derived")
+    try:
+        return {} if hook is None else dict(hook(active.candidate.effect.Parameters(**values), drive))
+    except Exception as error:  # somebody else's code may raise anything
+        raise PluginError("effects", active.name, f"derived: {type(error).__name__}: {error}") from error

@@ -196,8 +196,15 @@ def _signal(normal: Array, own: Sequence[int], others: Sequence[int], x: Array) 
 
 
 def _fits_in_words(one: Alternative) -> str:
-    """``chi2 1.02 with dead time, 885 with tanh drop (log evidence -1200 nat)``."""
+    """``chi2 1.02 with dead time, 885 with tanh drop (log evidence -1200 nat)``.
+
+    Where chi2 alone says the opposite, the sentence says what the log evidence counts besides.
+    """
     gain = number(round(one.gain) if abs(one.gain) >= 10.0 else one.gain, 6)
     sign = "+" if one.gain > 0.0 else ""
     ends = f"chi2 {number(one.fit.chi2_per_dof, 4)} with {plain(one.name)}, "
-    return f"{ends}{number(one.in_place.chi2_per_dof, 4)} with {plain(one.other)} (log evidence {sign}{gain} nat)"
+    is_opposite = (one.in_place.chi2_per_dof < one.fit.chi2_per_dof) != (one.gain > 0.0)
+    besides = ", which counts also how many parameters fit and how usual their values are" if is_opposite else ""
+    return (
+        f"{ends}{number(one.in_place.chi2_per_dof, 4)} with {plain(one.other)} (log evidence {sign}{gain} nat{besides})"
+    )

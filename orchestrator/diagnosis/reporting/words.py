@@ -65,7 +65,7 @@ def _where(diagnosis: Diagnosis) -> str:
     reach = f"|i_d| to {quantity(i_d, 'A', 2)}, |i_q| to {quantity(i_q, 'A', 2)}"
     return (
         f"worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms "
-        f"where noise alone makes {quantity(floor, 'V')}"
+        f"where noise alone makes {quantity(floor, 'V')} in this segment"
     )
 
 
@@ -73,9 +73,12 @@ def _looks(diagnosis: Diagnosis) -> str:
     report = diagnosis.report
     if report.effects and report.verdict != "unknown_remains":
         signatures = {c.name: c.effect.signature for c in diagnosis.library}
-        sizes = [_signature(diagnosis, e, signatures[e.name]) for e in report.effects if e.name in signatures]
-        if sizes:
-            return " ".join(sizes)
+        shown = [e for e in report.effects if e.name in signatures]
+        sentences = {e.name: _signature(diagnosis, e, signatures[e.name]) for e in shown}
+        if len(sentences) > 1:
+            return " ".join(f"{plain(name)}: {sentence}" for name, sentence in sentences.items())
+        if sentences:
+            return " ".join(sentences.values())
     if not report.unexplained.shape:
         return "what is left has no shape above the noise"
     parts = [f"{100 * (s.share or 0.0):.0f} % {_LOOKS[s.group]}" for s in report.unexplained.shape[:3]]
@@ -176,7 +179,9 @@ def _gain(diagnosis: Diagnosis) -> str:
         sizes = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
         floor = noise.heldout_rms_v
     resistances = " -> ".join(quantity(fit.model.r_s, "ohm", 4) for fit in fits)
-    gauges = [f"{a.candidate.effect.gauge.rstrip('.')}." for a in fits[1].model.active if a.candidate.effect.gauge]
+    limits = {a.name: a.candidate.effect.gauge.rstrip(".") for a in fits[1].model.active if a.candidate.effect.gauge}
+    several = len(fits[1].model.active) > 1
+    gauges = [f"{plain(name)}: {limit}." if several else f"{limit}." for name, limit in limits.items()]
     text = f"{sizes} (noise {quantity(floor, 'V')}); the model's R_s {resistances}"
     return " ".join([f"{text}.", *gauges]) if gauges else text
 
@@ -188,7 +193,7 @@ def _next(diagnosis: Diagnosis) -> str:
     better = {name: other for name, other in _better_in_place(diagnosis.report).items() if name in _names(diagnosis)}
     if better:
         name, other = next(iter(better.items()))
-        return f"`fluxbench diagnose --without {name}`: {other} fits better in its place"
+        return f"`fluxbench diagnose RUN --without {name}`: {other} fits better in its place"
     for term in diagnosis.search.fit.model.active:
         if term.name in _names(diagnosis) and (reached := list(bounds_reached(term))):
             return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"

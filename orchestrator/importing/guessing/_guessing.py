@@ -116,7 +116,11 @@ def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
             if roles_of_map(variables).is_map:
                 problem = f"holds a flux map instead of waveforms: `fluxbench audit {path.name}` checks it"
                 raise InputError(str(path), "", problem)
-            problem = f"no column names identify the {what}; the file has {len(columns.names)}:"
+            wanted = {"currents": "ia, ib, ic or id, iq", "voltages": "va, vb, vc, vd, vq or duties"}[what]
+            problem = (
+                f"no column names identify the {what} ({wanted}): rename them, or write the mapping (docs/import.md); "
+                f"the file has {len(columns.names)}:"
+            )
             named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in variables]
             if columns.names == ["Time", "Ampl"]:
                 problem = "one file per channel (LeCroy): add the other files by an entry of files with beside; it has"
@@ -261,6 +265,9 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
         raise InputError(str(path), "", "fewer than a hundred complete rows")
     columns = {name: values[good] for name, values in block.numbers.items()}
     time_s = time_s[good]
+    if back := np.flatnonzero(np.diff(time_s) < 0.0).tolist():
+        problem = f"its time runs backwards: after {time_s[back[0]]:.6g} s comes {time_s[back[0] + 1]:.6g} s"
+        raise InputError(str(path), "", f"{problem}; sort the rows, or give each experiment a file or a label")
     bus, pairs = mapping.bus, mapping.motor.pole_pairs
     dc_v = np.full(time_s.size, mapping.drive.dc_bus_voltage_v) if bus is None else columns[bus.column]
     i, v = (vectors(signal, columns, 0.0, pairs, dc_v) for signal in (mapping.current, mapping.voltage))

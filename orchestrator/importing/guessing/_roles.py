@@ -78,7 +78,9 @@ def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[^a-z0-9αβ]", "", name_and_unit(name)[0].rpartition("/")[2].rpartition(".")[2].lower())
+    """The letters and digits of a name, without unit, path and a scope's channel: ``CH2 Ia (A)`` is ``ia``."""
+    last = re.sub(r"^(?:ch|channel|c)\s*\d+[\s:_-]+(?=\S)", "", name_and_unit(name)[0].strip().lower())
+    return re.sub(r"[^a-z0-9αβ]", "", last.rpartition("/")[2].rpartition(".")[2])
 
 
 def _signal(plain: Mapping[str, str], quantity: str, suffix: str, axes: _Namings = _AXES) -> Signal | None:
@@ -92,8 +94,8 @@ def _signal(plain: Mapping[str, str], quantity: str, suffix: str, axes: _Namings
 
 
 def _named(plain: Mapping[str, str], quantity: str, axis: str, suffix: str) -> str | None:
-    """The column of an axis: ``ia``, ``current_phase_a``, ``a_current``; commands before measured values."""
+    """The column of an axis: ``ia``, ``current_phase_a``, ``a_current``, ``van``; commands before measured values."""
     middle = r"(?:phase|ph|s|l)?"
-    pattern = rf"{quantity}{middle}{axis}{suffix}|{quantity}{suffix}{axis}|(?:phase|ph)?{axis}{quantity}"
+    pattern = rf"{quantity}{middle}{axis}n?{suffix}|{quantity}{suffix}{axis}|(?:phase|ph)?{axis}{quantity}"
     found = [name for name, text in plain.items() if re.fullmatch(pattern, text)]
     return max(found, key=lambda name: len(plain[name]) * ("ref" in suffix), default=None)

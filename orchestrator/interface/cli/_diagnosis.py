@@ -145,7 +145,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     say(*accuracy_sentences(report))
     say_notes(report.notes)
     if report.next_experiment is not None:
-        say("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")
+        say(f"to decide, as a stage of a procedure (`fluxbench run --from {path}` measures it into a run itself):")
         say(stage_as_yaml(report.next_experiment.stage))
 
 

@@ -47,6 +47,7 @@ def _print_import(report: ImportReport, as_json: bool) -> int:
         why = ", ".join(f"{rows} ({why})" for why, rows in report.dropped_rows.items())
         say(f"dropped of {report.rows} rows: {why}")
     say_notes(report.notes)
+    say(f"next: fluxbench diagnose {report.recording}   (or estimate, compare)")
     return 0
 
 

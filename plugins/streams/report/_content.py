@@ -272,17 +272,24 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
     yield "fluxbench", versions.fluxbench
     if versions.git is not None:
         yield "source", f"{versions.git.sha}{' with changes' if versions.git.dirty else ''}"
-    yield "plugins", ", ".join(f"{p.name} ({p.distribution} {p.version})" for p in versions.plugins) or "none"
+    of = {f"{p.distribution} {p.version}": [] for p in versions.plugins}  # type: dict[str, list[str]]
+    for plugin in versions.plugins:
+        of[f"{plugin.distribution} {plugin.version}"].append(plugin.name)
+    yield "plugins", "; ".join(f"{which}: {', '.join(names)}" for which, names in of.items()) or "none"
     yield "machine", f"{versions.platform}, Python {versions.python}"
     yield "packages", ", ".join(f"{name} {version}" for name, version in versions.packages.items())
 
 
 def events(material: Material) -> list[Event]:
-    """What the journal says beside single points, the oldest first; the same twice on end is one event."""
+    """What the journal says beside single points and bare states, the oldest first; twice the same is one event."""
     found: list[Event] = []
     for entry in material.journal:
         event = describe(entry.message)
-        if event is not None and (not found or (event.subject, event.text) != (found[-1].kind, found[-1].text)):
+        if (
+            event is not None
+            and event.text
+            and (not found or (event.subject, event.text) != (found[-1].kind, found[-1].text))
+        ):
             found.append(Event(_clock(entry.t), event.subject, event.text, event.mood))
     return found
 

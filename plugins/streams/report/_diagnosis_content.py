@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
 from orchestrator.formatting.results import ladder_rows as rungs
-from orchestrator.formatting.results import parameter_rows
+from orchestrator.formatting.results import parameter_rows, size_in_words
 from orchestrator.formatting.sentences import listed, typographic
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
     """Every parameter of every effect, with its interval and the effects that are indistinguishable from it."""
     rows: Rows = []
     for effect in (*diagnosis.report.effects, *diagnosis.report.minor):
-        about = (number(effect.relative_size, 3), listed([plain(twin) for twin in effect.twins]) or "nothing")
+        about = (size_in_words(effect), listed([plain(twin) for twin in effect.twins]) or "nothing")
         name = plain(effect.name) + (" (immaterial)" if effect in diagnosis.report.minor else "")
         first, *others = parameter_rows(effect)
         rows += [(name, *first, *about), *(("", *row, "", "") for row in others)]
@@ -63,7 +63,7 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     ranking = {entry.name: entry for entry in diagnosis.report.joint}
     for name, entry in ranking.items():
         if name not in named | {effect.name for effect in diagnosis.report.minor} and abs(entry.z or 0.0) >= sure_z:
-            reason = f"in the joint fit z = {number(entry.z, 3)}, yet not worth a name"
+            reason = f"z = {number(entry.z, 3)} where all effects are fitted at once; adding it gains too little"
             rows.append((plain(name), "–", reason))
     for effect in diagnosis.report.minor:
         reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
@@ -73,7 +73,7 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
         if name in minor:
             continue
         if name not in ranking or abs(ranking[name].z or 0.0) < sure_z:
-            rows.append((plain(name), "–", "a trace, below what deserves a name"))
+            rows.append((plain(name), "–", "detected, but too small to be named"))
     return rows
 
 

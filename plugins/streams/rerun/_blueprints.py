@@ -18,15 +18,21 @@ COMMISSIONING, DIAGNOSIS = "commissioning", "diagnosis"
 CHANGES = "What changed?"
 
 
-def commissioning(end_s: float | None = None, *, states: bool = True) -> rrb.Blueprint:
+Span = tuple[float, float]
+
+
+def commissioning(
+    end_s: float | None = None, *, states: bool = True, resistance_ohm: Span | None = None
+) -> rrb.Blueprint:
     """For watching a run and scrubbing through it; time axes reach to the cursor, or to the end where it is known.
 
-    A recording that no run has made has no `states`.
+    A recording that no run has made has no `states`. `resistance_ohm` is what R_s went through, where that is known:
+    the viewer's own axis begins at zero.
     """
-    return _layout(EXPERIMENT, *_of_commissioning(_from_the_start(end_s), states))
+    return _layout(EXPERIMENT, *_of_commissioning(_from_the_start(end_s), states, resistance_ohm))
 
 
-def _of_commissioning(time: rrb.TimeAxis, states: bool) -> tuple[rrb.Container, ...]:
+def _of_commissioning(time: rrb.TimeAxis, states: bool, resistance_ohm: Span | None) -> tuple[rrb.Container, ...]:
     state_views = [rrb.StateTimelineView(origin="/state", name="States", time_view=time)] if states else []
     return (
         rrb.Horizontal(
@@ -61,6 +67,7 @@ def _of_commissioning(time: rrb.TimeAxis, states: bool) -> tuple[rrb.Container, 
                 time,
                 "/resistance/readings",
                 "/resistance/estimate",
+                within=resistance_ohm,
             ),
             _text("Stator resistance", "/resistance/page"),
             column_shares=[5, 2],
@@ -86,7 +93,14 @@ def _of_commissioning(time: rrb.TimeAxis, states: bool) -> tuple[rrb.Container, 
     )
 
 
-def diagnosis(contents: Contents, *, measured: bool, end_s: float | None = None, states: bool = True) -> rrb.Blueprint:
+def diagnosis(
+    contents: Contents,
+    *,
+    measured: bool,
+    end_s: float | None = None,
+    states: bool = True,
+    resistance_ohm: Span | None = None,
+) -> rrb.Blueprint:
     """For watching the error fall as effects are added; behind that, the run that was `measured` in the same file."""
     tabs: list[rrb.Container] = [
         rrb.Horizontal(
@@ -115,7 +129,7 @@ def diagnosis(contents: Contents, *, measured: bool, end_s: float | None = None,
     if not measured:
         return _layout(EFFECT_ADDED, *tabs)
     # The steps stand on the experiment's time too, a second each after its end: one timeline serves all tabs.
-    return _layout(EXPERIMENT, *tabs, *_of_commissioning(_from_the_start(end_s), states))
+    return _layout(EXPERIMENT, *tabs, *_of_commissioning(_from_the_start(end_s), states, resistance_ohm))
 
 
 def side_by_side(planes: Sequence[tuple[str, str]]) -> rrb.Blueprint:
@@ -162,9 +176,14 @@ def _from_the_start(end_s: float | None) -> rrb.TimeAxis:
     return rrb.TimeAxis(view_range=rr.TimeRange(start=edge.absolute(seconds=0.0), end=end))
 
 
-def _plot(name: str, time: rrb.TimeAxis, *paths: str) -> rrb.TimeSeriesView:
+def _plot(name: str, time: rrb.TimeAxis, *paths: str, within: Span | None = None) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
-        origin=paths[0], contents=list(paths), name=name, axis_x=time, plot_legend=rrb.Corner2D.LeftTop
+        origin=paths[0],
+        contents=list(paths),
+        name=name,
+        axis_x=time,
+        axis_y=None if within is None else rrb.ScalarAxis(range=within),
+        plot_legend=rrb.Corner2D.LeftTop,
     )
 
 

@@ -96,6 +96,7 @@ class Commissioning:
         self._reach_a = 1.0  # until the limits are known
         self._resistance_ohm = 0.0
         self._resistance_until_s: float | None = None
+        self._resistances_ohm: list[float] = []
         self._achieved: list[tuple[float, float]] = []
         self._achieved_shown = 0
         self._maps: dict[str, FluxMapEstimate] = {}
@@ -126,6 +127,15 @@ class Commissioning:
         return When(experiment_s=self._clock.now())
 
     @property
+    def resistance_span_ohm(self) -> tuple[float, float] | None:
+        """What estimates and readings of R_s went through, and a fifth of that beside it; None before the first."""
+        if not self._resistances_ohm:
+            return None
+        low, high = min(self._resistances_ohm), max(self._resistances_ohm)
+        beside = 0.2 * (high - low) or 0.05 * high
+        return low - beside, high + beside
+
+    @property
     def waveform_rows(self) -> int:
         """Rows of thinned waveforms that wait to be given away."""
         return self._thinner.rows
@@ -143,8 +153,8 @@ class Commissioning:
         names = ["L_dd [mH]", "L_dq [mH]", "L_qq [mH]"]
         out.append(_dots("point/inductance", names, [D_AXIS, GUIDE, Q_AXIS]))
         out.append(_dots("point/off_target", ["off target, d [mA]", "off target, q [mA]"], [D_AXIS, Q_AXIS]))
-        readings = rr.Measurements.from_fields(names=["reading ± σ [Ω]"], colors=packed_all([MEASURED_ON_SCREEN]))
-        out.append(entry("resistance/readings", ALWAYS, readings))
+        names = ["reading [Ω]", "reading − σ", "reading + σ"]
+        out.append(_dots("resistance/readings", names, [MEASURED_ON_SCREEN, GUIDE, GUIDE]))
         out.append(_series("resistance/estimate", ["estimate [Ω]", "95 % low", "95 % high"], [MODEL, GUIDE, GUIDE]))
         return out
 
@@ -276,14 +286,15 @@ class Commissioning:
         self._status.resistance = estimate
         out = [page("resistance/page", self.when, resistance_page(estimate)), self._page()]
         facts = {"value_ohm": estimate.value_ohm, "low": estimate.low, "high": estimate.high}
+        self._resistances_ohm += [estimate.value_ohm, *(r.value_ohm for r in estimate.readings)]
         out.append(properties("resistance", facts))
         first_s, last_s = 0.0, self._clock.now()
         if estimate.readings:
             at = np.array([r.start_s for r in estimate.readings])
             order = np.argsort(at, kind="stable")
             value = np.array([r.value_ohm for r in estimate.readings])[order]
-            variance = np.square([r.std_ohm for r in estimate.readings])[order]
-            out.append(_measurements("resistance/readings", at[order], value, variance))
+            std = np.array([r.std_ohm for r in estimate.readings])[order]
+            out.append(scalars("resistance/readings", at[order], np.stack([value, value - std, value + std], axis=1)))
             first_s, last_s = float(at.min()), max(float(at.max()), last_s)
         return [*out, *self._resistance_line(estimate, first_s, last_s)]
 
@@ -342,14 +353,6 @@ def _ripple_chart(when: When, fit: RippleFit, seconds: float) -> list[Entry]:
         out.append(chart.line("fitted", when, time_ms, fitted, MODEL))
         out.append(chart.legend(when, [("measured", MEASURED_ON_SCREEN), ("fitted", MODEL)]))
     return out
-
-
-def _measurements(path: str, times_s: Any, values: Any, variances: Any) -> Entry:
-    def write(stream: rr.RecordingStream) -> None:
-        columns = rr.Measurements.columns(values=values, variances=variances)
-        stream.send_columns(path, indexes=[rr.TimeColumn("experiment", duration=times_s)], columns=columns)
-
-    return Entry(path, write, 24 * len(times_s))
 
 
 def _state_colours() -> Iterator[tuple[str, str]]:

@@ -124,10 +124,14 @@ class RerunStream:
             self._tape.put([entry("log", self._commissioning.when, rr.TextLog(shown(note), level="WARN"))])
         # The whole run from its beginning to its end; who looks on keeps the layout as it is.
         end_s = self._commissioning.when.experiment_s
+        span = self._commissioning.resistance_span_ohm
         if self._layout == blueprints.COMMISSIONING:
-            self._tape.keep(blueprint(self._layout, blueprints.commissioning(end_s, states=self._states)))
+            whole = blueprints.commissioning(end_s, states=self._states, resistance_ohm=span)
+            self._tape.keep(blueprint(self._layout, whole))
         elif self._contents is not None and self._measured:
-            whole = blueprints.diagnosis(self._contents, measured=True, end_s=end_s, states=self._states)
+            whole = blueprints.diagnosis(
+                self._contents, measured=True, end_s=end_s, states=self._states, resistance_ohm=span
+            )
             self._tape.keep(blueprint(self._layout, whole))
         self._tape.close()
         if self._server is not None:

@@ -437,3 +437,14 @@ def test_an_error_found_while_planning_is_reported_with_file_and_line(tmp_path: 
         loaded.locating_errors(),
     ):
         make_plan(loaded.procedure, None)
+
+
+def test_a_motor_file_in_the_place_of_a_procedure_is_named_as_one(tmp_path: Path) -> None:
+    plate = tmp_path / "plate.yaml"
+    plate.write_text("motor: {name: m, pole_pairs: 2}\n")
+    with pytest.raises(ProcedureError, match=r"a motor file instead of a procedure: give it as demo --motor .*plate"):
+        read_procedure(str(plate))
+
+
+def test_a_value_in_the_field_s_own_unit_needs_no_comment() -> None:
+    assert read_procedure("demo", overrides=["limits.current_a=4.5 A"]).conversions == ()

@@ -6,7 +6,14 @@ from typing import Any
 
 import pytest
 
-from orchestrator.formatting.results import benefit_line, ladder_rows, parameter_rows, resistance_course, share_notes
+from orchestrator.formatting.results import (
+    benefit_line,
+    ladder_rows,
+    parameter_rows,
+    resistance_course,
+    share_notes,
+    size_in_words,
+)
 from protocols import (
     FoundEffect,
     Materiality,
@@ -69,7 +76,14 @@ def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_expl
     assert first.startswith("above 100 % of the error: without this effect")
     assert second.startswith("dead time: a cause of the measured error, but not material: ")
     assert "less than 0.2 % of the rated flux" in second
-    assert share_notes(report.model_copy(update={"effects": (effect(share=0.9, material=True),)})) == []
+    for whole in (0.9, 1.004):  # the second is written as 100 %
+        assert share_notes(report.model_copy(update={"effects": (effect(share=whole, material=True),)})) == []
+
+
+def test_a_size_is_stated_beside_what_is_typical() -> None:
+    typical = ParameterValue(value=1.48e-6, low=None, high=None, unit="s")
+    assert size_in_words(effect().model_copy(update={"relative_size": 0.137, "typical": typical})) == "14 % of 1.5 µs"
+    assert size_in_words(effect().model_copy(update={"relative_size": 4.017})) == "402 %"
 
 
 @pytest.mark.parametrize(

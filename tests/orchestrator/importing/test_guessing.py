@@ -15,6 +15,7 @@ import scipy.io
 
 from orchestrator.importing import import_files
 from orchestrator.importing.guessing import guess_mapping
+from orchestrator.importing.guessing._roles import roles_of
 from orchestrator.interface.cli._running import run_app
 from orchestrator.recording import open_recording
 from protocols import InputError
@@ -151,7 +152,12 @@ def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
             "one file per channel (LeCroy): add the other files",
         ),
         ("TIME,CH1,CH2,CH3", [SOME.t, *columns(SOME)[:3]], "no column names identify the currents"),
-        ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], "no column names identify the voltages"),
+        ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], "no column names identify the voltages (va, vb, vc, vd, vq"),
+        (
+            "t,ia,ib,ic,va,vb,vc",
+            [np.roll(SOME.t, 200), *columns(SOME)],
+            " s comes 43.7 s; sort the rows",
+        ),
         ("ia,ib,ic,va,vb,vc", columns(SOME), "no column of time, and no sampling frequency in the file"),
         ("t,ia,ib,ic,va,vb,vc", [np.arange(SOME.t.size), *columns(SOME)], "t: steps of 1 may be ms or us; the unit"),
         (
@@ -354,6 +360,15 @@ def test_the_mapping_of_a_map_is_not_imported(tmp_path: Path) -> None:
     (tmp_path / "m.yaml").write_text("format: fluxbench-map\nversion: 1\n")
     with pytest.raises(InputError, match="the mapping of a flux map, not of waveforms: `fluxbench audit` reads it"):
         import_files(tmp_path / "m.yaml", [flux_table(tmp_path / "m.csv")], tmp_path / "out")
+
+
+@pytest.mark.parametrize("names", ["CH1 Ia (A),CH2 Ib (A),CH3 Van (V),CH4 Vbn (V),CH5 Vcn (V)", "ia,ib,va,vb,vc"])
+def test_a_scope_s_channel_before_a_name_does_not_hide_it(names: str) -> None:
+    found = roles_of(names.split(","), {})
+    assert found.current is not None
+    assert found.voltage is not None
+    assert sorted(found.current.columns) == ["a", "b"]
+    assert sorted(found.voltage.columns) == ["a", "b", "c"]
 
 
 def test_variables_of_many_columns_are_listed_once(tmp_path: Path) -> None:

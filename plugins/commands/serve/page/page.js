@@ -50,7 +50,7 @@ function show(now) {
 }
 
 function chip(now, p) {
-  const idle = known === null ? "loading procedures" : "nothing is going";
+  const idle = known === null ? "loading procedures" : "no run is active";
   const words = !now.going && !p ? idle : !p ? "starting" : p.armed ? `${p.state_words}, energised` : p.state_words;
   set("state", words);
   const mood = p && p.outcome && !now.going ? p.outcome.mood : p && p.armed ? "armed" : "";
@@ -274,7 +274,11 @@ function drawPlan(plan) {
 
 form.procedure.onchange = () => { summarise(); $("plan").replaceChildren(); };
 form.onsubmit = (event) => { event.preventDefault(); $("plan").replaceChildren(); begin("/start", wanted()); };
-$("check").onclick = async () => { const plan = await begin("/check", wanted()); if (plan) drawPlan(plan); };
+$("check").onclick = async () => {
+  $("plan").replaceChildren(element("p", "checking: the whole procedure is planned", "under"));
+  const plan = await begin("/check", wanted());
+  if (plan) drawPlan(plan); else $("plan").replaceChildren();
+};
 $("again").onclick = () => { wantsForm = true; show(view); };
 $("stop").onclick = async () => {
   $("stop").disabled = true;

@@ -15,6 +15,7 @@ from orchestrator.diagnosis.reporting.findings import (
     effect_remarks,
     found_effects,
     map_effects,
+    typical_size,
 )
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.iron import SlotHarmonics
@@ -36,6 +37,16 @@ def test_intervals_hold_what_was_put_in_and_are_as_wide_as_requested() -> None:
         assert reported.high is not None
         assert reported.low < truth < reported.high
         assert reported.unit == "V"
+
+
+def test_the_typical_size_is_that_of_the_drive_s_data_sheet_where_there_is_one() -> None:
+    drive = DriveRecord(name="x", sampling_frequency_hz=10e3, pwm_frequency_hz=10e3, dc_bus_voltage_v=500.0)
+    for effect, unit in ((DeadTime(), "s"), (DeviceDrop(), "V"), (VoltageBias(), "V")):
+        candidate = scaled_library([effect], MAKER.prepared.manifest)[0]
+        first = candidate.named(candidate.amplitudes[0])
+        typical = typical_size(candidate.absent().moved(first.name, 0.3), drive)
+        assert typical.unit == unit
+        assert typical.value == pytest.approx(first.typical / 5e6 if unit == "s" else first.typical)
 
 
 def test_of_what_only_a_second_angle_shows_nothing_is_stated_at_one() -> None:

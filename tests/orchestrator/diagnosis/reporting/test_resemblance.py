@@ -13,6 +13,7 @@ from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.resemblance import (
+    Alternative,
     alternative_remarks,
     imitated_shares,
     own_alternatives,
@@ -83,6 +84,17 @@ def test_an_installed_effect_that_fits_better_takes_an_own_one_s_certainty(maker
     assert code == "fits_better_in_place"
     assert text.startswith("voltage bias resembles alpha bias and fits better in its place: chi2 ")
     assert text.endswith(" nat); alpha bias is no certain cause")
+
+
+def test_log_evidence_that_contradicts_chi2_says_what_else_it_counts(maker: Fitter) -> None:
+    library = scaled_library([VoltageBias(), AlphaBias()], maker.prepared.manifest)
+    better, worse = fitted(maker, VoltageBias()), fitted(maker, AlphaBias())
+    assert better.chi2_per_dof < worse.chi2_per_dof
+    names = [candidate.name for candidate in library]
+    (agrees,) = alternative_remarks([Alternative(names[1], names[0], worse, better, 50.0)])
+    (contradicts,) = alternative_remarks([Alternative(names[0], names[1], better, worse, 50.0)])
+    assert "how many parameters" not in agrees.text
+    assert "+50 nat, which counts also how many parameters fit" in contradicts.text
 
 
 def test_installed_effects_alone_are_not_refitted(maker: Fitter) -> None:

@@ -169,7 +169,7 @@ def test_a_cause_in_whose_place_another_fits_better_is_no_certain_one(search: Se
     values = {"effect": "voltage_bias", "other": "current_offset", "gain_nat": 20.0}
     words = stated(search, remarks=[{"code": "fits_better_in_place", "text": "fits better", "values": values}])
     assert words.likely_cause.endswith("), in whose place current_offset fits better")
-    assert words.to_decide == "`fluxbench diagnose --without voltage_bias`: current_offset fits better in its place"
+    assert words.to_decide == "`fluxbench diagnose RUN --without voltage_bias`: current_offset fits better in its place"
 
 
 def test_a_proposal_states_how_far_it_separates_at_the_size_found(search: SearchResult) -> None:

@@ -113,7 +113,7 @@ def test_a_page_of_another_origin_can_neither_read_nor_start(tmp_path: Path, chr
 def test_the_page_says_when_its_server_is_gone(tmp_path: Path, chromium: Chromium) -> None:
     with serving(tmp_path) as served:
         tab = chromium.open(served.address)
-        tab.until("document.getElementById('state')?.textContent === 'nothing is going'")
+        tab.until("document.getElementById('state')?.textContent === 'no run is active'")
         served.process.kill()
         tab.until(is_seen("gone"))
         assert "disarmed" in tab.value("document.getElementById('gone').textContent")
@@ -123,7 +123,7 @@ def test_the_page_says_when_its_server_is_gone(tmp_path: Path, chromium: Chromiu
 def test_a_page_without_events_says_how_old_it_is(tmp_path: Path, chromium: Chromium) -> None:
     with serving(tmp_path) as served:
         tab = chromium.open(served.address)
-        tab.until("document.getElementById('state')?.textContent === 'nothing is going'")
+        tab.until("document.getElementById('state')?.textContent === 'no run is active'")
         assert not tab.value(is_seen("age"))
         served.process.send_signal(signal.SIGSTOP)
         try:

@@ -125,12 +125,12 @@ def test_one_rung_is_drawn_without_a_before() -> None:
 
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
     assert findings.effect_rows(saved()) == [
-        ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "device drop"),
+        ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "5 %", "device drop"),
         ("", "sharpness", "−15·10⁶", "", "", ""),
     ]
     small = a_diagnosis().effects[0].model_copy(update={"name": "eddy_currents", "twins": ()})
     rows = findings.effect_rows(saved(minor=[small]))
-    assert rows[2] == ("eddy currents (immaterial)", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "nothing")
+    assert rows[2] == ("eddy currents (immaterial)", "voltage", "400.0 mV", "399.0 to 401.0", "5 %", "nothing")
     assert findings.ladder_rows(saved()) == [
         ("the model alone", "5489", "300 mV", "350 mV", "60 mA"),
         ("+ dead time", "1.02", "4.1 mV", "4.2 mV", "5 mA"),
@@ -141,8 +141,8 @@ def test_tables_tell_values_with_their_intervals_and_twins() -> None:
 def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
     assert findings.alike_rows(saved()) == [
         ("dead time", "device drop", "does as well in its place"),
-        ("bus sag", "–", "in the joint fit z = −5.1, yet not worth a name"),
-        ("skin effect", "–", "a trace, below what deserves a name"),
+        ("bus sag", "–", "z = −5.1 where all effects are fitted at once; adding it gains too little"),
+        ("skin effect", "–", "detected, but too small to be named"),
     ]
 
 

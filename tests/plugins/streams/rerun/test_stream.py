@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 from orchestrator.testing import StreamConformance
 from plugins.streams.rerun import RerunOptions, RerunStream
 from plugins.streams.rerun import _blueprints as blueprints
+from plugins.streams.rerun._commissioning import Commissioning
 from plugins.streams.rerun._diagnosis import Contents
 from plugins.streams.rerun._tape import is_whole
 from protocols import (
@@ -155,6 +156,15 @@ def test_a_diagnosis_keeps_the_commissioning_s_tabs_on_one_timeline(tmp_path: Pa
     assert len(steps) == len(EFFECTS) + 1
     assert sorted(steps) == steps
     assert steps[0] > measured
+
+
+def test_r_s_is_drawn_over_the_range_that_it_went_through() -> None:
+    picture = Commissioning()
+    assert picture.resistance_span_ohm is None
+    readings = tuple(ResistanceReading(start_s=t, value_ohm=x, std_ohm=0.01) for t, x in ((1.0, 4.2), (9.0, 4.4)))
+    estimate = ResistanceEstimate(value_ohm=4.3, low=4.29, high=4.31, first_ohm=4.2, last_ohm=4.4, readings=readings)
+    picture.take(ResistanceEstimated(estimate=estimate))
+    assert picture.resistance_span_ohm == pytest.approx((4.16, 4.44))
 
 
 def test_a_second_round_goes_on_where_the_first_ended(tmp_path: Path) -> None:
