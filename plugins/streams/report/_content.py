@@ -272,7 +272,7 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
     yield "fluxbench", versions.fluxbench
     if versions.git is not None:
         yield "source", f"{versions.git.sha}{' with changes' if versions.git.dirty else ''}"
-    of = {f"{p.distribution} {p.version}": [] for p in versions.plugins}  # type: dict[str, list[str]]
+    of: dict[str, list[str]] = {f"{p.distribution} {p.version}": [] for p in versions.plugins}
     for plugin in versions.plugins:
         of[f"{plugin.distribution} {plugin.version}"].append(plugin.name)
     yield "plugins", "; ".join(f"{which}: {', '.join(names)}" for which, names in of.items()) or "none"
