@@ -48,6 +48,8 @@ class Score:
     covariance : array, shape (size, size)
     share : float
         Part of the excess chi2 that it removes.
+    width : float
+        Standard deviation of the law's values before the data, by the likeliest tau.
     """
 
     hypothesis: Hypothesis
@@ -56,6 +58,7 @@ class Score:
     coefficients: Array
     covariance: Array
     share: float
+    width: float
 
 
 def rank(fitter: Fitter, fit: Fit, hypotheses: Sequence[Hypothesis], noise: float | None = None) -> list[Score]:
@@ -142,4 +145,5 @@ def _score(fit: Fit, block: _Block, noise: float) -> Score:
         coefficients=hypothesis.size * mean,
         covariance=hypothesis.size**2 * (back * posterior) @ back.T,
         share=float((fit.chi2 - left - used) / excess) if excess > 0.0 else 0.0,
+        width=hypothesis.size * float(np.sqrt(taus[best] * np.linalg.eigvalsh(np.linalg.inv(prior))[-1])),
     )
