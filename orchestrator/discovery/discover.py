@@ -12,7 +12,7 @@ import numpy as np
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, observable_effects, scaled_library
-from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
 from orchestrator.diagnosis.reporting.resemblance import alternatives_to
@@ -95,7 +95,9 @@ def discover_laws(
     whole = restored(setup, model, model.baseline, library)
     before = setup.fitter.fit(whole, relinearisations=0, steps=1)
     if before.chi2_per_dof < before.criteria.selection.detected_chi2:
-        why = f"nothing to learn here: chi2 is {number(before.chi2_per_dof)} per degree of freedom, which noise explains"
+        why = (
+            f"nothing to learn here: chi2 is {number(before.chi2_per_dof)} per degree of freedom, which noise explains"
+        )
         return Learned(_report(setup, diagnosis, before, None, "nothing_to_learn", why, (), began), ())
     named = [effect.name for effect in diagnosis.effects]
     outcome = learn_laws(setup, whole, named, name, tell)
@@ -117,6 +119,16 @@ def _verdict(setup: DiagnosisSetup, before: Fit, outcome: SearchOutcome) -> tupl
     if now - 1.0 > (1.0 - MIN_FALL) * (was - 1.0):
         why = f"the held-out error falls from {number(was)} to {number(now)} times its noise, which is not by half"
         return "no_law", why
+    volts = [mean_rms_v(fit, held_out) for fit in (before, outcome.fit)]
+    if (
+        volts[0] is not None
+        and volts[1] is not None
+        and volts[1] > max(volts[0], 1.2 * (noise_rms_v(outcome.fit, held_out) or 0.0))
+    ):
+        return (
+            "no_law",
+            f"the held-out error at low frequencies grows from {quantity(volts[0], 'V')} to {quantity(volts[1], 'V')}",
+        )
     return "law", f"the held-out error falls from {number(was)} to {number(now)} times its noise"
 
 
@@ -138,10 +150,12 @@ def _laws(
 ) -> tuple[FoundLaw, ...]:
     found = []
     seen = observable_effects(library, [p.signals for p in setup.prepared.pieces])
-    for k, law in enumerate(outcome.laws):
+    for law in outcome.laws:
         best, hypothesis = law.best, law.best.hypothesis
         noise = max(1.0, min(f.chi2 for f in law.forms))
-        alternatives = alternatives_to(setup, best.fit, best.term.name, [c for c in seen if c.name not in best.fit.model.names])
+        alternatives = alternatives_to(
+            setup, best.fit, best.term.name, [c for c in seen if c.name not in best.fit.model.names]
+        )
         alike = [a.other.replace("_", " ") for a in alternatives if a.is_tied or a.fits_better]
         found.append(
             FoundLaw(
@@ -204,9 +218,7 @@ def curve_of(score: Score) -> tuple[Array, Array, Array]:
 
 
 def _curve(score: Score) -> tuple[CurvePoint, ...]:
-    return tuple(
-        CurvePoint(x=float(a), y=float(b), std=float(c)) for a, b, c in zip(*curve_of(score), strict=True)
-    )
+    return tuple(CurvePoint(x=float(a), y=float(b), std=float(c)) for a, b, c in zip(*curve_of(score), strict=True))
 
 
 def _to_decide(law: LearnedLaw) -> str:

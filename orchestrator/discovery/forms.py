@@ -54,15 +54,14 @@ class Form:
     has_power: bool = False
     power_of_x: int = 0
     """Power of the quantity in g, where it has no scale."""
+    power_name: str = "exponent"
+    powers: tuple[float, ...] = (0.3, 0.5, 0.75, 1.5, 2.0, 3.0, 5.0, 7.0)
+    """Values of p that are scanned."""
 
     @property
     def constants(self) -> int:
         """Number of its constants."""
         return 1 + self.has_scale + self.has_power
-
-
-def _hinge(x: Array, b: float) -> Array:
-    return np.sign(x) * np.maximum(np.abs(x) - b, 0.0) / b
 
 
 CURVES: tuple[Form, ...] = (
@@ -115,8 +114,11 @@ CURVES: tuple[Form, ...] = (
         "saturating", "a x / (b + |x|)", "x / (b + np.abs(x))", lambda x, b, p: x / (b + np.abs(x)), "none",
     ),
     Form("log", "a log(1 + |x| / b)", "np.log1p(np.abs(x) / b)", lambda x, b, p: np.log1p(np.abs(x) / b), "none"),
-    Form("step", "a from x = b on", "0.5 + 0.5 * np.tanh(50.0 * (x / b - 1.0))",
-         lambda x, b, p: 0.5 + 0.5 * np.tanh(50.0 * (x / b - 1.0)), "none"),
+    Form(
+        "step", "a from x = b on", "0.5 + 0.5 * np.tanh(p * (x / b - 1.0))",
+        lambda x, b, p: 0.5 + 0.5 * np.tanh(p * (x / b - 1.0)), "none",
+        has_power=True, power_name="sharpness", powers=(50.0,),
+    ),
     Form(
         "ramp", "a max(x / b - 1, 0)", "np.maximum(x / b - 1.0, 0.0)", lambda x, b, p: np.maximum(x / b - 1.0, 0.0),
         "none",
@@ -126,7 +128,6 @@ CURVES: tuple[Form, ...] = (
         has_power=True,
     ),
 )  # fmt: skip
-POWERS: tuple[float, ...] = (0.3, 0.5, 0.75, 1.5, 2.0, 3.0, 5.0)
 
 
 @dataclass(frozen=True)
@@ -162,11 +163,14 @@ def fitting_forms(score: Score) -> list[FormFit]:
     weigh = np.linalg.cholesky(np.linalg.inv(score.covariance + floor**2 * np.eye(basis.size))).T
     project = np.linalg.pinv(design)
     target = weigh @ score.coefficients
-    gauges = [weigh @ project @ g for g in _gauges(score.hypothesis, grid)]
+    taken_up = _gauges(score.hypothesis, grid)
+    gauges = [weigh @ project @ g for g in taken_up]
     fits = []
     for form in CURVES:
-        if form.parity != basis.parity:
+        if form.parity != basis.parity or any(np.allclose(form.of(grid, 1.0, 1.0), g) for g in taken_up):
             continue
+        if form.name == "steady" and score.hypothesis.place.name == "reading_gain":
+            continue  # an error of the reading in proportion to the current, which is simpler
         best = None
         for scale, power in _shapes(form, basis):
             column = weigh @ (project @ form.of(grid, scale, power))
@@ -200,13 +204,13 @@ def _gauges(hypothesis: Hypothesis, grid: Array) -> list[Array]:
 def _shapes(form: Form, basis: CurveBasis) -> Iterator[tuple[float, float]]:
     top = max(abs(basis.low), abs(basis.high))
     scales: Sequence[float] = [top]
-    if form.has_scale and not form.has_power:
+    if form.has_scale and (not form.has_power or form.power_name == "sharpness"):
         near = 0.2 if form.name in ("step", "ramp", "hinge", "even hinge") else 0.003
         far = 1.0 if near == 0.2 else 10.0
         scales = [float(s) for s in np.geomspace(near * top, far * top, SCAN)]
         if near == 0.2:
             scales = [float(s) for s in np.linspace(0.03 * top, top, 2 * SCAN)]
-    yield from product(scales, POWERS if form.has_power else (1.0,))
+    yield from product(scales, form.powers if form.has_power else (1.0,))
 
 
 def _least_squares(columns: list[Array], target: Array) -> tuple[list[float], float]:

@@ -134,12 +134,15 @@ class Ranges:
         Shortest sampling interval and longest segment.
     sizes : dict
         By the unit of a place.
+    pulse_rates : int
+        Number of PWM frequencies.
     """
 
     of: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     interval_s: float = 1e-4
     longest_s: float = 1.0
     sizes: Mapping[str, float] = field(default_factory=dict)
+    pulse_rates: int = 1
 
     @classmethod
     def in_fit(cls, fit: Fit) -> Ranges:
@@ -150,9 +153,13 @@ class Ranges:
             values = [quantity.of(batch) for batch in batches]
             found[quantity.name] = (min(float(v.min()) for v in values), max(float(v.max()) for v in values))
         rates = [r for b in batches for r in b.sampling_frequency_hz]
-        lengths = [float(n / r) for b in batches for n, r in zip(np.diff(b.starts), b.sampling_frequency_hz, strict=True)]
+        lengths = [
+            float(n / r) for b in batches for n, r in zip(np.diff(b.starts), b.sampling_frequency_hz, strict=True)
+        ]
         amps, ohms = found[of.CURRENT.name][1], abs(fit.model.r_s)
-        return cls(found, 1.0 / max(rates), max(lengths), {"V": amps * ohms, "A": amps, "ohm": ohms, "1": 1.0, "rad": 1.0})
+        sizes = {"V": amps * ohms, "A": amps, "ohm": ohms, "1": 1.0, "rad": 1.0}
+        pulse_rates = {float(f) for b in batches for f in b.pwm_frequency_hz}
+        return cls(found, 1.0 / max(rates), max(lengths), sizes, len(pulse_rates))
 
     def curve(self, quantity: Quantity, parity: Parity, cells: int = CELLS) -> CurveBasis | None:
         """A curve over a quantity's range; None where the quantity does not vary."""
@@ -183,6 +190,7 @@ SENSORS = (ALL, A, B)
 KINDS: tuple[tuple[Place, Quantity, tuple[str, ...], tuple[Phases, ...]], ...] = (
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("even",), EACH),
+    (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("lag", "play"), (ALL,)),
     (at.LEG_VOLTAGE, of.PHASE_VOLTAGE, ("odd",), (ALL,)),
     (at.LEG_VOLTAGE, of.TIME, ("none",), (A, B, C)),
@@ -221,6 +229,8 @@ KINDS: tuple[tuple[Place, Quantity, tuple[str, ...], tuple[Phases, ...]], ...] =
 def hypotheses(ranges: Ranges) -> Iterator[Hypothesis]:
     """All single laws over quantities that vary in the recording."""
     for place, quantity, parts, which in KINDS:
+        if place is at.PULSE_VOLTAGE and ranges.pulse_rates < 2:
+            continue
         for part in parts:
             basis: Basis | None
             basis = ranges.memory(quantity, part) if part in ("lag", "play") else ranges.curve(quantity, part)  # type: ignore[arg-type]

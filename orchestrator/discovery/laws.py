@@ -25,7 +25,7 @@ from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import Hypothesis, term_of
 from orchestrator.discovery.places import of_three_sensors
 from orchestrator.discovery.ranking import Score
-from orchestrator.discovery.writing import Law, Parameter, Table, source_of
+from orchestrator.discovery.writing import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Parameter, Table, source_of
 from orchestrator.registry.plugins import load_effects_file
 from protocols import Effect, unit_powers
 
@@ -108,9 +108,10 @@ def table_of(score: Score) -> Table | None:
 def fit_law(setup: DiagnosisSetup, fit: Fit, law: Law, name: str) -> FittedLaw:
     """A law beside a model, fitted as the effect that its text defines."""
     candidate = candidate_of(setup, law, name)
-    fixed = ("range_",) if isinstance(law.form, Table) else ()
-    names = [p.name for p in candidate.parameters if not p.name.startswith(fixed or ("-",))]
-    term = EffectTerm(candidate, {p.name: p.typical for p in candidate.parameters}, tuple(names))
+    free = tuple(
+        p.name for p in candidate.parameters if p.prior_width > WIDTH_OF_UNIT or p.name in candidate.amplitudes
+    )
+    term = EffectTerm(candidate, {p.name: p.typical for p in candidate.parameters}, free)
     fitter = setup.fitter
     with_law = fitter.fit(fit.model.with_active([*fit.model.active, term]), fit.linearisation, relinearisations=1)
     return FittedLaw(law, law.hypothesis, with_law)
@@ -155,4 +156,4 @@ def with_fitted_constants(fitted: FittedLaw) -> Law:
 
 
 def _shape_fields(parameters: Sequence[Parameter]) -> list[str]:
-    return ["power" if p.name == "exponent" else "scale" for p in parameters[1:]]
+    return ["power" if p.name in POWER_BOUNDS else "scale" for p in parameters[1:]]

@@ -58,6 +58,12 @@ def _of_readings(batch: SignalBatch, y: Array) -> Array:
     return from_phases(y) if of_three_sensors(batch) else from_two_phases(y[:, 0], y[:, 1])
 
 
+def _pulse_rate(batch: SignalBatch) -> Array:
+    """PWM frequency over the drive's usual one, shape (n, 1) or (1, 1)."""
+    usual = batch.drive.pwm_frequency_hz if batch.drive is not None else None
+    return batch.per_sample(batch.pwm_frequency_hz / (usual or batch.pwm_frequency_hz))[:, None]
+
+
 def _along_d(batch: SignalBatch, y: Array) -> Array:
     return np.stack([y * np.cos(batch.theta_rad), y * np.sin(batch.theta_rad)], axis=1)
 
@@ -66,6 +72,11 @@ LEG_VOLTAGE = Place(
     "leg_voltage", "a voltage that each leg loses", "V", EffectLayer.INVERTER, True, True, 0.01,
     lambda s, y: Correction(v_ab=s.v_ab - from_phases(y)),
     "Correction(v_ab=signals.v_ab - from_phases(y))",
+)  # fmt: skip
+PULSE_VOLTAGE = Place(
+    "pulse_voltage", "a voltage that each leg loses with every pulse", "V", EffectLayer.INVERTER, True, True, 0.01,
+    lambda s, y: Correction(v_ab=s.v_ab - from_phases(y) * _pulse_rate(s)),
+    "Correction(v_ab=signals.v_ab - from_phases(y) * _pulse_rate(signals))",
 )  # fmt: skip
 VOLTAGE_GAIN = Place(
     "voltage_gain", "a part of the voltage that is lost", "1", EffectLayer.BUS, False, False, 0.003,

@@ -1,6 +1,6 @@
 """Quantities that a law may depend on, each a function of a segment's signals.
 
-A written effect holds a copy of the function that it uses, so each needs numpy and `orchestrator.numerics.frames` alone.
+A written effect holds a copy of the function that it uses: each needs numpy and `orchestrator.numerics.frames` alone.
 Quantities of the phases have shape (n, 3), all others (n,).
 """
 

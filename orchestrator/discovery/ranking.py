@@ -5,8 +5,8 @@ eliminated, K their precision (`bases.penalty`) and s the noise's factor,
 
     log E(tau) = 1/2 g' (S/s + K/tau^2)^-1 g / s^2 - 1/2 log det(I + tau^2 K^-1 S/s),
 
-the gain of the restricted likelihood over the model without the law. tau maximises it. s is the smallest chi2 per degree
-of freedom that any of the laws could leave, as in the diagnosis' own comparisons.
+the gain of the restricted likelihood over the model without the law. tau maximises it. s is the smallest chi2 per
+degree of freedom that any of the laws could leave, as in the diagnosis' own comparisons.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.forms import FormFit, fitting_forms
-from orchestrator.discovery.hypotheses import Ranges, hypotheses
+from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses
 from orchestrator.discovery.laws import (
     FittedLaw,
     error_of,
@@ -44,9 +44,12 @@ SAME_NAT: float = 3.0
 """Difference of the log evidence up to which two forms do as well."""
 SAME_ERROR: float = 0.02
 """Relative difference of the held-out errors, and of chi2 per degree of freedom, up to which they do as well."""
+CLOSE_CHI2: float = 1.5
+"""chi2 per degree of freedom of the best curve from which other hypotheses' formulas are fitted too; of the best
+formula, from which a second law is looked for."""
 UNRELIABLE_CHI2: float = 0.3
 """chi2 per degree of freedom below which a linear prediction has left its range."""
-REFINED: tuple[tuple[int, float], ...] = ((9, 0.03), (16, 0.03), (16, 0.1), (24, 0.01))
+REFINED: tuple[tuple[int, float], ...] = ((9, 0.03), (16, 0.03), (24, 0.1), (24, 0.01))
 """Intervals of a curve and its knee, of which the evidence chooses."""
 
 
@@ -144,11 +147,12 @@ def learn_laws(
             break
         laws.append(law)
         fit = law.best.fit
-        if len(laws) == MAX_LAWS or fit.chi2_per_dof < fit.criteria.selection.detected_chi2:
+        if len(laws) == MAX_LAWS or fit.chi2_per_dof < CLOSE_CHI2:
             break
         tell("is there a second law?")
-        start = _start(setup, fit.model)
-    return SearchOutcome(laws[0] and _without_laws(setup, laws) if laws else fit, tuple(laws), tuple(first), time.monotonic() - began)
+        start = _start(setup, fit.model, besides=[law.best.hypothesis for law in laws])
+    before = _without_laws(setup, laws) if laws else fit
+    return SearchOutcome(before, tuple(laws), tuple(first), time.monotonic() - began)
 
 
 def _without_laws(setup: DiagnosisSetup, laws: Sequence[LearnedLaw]) -> Fit:
@@ -161,14 +165,15 @@ def _numbered(name: str, before: int) -> str:
     return name if before == 0 else f"{name}_{before + 1}"
 
 
-def _start(setup: DiagnosisSetup, model: Model) -> _Start:
+def _start(setup: DiagnosisSetup, model: Model, besides: Sequence[Hypothesis] = ()) -> _Start:
+    """A model with its ranking, without laws over the place and quantity of those that it has."""
     part = setup.part_fitter.fit(model)
-    return _Start(part, rank(setup.part_fitter, part, list(hypotheses(Ranges.in_fit(part)))))
+    there = {(one.place.name, one.quantity.name) for one in besides}
+    every = [h for h in hypotheses(Ranges.in_fit(part)) if (h.place.name, h.quantity.name) not in there]
+    return _Start(part, rank(setup.part_fitter, part, every))
 
 
-def _learn(
-    setup: DiagnosisSetup, start: _Start, fit: Fit, name: str, tell: Callable[[str], None]
-) -> LearnedLaw | None:
+def _learn(setup: DiagnosisSetup, start: _Start, fit: Fit, name: str, tell: Callable[[str], None]) -> LearnedLaw | None:
     """The best law beside a model; None where none removes much."""
     threshold = fit.criteria.selection.log_evidence
     near = [s for s in start.ranking if s.log_evidence >= NEAR * start.ranking[0].log_evidence][:MAX_NEAR]
@@ -182,7 +187,8 @@ def _learn(
     noise = max(1.0, min(f.chi2 for f in flexible))
     flexible.sort(key=lambda f: -f.log_evidence(noise))
     best = flexible[0]
-    tied = [f for f in flexible if _does_as_well(f, best, noise)]
+    # Where no curve comes down to the noise, a formula with a step or a corner may, of another one of them.
+    tied = flexible if best.chi2 > CLOSE_CHI2 else [f for f in flexible if _does_as_well(f, best, noise)]
     fitted = []
     for one in tied:
         fitted += _in_forms(setup, fit, one, name, tell)
@@ -194,7 +200,7 @@ def _learn(
     forms = [f for f in fitted if not _is_table(f)]
     tables = [f for f in fitted if _is_table(f)]
     if forms and (not tables or forms[0].chi2 - 1.0 <= 1.5 * max(tables[0].chi2 - 1.0, 0.05)):
-        chosen = [f for f in forms if _does_as_well(f, forms[0], noise)]
+        chosen = _simplest_first([f for f in forms if _does_as_well(f, forms[0], noise)])
     else:
         chosen = tables[:1]
     of = next(f for f in flexible if f.hypothesis.key == chosen[0].hypothesis.key)
@@ -209,6 +215,12 @@ def _does_as_well(one: FittedLaw, best: FittedLaw, noise: float) -> bool:
     return abs(one.error - best.error) < close and abs(one.chi2 - best.chi2) < SAME_ERROR * best.chi2
 
 
+def _simplest_first(forms: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """The form with the fewest constants, then others with as many; what needs more for the same is no rival."""
+    least = min(len(f.term.free) for f in forms)
+    return [f for f in forms if len(f.term.free) == least]
+
+
 def _is_table(fitted: FittedLaw) -> bool:
     return fitted.law is not None and isinstance(fitted.law.form, Table)
 
@@ -220,7 +232,9 @@ def _refined(setup: DiagnosisSetup, part: Fit, score: Score) -> Score:
         return score
     top = max(abs(basis.low), abs(basis.high))
     finer = [
-        replace(score.hypothesis, basis=replace(basis, cells=cells, knee=knee * top if np.isfinite(basis.knee) else np.inf))
+        replace(
+            score.hypothesis, basis=replace(basis, cells=cells, knee=knee * top if np.isfinite(basis.knee) else np.inf)
+        )
         for cells, knee in REFINED
     ]
     return rank(setup.part_fitter, part, finer)[0]

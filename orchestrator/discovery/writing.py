@@ -6,7 +6,7 @@ import inspect
 import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from orchestrator.discovery.forms import FormFit
@@ -19,6 +19,13 @@ WIDTH_OF_SIZE: float = 1.0
 """Prior width of a size, relative to its typical value."""
 WIDTH_OF_SHAPE: float = 0.7
 """Prior width of a shape, in its logarithm."""
+WIDTH_OF_UNIT: float = 1e-3
+"""Prior width of a shape that only states at which value of the quantity the size is meant."""
+POWER_BOUNDS: Mapping[str, tuple[float, float, float]] = {
+    "exponent": (0.5, 0.05, 12.0),
+    "sharpness": (2.0, 1.0, 1e4),
+}
+"""Prior width of a power's logit, and its bounds."""
 REACH: float = 100.0
 """Bounds of a size, relative to its typical value, and of a shape."""
 
@@ -64,16 +71,20 @@ class Law:
         """Its constants, the size first."""
         y, x, form = self.hypothesis.place.unit, self.hypothesis.quantity.unit, self.form
         if isinstance(form, Table):
-            return (_size(y, form.size), _shape("range", x, form.top))
+            return (_size(y, form.size), _shape("range", x, form.top, WIDTH_OF_UNIT))
         if form.form is None:
             kind = self.hypothesis.basis.kind
             shape = _shape("lag", "s", form.scale) if kind == "lag" else _shape("radius", x, form.scale)
             return (_size(_quotient(y, x, 1), form.size), shape)
         found = [_size(_quotient(y, x, form.form.power_of_x), form.size)]
         if form.form.has_scale:
-            found.append(_shape("scale", x, form.scale))
+            # A power's scale and size are one number: the scale only says where the size is meant.
+            is_unit = form.form.has_power and form.form.power_name == "exponent"
+            found.append(_shape("scale", x, form.scale, WIDTH_OF_UNIT if is_unit else WIDTH_OF_SHAPE))
         if form.form.has_power:
-            found.append(Parameter("exponent", "1", form.power, 0.5, 0.05, 12.0, is_size=False))
+            found.append(
+                Parameter(form.form.power_name, "1", form.power, *POWER_BOUNDS[form.form.power_name], is_size=False)
+            )
         return tuple(found)
 
     @property
@@ -85,8 +96,10 @@ class Law:
             return f"a table over {x}"
         if form.form is None:
             return f"a ({x} - {x} {'lagging by' if hypothesis.basis.kind == 'lag' else 'with a play of'} b)"
-        return re.sub(r"\bx\b", x.replace("|", ""), form.form.formula) if "|" in x else re.sub(
-            r"\bx\b", x, form.form.formula
+        return (
+            re.sub(r"\bx\b", x.replace("|", ""), form.form.formula)
+            if "|" in x
+            else re.sub(r"\bx\b", x, form.form.formula)
         )
 
     @property
@@ -126,8 +139,8 @@ def _size(unit: str, value: float) -> Parameter:
     return Parameter(name, unit, value, WIDTH_OF_SIZE * abs(value), -far, far, is_size=True)
 
 
-def _shape(name: str, unit: str, value: float) -> Parameter:
-    return Parameter(f"{name}_{_suffix(unit)}", unit, value, WIDTH_OF_SHAPE, value / REACH, value * REACH, is_size=False)
+def _shape(name: str, unit: str, value: float, width: float = WIDTH_OF_SHAPE) -> Parameter:
+    return Parameter(f"{name}_{_suffix(unit)}", unit, value, width, value / REACH, value * REACH, is_size=False)
 
 
 def _suffix(unit: str) -> str:
@@ -164,7 +177,7 @@ def source_of(law: Law, name: str, story: Sequence[str], factors: dict[str, floa
     summary = sentence_of(hypothesis)
     body = _body(law, three_sensors)
     helper = inspect.getsource(hypothesis.quantity.of).replace("Signals | SignalBatch", "Signals").rstrip()
-    after = [_OVER_INTERVAL] if "_over_interval(" in body else []
+    after = [text for text in (_OVER_INTERVAL, _PULSE_RATE) if text.split("(")[0].removeprefix("def ") + "(" in body]
     code = "\n\n\n".join([_class(law, name, summary, body, factors), *after, helper]) + "\n"
     docstring = "\n\n".join([f"{_capital(law.formula)}: {summary[0].lower()}{summary[1:]}", *map(_wrapped, story)])
     tables = _table_lines(law.form) if isinstance(law.form, Table) else ""
@@ -242,8 +255,17 @@ _OVER_INTERVAL = '''def _over_interval(law, x):
     return (law(x) + 4.0 * law(0.5 * (x + after)) + law(after)) / 6.0'''
 
 
+_PULSE_RATE = '''def _pulse_rate(signals):
+    """PWM frequency over the drive's usual one."""
+    usual = signals.drive.pwm_frequency_hz if signals.drive is not None else None
+    return signals.pwm_frequency_hz / (usual or signals.pwm_frequency_hz)'''
+
+
 def _table_lines(table: Table) -> str:
-    rows = [f"{name} = np.array({[round(float(v), 4) for v in values]})" for name, values in (("X", table.x), ("Y", table.y))]
+    rows = [
+        f"{name} = np.array({[round(float(v), 4) for v in values]})"
+        for name, values in (("X", table.x), ("Y", table.y))
+    ]
     return "\n" + "\n".join("\n".join(textwrap.wrap(row, 118, subsequent_indent="    ")) for row in rows)
 
 
