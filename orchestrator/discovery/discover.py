@@ -169,7 +169,7 @@ def _laws(
                 symbol=hypothesis.quantity.symbol,
                 forms=tuple(_form(f, best, noise) for f in law.forms),
                 curve=_curve(law.flexible),
-                as_well=(*(f"{one} of the library" for one in alike), *(_described(s.hypothesis) for s in law.near)),
+                as_well=(*(f"{one} of the library" for one in alike), *map(_described, law.near)),
                 to_decide=_to_decide(law),
             )
         )

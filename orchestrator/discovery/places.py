@@ -90,7 +90,7 @@ READING = Place(
 )  # fmt: skip
 READING_GAIN = Place(
     "reading_gain", "an error of each current sensor's gain", "1", EffectLayer.CURRENT_SENSORS, True, False, 0.003,
-    lambda s, y: Correction(i_ab=s.i_ab - _of_readings(s, y * to_phases(s.i_ab))),
+    lambda s, y: Correction(i_ab=s.i_ab - _of_readings(s, y / (1.0 + y) * to_phases(s.i_ab))),
     "Correction(i_ab=signals.i_ab - {sensors})",
 )  # fmt: skip
 RESISTANCE = Place(

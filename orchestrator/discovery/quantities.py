@@ -42,8 +42,8 @@ def phase_voltages(signals: Signals | SignalBatch) -> Array:
 
 def phase_fluxes(signals: Signals | SignalBatch) -> Array:
     """Flux linkage along the axis of each phase by the present map [Wb]; zero without a map."""
-    flux = signals.i_ab if signals.psi_smooth_ab is None else signals.psi_smooth_ab
-    return to_phases(flux if signals.psi_smooth_ab is not None else 0.0 * flux)
+    flux = signals.psi_ab if signals.psi_smooth_ab is None else signals.psi_smooth_ab
+    return to_phases(0.0 * signals.i_ab if flux is None else flux)
 
 
 def current(signals: Signals | SignalBatch) -> Array:

@@ -63,13 +63,13 @@ class LearnedLaw:
         The flexible law as fitted to the whole recording.
     forms : tuple of FittedLaw
         The chosen one first, then those that do as well.
-    near : tuple of Score
-        Other hypotheses that do about as well as flexible laws.
+    near : tuple of Hypothesis
+        Others whose flexible laws do as well.
     """
 
     flexible: Score
     forms: tuple[FittedLaw, ...]
-    near: tuple[Score, ...]
+    near: tuple[Hypothesis, ...]
 
     @property
     def best(self) -> FittedLaw:
@@ -204,8 +204,8 @@ def _learn(setup: DiagnosisSetup, start: _Start, fit: Fit, name: str, tell: Call
     else:
         chosen = tables[:1]
     of = next(f for f in flexible if f.hypothesis.key == chosen[0].hypothesis.key)
-    others = [s for s in near if s.hypothesis.key != of.hypothesis.key]
-    return LearnedLaw(score_of(of), tuple(chosen), tuple(s for s in others if s.share > 0.9 * near[0].share))
+    rivals = [f for f in flexible if f is not of and best.chi2 <= CLOSE_CHI2 and _does_as_well(f, best, noise)]
+    return LearnedLaw(score_of(of), tuple(chosen), tuple(f.hypothesis for f in rivals))
 
 
 def _does_as_well(one: FittedLaw, best: FittedLaw, noise: float) -> bool:
@@ -263,7 +263,8 @@ def _promising(forms: Sequence[FormFit]) -> list[FormFit]:
     if not forms:
         return []
     limit = 30.0 * max(forms[0].misfit, 10.0)
-    return [form for form in forms[:MAX_FORMS] if form.misfit <= limit]
+    single = [form for form in forms if form.form is not None and form.form.constants == 1]
+    return [form for form in dict.fromkeys((*forms[:MAX_FORMS], *single[:1])) if form.misfit <= limit]
 
 
 def terms_of(outcome: SearchOutcome) -> list[EffectTerm]:

@@ -239,7 +239,7 @@ def _body(law: Law, three_sensors: bool) -> str:
         else:
             lines += [f"y = y[:, None] * {list(hypothesis.phases)}"]
         if place.name == "reading_gain":
-            lines += ["y = y * to_phases(signals.i_ab)"]
+            lines += ["y = y / (1.0 + y) * to_phases(signals.i_ab)"]
     sensors = "from_phases(y)" if three_sensors else "from_two_phases(y[:, 0], y[:, 1])"
     lines += [f"return {place.code.format(sensors=sensors)}"]
     return "\n".join(lines)
