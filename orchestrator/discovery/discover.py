@@ -223,8 +223,8 @@ def _curve(score: Score) -> tuple[CurvePoint, ...]:
 
 def _to_decide(law: LearnedLaw) -> str:
     """Where the forms that do as well differ most, up to half beyond the range of the quantity."""
-    forms = [f.law.form for f in law.forms if f.law is not None]
     basis, hypothesis = law.flexible.hypothesis.basis, law.best.hypothesis
+    forms = [f.law.form for f in law.forms if f.law is not None and f.hypothesis.key == hypothesis.key]
     if len(forms) < 2 or not isinstance(basis, CurveBasis):
         return ""
     top = max(abs(basis.low), abs(basis.high))

@@ -1,7 +1,7 @@
 """The search for a law: rank flexible laws, find a short form, and test it on the stages that were held out.
 
-Two models are started from, since what a diagnosis names beside an unknown may be its stand-in: the one with the causes
-that it names, and R_s and map alone. The one whose best law leaves less is kept. As long as more than noise is left, a
+What a diagnosis names beside an unknown may be its stand-in. So a second model, R_s and map alone, is started from
+unless a law beside the named causes leaves no more than noise; the one whose best law leaves less is kept. As long as more than noise is left, a
 further law is looked for beside the first.
 """
 
@@ -47,6 +47,8 @@ SAME_ERROR: float = 0.02
 CLOSE_CHI2: float = 1.5
 """chi2 per degree of freedom of the best curve from which other hypotheses' formulas are fitted too; of the best
 formula, from which a second law is looked for."""
+CLOSE_ERROR: float = 1.2
+"""Held-out error, in units of its noise, below which no second law is looked for."""
 UNRELIABLE_CHI2: float = 0.3
 """chi2 per degree of freedom below which a linear prediction has left its range."""
 REFINED: tuple[tuple[int, float], ...] = ((9, 0.03), (16, 0.03), (24, 0.1), (24, 0.01))
@@ -135,6 +137,8 @@ def learn_laws(
         beside = ", ".join(a.name.replace("_", " ") for a in active) or "R_s and map"
         tell(f"which place and quantity, beside {beside}?")
         starts.append(_start(setup, model.with_active(active)))
+        if starts[-1].least_chi2 < CLOSE_CHI2:
+            break
     start = min(starts, key=lambda one: one.least_chi2)
     if not np.isfinite(start.least_chi2):
         start = starts[-1]
@@ -147,7 +151,7 @@ def learn_laws(
             break
         laws.append(law)
         fit = law.best.fit
-        if len(laws) == MAX_LAWS or fit.chi2_per_dof < CLOSE_CHI2:
+        if len(laws) == MAX_LAWS or fit.chi2_per_dof < CLOSE_CHI2 or law.best.error < CLOSE_ERROR:
             break
         tell("is there a second law?")
         start = _start(setup, fit.model, besides=[law.best.hypothesis for law in laws])
