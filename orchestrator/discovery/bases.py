@@ -79,13 +79,12 @@ class CurveBasis:
         """Values of all functions at x (n,), shape (n, size); constant beyond the range."""
         place = np.abs(x) if self.parity != "none" else x
         u = np.clip(self._warped(place), self.knots[0], self.knots[-1])
-        whole = BSpline.design_matrix(u, self.knots, DEGREE)
+        whole = csc_array(BSpline.design_matrix(u, self.knots, DEGREE))
+        if self.parity != "odd":
+            return whole
         # An odd function is zero at zero, where only the first function is not.
-        whole = csc_array(whole)[:, 1:] if self.parity == "odd" else csc_array(whole)
-        if self.parity == "odd":
-            signs = np.sign(x)
-            whole = csc_array((whole.data * signs[whole.indices], whole.indices, whole.indptr), shape=whole.shape)
-        return whole
+        odd, signs = csc_array(whole[:, 1:]), np.sign(x)
+        return csc_array((odd.data * signs[odd.indices], odd.indices, odd.indptr), shape=odd.shape)
 
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> csc_array:
         if not mean:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from orchestrator.discovery.bases import KNEE, Basis, CurveBasis, MemoryBasis, P
 from orchestrator.discovery.places import Place
 from orchestrator.discovery.quantities import Quantity
 from orchestrator.numerics.types import Array
-from protocols import Correction, EffectParameters, SignalBatch, Signals, amplitude
+from protocols import Correction, Effect, EffectParameters, SignalBatch, Signals, amplitude
 
 CELLS: int = 9
 """Intervals of a curve in the ranking."""
@@ -58,22 +58,18 @@ class Hypothesis:
         words = [self.place.name, PHASE_NAMES[self.phases], self.basis.kind, parity.replace("none", "")]
         return "-".join(word for word in [*words, self.quantity.name] if word)
 
-    @property
-    def effect(self) -> FlexibleEffect:
-        return FlexibleEffect(self)
-
     def candidate(self) -> CandidateEffect:
         """The flexible law as a candidate effect of this machine, one amplitude for each coefficient."""
-        effect = self.effect
-        return CandidateEffect(effect, effect.Parameters.declared())
+        effect = FlexibleEffect(self)
+        return CandidateEffect(cast(Effect, effect), effect.Parameters.declared())
 
     def values(self, columns: Any, coefficients: Array) -> Array:
         """The law's values from its columns, (n, 3) or (n,) as the place takes them."""
-        y = np.asarray(columns @ coefficients)
+        y: Array = np.asarray(columns @ coefficients, dtype=np.float64)
         if not self.place.of_phases:
             return y
         y = y.reshape(-1, 3) if self.quantity.of_phases else y[:, None]
-        return y * np.array(self.phases)
+        return np.asarray(y * np.array(self.phases), dtype=np.float64)
 
     def columns(self, batch: SignalBatch) -> Any:
         """Columns of the basis at the quantity's values in a batch."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
@@ -41,11 +42,11 @@ def play(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
     return _played(x, starts, radius, memory)
 
 
-def _layout(signals: Signals | SignalBatch) -> tuple[RealArray, Array]:
+def _layout(signals: Signals | SignalBatch) -> tuple[NDArray[np.int64], Array]:
     """Bounds of the segments' samples (segments + 1,) and their sampling frequencies (segments,)."""
     if isinstance(signals, SignalBatch):
         return signals.starts, np.asarray(signals.sampling_frequency_hz, dtype=np.float64)
-    return np.array([0, len(signals.v_dc)]), np.array([signals.sampling_frequency_hz])
+    return np.array([0, len(signals.v_dc)], dtype=np.int64), np.array([signals.sampling_frequency_hz])
 
 
 def _columns(x: RealArray) -> Array:
@@ -53,7 +54,7 @@ def _columns(x: RealArray) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _lagged(x: Array, starts: Array, decay: Array) -> Array:
+def _lagged(x: Array, starts: NDArray[np.int64], decay: Array) -> Array:
     out = np.empty_like(x)
     for s in range(starts.shape[0] - 1):
         for m in range(x.shape[1]):
@@ -65,7 +66,7 @@ def _lagged(x: Array, starts: Array, decay: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _played(x: Array, starts: Array, radius: float, memory: Array) -> Array:
+def _played(x: Array, starts: NDArray[np.int64], radius: float, memory: Array) -> Array:
     out = np.empty_like(x)
     for s in range(starts.shape[0] - 1):
         for m in range(x.shape[1]):

@@ -61,7 +61,9 @@ def _of_readings(batch: SignalBatch, y: Array) -> Array:
 def _pulse_rate(batch: SignalBatch) -> Array:
     """PWM frequency over the drive's usual one, shape (n, 1) or (1, 1)."""
     usual = batch.drive.pwm_frequency_hz if batch.drive is not None else None
-    return batch.per_sample(batch.pwm_frequency_hz / (usual or batch.pwm_frequency_hz))[:, None]
+    return np.asarray(
+        batch.per_sample(batch.pwm_frequency_hz / (usual or batch.pwm_frequency_hz))[:, None], dtype=np.float64
+    )
 
 
 def _along_d(batch: SignalBatch, y: Array) -> Array:

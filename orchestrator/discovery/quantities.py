@@ -49,7 +49,7 @@ def phase_fluxes(signals: Signals | SignalBatch) -> Array:
 def current(signals: Signals | SignalBatch) -> Array:
     """Length of the current vector [A]."""
     quiet = signals.i_quiet_ab
-    return np.hypot(*(signals.i_ab if quiet is None else quiet).T)
+    return np.asarray(np.linalg.norm(signals.i_ab if quiet is None else quiet, axis=1), dtype=np.float64)
 
 
 def current_d(signals: Signals | SignalBatch) -> Array:
@@ -66,17 +66,19 @@ def torque(signals: Signals | SignalBatch) -> Array:
     """psi x i, the torque over 1.5 pole pairs [Wb A]; zero without a map."""
     if signals.psi_ab is None:
         return np.zeros(len(signals.v_dc))
-    return signals.psi_ab[:, 0] * signals.i_ab[:, 1] - signals.psi_ab[:, 1] * signals.i_ab[:, 0]
+    return np.asarray(
+        signals.psi_ab[:, 0] * signals.i_ab[:, 1] - signals.psi_ab[:, 1] * signals.i_ab[:, 0], dtype=np.float64
+    )
 
 
 def voltage(signals: Signals | SignalBatch) -> Array:
     """Length of the commanded voltage vector [V]."""
-    return np.hypot(*signals.v_ab.T)
+    return np.asarray(np.linalg.norm(signals.v_ab, axis=1), dtype=np.float64)
 
 
 def power(signals: Signals | SignalBatch) -> Array:
     """Electrical power by command and reading [W]."""
-    return 1.5 * np.sum(signals.v_ab * signals.i_ab, axis=1)
+    return np.asarray(1.5 * np.sum(signals.v_ab * signals.i_ab, axis=1), dtype=np.float64)
 
 
 def link_voltage(signals: Signals | SignalBatch) -> Array:

@@ -1,8 +1,8 @@
 """The search for a law: rank flexible laws, find a short form, and test it on the stages that were held out.
 
 What a diagnosis names beside an unknown may be its stand-in. So a second model, R_s and map alone, is started from
-unless a law beside the named causes leaves no more than noise; the one whose best law leaves less is kept. As long as more than noise is left, a
-further law is looked for beside the first.
+unless a law beside the named causes leaves no more than noise; the one whose best law leaves less is kept. As long as
+more than noise is left, a further law is looked for beside the first.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from orchestrator.discovery.ranking import Score, rank
 from orchestrator.discovery.writing import Law, Table
 
 MAX_LAWS: int = 2
-NEAR: float = 0.9
-"""Log evidence, relative to the best hypothesis', from which another one is fitted too."""
+NEAR: float = 1.5
+"""chi2 that another hypothesis may leave, relative to the best one's or to noise, to be fitted too."""
 MAX_NEAR: int = 3
 """Hypotheses that are fitted to the whole recording."""
 MAX_FORMS: int = 3
@@ -180,7 +180,8 @@ def _start(setup: DiagnosisSetup, model: Model, besides: Sequence[Hypothesis] = 
 def _learn(setup: DiagnosisSetup, start: _Start, fit: Fit, name: str, tell: Callable[[str], None]) -> LearnedLaw | None:
     """The best law beside a model; None where none removes much."""
     threshold = fit.criteria.selection.log_evidence
-    near = [s for s in start.ranking if s.log_evidence >= NEAR * start.ranking[0].log_evidence][:MAX_NEAR]
+    limit = NEAR * max(start.ranking[0].chi2, start.part.dof) if start.ranking else 0.0
+    near = [s for s in start.ranking[:MAX_NEAR] if s.chi2 <= limit]
     near = [s for s in near if s.log_evidence > threshold and s.share > MIN_SHARE]
     if not near:
         return None

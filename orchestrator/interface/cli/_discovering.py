@@ -46,7 +46,7 @@ def discover(
 def _print(path: Path, found: Discovery, write: Path | None, results: Path) -> None:
     say(f"{path}: {OUTCOMES[found.outcome]}", f"  {found.reason[0].upper()}{found.reason[1:]}.", "")
     if found.ranking:
-        rows = [
+        ranked = [
             (
                 plain(r.place),
                 plain(r.quantity),
@@ -57,7 +57,7 @@ def _print(path: Path, found: Discovery, write: Path | None, results: Path) -> N
             )
             for r in found.ranking[:RANKED_ROWS]
         ]
-        say_table(("place", "over", "phase", "law", "log evidence", "of the error"), rows)
+        say_table(("place", "over", "phase", "law", "log evidence", "of the error"), ranked)
     if found.outcome != "law":
         return
     for law in found.laws:
