@@ -13,6 +13,7 @@ from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, observable_effects, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.contributions import left_of_excitation
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
 from orchestrator.diagnosis.reporting.resemblance import alternatives_to
@@ -32,7 +33,7 @@ from orchestrator.discovery.report import (
 )
 from orchestrator.discovery.search import LearnedLaw, SearchOutcome, learn_laws
 from orchestrator.discovery.writing import sentence_of
-from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.quantities import number, percent, quantity
 from orchestrator.numerics.types import Array
 from orchestrator.recording import Recording
 from protocols import DiagnosisReport, Effect, MotorModel
@@ -94,11 +95,9 @@ def discover_laws(
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     whole = restored(setup, model, model.baseline, library)
     before = setup.fitter.fit(whole, relinearisations=0, steps=1)
-    if before.chi2_per_dof < before.criteria.selection.detected_chi2:
-        why = (
-            f"nothing to learn here: chi2 is {number(before.chi2_per_dof)} per degree of freedom, which noise explains"
-        )
-        return Learned(_report(setup, diagnosis, before, None, "nothing_to_learn", why, (), began), ())
+    little = _too_little(before)
+    if little:
+        return Learned(_report(setup, diagnosis, before, None, "nothing_to_learn", little, (), began), ())
     named = [effect.name for effect in diagnosis.effects]
     outcome = learn_laws(setup, whole, named, name, tell)
     verdict, why = _verdict(setup, before, outcome)
@@ -106,6 +105,22 @@ def discover_laws(
     report = _report(setup, diagnosis, before, outcome, verdict, why, laws, began)
     texts = [] if verdict != "law" else _texts(setup, report, outcome, name)
     return Learned(report, tuple(texts))
+
+
+def _too_little(before: Fit) -> str:
+    """Why the error that a model leaves is too small to learn from; empty where it is not."""
+    criteria = before.criteria
+    chi2, error, left = before.chi2_per_dof, error_of(before), left_of_excitation(before)
+    if chi2 < criteria.selection.detected_chi2:
+        return f"nothing to learn here: chi2 is {number(chi2)} per degree of freedom, which noise explains"
+    if error < math.sqrt(1.0 + criteria.verdict.noise_accuracy_excess_chi2):
+        return f"nothing to learn here: the held-out error is {number(error)} times its noise; measure a larger current"
+    if left < criteria.verdict.negligible_voltage:
+        return (
+            f"nothing to learn here: what is left is {percent(100.0 * left)} of the applied voltage, within the "
+            "model's error; measure a larger current"
+        )
+    return ""
 
 
 def _verdict(setup: DiagnosisSetup, before: Fit, outcome: SearchOutcome) -> tuple[Outcome, str]:
@@ -119,16 +134,10 @@ def _verdict(setup: DiagnosisSetup, before: Fit, outcome: SearchOutcome) -> tupl
     if now - 1.0 > (1.0 - MIN_FALL) * (was - 1.0):
         why = f"the held-out error falls from {number(was)} to {number(now)} times its noise, which is not by half"
         return "no_law", why
-    volts = [mean_rms_v(fit, held_out) for fit in (before, outcome.fit)]
-    if (
-        volts[0] is not None
-        and volts[1] is not None
-        and volts[1] > max(volts[0], 1.2 * (noise_rms_v(outcome.fit, held_out) or 0.0))
-    ):
-        return (
-            "no_law",
-            f"the held-out error at low frequencies grows from {quantity(volts[0], 'V')} to {quantity(volts[1], 'V')}",
-        )
+    volts, floor = [mean_rms_v(fit, held_out) for fit in (before, outcome.fit)], noise_rms_v(outcome.fit, held_out)
+    if volts[0] is not None and volts[1] is not None and volts[1] > max(volts[0], 1.2 * (floor or 0.0)):
+        was_v, now_v = (quantity(v, "V") for v in volts)
+        return "no_law", f"the held-out error at low frequencies grows from {was_v} to {now_v}"
     return "law", f"the held-out error falls from {number(was)} to {number(now)} times its noise"
 
 
