@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.discovery.bases import CurveBasis
@@ -149,6 +149,7 @@ def learn_laws(
         law = _learn(setup, start, fit, _numbered(name, len(laws)), tell)
         if law is None or (laws and law.best.chi2 > 0.5 * (fit.chi2_per_dof + 1.0)):
             break
+        law = _on_finer_map(setup, law, tell)
         laws.append(law)
         fit = law.best.fit
         if len(laws) == MAX_LAWS or fit.chi2_per_dof < CLOSE_CHI2 or law.best.error < CLOSE_ERROR:
@@ -157,6 +158,19 @@ def learn_laws(
         start = _start(setup, fit.model, besides=[law.best.hypothesis for law in laws])
     before = _without_laws(setup, laws) if laws else fit
     return SearchOutcome(before, tuple(laws), tuple(first), time.monotonic() - began)
+
+
+def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], None]) -> LearnedLaw:
+    """The law on the map that the rest requires: a large misfit had kept the diagnosis from a finer one."""
+    best = law.best
+    if best.chi2 < best.fit.criteria.selection.detected_chi2:
+        return law
+    tell("a finer map beside the law?")
+    finer = with_finest_map(setup, setup.fitter, best.fit)
+    if finer is best.fit:
+        return law
+    refitted = replace(best, fit=setup.fitter.fit(finer.model, finer.linearisation))
+    return replace(law, forms=(replace(refitted, law=with_fitted_constants(refitted)), *law.forms[1:]))
 
 
 def _without_laws(setup: DiagnosisSetup, laws: Sequence[LearnedLaw]) -> Fit:

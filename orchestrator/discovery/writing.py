@@ -179,7 +179,7 @@ def source_of(law: Law, name: str, story: Sequence[str], factors: dict[str, floa
     helper = inspect.getsource(hypothesis.quantity.of).replace("Signals | SignalBatch", "Signals").rstrip()
     after = [text for text in (_OVER_INTERVAL, _PULSE_RATE) if text.split("(")[0].removeprefix("def ") + "(" in body]
     code = "\n\n\n".join([_class(law, name, summary, body, factors), *after, helper]) + "\n"
-    docstring = "\n\n".join([f"{_capital(law.formula)}: {summary[0].lower()}{summary[1:]}", *map(_wrapped, story)])
+    docstring = "\n\n".join([_wrapped(f"y = {law.formula}: {summary[0].lower()}{summary[1:]}"), *map(_wrapped, story)])
     tables = _table_lines(law.form) if isinstance(law.form, Table) else ""
     return f'"""{docstring}\n"""\n\n{_imports(code + tables)}\n{tables}\n\n{code}'
 

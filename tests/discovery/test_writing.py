@@ -117,7 +117,7 @@ def _zeros(place: Place, batch: SignalBatch) -> Any:
 
 def test_the_text_says_what_was_found() -> None:
     text = source_of(law_of(at.LEG_VOLTAGE, of.PHASE_CURRENT, A, "tanh"), "poor_joint", STORY, {"V": 0.5}, False)
-    assert text.startswith('"""A tanh(i / b): a voltage that each leg loses')
+    assert text.startswith('"""y = a tanh(i / b): a voltage that each leg loses')
     assert "Found on a recording." in text
     assert "class PoorJoint:" in text
     assert 'size_v: float = amplitude("V", typical=1.0' in text  # 0.5 V here, and 1 V on the machine of twice the volts
