@@ -78,8 +78,9 @@ def fit_flexible(fitter: Fitter, fit: Fit, score: Score) -> FittedLaw:
     """A flexible law beside a model, with the prior width that the ranking found."""
     hypothesis = replace(score.hypothesis, size=max(score.width, 1e-3 * score.hypothesis.size))
     term = term_of(hypothesis, score.coefficients)
-    with_law = fitter.fit(fit.model.with_active([*fit.model.active, term]), fit.linearisation, relinearisations=1)
-    return FittedLaw(None, hypothesis, with_law)
+    # A flexible law is linear in its coefficients but for the map's curvature: few steps do.
+    grown = fit.model.with_active([*fit.model.active, term])
+    return FittedLaw(None, hypothesis, fitter.fit(grown, fit.linearisation, steps=3, relinearisations=1))
 
 
 def score_of(flexible: FittedLaw) -> Score:
