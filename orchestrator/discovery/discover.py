@@ -32,7 +32,7 @@ from orchestrator.discovery.report import (
     RankedHypothesis,
 )
 from orchestrator.discovery.search import LearnedLaw, SearchOutcome, learn_laws
-from orchestrator.discovery.writing import sentence_of
+from orchestrator.discovery.writing import NamedLaw, sentence_of
 from orchestrator.formatting.quantities import number, percent, quantity
 from orchestrator.numerics.types import Array
 from orchestrator.recording import Recording
@@ -50,10 +50,10 @@ RANKED: int = 12
 
 @dataclass(frozen=True)
 class Learned:
-    """A discovery with the texts of its effects, one file each."""
+    """A discovery with the text of its file of effects, empty where there is no law."""
 
     report: Discovery
-    texts: tuple[str, ...]
+    text: str = ""
 
 
 def discover_laws(
@@ -90,21 +90,20 @@ def discover_laws(
     require_effects_of(model, {effect.name for effect in effects})
     if diagnosis.verdict in EXPLAINED:
         why = f"nothing to learn here: the verdict is {diagnosis.verdict.replace('_', ' ')}"
-        return Learned(_without_law(diagnosis, "nothing_to_learn", why), ())
+        return Learned(_without_law(diagnosis, "nothing_to_learn", why))
     setup = open_for_refit(recording, model, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     whole = restored(setup, model, model.baseline, library)
     before = setup.fitter.fit(whole, relinearisations=0, steps=1)
     little = _too_little(before)
     if little:
-        return Learned(_report(setup, diagnosis, before, None, "nothing_to_learn", little, (), began), ())
+        return Learned(_report(setup, diagnosis, before, None, "nothing_to_learn", little, (), began))
     named = [effect.name for effect in diagnosis.effects]
     outcome = learn_laws(setup, whole, named, name, tell)
     verdict, why = _verdict(setup, before, outcome)
     laws = _laws(setup, outcome, name, [c for c in library.values() if c.name not in without]) if outcome.laws else ()
     report = _report(setup, diagnosis, before, outcome, verdict, why, laws, began)
-    texts = [] if verdict != "law" else _texts(setup, report, outcome, name)
-    return Learned(report, tuple(texts))
+    return Learned(report, _text(setup, report, outcome) if verdict == "law" else "")
 
 
 def _too_little(before: Fit) -> str:
@@ -301,13 +300,15 @@ def _without_law(diagnosis: DiagnosisReport, verdict: Outcome, why: str) -> Disc
     )  # fmt: skip
 
 
-def _texts(setup: DiagnosisSetup, report: Discovery, outcome: SearchOutcome, name: str) -> list[str]:
-    texts = []
-    for found, learned in zip(report.laws, outcome.laws, strict=True):
-        best = learned.best
-        assert best.law is not None
-        texts.append(text_of(setup, best.law, found.name, _story(report, found)))
-    return texts
+def _text(setup: DiagnosisSetup, report: Discovery, outcome: SearchOutcome) -> str:
+    return text_of(
+        setup,
+        [
+            NamedLaw(learned.best.law, found.name, _story(report, found))
+            for found, learned in zip(report.laws, outcome.laws, strict=True)
+            if learned.best.law is not None
+        ],
+    )
 
 
 def _story(report: Discovery, law: FoundLaw) -> list[str]:

@@ -23,11 +23,12 @@ from orchestrator.diagnosis.selection.scoring import log_evidence
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import Hypothesis, term_of
+from orchestrator.discovery.law import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Parameter, Table
 from orchestrator.discovery.places import of_three_sensors
 from orchestrator.discovery.ranking import Score
-from orchestrator.discovery.writing import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Parameter, Table, source_of
+from orchestrator.discovery.writing import NamedLaw, source_of
 from orchestrator.registry.plugins import load_effects_file
-from protocols import Effect, unit_powers
+from protocols import Effect
 
 TABLE_POINTS: int = 32
 """Points of a table."""
@@ -120,14 +121,14 @@ def fit_law(setup: DiagnosisSetup, fit: Fit, law: Law, name: str) -> FittedLaw:
 
 def candidate_of(setup: DiagnosisSetup, law: Law, name: str) -> CandidateEffect:
     """The effect of a law's text, scaled to the machine."""
-    return scaled_library([loaded(text_of(setup, law, name, ()))], setup.prepared.manifest)[0]
+    return scaled_library([loaded(text_of(setup, [NamedLaw(law, name)]))], setup.prepared.manifest)[0]
 
 
-def text_of(setup: DiagnosisSetup, law: Law, name: str, story: Sequence[str]) -> str:
-    """The file of a law for this recording's machine and sensors."""
+def text_of(setup: DiagnosisSetup, laws: Sequence[NamedLaw]) -> str:
+    """The file of some laws for this recording's machine and sensors."""
     scale = MachineScale.of(setup.prepared.manifest)
-    factors = {p.unit: scale.of_unit(p.unit) for p in law.parameters if unit_powers(p.unit)}
-    return source_of(law, name, story, factors, of_three_sensors(setup.fitter.batches.all[0].signals))
+    factors = {p.unit: scale.of_unit(p.unit) for one in laws for p in one.law.parameters}
+    return source_of(laws, factors, of_three_sensors(setup.fitter.batches.all[0].signals))
 
 
 def loaded(text: str) -> Effect:

@@ -41,12 +41,10 @@ def save_discovery(directory: Path, found: Learned) -> None:
 
 def write_law(target: Path, found: Learned) -> None:
     """Write the effects of a discovery to a file; none where there is no law. Raises `StorageError`."""
-    if not found.texts:
+    if not found.text:
         return
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{target}: cannot be written: {error.strerror or error}") from error
-    replace_file(target, found.texts[0].encode())
-    for k, text in enumerate(found.texts[1:], start=2):
-        replace_file(target.with_stem(f"{target.stem}_{k}"), text.encode())
+    replace_file(target, found.text.encode())

@@ -19,6 +19,7 @@ from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.forms import FormFit, fitting_forms
 from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses
+from orchestrator.discovery.law import Law, Table
 from orchestrator.discovery.laws import (
     FittedLaw,
     error_of,
@@ -29,7 +30,6 @@ from orchestrator.discovery.laws import (
     with_fitted_constants,
 )
 from orchestrator.discovery.ranking import Score, rank
-from orchestrator.discovery.writing import Law, Table
 
 MAX_LAWS: int = 2
 NEAR: float = 1.5

@@ -14,8 +14,9 @@ from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.forms import CURVES, FormFit
 from orchestrator.discovery.hypotheses import KINDS, A, Hypothesis
+from orchestrator.discovery.law import Law
 from orchestrator.discovery.laws import loaded
-from orchestrator.discovery.writing import Law, source_of
+from orchestrator.discovery.writing import NamedLaw, source_of
 from orchestrator.interface.cli._app import app
 from orchestrator.testing import EffectConformance, exciting_signals
 from protocols import Effect, Signals
@@ -43,7 +44,8 @@ def test_the_effect_of_the_page_is_what_is_written_today() -> None:
     hypothesis = Hypothesis(at.LEG_VOLTAGE, of.PHASE_CURRENT, A, CurveBasis(0.0, 4.5, 9, "odd", 0.1), 0.1)
     law = Law(hypothesis, FormFit(form, 0.8653, 0.4043, 1.0, 0.0))
     story = EFFECT.split('"""')[1].split("\n\n")[1:]
-    text = source_of(law, "poor_joint", [paragraph.replace("\n", " ").strip() for paragraph in story], {}, False)
+    paragraphs = [paragraph.replace("\n", " ").strip() for paragraph in story]
+    text = source_of([NamedLaw(law, "poor_joint", paragraphs)], {}, False)
     assert EFFECT.split("\n", 1)[1].strip() == text.strip()
 
 

@@ -14,10 +14,12 @@ from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, FormFit
 from orchestrator.discovery.hypotheses import ALL, KINDS, A, Hypothesis, Phases
+from orchestrator.discovery.law import Law, Table
 from orchestrator.discovery.laws import loaded
 from orchestrator.discovery.places import Place, of_three_sensors
 from orchestrator.discovery.quantities import Quantity
-from orchestrator.discovery.writing import Law, Table, sentence_of, source_of
+from orchestrator.discovery.writing import NamedLaw, sentence_of, source_of
+from orchestrator.registry.plugins import load_effects_file
 from orchestrator.testing import EffectConformance, exciting_signals
 from protocols import Effect, SignalBatch, Signals
 from tests.orchestrator.testing.kit_runner import failures
@@ -51,7 +53,7 @@ def law_of(place: Place, quantity: Quantity, phases: Phases, form: str) -> Law:
 
 def effect_of(law: Law) -> Effect:
     three = of_three_sensors(SignalBatch.of([signals()]))
-    return loaded(source_of(law, "some_law", STORY, {}, three_sensors=three))
+    return loaded(source_of([NamedLaw(law, "some_law", STORY)], {}, three))
 
 
 CASES = [
@@ -116,7 +118,8 @@ def _zeros(place: Place, batch: SignalBatch) -> Any:
 
 
 def test_the_text_says_what_was_found() -> None:
-    text = source_of(law_of(at.LEG_VOLTAGE, of.PHASE_CURRENT, A, "tanh"), "poor_joint", STORY, {"V": 0.5}, False)
+    law = law_of(at.LEG_VOLTAGE, of.PHASE_CURRENT, A, "tanh")
+    text = source_of([NamedLaw(law, "poor_joint", STORY)], {"V": 0.5}, False)
     assert text.startswith('"""y = a tanh(i / b): a voltage that each leg loses')
     assert "Found on a recording." in text
     assert "class PoorJoint:" in text
@@ -128,3 +131,11 @@ def test_every_kind_of_law_has_a_sentence() -> None:
     sentences = {sentence_of(Hypothesis(p, q, phases, basis, 1.0)) for p, q, _, which in KINDS for phases in which}
     assert len(sentences) == len({(p.name, q.name, phases) for p, q, _, which in KINDS for phases in which})
     assert all(sentence.endswith(".") for sentence in sentences)
+
+
+def test_two_laws_are_two_classes_of_one_file(tmp_path: Path) -> None:
+    first = law_of(at.READING, of.PHASE_CURRENT, ALL, "table")
+    second = law_of(at.READING, of.NEXT_CURRENT, A, "table")
+    path = tmp_path / "both.py"
+    path.write_text(source_of([NamedLaw(first, "one"), NamedLaw(second, "other")], {}, False), encoding="utf-8")
+    assert [effect.name for effect in load_effects_file(path)] == ["one", "other"]
