@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,12 +45,18 @@ def test_a_hidden_law_is_found_at_its_place_over_its_quantity(name: str, tmp_pat
     assert values == pytest.approx(list(hidden.constants), rel=0.05)
 
 
+def _diagnosed(verdict: str) -> tuple[MotorModel, DiagnosisReport]:
+    """What a diagnosis stored, as far as it is read where there is nothing to learn."""
+    report: dict[str, Any] = {"recording": "pm400", "verdict": verdict, "effects": (), "ladder": ()}
+    model: dict[str, Any] = {"effects": ()}
+    return MotorModel.model_construct(**model), DiagnosisReport.model_construct(
+        **report, noise_floor=NoiseFloor(rms_v=0.01)
+    )
+
+
 @pytest.mark.parametrize("verdict", ["clean", "explained", "explained_in_another_form"])
 def test_an_explained_recording_teaches_nothing_and_nothing_is_written(verdict: str, tmp_path: Path) -> None:
-    report = DiagnosisReport.model_construct(
-        recording="pm400", verdict=verdict, effects=(), ladder=(), noise_floor=NoiseFloor(rms_v=0.01)
-    )
-    model = MotorModel.model_construct(effects=())
+    model, report = _diagnosed(verdict)
     found = discover_laws(open_recording(DATA), chosen_effects(), model, report)
     assert found.report.outcome == "nothing_to_learn"
     assert f"the verdict is {verdict.replace('_', ' ')}" in found.report.reason
@@ -59,10 +66,8 @@ def test_an_explained_recording_teaches_nothing_and_nothing_is_written(verdict: 
 
 
 def test_a_law_is_written_to_its_file(tmp_path: Path) -> None:
-    report = DiagnosisReport.model_construct(
-        recording="pm400", verdict="clean", effects=(), ladder=(), noise_floor=NoiseFloor(rms_v=0.01)
-    )
-    found = discover_laws(open_recording(DATA), chosen_effects(), MotorModel.model_construct(effects=()), report)
+    model, report = _diagnosed("clean")
+    found = discover_laws(open_recording(DATA), chosen_effects(), model, report)
     write_law(tmp_path / "there" / "mine.py", Learned(found.report, "text"))
     assert (tmp_path / "there" / "mine.py").read_text(encoding="utf-8") == "text"
 
