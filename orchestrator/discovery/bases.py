@@ -86,6 +86,11 @@ class CurveBasis:
         odd, signs = csc_array(whole[:, 1:]), np.sign(x)
         return csc_array((odd.data * signs[odd.indices], odd.indices, odd.indptr), shape=odd.shape)
 
+    def grid(self, points: int) -> Array:
+        """Values of x over the range, evenly in the warped coordinate."""
+        u = np.linspace(self.knots[0], self.knots[-1], points)
+        return u if np.isinf(self.knee) else np.asarray(self.knee * np.sinh(u), dtype=np.float64)
+
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> csc_array:
         if not mean:
             return self.design(x.ravel())

@@ -44,7 +44,7 @@ MIN_FALL: float = 0.5
 MAX_SHARE_OF_SEGMENT: float = 0.5
 """Part of a law's gain that one segment may carry."""
 SIGMAS: float = 1.96
-CURVE_POINTS: int = 60
+CURVE_POINTS: int = 40
 RANKED: int = 12
 
 
@@ -219,8 +219,8 @@ def curve_of(score: Score) -> tuple[Array, Array, Array]:
     basis = score.hypothesis.basis
     if not isinstance(basis, CurveBasis):
         return np.zeros(0), np.zeros(0), np.zeros(0)
-    low = -basis.high if basis.parity != "none" else basis.low
-    x = np.linspace(low, basis.high, CURVE_POINTS + 1)
+    x = basis.grid(CURVE_POINTS)
+    x = x if basis.parity == "none" else np.concatenate([-x[:0:-1], x])
     design = basis.design(x).toarray()
     return x, design @ score.coefficients, np.sqrt(np.einsum("ij,jk,ik->i", design, score.covariance, design))
 

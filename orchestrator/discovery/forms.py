@@ -156,7 +156,7 @@ def fitting_forms(score: Score) -> list[FormFit]:
     if isinstance(basis, MemoryBasis):
         return _memories(score, basis)
     assert isinstance(basis, CurveBasis)
-    grid = _grid(basis)
+    grid = basis.grid(12 * basis.cells)[1 if basis.parity == "odd" else 0 :]
     design = basis.design(grid).toarray()
     values = design @ score.coefficients
     floor = DISCREPANCY * float(np.abs(values).max())
@@ -182,13 +182,6 @@ def fitting_forms(score: Score) -> list[FormFit]:
         if best is not None and best.size != 0.0:
             fits.append(best)
     return sorted(fits, key=lambda fit: fit.misfit + 2.0 * (fit.form.constants if fit.form else 2))
-
-
-def _grid(basis: CurveBasis) -> Array:
-    """Values of the quantity, evenly in the basis' own coordinate."""
-    inner = np.linspace(basis.knots[0], basis.knots[-1], 12 * basis.cells)
-    x = inner if np.isinf(basis.knee) else basis.knee * np.sinh(inner)
-    return x[1:] if basis.parity == "odd" else x
 
 
 def _gauges(hypothesis: Hypothesis, grid: Array) -> list[Array]:

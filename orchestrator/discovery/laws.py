@@ -100,8 +100,7 @@ def table_of(score: Score) -> Table | None:
     basis = score.hypothesis.basis
     if not isinstance(basis, CurveBasis):
         return None
-    u = np.linspace(basis.knots[0], basis.knots[-1], TABLE_POINTS)
-    x = u if np.isinf(basis.knee) else basis.knee * np.sinh(u)
+    x = basis.grid(TABLE_POINTS)
     y = basis.design(x) @ score.coefficients
     top, size = float(np.abs(x).max()), float(np.abs(y).max())
     return Table(x / top, y / size, top, size, basis.parity) if size > 0.0 and top > 0.0 else None

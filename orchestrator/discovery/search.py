@@ -35,7 +35,7 @@ MAX_LAWS: int = 2
 NEAR: float = 1.5
 """chi2 that another hypothesis may leave, relative to the best one's or to noise, to be fitted too."""
 MAX_NEAR: int = 3
-"""Hypotheses that are fitted to the whole recording."""
+"""Hypotheses that are fitted to the whole recording; of a second law, the best one alone."""
 MAX_FORMS: int = 3
 """Short forms of a law that are refitted."""
 MIN_SHARE: float = 0.5
@@ -146,7 +146,7 @@ def learn_laws(
     first = start.ranking
     laws: list[LearnedLaw] = []
     while True:
-        law = _learn(setup, start, fit, _numbered(name, len(laws)), tell)
+        law = _learn(setup, start, fit, _numbered(name, len(laws)), 1 if laws else MAX_NEAR, tell)
         if law is None or (laws and law.best.chi2 > 0.5 * (fit.chi2_per_dof + 1.0)):
             break
         law = _on_finer_map(setup, law, tell)
@@ -191,11 +191,13 @@ def _start(setup: DiagnosisSetup, model: Model, besides: Sequence[Hypothesis] = 
     return _Start(part, rank(setup.part_fitter, part, every))
 
 
-def _learn(setup: DiagnosisSetup, start: _Start, fit: Fit, name: str, tell: Callable[[str], None]) -> LearnedLaw | None:
-    """The best law beside a model; None where none removes much."""
+def _learn(
+    setup: DiagnosisSetup, start: _Start, fit: Fit, name: str, max_near: int, tell: Callable[[str], None]
+) -> LearnedLaw | None:
+    """The best law beside a model, of so many hypotheses at most; None where none removes much."""
     threshold = fit.criteria.selection.log_evidence
     limit = NEAR * max(start.ranking[0].chi2, start.part.dof) if start.ranking else 0.0
-    near = [s for s in start.ranking[:MAX_NEAR] if s.chi2 <= limit]
+    near = [s for s in start.ranking[:max_near] if s.chi2 <= limit]
     near = [s for s in near if s.log_evidence > threshold and s.share > MIN_SHARE]
     if not near:
         return None
