@@ -47,7 +47,7 @@ LAWS: Mapping[str, Hidden] = {
     "logarithm_in_one_leg": Hidden(LOG_LEG, "leg_voltage", "phase_currents", "b", (0.25, 0.2)),
     "square_in_all_legs": Hidden(SQUARE_LEGS, "leg_voltage", "phase_currents", "", (0.12, 0.0)),
     "saturating_crosstalk": Hidden(CROSSTALK, "reading", "next_phase_currents", "a", (0.03, 1.0)),
-    "one_sensor_clips": Hidden(CLIP, "reading", "phase_currents", "b", (0.25, 2.0)),
+    "one_sensor_clips": Hidden(CLIP, "reading", "phase_currents", "b", (0.05, 2.0)),
     "joint_loosens": Hidden(RAMP, "resistance", "time", "", (0.3, 20.0)),
     "one_gain_settles": Hidden(GAIN_DRIFT, "reading_gain", "time", "b", (0.02, 15.0)),
     "shorted_turn": Hidden(TURN, "magnetising", "phase_fluxes", "a", (1.2, 4e-4)),
