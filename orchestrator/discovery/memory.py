@@ -7,6 +7,8 @@ model; sums of lags of several time constants are a relaxation spectrum.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -17,9 +19,9 @@ from protocols import RealArray, SignalBatch, Signals
 
 
 def lagged(x: RealArray, time_constant_s: float, signals: Signals | SignalBatch) -> Array:
-    """First-order lag of each column of x (n, m), at rest in the beginning of each segment."""
+    """First-order lag of each column of x (n, m), exact for straight lines between samples; it begins at rest."""
     starts, rates = _layout(signals)
-    return _lagged(_columns(x), starts, np.exp(-1.0 / (time_constant_s * rates)))
+    return _lagged(_columns(x), starts, time_constant_s * rates)
 
 
 def play(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
@@ -54,14 +56,20 @@ def _columns(x: RealArray) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _lagged(x: Array, starts: NDArray[np.int64], decay: Array) -> Array:
+def _lagged(x: Array, starts: NDArray[np.int64], samples: Array) -> Array:
+    """By each segment's time constant in samples."""
     out = np.empty_like(x)
     for s in range(starts.shape[0] - 1):
+        decay = math.exp(-1.0 / samples[s])
         for m in range(x.shape[1]):
-            y = x[starts[s], m]
+            before = x[starts[s], m]
+            y = before
             for k in range(starts[s], starts[s + 1]):
+                # Under a straight line it follows at this distance, once what it began with has decayed.
+                behind = samples[s] * (x[k, m] - before)
+                y = x[k, m] - behind + (y - before + behind) * decay
+                before = x[k, m]
                 out[k, m] = y
-                y = x[k, m] + (y - x[k, m]) * decay[s]
     return out
 
 

@@ -76,8 +76,15 @@ def test_a_lag_follows_a_step_with_its_time_constant_in_each_segment_anew() -> N
     n, fs = len(one.v_dc), one.sampling_frequency_hz
     x = np.tile((np.arange(n) >= 100).astype(float), 2)
     y = lagged(x, 50 / fs, batch)[:, 0]
-    assert y[151] == pytest.approx(1.0 - np.exp(-1.0), abs=0.01)
+    assert y[150] == pytest.approx(1.0 - np.exp(-1.0), abs=0.01)
     np.testing.assert_allclose(y[:n], y[n:])
+
+
+def test_a_lag_follows_a_straight_line_at_its_time_constant() -> None:
+    signals = exciting_signals()
+    line = np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
+    behind = line - lagged(line, 3e-4, signals)[:, 0]
+    np.testing.assert_allclose(behind[100:], 3e-4, rtol=1e-6)
 
 
 def test_a_play_keeps_within_its_radius_whatever_the_rate() -> None:
