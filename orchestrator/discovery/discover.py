@@ -32,7 +32,7 @@ from orchestrator.discovery.report import (
     RankedHypothesis,
 )
 from orchestrator.discovery.search import LearnedLaw, SearchOutcome, learn_laws
-from orchestrator.discovery.writing import NamedLaw, sentence_of
+from orchestrator.discovery.writing import NamedLaw, gauge_of, sentence_of
 from orchestrator.formatting.quantities import number, percent, quantity
 from orchestrator.numerics.types import Array
 from orchestrator.recording import Recording
@@ -178,6 +178,7 @@ def _laws(
                 forms=tuple(_form(f, best, noise) for f in law.forms),
                 curve=_curve(law.flexible),
                 as_well=(*(f"{one} of the library" for one in alike), *map(_described, law.near)),
+                gauge=gauge_of(hypothesis),
                 to_decide=_to_decide(law),
             )
         )

@@ -78,6 +78,8 @@ class FoundLaw(_Frozen):
     """The flexible law with its standard deviation; empty of a law with memory."""
     as_well: tuple[str, ...]
     """Other places and quantities that do as well, and effects of the library, bent, that span it."""
+    gauge: str
+    """What no measurement of this kind can tell of it; empty where there is nothing."""
     to_decide: str
     """The experiment that parts the forms; empty where there is one form."""
 

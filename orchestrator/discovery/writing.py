@@ -70,6 +70,18 @@ def sentence_of(hypothesis: Hypothesis) -> str:
     return f"{_capital(hypothesis.place.text)}, as a function of {hypothesis.quantity.text}{of_phase}."
 
 
+def gauge_of(hypothesis: Hypothesis) -> str:
+    """What no measurement of this kind can tell of such a law; empty where there is nothing."""
+    name, everywhere = hypothesis.place.name, hypothesis.phases == ALL
+    if name in ("voltage_gain", "reading_gain") and everywhere:
+        return "Only the ratio of the voltage's gain to the current's shows: either may be the cause."
+    if name in ("leg_voltage", "pulse_voltage") and everywhere and hypothesis.quantity.name == "phase_currents":
+        return "A part in proportion to the current counts as R_s."
+    if name == "resistance":
+        return "A constant part counts as R_s."
+    return ""
+
+
 def _class(law: Law, name: str, summary: str, body: str, factors: Mapping[str, float]) -> str:
     parameters = "\n".join(_fold(p.declared(factors.get(p.unit, 1.0))) for p in law.parameters)
     hypothesis = law.hypothesis
@@ -77,11 +89,11 @@ def _class(law: Law, name: str, summary: str, body: str, factors: Mapping[str, f
     """y = {law.formula}."""
 
     name = "{name}"
-    summary = {summary!r}
+    summary = "{summary}"
     signature = "A residual of the form y = {law.formula}."
     layer = EffectLayer.{hypothesis.place.layer.name}
     needs = ()
-    gauge = ""
+    gauge = "{gauge_of(hypothesis)}"
 
     class Parameters(EffectParameters):
 {parameters}

@@ -28,7 +28,8 @@ def a_law() -> FoundLaw:
         name="mine", sentence="A voltage that each leg loses, as a function of its own current.", place="leg_voltage",
         quantity="phase_currents", phase="", unit="V", quantity_unit="A", symbol="i", forms=(form,),
         curve=tuple(CurvePoint(x=x, y=0.1 * x, std=0.01) for x in (-1.0, 0.0, 1.0)),
-        as_well=("device drop of the library",), to_decide="measure at its own current = 6 A",
+        as_well=("device drop of the library",), gauge="A part counts as R_s.",
+        to_decide="measure at its own current = 6 A",
     )  # fmt: skip
 
 
@@ -71,6 +72,7 @@ def test_it_prints_where_the_law_is_its_form_and_the_fall_of_the_error(
     assert "before 90 mV 9 80" in rows
     assert "with the law 4 mV 1.01 1.02" in rows
     assert "note: as well: device drop of the library" in rows
+    assert "note: A part counts as R_s." in rows
     assert "note: to decide: measure at its own current = 6 A" in rows
     assert out.endswith("`fluxbench add runs/first mine --effects mine.py` adds it to the model\n")
 

@@ -86,7 +86,11 @@ def _print_law(law: FoundLaw) -> None:
         rows.append((f"y = {form.formula}", constants, number(form.heldout), number(form.chi2)))
     say_table(("form", "constants", "held out, in noise", "chi2"), rows)
     say_notes(
-        [*(f"as well: {one}" for one in law.as_well), *([f"to decide: {law.to_decide}"] if law.to_decide else [])]
+        [
+            *(f"as well: {one}" for one in law.as_well),
+            *([law.gauge] if law.gauge else []),
+            *([f"to decide: {law.to_decide}"] if law.to_decide else []),
+        ]
     )
 
 
