@@ -31,7 +31,7 @@ from orchestrator.discovery.report import (
     Outcome,
     RankedHypothesis,
 )
-from orchestrator.discovery.search import LearnedLaw, SearchOutcome, learn_laws
+from orchestrator.discovery.search import MIN_FALL, LearnedLaw, SearchOutcome, learn_laws
 from orchestrator.discovery.writing import NamedLaw, gauge_of, sentence_of
 from orchestrator.formatting.quantities import number, percent, quantity
 from orchestrator.numerics.types import Array
@@ -39,8 +39,6 @@ from orchestrator.recording import Recording
 from protocols import DiagnosisReport, Effect, MotorModel
 
 EXPLAINED = ("clean", "explained", "explained_in_another_form", "convention")
-MIN_FALL: float = 0.5
-"""Part of the held-out error above the floor that a law has to remove."""
 MAX_SHARE_OF_SEGMENT: float = 0.5
 """Part of a law's gain that one segment may carry."""
 SIGMAS: float = 1.96

@@ -34,6 +34,8 @@ from orchestrator.discovery.ranking import Score, rank
 MAX_LAWS: int = 2
 NEAR: float = 1.5
 """chi2 that another hypothesis may leave, relative to the best one's or to noise, to be fitted too."""
+MIN_FALL: float = 0.5
+"""Part of the held-out error above its noise that a law has to remove."""
 MAX_NEAR: int = 3
 """Hypotheses that are fitted to the whole recording; of a second law, the best one alone."""
 MAX_FORMS: int = 3
@@ -147,7 +149,7 @@ def learn_laws(
     laws: list[LearnedLaw] = []
     while True:
         law = _learn(setup, start, fit, _numbered(name, len(laws)), 1 if laws else MAX_NEAR, tell)
-        if law is None or (laws and law.best.chi2 > 0.5 * (fit.chi2_per_dof + 1.0)):
+        if law is None or (laws and law.best.error - 1.0 > (1.0 - MIN_FALL) * (laws[-1].best.error - 1.0)):
             break
         law = _on_finer_map(setup, law, tell)
         laws.append(law)
