@@ -171,8 +171,15 @@ def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], 
     finer = with_finest_map(setup, setup.fitter, best.fit)
     if finer is best.fit:
         return law
-    refitted = replace(best, fit=setup.fitter.fit(finer.model, finer.linearisation))
-    return replace(law, forms=(replace(refitted, law=with_fitted_constants(refitted)), *law.forms[1:]))
+    others = finer.model.active[:-1]
+    forms = []
+    for form in law.forms:
+        term = finer.model.active[-1] if form is best else form.term
+        refitted = replace(form, fit=setup.fitter.fit(finer.model.with_active([*others, term]), finer.linearisation))
+        forms.append(replace(refitted, law=with_fitted_constants(refitted)))
+    noise = max(1.0, min(form.chi2 for form in forms))
+    forms.sort(key=lambda form: -form.log_evidence(noise))
+    return replace(law, forms=tuple(form for form in forms if _does_as_well(form, forms[0], noise)))
 
 
 def _without_laws(setup: DiagnosisSetup, laws: Sequence[LearnedLaw]) -> Fit:
