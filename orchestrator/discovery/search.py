@@ -8,7 +8,7 @@ more than noise is left, a further law is looked for beside the first.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -63,21 +63,26 @@ class LearnedLaw:
 
     Attributes
     ----------
-    flexible : Score
-        The flexible law as fitted to the whole recording.
+    flexible_laws : mapping of str to Score
+        The flexible laws as fitted to the whole recording, by the keys of their hypotheses.
     forms : tuple of FittedLaw
         The chosen one first, then those that do as well.
     near : tuple of Hypothesis
         Others whose flexible laws do as well.
     """
 
-    flexible: Score
+    flexible_laws: Mapping[str, Score]
     forms: tuple[FittedLaw, ...]
     near: tuple[Hypothesis, ...]
 
     @property
     def best(self) -> FittedLaw:
         return self.forms[0]
+
+    @property
+    def flexible(self) -> Score:
+        """The flexible law of the chosen form."""
+        return self.flexible_laws[self.best.hypothesis.key]
 
 
 @dataclass(frozen=True)
@@ -235,7 +240,9 @@ def _learn(
         chosen = tables[:1]
     of = next(f for f in flexible if f.hypothesis.key == chosen[0].hypothesis.key)
     rivals = [f for f in flexible if f is not of and best.chi2 <= CLOSE_CHI2 and _does_as_well(f, best, noise)]
-    return LearnedLaw(score_of(of), tuple(chosen), tuple(f.hypothesis for f in rivals))
+    return LearnedLaw(
+        {f.hypothesis.key: score_of(f) for f in flexible}, tuple(chosen), tuple(f.hypothesis for f in rivals)
+    )
 
 
 def _does_as_well(one: FittedLaw, best: FittedLaw, noise: float) -> bool:
