@@ -255,7 +255,9 @@ def _does_as_well(one: FittedLaw, best: FittedLaw, noise: float) -> bool:
 def _simplest_first(forms: Sequence[FittedLaw]) -> list[FittedLaw]:
     """The form with the fewest constants, then others with as many; what needs more for the same is no rival."""
     least = min(len(f.term.free) for f in forms)
-    return [f for f in forms if len(f.term.free) == least]
+    # Two starts of one form, as of a lag, end at the same constants.
+    first = {(f.hypothesis.key, f.law and f.law.formula): f for f in reversed(forms) if len(f.term.free) == least}
+    return [f for f in forms if any(f is one for one in first.values())]
 
 
 def _is_table(fitted: FittedLaw) -> bool:
