@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, observable_effects, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import left_of_excitation
+from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
 from orchestrator.diagnosis.reporting.resemblance import alternatives_to
@@ -54,6 +55,7 @@ class Learned:
     text: str = ""
 
 
+@solvable
 def discover_laws(
     recording: Recording,
     effects: Sequence[Effect],

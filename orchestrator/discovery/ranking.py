@@ -28,6 +28,8 @@ from orchestrator.numerics.types import Array
 MAX_CHANGE_OF_RESISTANCE: float = 0.05
 """Change of R_s, relative to it, beyond which a law of the voltage's gain only makes all of the equations smaller: with
 neither voltage nor resistance nor flux they hold exactly."""
+RIDGE_OF_ROUNDING: float = 1e-10
+"""Information added to each fitted number, relative to its own."""
 DECADES: tuple[float, float] = (-6.0, 8.0)
 """Range of log10 tau^2, in units in which the law's information is one."""
 
@@ -94,7 +96,7 @@ def _blocks(fitter: Fitter, fit: Fit, hypotheses: Sequence[Hypothesis]) -> list[
     fitted = len(total) - len(columns)
     across = total[:fitted, fitted:]
     own = total[fitted:, fitted:] - np.eye(len(columns))
-    follow = cho_solve(cho_factor(total[:fitted, :fitted]), across)
+    follow = _solved(total[:fitted, :fitted], across)
     own -= across.T @ follow
     # At a fit the gradient of all that is fitted is zero, its prior included.
     gradient = -pulls.sum(axis=0)[fitted:]
@@ -104,6 +106,13 @@ def _blocks(fitter: Fitter, fit: Fit, hypotheses: Sequence[Hypothesis]) -> list[
         blocks.append(_Block(one, own[k, k], gradient[k], -follow[0, k]))
         at += one.basis.size
     return blocks
+
+
+def _solved(normal: Array, right: Array) -> Array:
+    """normal^-1 right; a fitted law that hardly shows leaves the matrix without full rank, but for rounding."""
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    scaled = normal / np.outer(size, size) + RIDGE_OF_ROUNDING * np.eye(len(normal))
+    return np.asarray(cho_solve(cho_factor(scaled), right / size[:, None]) / size[:, None], dtype=np.float64)
 
 
 def _scales_voltage(hypothesis: Hypothesis) -> bool:

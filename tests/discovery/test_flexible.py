@@ -13,7 +13,7 @@ from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
 from orchestrator.discovery.hypotheses import ALL, A, Hypothesis
-from orchestrator.discovery.ranking import Score
+from orchestrator.discovery.ranking import Score, _solved
 from orchestrator.testing import exciting_signals
 from protocols import SignalBatch
 
@@ -97,3 +97,11 @@ def test_a_play_keeps_within_its_radius_whatever_the_rate() -> None:
     # Between two reversals closer than twice the radius it does not move.
     little = 0.4 * np.sin(np.arange(len(x)))[:, None] * np.ones(3)
     assert np.ptp(play(little, 0.5, signals), axis=0).max() < 1e-12
+
+
+def test_a_number_that_does_not_show_leaves_the_others_as_they_are() -> None:
+    normal = np.array([[4.0, 2.0, 2.0], [2.0, 9.0, 9.0], [2.0, 9.0, 9.0 - 1e-13]])
+    right = np.array([[1.0], [2.0], [2.0]])
+    expected = np.linalg.solve(normal[:2, :2], right[:2])
+    found = _solved(normal, right)
+    np.testing.assert_allclose([found[0, 0], found[1, 0] + found[2, 0]], expected[:, 0], rtol=1e-6)
