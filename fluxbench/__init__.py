@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from orchestrator.interface.api import compare as compare
     from orchestrator.interface.api import compare_runs as compare_runs
     from orchestrator.interface.api import diagnose as diagnose
+    from orchestrator.interface.api import discover as discover
     from orchestrator.interface.api import estimate as estimate
     from orchestrator.interface.api import explain as explain
     from orchestrator.interface.api import export as export
@@ -49,6 +50,7 @@ _HOMES = {
     "compare": "orchestrator.interface.api",
     "compare_runs": "orchestrator.interface.api",
     "diagnose": "orchestrator.interface.api",
+    "discover": "orchestrator.interface.api",
     "estimate": "orchestrator.interface.api",
     "explain": "orchestrator.interface.api",
     "export": "orchestrator.interface.api",

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from orchestrator.diagnosis import InterimResult, ModelChoice, SavedDiagnosis
+    from orchestrator.discovery import Discovery
     from orchestrator.interface.comparison import ComparedRuns
     from protocols.fleet_priors import FleetPriors
 
@@ -206,6 +207,57 @@ def explain(place: Place) -> Explanation:
             raise InputError(str(path), "", "neither a run nor a recording, and has no diagnosis")
         raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
     return explanation_of(diagnosis.report, read_model(path) if has_model(path) else None)
+
+
+@one_thread()
+def discover(
+    place: Place,
+    *,
+    write: AnyPath | None = None,
+    name: str | None = None,
+    effects: Effects = (),
+    without: Sequence[str] = (),
+    out: AnyPath | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Discovery:
+    """The law that a recording requires beyond the library; see `orchestrator.discovery.discover_laws`.
+
+    A recording without a diagnosis is diagnosed first. The result is stored as ``results/discovery.json``, with the
+    curve as ``results/discovery.svg``.
+
+    Parameters
+    ----------
+    write : path, optional
+        File of effects to write the law to; nothing is written where there is none.
+    name : str, optional
+        Name of the effect; the file's by default, or ``learned_law``.
+    without : sequence of str
+        Effects left out of the library, as in `diagnose`.
+    tell : callable
+        Called with the current step, in a few words.
+
+    Raises
+    ------
+    InputError
+        Where `write` is no Python file, or the name cannot be one.
+    StorageError
+        Where a file cannot be written.
+    """
+    from orchestrator.diagnosis import load_diagnosis
+    from orchestrator.discovery import discover_laws, require_name, save_discovery, write_law
+
+    target = Path(write) if write is not None else None
+    called = require_name(name or (target.stem if target is not None else "learned_law"), target)
+    directory = _directory(out) or Path(place)
+    diagnosis = load_diagnosis(directory)
+    if diagnosis is None or not has_model(directory):
+        diagnosis = diagnose(place, effects=effects, without=without, out=out, tell=tell)
+    every = [effect for effect in chosen_effects(effects) if effect.name not in without]
+    found = discover_laws(open_any(Path(place)), every, read_model(directory), diagnosis.report, name=called, tell=tell)
+    save_discovery(directory, found)
+    if target is not None:
+        write_law(target, found)
+    return found.report
 
 
 @one_thread()

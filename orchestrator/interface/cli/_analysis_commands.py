@@ -115,6 +115,29 @@ def explain_command(run: DiagnosedArgument, as_json: JsonOption = False) -> int:
     return explain(run, as_json)
 
 
+@commands.command("discover")
+def discover_command(
+    recording: RecordingArgument,
+    write: Annotated[
+        Path | None, typer.Option(help="Write the law to this file of effects.", metavar="FILE.py")
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Name of the effect; by default the file's.")] = None,
+    effects: EffectsOption = None,
+    without: Annotated[list[str] | None, typer.Option(help="Exclude this effect from the library.")] = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Find the law that no effect of the library explains.
+
+    Where something enters, what it depends on, and its shortest formula, tested on the stages that were held out. With
+    --write, the law becomes an effect of your own: `add RECORDING NAME --effects FILE.py` adds it to the model.
+    """
+    announce(recording, as_json)
+    from orchestrator.interface.cli._discovering import discover
+
+    return discover(recording, write, name, effects, without or [], out, as_json)
+
+
 @commands.command("add")
 def add_command(
     recording: RecordingArgument,

@@ -147,6 +147,8 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     if report.next_experiment is not None:
         say(f"to decide, as a stage of a procedure (`fluxbench run --from {path}` measures it into a run itself):")
         say(stage_as_yaml(report.next_experiment.stage))
+    if report.verdict == "unknown_remains":
+        say(f"`fluxbench discover {path}` looks for the law that is missing, and writes it as an effect.")
 
 
 def _print_map(estimates: EstimationReport, folder: Path) -> None:

@@ -1,0 +1,23 @@
+"""When no effect of the library explains a recording: the law that is missing, found and written as an effect.
+
+A flexible law is tried at every place where something may be missing, over every quantity that it may depend on; the
+best is put into a short form, and written as an effect plugin of one class.
+"""
+
+from orchestrator.discovery.discover import Learned, discover_laws
+from orchestrator.discovery.memory import lagged, play
+from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
+from orchestrator.discovery.saving import require_name, save_discovery, write_law
+
+__all__ = [
+    "Discovery",
+    "FoundForm",
+    "FoundLaw",
+    "Learned",
+    "discover_laws",
+    "lagged",
+    "play",
+    "require_name",
+    "save_discovery",
+    "write_law",
+]

@@ -1,0 +1,337 @@
+"""From a diagnosed recording to what was learned of it: `Discovery`, and the texts of the effects."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis._prepare import open_for_refit
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, observable_effects, scaled_library
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.contributions import left_of_excitation
+from orchestrator.diagnosis.judgement.sufficiency import solvable
+from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
+from orchestrator.diagnosis.reporting.resemblance import alternatives_to
+from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.forms import FormFit
+from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis
+from orchestrator.discovery.laws import FittedLaw, error_of, text_of
+from orchestrator.discovery.ranking import Score
+from orchestrator.discovery.report import (
+    Constant,
+    CurvePoint,
+    Discovery,
+    FoundForm,
+    FoundLaw,
+    Outcome,
+    RankedHypothesis,
+)
+from orchestrator.discovery.search import MIN_FALL, LearnedLaw, SearchOutcome, learn_laws
+from orchestrator.discovery.writing import NamedLaw, gauge_of, sentence_of
+from orchestrator.formatting.quantities import number, percent, quantity
+from orchestrator.numerics.types import Array
+from orchestrator.recording import Recording
+from protocols import DiagnosisReport, Effect, MotorModel
+
+EXPLAINED = ("clean", "explained", "explained_in_another_form", "convention")
+MAX_SHARE_OF_SEGMENT: float = 0.5
+"""Part of a law's gain that one segment may carry."""
+SIGMAS: float = 1.96
+CURVE_POINTS: int = 40
+RANKED: int = 12
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A discovery with the text of its file of effects, empty where there is no law."""
+
+    report: Discovery
+    text: str = ""
+
+
+@solvable
+def discover_laws(
+    recording: Recording,
+    effects: Sequence[Effect],
+    model: MotorModel,
+    diagnosis: DiagnosisReport,
+    *,
+    name: str = "learned_law",
+    without: Sequence[str] = (),
+    tell: Callable[[str], None] = lambda _: None,
+) -> Learned:
+    """Find the law that a diagnosed recording requires beyond the library.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        The library; all effects of the model are in it.
+    model, diagnosis
+        What the diagnosis stored.
+    name : str
+        Of the effect that is written.
+    without : sequence of str
+        Effects of the library that the law is not compared with.
+
+    Raises
+    ------
+    PluginError
+        If an effect of the model is not installed.
+    NotMeasuredError, RecordingError
+        If the recording cannot be diagnosed.
+    """
+    began = time.monotonic()
+    require_effects_of(model, {effect.name for effect in effects})
+    if diagnosis.verdict in EXPLAINED:
+        why = f"nothing to learn here: the verdict is {diagnosis.verdict.replace('_', ' ')}"
+        return Learned(_without_law(diagnosis, "nothing_to_learn", why))
+    setup = open_for_refit(recording, model, tell)
+    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
+    whole = restored(setup, model, model.baseline, library)
+    before = setup.fitter.fit(whole, relinearisations=0, steps=1)
+    little = _too_little(before)
+    if little:
+        return Learned(_report(setup, diagnosis, before, None, "nothing_to_learn", little, (), began))
+    named = [effect.name for effect in diagnosis.effects]
+    outcome = learn_laws(setup, whole, named, name, tell)
+    verdict, why = _verdict(setup, before, outcome)
+    laws = _laws(setup, outcome, name, [c for c in library.values() if c.name not in without]) if outcome.laws else ()
+    report = _report(setup, diagnosis, before, outcome, verdict, why, laws, began)
+    return Learned(report, _text(setup, report, outcome) if verdict == "law" else "")
+
+
+def _too_little(before: Fit) -> str:
+    """Why the error that a model leaves is too small to learn from; empty where it is not."""
+    criteria = before.criteria
+    chi2, error, left = before.chi2_per_dof, error_of(before), left_of_excitation(before)
+    if chi2 < criteria.selection.detected_chi2:
+        return f"nothing to learn here: chi2 is {number(chi2)} per degree of freedom, which noise explains"
+    if error < math.sqrt(1.0 + criteria.verdict.noise_accuracy_excess_chi2):
+        return f"nothing to learn here: the held-out error is {number(error)} times its noise; measure a larger current"
+    if left < criteria.verdict.negligible_voltage:
+        return (
+            f"nothing to learn here: what is left is {percent(100.0 * left)} of the applied voltage, within the "
+            "model's error; measure a larger current"
+        )
+    return ""
+
+
+def _verdict(setup: DiagnosisSetup, before: Fit, outcome: SearchOutcome) -> tuple[Outcome, str]:
+    if not outcome.laws:
+        return "no_law", "no place and quantity whose law removes half of the error"
+    was, now = min(error_of(before), error_of(outcome.start)), error_of(outcome.fit)
+    share, segment = _largest_segment(outcome)
+    if share > MAX_SHARE_OF_SEGMENT:
+        why = f"nothing to learn here: {100 * share:.0f} % of the gain is by the segment {segment}; measure it again"
+        return "nothing_to_learn", why
+    if now - 1.0 > (1.0 - MIN_FALL) * (was - 1.0):
+        why = f"the held-out error falls from {number(was)} to {number(now)} times its noise, which is not by half"
+        return "no_law", why
+    volts, floor = [mean_rms_v(fit, held_out) for fit in (before, outcome.fit)], noise_rms_v(outcome.fit, held_out)
+    if volts[0] is not None and volts[1] is not None and volts[1] > max(volts[0], 1.2 * (floor or 0.0)):
+        was_v, now_v = (quantity(v, "V") for v in volts)
+        return "no_law", f"the held-out error at low frequencies grows from {was_v} to {now_v}"
+    return "law", f"the held-out error falls from {number(was)} to {number(now)} times its noise"
+
+
+def _largest_segment(outcome: SearchOutcome) -> tuple[float, str]:
+    """The largest part of the fall of chi2 that one segment has, and its id; nothing where there are few segments."""
+    start, fit = outcome.start, outcome.fit
+    gains = {
+        piece.segment.id: float(old @ old - new @ new)
+        for piece, old, new in zip(fit.prepared.pieces, start.residual, fit.residual, strict=True)
+        if not piece.held_out
+    }
+    total = sum(gains.values())
+    segment = max(gains, key=lambda one: gains[one])
+    return (gains[segment] / total if total > 0.0 and len(gains) > 4 else 0.0), segment
+
+
+def _laws(
+    setup: DiagnosisSetup, outcome: SearchOutcome, name: str, library: Sequence[CandidateEffect]
+) -> tuple[FoundLaw, ...]:
+    found = []
+    seen = observable_effects(library, [p.signals for p in setup.prepared.pieces])
+    for law in outcome.laws:
+        best, hypothesis = law.best, law.best.hypothesis
+        noise = max(1.0, min(f.chi2 for f in law.forms))
+        alternatives = alternatives_to(
+            setup, best.fit, best.term.name, [c for c in seen if c.name not in best.fit.model.names]
+        )
+        alike = [a.other.replace("_", " ") for a in alternatives if a.is_tied or a.fits_better]
+        found.append(
+            FoundLaw(
+                name=best.term.name,
+                sentence=sentence_of(hypothesis),
+                place=hypothesis.place.name,
+                quantity=hypothesis.quantity.name,
+                phase=PHASE_NAMES[hypothesis.phases],
+                unit=hypothesis.place.unit,
+                quantity_unit=hypothesis.quantity.unit,
+                symbol=hypothesis.quantity.symbol,
+                forms=tuple(_form(f, best, noise) for f in law.forms),
+                curve=_curve(law.flexible),
+                as_well=(*(f"{one} of the library" for one in alike), *map(_described, law.near)),
+                gauge=gauge_of(hypothesis),
+                to_decide=_to_decide(law),
+            )
+        )
+    return tuple(found)
+
+
+def _described(hypothesis: Hypothesis) -> str:
+    text = sentence_of(hypothesis).rstrip(".")
+    return text[0].lower() + text[1:]
+
+
+def _form(fitted: FittedLaw, best: FittedLaw, noise: float) -> FoundForm:
+    assert fitted.law is not None
+    return FoundForm(
+        name=fitted.law.label,
+        formula=fitted.law.formula,
+        constants=tuple(_constants(fitted)),
+        chi2=fitted.chi2,
+        heldout=fitted.error,
+        heldout_rms_v=mean_rms_v(fitted.fit, held_out),
+        log_evidence=fitted.log_evidence(noise) - best.log_evidence(noise),
+    )
+
+
+def _constants(fitted: FittedLaw) -> list[Constant]:
+    term = fitted.term
+    covariance = fitted.fit.covariance(max(fitted.chi2, 1.0))
+    spread = dict(zip(term.free, np.sqrt(np.diag(covariance))[-len(term.free) :], strict=True))
+    found = []
+    for p in term.candidate.parameters:
+        x, s = term.standardised_value(p.name), SIGMAS * float(spread.get(p.name, 0.0))
+        ends = sorted(term.moved(p.name, x + sign * s).values[p.name] for sign in (-1.0, 1.0))
+        found.append(Constant(name=p.name, value=term.values[p.name], low=ends[0], high=ends[1], unit=p.unit))
+    return found
+
+
+def curve_of(score: Score) -> tuple[Array, Array, Array]:
+    """Values of the quantity, and there the flexible law and its standard deviation; empty of a law with memory."""
+    basis = score.hypothesis.basis
+    if not isinstance(basis, CurveBasis):
+        return np.zeros(0), np.zeros(0), np.zeros(0)
+    x = basis.grid(CURVE_POINTS)
+    x = x if basis.parity == "none" else np.concatenate([-x[:0:-1], x])
+    design = basis.design(x).toarray()
+    return x, design @ score.coefficients, np.sqrt(np.einsum("ij,jk,ik->i", design, score.covariance, design))
+
+
+def _curve(score: Score) -> tuple[CurvePoint, ...]:
+    return tuple(CurvePoint(x=float(a), y=float(b), std=float(c)) for a, b, c in zip(*curve_of(score), strict=True))
+
+
+def _to_decide(law: LearnedLaw) -> str:
+    """Where the forms that do as well differ most, up to half beyond the range of the quantity."""
+    basis, hypothesis = law.flexible.hypothesis.basis, law.best.hypothesis
+    forms = [f.law.form for f in law.forms if f.law is not None and f.hypothesis.key == hypothesis.key]
+    if len(forms) < 2 or not isinstance(basis, CurveBasis):
+        return ""
+    top = max(abs(basis.low), abs(basis.high))
+    x = np.linspace(0.01 * top, 1.5 * top, 300)
+    curves = [f.size * f.form.of(x, f.scale, f.power) for f in forms[:2] if isinstance(f, FormFit) and f.form]
+    if len(curves) < 2:
+        return ""
+    apart = np.abs(curves[0] - curves[1])
+    at = int(np.argmax(apart))
+    unit, of = hypothesis.place.unit, hypothesis.quantity
+    first, second = (quantity(float(c[at]), unit) if unit != "1" else number(float(c[at])) for c in curves)
+    return f"measure at {of.text} = {number(float(x[at]))} {of.unit}: {first} by the first form, {second} by the second"
+
+
+def _report(
+    setup: DiagnosisSetup,
+    diagnosis: DiagnosisReport,
+    before: Fit,
+    outcome: SearchOutcome | None,
+    verdict: Outcome,
+    why: str,
+    laws: tuple[FoundLaw, ...],
+    began: float,
+) -> Discovery:
+    after = outcome.fit if outcome is not None else before
+    learned = {law.name for law in laws}
+    return Discovery(
+        recording=diagnosis.recording,
+        outcome=verdict,
+        reason=why,
+        verdict=diagnosis.verdict,
+        before=error_of(before),
+        after=error_of(after),
+        before_rms_v=mean_rms_v(before, held_out),
+        after_rms_v=mean_rms_v(after, held_out),
+        floor_rms_v=noise_rms_v(after, held_out),
+        chi2_before=before.chi2_per_dof,
+        chi2_after=after.chi2_per_dof,
+        laws=laws,
+        ranking=tuple(_ranked(s) for s in (outcome.ranking[:RANKED] if outcome is not None else ())),
+        kept_effects=tuple(name for name in after.model.names if name not in learned),
+        seconds=time.monotonic() - began,
+    )
+
+
+def _ranked(score: Score) -> RankedHypothesis:
+    hypothesis, basis = score.hypothesis, score.hypothesis.basis
+    return RankedHypothesis(
+        place=hypothesis.place.name,
+        quantity=hypothesis.quantity.name,
+        phase=PHASE_NAMES[hypothesis.phases],
+        kind=basis.parity if isinstance(basis, CurveBasis) else basis.kind,
+        log_evidence=score.log_evidence,
+        share=score.share if math.isfinite(score.share) else 0.0,
+    )
+
+
+def _without_law(diagnosis: DiagnosisReport, verdict: Outcome, why: str) -> Discovery:
+    last = diagnosis.ladder[-1] if diagnosis.ladder else None
+    chi2, volts = (last.chi2 or 0.0, last.heldout_rms_v) if last is not None else (0.0, None)
+    return Discovery(
+        recording=diagnosis.recording, outcome=verdict, reason=why, verdict=diagnosis.verdict, before=0.0, after=0.0,
+        before_rms_v=volts, after_rms_v=volts, floor_rms_v=diagnosis.noise_floor.heldout_rms_v, chi2_before=chi2,
+        chi2_after=chi2, laws=(), ranking=(), kept_effects=tuple(e.name for e in diagnosis.effects), seconds=0.0,
+    )  # fmt: skip
+
+
+def _text(setup: DiagnosisSetup, report: Discovery, outcome: SearchOutcome) -> str:
+    return text_of(
+        setup,
+        [
+            NamedLaw(learned.best.law, found.name, _story(report, found))
+            for found, learned in zip(report.laws, outcome.laws, strict=True)
+            if learned.best.law is not None
+        ],
+    )
+
+
+def _story(report: Discovery, law: FoundLaw) -> list[str]:
+    form = law.forms[0]
+    constants = ", ".join(
+        f"{c.name} {number(c.value)} {c.unit if c.unit != '1' else ''}".rstrip()
+        + f" (95 %: {number(c.low)} to {number(c.high)})"
+        for c in form.constants
+    )
+    volts = ""
+    if report.before_rms_v is not None and report.after_rms_v is not None and report.floor_rms_v is not None:
+        was, now, floor = (quantity(v, "V") for v in (report.before_rms_v, report.after_rms_v, report.floor_rms_v))
+        volts = f", in volts from {was} to {now} where noise alone makes {floor}"
+    story = [
+        f"Learned from the recording {report.recording}: its held-out error falls from {number(report.before)} to "
+        f"{number(report.after)} times the noise{volts}; chi2 per degree of freedom from {number(report.chi2_before)} "
+        f"to {number(report.chi2_after)}.",
+        f"Constants there, where the class has those of a 400 W machine: {constants}.",
+    ]
+    others = [other.formula for other in law.forms[1:]]
+    if others:
+        story.append(f"As well: y = {'; y = '.join(others)}. To decide: {law.to_decide or 'no experiment is known'}.")
+    if law.as_well:
+        story.append(f"As well: {'; '.join(law.as_well)}.")
+    return story

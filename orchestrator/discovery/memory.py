@@ -1,0 +1,85 @@
+"""Memory of a quantity along time, each segment on its own: a first-order lag and a play.
+
+The play follows its input at a distance of at most its radius, whatever the rate (A. Visintin, "Differential Models of
+Hysteresis", Springer 1994, doi:10.1007/978-3-662-11557-2). Sums of plays of several radii are a Prandtl-Ishlinskii
+model; sums of lags of several time constants are a relaxation spectrum.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from orchestrator.numerics.frames import to_phases
+from orchestrator.numerics.types import Array
+from protocols import RealArray, SignalBatch, Signals
+
+
+def lagged(x: RealArray, time_constant_s: float, signals: Signals | SignalBatch) -> Array:
+    """First-order lag of each column of x (n, m), exact for straight lines between samples; it begins at rest."""
+    starts, rates = _layout(signals)
+    return _lagged(_columns(x), starts, time_constant_s * rates)
+
+
+def play(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
+    """Play of phase quantities x (n, 3) that follow the phase currents: a segment's began where the current came from.
+
+    Before a segment, x is taken as proportional to the current; without a history the play begins at x.
+    """
+    starts, _ = _layout(signals)
+    segments = signals.segments if isinstance(signals, SignalBatch) else (signals,)
+    x, i_abc = _columns(x), to_phases(signals.i_ab)
+    memory = x[starts[:-1]].copy()
+    for k, segment in enumerate(segments):
+        if segment.came_from_ab is None or len(segment.came_from_ab) == 0:
+            continue
+        at = slice(int(starts[k]), int(starts[k + 1]))
+        power = np.sum(i_abc[at] ** 2)
+        slope = float(np.sum(x[at] * i_abc[at]) / power) if power > 0.0 else 0.0
+        path = x[starts[k]] + slope * (to_phases(segment.came_from_ab) - i_abc[starts[k]])
+        memory[k] = _played(path, np.array([0, len(path)]), radius, path[:1])[-1]
+    return _played(x, starts, radius, memory)
+
+
+def _layout(signals: Signals | SignalBatch) -> tuple[NDArray[np.int64], Array]:
+    """Bounds of the segments' samples (segments + 1,) and their sampling frequencies (segments,)."""
+    if isinstance(signals, SignalBatch):
+        return signals.starts, np.asarray(signals.sampling_frequency_hz, dtype=np.float64)
+    return np.array([0, len(signals.v_dc)], dtype=np.int64), np.array([signals.sampling_frequency_hz])
+
+
+def _columns(x: RealArray) -> Array:
+    return np.ascontiguousarray(x if x.ndim == 2 else x[:, None], dtype=np.float64)
+
+
+@njit(cache=True, nogil=True)
+def _lagged(x: Array, starts: NDArray[np.int64], samples: Array) -> Array:
+    """By each segment's time constant in samples."""
+    out = np.empty_like(x)
+    for s in range(starts.shape[0] - 1):
+        decay = math.exp(-1.0 / samples[s])
+        for m in range(x.shape[1]):
+            before = x[starts[s], m]
+            y = before
+            for k in range(starts[s], starts[s + 1]):
+                # Under a straight line it follows at this distance, once what it began with has decayed.
+                behind = samples[s] * (x[k, m] - before)
+                y = x[k, m] - behind + (y - before + behind) * decay
+                before = x[k, m]
+                out[k, m] = y
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _played(x: Array, starts: NDArray[np.int64], radius: float, memory: Array) -> Array:
+    out = np.empty_like(x)
+    for s in range(starts.shape[0] - 1):
+        for m in range(x.shape[1]):
+            y = memory[s, m]
+            for k in range(starts[s], starts[s + 1]):
+                y = min(max(y, x[k, m] - radius), x[k, m] + radius)
+                out[k, m] = y
+    return out

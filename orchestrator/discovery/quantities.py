@@ -1,0 +1,143 @@
+"""Quantities that a law may depend on, each a function of a segment's signals.
+
+A written effect holds a copy of the function that it uses: each needs numpy and `orchestrator.numerics.frames` alone.
+Quantities of the phases have shape (n, 3), all others (n,).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from orchestrator.numerics.frames import to_dq, to_phases
+from orchestrator.numerics.types import Array
+from protocols import SignalBatch, Signals
+
+Range = Literal["both", "positive"]
+
+
+def phase_currents(signals: Signals | SignalBatch) -> Array:
+    """Each phase's own current [A], without its readings' noise where that is known."""
+    quiet = signals.i_quiet_ab
+    return to_phases(signals.i_ab if quiet is None else quiet)
+
+
+def next_phase_currents(signals: Signals | SignalBatch) -> Array:
+    """For phases a, b, c the current of phase b, c, a [A]."""
+    return np.roll(to_phases(signals.i_ab), -1, axis=1)
+
+
+def previous_phase_currents(signals: Signals | SignalBatch) -> Array:
+    """For phases a, b, c the current of phase c, a, b [A]."""
+    return np.roll(to_phases(signals.i_ab), 1, axis=1)
+
+
+def phase_voltages(signals: Signals | SignalBatch) -> Array:
+    """Each phase's own voltage as commanded [V]."""
+    return to_phases(signals.v_ab)
+
+
+def phase_fluxes(signals: Signals | SignalBatch) -> Array:
+    """Flux linkage along the axis of each phase by the present map [Wb]; zero without a map."""
+    flux = signals.psi_ab if signals.psi_smooth_ab is None else signals.psi_smooth_ab
+    return to_phases(0.0 * signals.i_ab if flux is None else flux)
+
+
+def current(signals: Signals | SignalBatch) -> Array:
+    """Length of the current vector [A]."""
+    quiet = signals.i_quiet_ab
+    return np.asarray(np.linalg.norm(signals.i_ab if quiet is None else quiet, axis=1), dtype=np.float64)
+
+
+def current_d(signals: Signals | SignalBatch) -> Array:
+    """Current along the d axis [A]."""
+    return to_dq(signals.i_ab, signals.theta_rad)[:, 0]
+
+
+def current_q(signals: Signals | SignalBatch) -> Array:
+    """Current along the q axis [A]."""
+    return to_dq(signals.i_ab, signals.theta_rad)[:, 1]
+
+
+def torque(signals: Signals | SignalBatch) -> Array:
+    """psi x i, the torque over 1.5 pole pairs [Wb A]; zero without a map."""
+    if signals.psi_ab is None:
+        return np.zeros(len(signals.v_dc))
+    return np.asarray(
+        signals.psi_ab[:, 0] * signals.i_ab[:, 1] - signals.psi_ab[:, 1] * signals.i_ab[:, 0], dtype=np.float64
+    )
+
+
+def voltage(signals: Signals | SignalBatch) -> Array:
+    """Length of the commanded voltage vector [V]."""
+    return np.asarray(np.linalg.norm(signals.v_ab, axis=1), dtype=np.float64)
+
+
+def power(signals: Signals | SignalBatch) -> Array:
+    """Electrical power by command and reading [W]."""
+    return np.asarray(1.5 * np.sum(signals.v_ab * signals.i_ab, axis=1), dtype=np.float64)
+
+
+def link_voltage(signals: Signals | SignalBatch) -> Array:
+    """Voltage of the DC link as read [V]."""
+    return np.asarray(signals.v_dc, dtype=np.float64)
+
+
+def time(signals: Signals | SignalBatch) -> Array:
+    """Time since the start of the experiment [s]."""
+    return np.asarray(signals.time_s, dtype=np.float64)
+
+
+def heat(signals: Signals | SignalBatch) -> Array:
+    """Copper loss since the start of the experiment [W s]."""
+    return np.asarray(signals.heat_j, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity, with what a person calls it.
+
+    Attributes
+    ----------
+    of : callable
+        Its function.
+    text : str
+        As in "a voltage of each leg over <its own current>".
+    unit : str
+    is_signed : bool
+        Whether zero is a place of symmetry: a curve over it has an odd and an even part.
+    symbol : str
+        In formulas.
+    """
+
+    of: Callable[[Signals | SignalBatch], Array]
+    text: str
+    unit: str
+    is_signed: bool
+    symbol: str
+    of_phases: bool = False
+
+    @property
+    def name(self) -> str:
+        return self.of.__name__
+
+
+PHASE_CURRENT = Quantity(phase_currents, "its own current", "A", True, "i", of_phases=True)
+NEXT_CURRENT = Quantity(next_phase_currents, "the current of the next phase", "A", True, "i_next", of_phases=True)
+PREVIOUS_CURRENT = Quantity(
+    previous_phase_currents, "the current of the previous phase", "A", True, "i_previous", of_phases=True
+)
+PHASE_VOLTAGE = Quantity(phase_voltages, "its own voltage", "V", True, "v", of_phases=True)
+PHASE_FLUX = Quantity(phase_fluxes, "its own flux", "Wb", True, "psi", of_phases=True)
+CURRENT = Quantity(current, "|i|", "A", False, "|i|")
+CURRENT_D = Quantity(current_d, "i_d", "A", True, "i_d")
+CURRENT_Q = Quantity(current_q, "i_q", "A", True, "i_q")
+TORQUE = Quantity(torque, "the torque", "Wb A", True, "T")
+VOLTAGE = Quantity(voltage, "|v|", "V", False, "|v|")
+POWER = Quantity(power, "the power", "W", True, "P")
+LINK_VOLTAGE = Quantity(link_voltage, "the link voltage", "V", False, "v_dc")
+TIME = Quantity(time, "time", "s", False, "t")
+HEAT = Quantity(heat, "the heat dissipated", "W s", False, "W")

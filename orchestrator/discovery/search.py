@@ -1,0 +1,317 @@
+"""The search for a law: rank flexible laws, find a short form, and test it on the stages that were held out.
+
+What a diagnosis names beside an unknown may be its stand-in. So a second model, R_s and map alone, is started from
+unless a law beside the named causes leaves no more than noise; the one whose best law leaves less is kept. As long as
+more than noise is left, a further law is looked for beside the first.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.forms import FormFit, fitting_forms
+from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses
+from orchestrator.discovery.law import Law, Table
+from orchestrator.discovery.laws import (
+    FittedLaw,
+    error_of,
+    fit_flexible,
+    fit_law,
+    score_of,
+    table_of,
+    with_fitted_constants,
+)
+from orchestrator.discovery.ranking import Score, rank
+
+MAX_LAWS: int = 2
+NEAR: float = 1.5
+"""chi2 that another hypothesis may leave, relative to the best one's or to noise, to be fitted too."""
+MIN_FALL: float = 0.5
+"""Part of the held-out error above its noise that a law has to remove."""
+MAX_NEAR: int = 3
+"""Hypotheses that are fitted to the whole recording; of a second law, the best one alone."""
+MAX_FORMS: int = 3
+"""Short forms of a law that are refitted."""
+MIN_SHARE: float = 0.5
+"""Part of the excess chi2 that a law has to remove, to be worth a fit."""
+SAME_NAT: float = 3.0
+"""Difference of the log evidence up to which two forms do as well."""
+SAME_ERROR: float = 0.02
+"""Relative difference of the held-out errors, and of chi2 per degree of freedom, up to which they do as well."""
+CLOSE_CHI2: float = 1.5
+"""chi2 per degree of freedom of the best curve from which other hypotheses' formulas are fitted too; of the best
+formula, from which a second law is looked for."""
+CLOSE_ERROR: float = 1.2
+"""Held-out error, in units of its noise, below which no second law is looked for."""
+UNRELIABLE_CHI2: float = 0.3
+"""chi2 per degree of freedom below which a linear prediction has left its range."""
+REFINED: tuple[tuple[int, float], ...] = ((9, 0.03), (16, 0.03), (24, 0.1), (24, 0.01))
+"""Intervals of a curve and its knee, of which the evidence chooses."""
+
+
+@dataclass(frozen=True)
+class LearnedLaw:
+    """A law with all that was fitted of it.
+
+    Attributes
+    ----------
+    flexible_laws : mapping of str to Score
+        The flexible laws as fitted to the whole recording, by the keys of their hypotheses.
+    forms : tuple of FittedLaw
+        The chosen one first, then those that do as well.
+    near : tuple of Hypothesis
+        Others whose flexible laws do as well.
+    """
+
+    flexible_laws: Mapping[str, Score]
+    forms: tuple[FittedLaw, ...]
+    near: tuple[Hypothesis, ...]
+
+    @property
+    def best(self) -> FittedLaw:
+        return self.forms[0]
+
+    @property
+    def flexible(self) -> Score:
+        """The flexible law of the chosen form."""
+        return self.flexible_laws[self.best.hypothesis.key]
+
+
+@dataclass(frozen=True)
+class SearchOutcome:
+    """All laws that were learned.
+
+    Attributes
+    ----------
+    start : Fit
+        The model that the laws were added to, on the whole recording.
+    laws : tuple of LearnedLaw
+        In the order in which they were added.
+    ranking : tuple of Score
+        The first ranking, the best first.
+    """
+
+    start: Fit
+    laws: tuple[LearnedLaw, ...]
+    ranking: tuple[Score, ...]
+    seconds: float = field(default=0.0)
+
+    @property
+    def fit(self) -> Fit:
+        return self.laws[-1].best.fit if self.laws else self.start
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A model on the part of the recording, and its ranking."""
+
+    part: Fit
+    ranking: list[Score]
+
+    @property
+    def least_chi2(self) -> float:
+        """Per degree of freedom, that the best law would leave; infinite where that cannot be predicted."""
+        left = min((s.chi2 / self.part.dof for s in self.ranking[:1]), default=np.inf)
+        return left if left > UNRELIABLE_CHI2 else np.inf
+
+
+def learn_laws(
+    setup: DiagnosisSetup, model: Model, named: Sequence[str], name: str, tell: Callable[[str], None]
+) -> SearchOutcome:
+    """Look for the laws that a diagnosed recording requires.
+
+    Parameters
+    ----------
+    model : Model
+        The diagnosis'.
+    named : sequence of str
+        Effects that it names as causes.
+    name : str
+        Of the effect to be written.
+    """
+    began = time.monotonic()
+    causes = [a for a in model.active if a.name in named]
+    starts = []
+    for active in [causes, []] if causes else [[]]:
+        beside = ", ".join(a.name.replace("_", " ") for a in active) or "R_s and map"
+        tell(f"which place and quantity, beside {beside}?")
+        starts.append(_start(setup, model.with_active(active)))
+        if starts[-1].least_chi2 < CLOSE_CHI2:
+            break
+    start = min(starts, key=lambda one: one.least_chi2)
+    if not np.isfinite(start.least_chi2):
+        start = starts[-1]
+    fit = setup.fitter.fit(model.with_active(start.part.model.active))
+    first = start.ranking
+    laws: list[LearnedLaw] = []
+    while True:
+        law = _learn(setup, start, fit, _numbered(name, len(laws)), 1 if laws else MAX_NEAR, tell)
+        if law is None or (laws and law.best.error - 1.0 > (1.0 - MIN_FALL) * (laws[-1].best.error - 1.0)):
+            break
+        law = _on_finer_map(setup, law, tell)
+        laws.append(law)
+        fit = law.best.fit
+        if len(laws) == MAX_LAWS or fit.chi2_per_dof < CLOSE_CHI2 or law.best.error < CLOSE_ERROR:
+            break
+        tell("is there a second law?")
+        start = _start(setup, fit.model, besides=[law.best.hypothesis for law in laws])
+    before = _without_laws(setup, laws) if laws else fit
+    return SearchOutcome(before, tuple(laws), tuple(first), time.monotonic() - began)
+
+
+def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], None]) -> LearnedLaw:
+    """The law on the map that the rest requires: a large misfit had kept the diagnosis from a finer one."""
+    best = law.best
+    if best.chi2 < best.fit.criteria.selection.detected_chi2:
+        return law
+    tell("a finer map beside the law?")
+    finer = with_finest_map(setup, setup.fitter, best.fit)
+    if finer is best.fit:
+        return law
+    others = finer.model.active[:-1]
+    forms = []
+    for form in law.forms:
+        term = finer.model.active[-1] if form is best else form.term
+        refitted = replace(form, fit=setup.fitter.fit(finer.model.with_active([*others, term]), finer.linearisation))
+        forms.append(replace(refitted, law=with_fitted_constants(refitted)))
+    noise = max(1.0, min(form.chi2 for form in forms))
+    forms.sort(key=lambda form: -form.log_evidence(noise))
+    return replace(law, forms=tuple(form for form in forms if _does_as_well(form, forms[0], noise)))
+
+
+def _without_laws(setup: DiagnosisSetup, laws: Sequence[LearnedLaw]) -> Fit:
+    """The model before the first law."""
+    model = laws[0].best.fit.model
+    return setup.fitter.fit(model.with_active(model.active[:-1]))
+
+
+def _numbered(name: str, before: int) -> str:
+    return name if before == 0 else f"{name}_{before + 1}"
+
+
+def _start(setup: DiagnosisSetup, model: Model, besides: Sequence[Hypothesis] = ()) -> _Start:
+    """A model with its ranking, without laws over the place and quantity of those that it has."""
+    part = setup.part_fitter.fit(model)
+    there = {(one.place.name, one.quantity.name) for one in besides}
+    every = [h for h in hypotheses(Ranges.in_fit(part)) if (h.place.name, h.quantity.name) not in there]
+    return _Start(part, rank(setup.part_fitter, part, every))
+
+
+def _learn(
+    setup: DiagnosisSetup, start: _Start, fit: Fit, name: str, max_near: int, tell: Callable[[str], None]
+) -> LearnedLaw | None:
+    """The best law beside a model, of so many hypotheses at most; None where none removes much."""
+    threshold = fit.criteria.selection.log_evidence
+    limit = NEAR * max(start.ranking[0].chi2, start.part.dof) if start.ranking else 0.0
+    near = [s for s in start.ranking[:max_near] if s.chi2 <= limit]
+    near = [s for s in near if s.log_evidence > threshold and s.share > MIN_SHARE]
+    if not near:
+        return None
+    flexible = []
+    for score in near:
+        tell(f"a curve: {score.hypothesis.key}")
+        flexible.append(fit_flexible(setup.fitter, fit, _refined(setup, start.part, score)))
+    noise = max(1.0, min(f.chi2 for f in flexible))
+    flexible.sort(key=lambda f: -f.log_evidence(noise))
+    best = flexible[0]
+    # Where no curve comes down to the noise, a formula with a step or a corner may, of another one of them.
+    tied = flexible if best.chi2 > CLOSE_CHI2 else [f for f in flexible if _does_as_well(f, best, noise)]
+    fitted = []
+    for one in tied:
+        fitted += _in_forms(setup, fit, one, name, tell)
+    if not fitted:
+        return None
+    noise = max(1.0, min(f.chi2 for f in (*fitted, best)))
+    fitted.sort(key=lambda f: -f.log_evidence(noise))
+    # A table has no price for its many numbers: it is taken where no short form comes near.
+    forms = [f for f in fitted if not _is_table(f)]
+    tables = [f for f in fitted if _is_table(f)]
+    if forms and (not tables or forms[0].chi2 - 1.0 <= 1.5 * max(tables[0].chi2 - 1.0, 0.05)):
+        chosen = _simplest_first([f for f in forms if _does_as_well(f, forms[0], noise)])
+    else:
+        chosen = tables[:1]
+    of = next(f for f in flexible if f.hypothesis.key == chosen[0].hypothesis.key)
+    rivals = [f for f in flexible if f is not of and best.chi2 <= CLOSE_CHI2 and _does_as_well(f, best, noise)]
+    return LearnedLaw(
+        {f.hypothesis.key: score_of(f) for f in flexible}, tuple(chosen), tuple(f.hypothesis for f in rivals)
+    )
+
+
+def _does_as_well(one: FittedLaw, best: FittedLaw, noise: float) -> bool:
+    if one is best or best.log_evidence(noise) - one.log_evidence(noise) < SAME_NAT:
+        return True
+    close = SAME_ERROR * best.error
+    return abs(one.error - best.error) < close and abs(one.chi2 - best.chi2) < SAME_ERROR * best.chi2
+
+
+def _simplest_first(forms: Sequence[FittedLaw]) -> list[FittedLaw]:
+    """The form with the fewest constants, then others with as many; what needs more for the same is no rival."""
+    least = min(len(f.term.free) for f in forms)
+    # Two starts of one form, as of a lag, end at the same constants.
+    first = {(f.hypothesis.key, f.law and f.law.formula): f for f in reversed(forms) if len(f.term.free) == least}
+    return [f for f in forms if any(f is one for one in first.values())]
+
+
+def _is_table(fitted: FittedLaw) -> bool:
+    return fitted.law is not None and isinstance(fitted.law.form, Table)
+
+
+def _refined(setup: DiagnosisSetup, part: Fit, score: Score) -> Score:
+    """The law with the resolution that the evidence prefers."""
+    basis = score.hypothesis.basis
+    if not isinstance(basis, CurveBasis):
+        return score
+    top = max(abs(basis.low), abs(basis.high))
+    finer = [
+        replace(
+            score.hypothesis, basis=replace(basis, cells=cells, knee=knee * top if np.isfinite(basis.knee) else np.inf)
+        )
+        for cells, knee in REFINED
+    ]
+    return rank(setup.part_fitter, part, finer)[0]
+
+
+def _in_forms(
+    setup: DiagnosisSetup, fit: Fit, flexible: FittedLaw, name: str, tell: Callable[[str], None]
+) -> list[FittedLaw]:
+    """The best short forms of a flexible law, and its table, each refitted."""
+    score = score_of(flexible)
+    options: list[FormFit | Table] = list(_promising(fitting_forms(score)))
+    table = table_of(score)
+    if table is not None:
+        options.append(table)
+    fitted = []
+    for option in options:
+        law = Law(flexible.hypothesis, option)
+        tell(f"a form: {law.formula}")
+        one = fit_law(setup, fit, law, name)
+        fitted.append(replace(one, law=with_fitted_constants(one)))
+    return fitted
+
+
+def _promising(forms: Sequence[FormFit]) -> list[FormFit]:
+    """The best, and others that miss the flexible law by a few times as much."""
+    if not forms:
+        return []
+    limit = 30.0 * max(forms[0].misfit, 10.0)
+    single = [form for form in forms if form.form is not None and form.form.constants == 1]
+    return [form for form in dict.fromkeys((*forms[:MAX_FORMS], *single[:1])) if form.misfit <= limit]
+
+
+def terms_of(outcome: SearchOutcome) -> list[EffectTerm]:
+    """The learned laws as terms of the last fit."""
+    count = len(outcome.laws)
+    return list(outcome.fit.model.active[len(outcome.fit.model.active) - count :]) if count else []
+
+
+def errors(before: Fit, outcome: SearchOutcome) -> tuple[float, float]:
+    """rms of the held-out residual, in units of noise, before and after."""
+    return error_of(before), error_of(outcome.fit)

@@ -1,0 +1,196 @@
+"""A law as the text of an effect plugin: one class, in a file that needs numpy and this project alone."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from orchestrator.discovery.hypotheses import ALL, PHASE_NAMES, Hypothesis
+from orchestrator.discovery.law import Law, Table
+
+
+@dataclass(frozen=True)
+class NamedLaw:
+    """A law as it is written.
+
+    Attributes
+    ----------
+    law : Law
+    name : str
+        Of the effect.
+    story : sequence of str
+        What was found on which recording, a paragraph each.
+    """
+
+    law: Law
+    name: str
+    story: Sequence[str] = ()
+
+
+def source_of(laws: Sequence[NamedLaw], factors: Mapping[str, float], three_sensors: bool) -> str:
+    """The text of a file with these laws, a class each.
+
+    Parameters
+    ----------
+    factors : mapping of str to float
+        Ratio of this machine to the reference machine, by unit.
+    three_sensors : bool
+        Whether the current's vector was made of three readings.
+    """
+    docstring, tables, classes, helpers = list[str](), list[str](), list[str](), list[str]()
+    for k, one in enumerate(laws):
+        summary, suffix = sentence_of(one.law.hypothesis), str(k + 1) if k else ""
+        body = _body(one.law, three_sensors, suffix)
+        first = f"y = {one.law.formula}: {summary[0].lower()}{summary[1:]}"
+        docstring += map(_wrapped, (first, *one.story))
+        classes.append(_class(one.law, one.name, summary, body, factors))
+        helpers += [text for text in (_OVER_INTERVAL, _PULSE_RATE) if _name_of(text) in body]
+        source = inspect.getsource(one.law.hypothesis.quantity.of)
+        helpers.append(source.replace("Signals | SignalBatch", "Signals").rstrip())
+        if isinstance(one.law.form, Table):
+            tables.append(_table_lines(one.law.form, suffix))
+    code = "\n\n\n".join([*classes, *dict.fromkeys(helpers)]) + "\n"
+    constants = "\n" + "\n".join(tables) if tables else ""
+    paragraphs = "\n\n".join(docstring)
+    return f'"""{paragraphs}\n"""\n\n{_imports(code + constants)}\n{constants}\n\n{code}'
+
+
+def _name_of(helper: str) -> str:
+    """``_name(`` of a helper's text."""
+    return helper.split("(")[0].removeprefix("def ") + "("
+
+
+def sentence_of(hypothesis: Hypothesis) -> str:
+    """What the law says, in one sentence."""
+    phase = PHASE_NAMES[hypothesis.phases]
+    of_phase = f", in phase {phase} alone" if phase else ""
+    return f"{_capital(hypothesis.place.text)}, as a function of {hypothesis.quantity.text}{of_phase}."
+
+
+def gauge_of(hypothesis: Hypothesis) -> str:
+    """What no measurement of this kind can tell of such a law; empty where there is nothing."""
+    name, everywhere = hypothesis.place.name, hypothesis.phases == ALL
+    if name in ("voltage_gain", "reading_gain") and everywhere:
+        return "Only the ratio of the voltage's gain to the current's shows: either may be the cause."
+    if name in ("leg_voltage", "pulse_voltage") and everywhere and hypothesis.quantity.name == "phase_currents":
+        return "A part in proportion to the current counts as R_s."
+    if name == "resistance":
+        return "A constant part counts as R_s."
+    return ""
+
+
+def _class(law: Law, name: str, summary: str, body: str, factors: Mapping[str, float]) -> str:
+    parameters = "\n".join(_fold(p.declared(factors.get(p.unit, 1.0))) for p in law.parameters)
+    hypothesis = law.hypothesis
+    return f'''class {_camel(name)}:
+    """y = {law.formula}."""
+
+    name = "{name}"
+    summary = "{summary}"
+    signature = "A residual of the form y = {law.formula}."
+    layer = EffectLayer.{hypothesis.place.layer.name}
+    needs = ()
+    gauge = "{gauge_of(hypothesis)}"
+
+    class Parameters(EffectParameters):
+{parameters}
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        """The signals without it."""
+{textwrap.indent(body, "        ")}'''
+
+
+def _body(law: Law, three_sensors: bool, suffix: str) -> str:
+    hypothesis, place, quantity = law.hypothesis, law.hypothesis.place, law.hypothesis.quantity
+    size, *shapes = [f"p.{p.name}" for p in law.parameters]
+    lines = [f"x = {quantity.name}(signals)"]
+    form = law.form
+    if isinstance(form, Table):
+        u = f"np.interp({{x}} / {shapes[0]}, X{suffix}, Y{suffix})"
+        if form.parity != "none":
+            u = u.format(x="np.abs({x})") if form.parity == "even" else "np.sign({x}) * " + u.format(x="np.abs({x})")
+        expression = f"{size} * {u.format(x='x')}"
+    elif form.form is None:
+        expression = f"{size} * (x - {'lagged' if hypothesis.basis.kind == 'lag' else 'play'}(x, {shapes[0]}, signals))"
+    else:
+        code = re.sub(r"\bb\b", shapes[0], form.form.code) if form.form.has_scale else form.form.code
+        code = re.sub(r"\bp\b(?!\.)", shapes[1], code) if form.form.has_power else code
+        expression = f"{size} * {_bracketed(code)}"
+    is_memory = not isinstance(form, Table) and form.form is None
+    if place.over_interval and not is_memory:
+        lines += [f"y = _over_interval(lambda x: {expression}, x)"]
+    else:
+        lines += [f"y = {expression}"]
+    if place.of_phases:
+        if quantity.of_phases:
+            lines += [f"y = y * {list(hypothesis.phases)}"] if hypothesis.phases != ALL else []
+        else:
+            lines += [f"y = y[:, None] * {list(hypothesis.phases)}"]
+        if place.name == "reading_gain":
+            lines += ["y = y / (1.0 + y) * to_phases(signals.i_ab)"]
+    sensors = "from_phases(y)" if three_sensors else "from_two_phases(y[:, 0], y[:, 1])"
+    lines += [f"return {place.code.format(sensors=sensors)}"]
+    return "\n".join(lines)
+
+
+def _bracketed(code: str) -> str:
+    return code if re.fullmatch(r"[\w.]+(\([^()]*\))?", code) else f"({code})"
+
+
+_OVER_INTERVAL = '''def _over_interval(law, x):
+    """Mean of a law over the interval after each sample, by Simpson's rule."""
+    after = np.concatenate([x[1:], x[-1:]])
+    return (law(x) + 4.0 * law(0.5 * (x + after)) + law(after)) / 6.0'''
+
+
+_PULSE_RATE = '''def _pulse_rate(signals):
+    """PWM frequency over the drive's usual one."""
+    usual = signals.drive.pwm_frequency_hz if signals.drive is not None else None
+    return signals.pwm_frequency_hz / (usual or signals.pwm_frequency_hz)'''
+
+
+def _table_lines(table: Table, suffix: str) -> str:
+    rows = [
+        f"{name}{suffix} = np.array({[round(float(v), 4) for v in values]})"
+        for name, values in (("X", table.x), ("Y", table.y))
+    ]
+    return "\n".join("\n".join(textwrap.wrap(row, 118, subsequent_indent="    ")) for row in rows)
+
+
+def _imports(code: str) -> str:
+    frames = [n for n in ("from_phases", "from_two_phases", "to_dq", "to_phases") if re.search(rf"\b{n}\(", code)]
+    memory = [n for n in ("lagged", "play") if re.search(rf"\b{n}\(", code)]
+    shapes = ", ".join(["amplitude", *(["shape"] if " shape(" in code else [])])
+    return "\n".join(
+        [
+            "from __future__ import annotations\n",
+            "import numpy as np\n",
+            *([f"from orchestrator.discovery import {', '.join(memory)}"] if memory else []),
+            *([f"from orchestrator.numerics.frames import {', '.join(frames)}"] if frames else []),
+            "from orchestrator.numerics.types import Array",
+            f"from protocols import Correction, EffectLayer, EffectParameters, Signals, {shapes}",
+        ]
+    )
+
+
+def _fold(line: str) -> str:
+    """A declaration on several lines where it is too long for one."""
+    if len(line) <= 118:
+        return line
+    head, arguments = line.split("(", 1)
+    return f"{head}(\n            {arguments[:-1]}\n        )"
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, 118)
+
+
+def _capital(text: str) -> str:
+    return text[0].upper() + text[1:]
+
+
+def _camel(name: str) -> str:
+    return "".join(word.capitalize() for word in name.split("_"))

@@ -1,0 +1,90 @@
+"""A hidden law is found, written and named rightly; where there is nothing to learn, nothing is written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import fluxbench
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.fitting.baseline import fit_baseline
+from orchestrator.discovery import Learned, discover_laws, require_name, write_law
+from orchestrator.discovery.search import SearchOutcome, learn_laws
+from orchestrator.interface.api import chosen_effects
+from orchestrator.recording import open_recording
+from protocols import DiagnosisReport, FluxbenchError, InputError, MotorModel, NoiseFloor
+from tests.discovery.plant import LAWS, record
+
+ROOT = Path(__file__).parents[2]
+DATA = ROOT / "tests" / "data" / "pm400-reduced"
+
+
+def learned_from(directory: Path, name: str | None) -> SearchOutcome:
+    """What is learned beside R_s and map from a recording of the plant."""
+    path = record(directory, LAWS[name] if name is not None else None, seed=3)
+    setup = open_for_diagnosis(open_recording(path))
+    return learn_laws(setup, fit_baseline(setup).model, (), "learned_law", lambda _: None)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["logarithm_in_one_leg", "one_gain_settles"])
+def test_a_hidden_law_is_found_at_its_place_over_its_quantity(name: str, tmp_path: Path) -> None:
+    hidden = LAWS[name]
+    outcome = learned_from(tmp_path, name)
+    (law,) = outcome.laws
+    best = law.best
+    assert best.hypothesis.place.name == hidden.place
+    assert best.hypothesis.quantity.name == hidden.quantity
+    assert best.hypothesis.phases == {"a": (1.0, 0.0, 0.0), "b": (0.0, 1.0, 0.0)}[hidden.phase]
+    assert best.chi2 < 1.1
+    assert best.error < 1.2
+    values = [p.value for p in best.law.parameters] if best.law is not None else []
+    assert values == pytest.approx(list(hidden.constants), rel=0.05)
+
+
+def _diagnosed(verdict: str) -> tuple[MotorModel, DiagnosisReport]:
+    """What a diagnosis stored, as far as it is read where there is nothing to learn."""
+    report: dict[str, Any] = {"recording": "pm400", "verdict": verdict, "effects": (), "ladder": ()}
+    model: dict[str, Any] = {"effects": ()}
+    return MotorModel.model_construct(**model), DiagnosisReport.model_construct(
+        **report, noise_floor=NoiseFloor(rms_v=0.01)
+    )
+
+
+@pytest.mark.parametrize("verdict", ["clean", "explained", "explained_in_another_form"])
+def test_an_explained_recording_teaches_nothing_and_nothing_is_written(verdict: str, tmp_path: Path) -> None:
+    model, report = _diagnosed(verdict)
+    found = discover_laws(open_recording(DATA), chosen_effects(), model, report)
+    assert found.report.outcome == "nothing_to_learn"
+    assert f"the verdict is {verdict.replace('_', ' ')}" in found.report.reason
+    write_law(tmp_path / "mine.py", found)
+    assert list(tmp_path.iterdir()) == []
+    assert json.loads(found.report.model_dump_json())["laws"] == []
+
+
+def test_a_law_is_written_to_its_file(tmp_path: Path) -> None:
+    model, report = _diagnosed("clean")
+    found = discover_laws(open_recording(DATA), chosen_effects(), model, report)
+    write_law(tmp_path / "there" / "mine.py", Learned(found.report, "text"))
+    assert (tmp_path / "there" / "mine.py").read_text(encoding="utf-8") == "text"
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "words"),
+    [
+        ("mine", Path("mine.txt"), "its name ends in .py"),
+        ("My Law", None, "no name for an effect"),
+        ("2nd", None, "no name for an effect"),
+    ],
+)
+def test_a_name_that_cannot_be_an_effects_is_refused(name: str, target: Path | None, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        require_name(name, target)
+
+
+def test_what_is_no_recording_is_refused_in_one_line() -> None:
+    with pytest.raises(FluxbenchError, match="nowhere"):
+        fluxbench.discover("nowhere")

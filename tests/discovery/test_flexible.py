@@ -1,0 +1,107 @@
+"""Flexible laws: curves, memory, and their short forms."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.discovery import lagged, play
+from orchestrator.discovery import places as at
+from orchestrator.discovery import quantities as of
+from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.forms import CURVES, Form, fitting_forms
+from orchestrator.discovery.hypotheses import ALL, A, Hypothesis
+from orchestrator.discovery.ranking import Score, _solved
+from orchestrator.testing import exciting_signals
+from protocols import SignalBatch
+
+TOP = 4.0
+
+
+def score_of(form: Form, scale: float, power: float, phases: tuple[float, float, float] = A) -> Score:
+    """A flexible law that follows a form over the quantity's range, known to a thousandth."""
+    knee = np.inf if form.parity == "none" else 0.03 * TOP
+    basis = CurveBasis(0.0, TOP, 24, form.parity, knee)
+    x = np.linspace(1e-3, TOP, 2000)
+    coefficients = np.linalg.lstsq(basis.design(x).toarray(), form.of(x, scale, power), rcond=None)[0]
+    place, quantity = (at.RESISTANCE, of.TIME) if form.parity == "none" else (at.LEG_VOLTAGE, of.PHASE_CURRENT)
+    hypothesis = Hypothesis(place, quantity, ALL if form.parity == "none" else phases, basis, 1.0)
+    return Score(hypothesis, 0.0, 0.0, coefficients, 1e-6 * np.eye(basis.size), 1.0, 1.0)
+
+
+@pytest.mark.parametrize("form", [f for f in CURVES if f.name != "steady"], ids=lambda form: form.name)
+def test_a_curve_of_some_form_is_recognised(form: Form) -> None:
+    power = form.powers[-2] if form.has_power and form.power_name == "exponent" else form.powers[0]
+    best = fitting_forms(score_of(form, 0.3 * TOP, power))[:2]
+    assert form.name in [fit.form.name for fit in best if fit.form is not None]
+
+
+def test_where_r_s_takes_up_a_straight_line_the_rest_decides_the_form() -> None:
+    tanh = next(f for f in CURVES if f.name == "tanh")
+    score = score_of(tanh, 0.3, 1.0, phases=ALL)
+    basis = score.hypothesis.basis
+    assert isinstance(basis, CurveBasis)
+    x = np.linspace(1e-3, TOP, 2000)
+    line = np.linalg.lstsq(basis.design(x).toarray(), 0.7 * x, rcond=None)[0]
+    leaning = replace(score, coefficients=score.coefficients + line)
+    best = fitting_forms(leaning)[0]
+    assert best.form is tanh
+    assert best.scale == pytest.approx(0.3, rel=0.2)
+
+
+def test_an_odd_curve_is_odd_and_an_even_one_even() -> None:
+    x = np.linspace(-TOP, TOP, 101)
+    odd, even = (CurveBasis(0.0, TOP, 8, parity, 0.1).design(x).toarray() for parity in ("odd", "even"))
+    np.testing.assert_allclose(odd, -odd[::-1], atol=1e-12)
+    np.testing.assert_allclose(even, even[::-1], atol=1e-12)
+    assert not odd[50].any()
+
+
+def test_a_curve_over_intervals_is_the_mean_between_samples() -> None:
+    batch = SignalBatch.of([exciting_signals()])
+    basis = CurveBasis(0.0, TOP, 8, "odd", 0.1)
+    x = np.linspace(-1.0, 1.0, batch.samples)[:, None]
+    means, fine = (
+        basis.columns(x, batch, mean=True).toarray(),
+        basis.design(np.linspace(x[0, 0], x[1, 0], 101)).toarray(),
+    )
+    np.testing.assert_allclose(means[0], fine.mean(axis=0), atol=1e-5)
+
+
+def test_a_lag_follows_a_step_with_its_time_constant_in_each_segment_anew() -> None:
+    one = exciting_signals()
+    batch = SignalBatch.of([one, one])
+    n, fs = len(one.v_dc), one.sampling_frequency_hz
+    x = np.tile((np.arange(n) >= 100).astype(float), 2)
+    y = lagged(x, 50 / fs, batch)[:, 0]
+    assert y[150] == pytest.approx(1.0 - np.exp(-1.0), abs=0.01)
+    np.testing.assert_allclose(y[:n], y[n:])
+
+
+def test_a_lag_follows_a_straight_line_at_its_time_constant() -> None:
+    signals = exciting_signals()
+    line = np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
+    behind = line - lagged(line, 3e-4, signals)[:, 0]
+    np.testing.assert_allclose(behind[100:], 3e-4, rtol=1e-6)
+
+
+def test_a_play_keeps_within_its_radius_whatever_the_rate() -> None:
+    signals = exciting_signals()
+    x = of.phase_currents(signals)
+    y = play(x, 0.5, signals)
+    assert np.abs(x - y).max() <= 0.5 + 1e-12
+    slow = replace(signals, sampling_frequency_hz=1.0)
+    np.testing.assert_allclose(play(x, 0.5, slow), y)
+    # Between two reversals closer than twice the radius it does not move.
+    little = 0.4 * np.sin(np.arange(len(x)))[:, None] * np.ones(3)
+    assert np.ptp(play(little, 0.5, signals), axis=0).max() < 1e-12
+
+
+def test_a_number_that_does_not_show_leaves_the_others_as_they_are() -> None:
+    normal = np.array([[4.0, 2.0, 2.0], [2.0, 9.0, 9.0], [2.0, 9.0, 9.0 - 1e-13]])
+    right = np.array([[1.0], [2.0], [2.0]])
+    expected = np.linalg.solve(normal[:2, :2], right[:2])
+    found = _solved(normal, right)
+    np.testing.assert_allclose([found[0, 0], found[1, 0] + found[2, 0]], expected[:, 0], rtol=1e-6)

@@ -1,0 +1,141 @@
+"""A written law is an effect that keeps the contract, and does what the flexible law's place does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestrator.discovery import places as at
+from orchestrator.discovery import quantities as of
+from orchestrator.discovery.bases import CurveBasis, MemoryBasis
+from orchestrator.discovery.forms import CURVES, FormFit
+from orchestrator.discovery.hypotheses import ALL, KINDS, A, Hypothesis, Phases
+from orchestrator.discovery.law import Law, Table
+from orchestrator.discovery.laws import loaded
+from orchestrator.discovery.places import Place, of_three_sensors
+from orchestrator.discovery.quantities import Quantity
+from orchestrator.discovery.writing import NamedLaw, sentence_of, source_of
+from orchestrator.registry.plugins import load_effects_file
+from orchestrator.testing import EffectConformance, exciting_signals
+from protocols import Effect, SignalBatch, Signals
+from tests.orchestrator.testing.kit_runner import failures
+
+FORMS = {form.name: form for form in CURVES}
+STORY = ("Found on a recording.", "Constants there.")
+
+
+def signals() -> Signals:
+    """The kit's signals, 30 s after the start."""
+    return replace(exciting_signals(), start_s=30.0)
+
+
+def law_of(place: Place, quantity: Quantity, phases: Phases, form: str) -> Law:
+    """A law of typical size over the range of the kit's signals."""
+    x = quantity.of(signals())
+    top = float(np.abs(x).max())
+    parity = "odd" if form in FORMS and FORMS[form].parity == "odd" else "none"
+    size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit]
+    if form in ("lag", "play"):
+        hypothesis = Hypothesis(place, quantity, phases, MemoryBasis(form, (1.0,)), size)
+        return Law(hypothesis, FormFit(None, size / top, 2e-3 if form == "lag" else 0.2 * top, 1.0, 0.0))
+    hypothesis = Hypothesis(place, quantity, phases, CurveBasis(0.0, top, 8, parity), size)  # type: ignore[arg-type]
+    if form == "table":
+        return Law(hypothesis, Table(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 9) ** 2, top, size, "odd"))
+    known = FORMS[form]
+    size = size / top**known.power_of_x
+    power = known.powers[-1] if known.power_name == "sharpness" else 1.5
+    return Law(hypothesis, FormFit(known, size, 0.4 * top, power, 0.0))
+
+
+def effect_of(law: Law) -> Effect:
+    three = of_three_sensors(SignalBatch.of([signals()]))
+    return loaded(source_of([NamedLaw(law, "some_law", STORY)], {}, three))
+
+
+CASES = [
+    (at.LEG_VOLTAGE, of.PHASE_CURRENT, A, "tanh"),
+    (at.LEG_VOLTAGE, of.PHASE_CURRENT, ALL, "play"),
+    (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ALL, "root"),
+    (at.VOLTAGE_GAIN, of.TIME, ALL, "settling"),
+    (at.READING, of.PHASE_CURRENT, A, "power"),
+    (at.READING, of.NEXT_CURRENT, A, "proportional"),
+    (at.READING, of.PHASE_CURRENT, ALL, "table"),
+    (at.READING, of.TIME, A, "straight"),
+    (at.READING_GAIN, of.TIME, A, "straight"),
+    (at.RESISTANCE, of.TIME, ALL, "step"),
+    (at.LEG_RESISTANCE, of.HEAT, A, "straight"),
+    (at.ANGLE, of.CURRENT_Q, ALL, "fraction"),
+    (at.ANGLE, of.TORQUE, ALL, "proportional"),
+    (at.MAGNETISING, of.PHASE_FLUX, A, "lag"),
+    (at.MAGNETISING_D, of.HEAT, ALL, "saturating"),
+]
+
+
+@pytest.mark.parametrize(("place", "quantity", "phases", "form"), CASES, ids=lambda v: getattr(v, "name", str(v)))
+def test_a_written_law_passes_the_kit_of_effects(
+    place: Place, quantity: Quantity, phases: Phases, form: str, tmp_path: Path
+) -> None:
+    law = law_of(place, quantity, phases, form)
+
+    class Kit(EffectConformance):
+        def make_effect(self) -> Effect:
+            return effect_of(law)
+
+        def signals(self) -> Signals:
+            return signals()
+
+    failed = failures(Kit(), tmp_path)
+    # It is a file's effect, and has no entry point.
+    failed.pop("test_entry_point_leads_to_the_effect", None)
+    assert failed == {}
+
+
+@pytest.mark.parametrize(("place", "quantity", "phases", "form"), CASES, ids=lambda v: getattr(v, "name", str(v)))
+def test_a_written_law_does_what_its_place_does(place: Place, quantity: Quantity, phases: Phases, form: str) -> None:
+    law = law_of(place, quantity, phases, form)
+    effect, batch = effect_of(law), SignalBatch.of([signals()])
+    values = {p.name: p.value for p in law.parameters}
+    written = effect.correct(signals(), effect.Parameters(**values)).arrays
+    if place.over_interval or isinstance(law.form, Table) or law.form.form is None:
+        assert set(written) == set(place.apply(batch, _zeros(place, batch)).arrays)
+        return
+    x = quantity.of(batch)
+    y = law.form.size * law.form.form.of(x, law.form.scale, law.form.power)
+    if place.of_phases:
+        y = (y if quantity.of_phases else y[:, None]) * np.array(phases)
+    expected = place.apply(batch, y).arrays
+    assert set(written) == set(expected)
+    for name, array in expected.items():
+        np.testing.assert_allclose(written[name], array, rtol=1e-9, atol=1e-12)
+
+
+def _zeros(place: Place, batch: SignalBatch) -> Any:
+    return np.zeros((batch.samples, 3)) if place.of_phases else np.zeros(batch.samples)
+
+
+def test_the_text_says_what_was_found() -> None:
+    law = law_of(at.LEG_VOLTAGE, of.PHASE_CURRENT, A, "tanh")
+    text = source_of([NamedLaw(law, "poor_joint", STORY)], {"V": 0.5}, False)
+    assert text.startswith('"""y = a tanh(i / b): a voltage that each leg loses')
+    assert "Found on a recording." in text
+    assert "class PoorJoint:" in text
+    assert 'size_v: float = amplitude("V", typical=1.0' in text  # 0.5 V here, and 1 V on the machine of twice the volts
+
+
+def test_every_kind_of_law_has_a_sentence() -> None:
+    basis = CurveBasis(0.0, 1.0, 8, "none")
+    sentences = {sentence_of(Hypothesis(p, q, phases, basis, 1.0)) for p, q, _, which in KINDS for phases in which}
+    assert len(sentences) == len({(p.name, q.name, phases) for p, q, _, which in KINDS for phases in which})
+    assert all(sentence.endswith(".") for sentence in sentences)
+
+
+def test_two_laws_are_two_classes_of_one_file(tmp_path: Path) -> None:
+    first = law_of(at.READING, of.PHASE_CURRENT, ALL, "table")
+    second = law_of(at.READING, of.NEXT_CURRENT, A, "table")
+    path = tmp_path / "both.py"
+    path.write_text(source_of([NamedLaw(first, "one"), NamedLaw(second, "other")], {}, False), encoding="utf-8")
+    assert [effect.name for effect in load_effects_file(path)] == ["one", "other"]
