@@ -95,10 +95,11 @@ class FlexibleEffect:
     def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
         """The signals without the law's values."""
         coefficients = np.array([getattr(p, name) for name in names(self.hypothesis)])
-        # All coefficients of a law are asked of one batch in turn.
-        if self._seen is None or self._seen[0] is not batch:
-            self._seen = batch, self.hypothesis.columns(batch)
-        return self.hypothesis.place.apply(batch, self.hypothesis.values(self._seen[1], coefficients))
+        # All coefficients of a law are asked of one batch in turn; other threads may ask of other batches.
+        seen = self._seen
+        if seen is None or seen[0] is not batch:
+            self._seen = seen = batch, self.hypothesis.columns(batch)
+        return self.hypothesis.place.apply(batch, self.hypothesis.values(seen[1], coefficients))
 
     def correct(self, signals: Signals, p: Any) -> Correction:
         """`correct_batch` of one segment."""

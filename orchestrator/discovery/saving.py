@@ -16,7 +16,9 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 def require_name(name: str, target: Path | None) -> str:
-    """The name of an effect to be written; raises `InputError` where it cannot be one, or the file is not Python's."""
+    """The name of an effect to be written; raises `InputError` where it cannot be one, or its file not be written."""
+    if target is not None and target.exists():
+        raise InputError(str(target), "", "exists already: give another name, or move it away")
     if target is not None and target.suffix != ".py":
         raise InputError(str(target), "", "an effect is written to a Python file: its name ends in .py")
     if _NAME.fullmatch(name) is None:

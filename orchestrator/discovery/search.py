@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map
-from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.forms import FormFit, fitting_forms
@@ -22,7 +21,6 @@ from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses
 from orchestrator.discovery.law import Law, Table
 from orchestrator.discovery.laws import (
     FittedLaw,
-    error_of,
     fit_flexible,
     fit_law,
     score_of,
@@ -304,14 +302,3 @@ def _promising(forms: Sequence[FormFit]) -> list[FormFit]:
     limit = 30.0 * max(forms[0].misfit, 10.0)
     single = [form for form in forms if form.form is not None and form.form.constants == 1]
     return [form for form in dict.fromkeys((*forms[:MAX_FORMS], *single[:1])) if form.misfit <= limit]
-
-
-def terms_of(outcome: SearchOutcome) -> list[EffectTerm]:
-    """The learned laws as terms of the last fit."""
-    count = len(outcome.laws)
-    return list(outcome.fit.model.active[len(outcome.fit.model.active) - count :]) if count else []
-
-
-def errors(before: Fit, outcome: SearchOutcome) -> tuple[float, float]:
-    """rms of the held-out residual, in units of noise, before and after."""
-    return error_of(before), error_of(outcome.fit)

@@ -85,6 +85,12 @@ def test_a_name_that_cannot_be_an_effects_is_refused(name: str, target: Path | N
         require_name(name, target)
 
 
+def test_a_file_that_exists_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("mine")
+    with pytest.raises(InputError, match="exists already"):
+        require_name("mine", tmp_path / "mine.py")
+
+
 def test_what_is_no_recording_is_refused_in_one_line() -> None:
     with pytest.raises(FluxbenchError, match="nowhere"):
         fluxbench.discover("nowhere")
