@@ -141,7 +141,8 @@ def _located(procedure: str, index: int, stage: Stage) -> Iterator[None]:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"]))
-        text = f"{stage.name}: nameplate and limits lead to an impossible {field}: {first['msg']}"
+        problem = first["msg"].removeprefix("Value error, ")
+        text = f"{stage.name}: settings, nameplate and limits lead to an impossible {field}: {problem}"
         raise ProcedureError(procedure, f"stages.{index}", text) from None
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.config import PlanSummary, check_plan, load_procedure, make_plan
 from orchestrator.engine import connected_drive
-from protocols import CapabilityError, shipped_procedure
+from protocols import CapabilityError, ProcedureError, shipped_procedure
 from tests.support.benches import KINDS, Bench
 
 HOLD = {"kind": "resistance", "points_a": [[3.0, 4.0]], "settle_s": 1.0, "duration_s": 3.0}
@@ -66,13 +66,17 @@ def test_the_ripple_of_the_injection_counts(pm400: Bench) -> None:
         INJECTION | {"amplitudes_v": [1e300]},
         HOLD | {"points_a": [[1e300, 0.0]]},
         {"kind": "classical", "amplitude_a": 1e300},
-        {"kind": "steps", "voltages_v": [1e300, 1e300]},
     ],
     ids=lambda stage: str(stage["kind"]),
 )
 def test_what_has_no_square_is_refused_like_anything_too_large(pm400: Bench, stage: dict[str, Any]) -> None:
-    drive = dict.fromkeys(("excitations", "watchdog_covers"), KINDS | {"steps"})
-    assert re.search(r"e\+(29\d|300) [AV]", refusal(pm400, stage, drive=drive))
+    assert re.search(r"e\+(29\d|300) [AV]", refusal(pm400, stage))
+
+
+def test_a_step_that_ends_at_once_is_no_step(pm400: Bench) -> None:
+    drive = pm400.capabilities(**dict.fromkeys(("excitations", "watchdog_covers"), KINDS | {"steps"}))
+    with pytest.raises(ProcedureError, match=r"stages\.0: steps: .* impossible duration_s: .* too small a number"):
+        make_plan(pm400.procedure({"kind": "steps", "voltages_v": [1e300, 1e300]}), drive)
 
 
 def test_the_peak_voltage_is_resistive_drop_and_injection(pm400: Bench) -> None:
