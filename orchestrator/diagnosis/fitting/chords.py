@@ -8,7 +8,7 @@ from __future__ import annotations
 from orchestrator.diagnosis.fitting.fit import MIN_GAIN, Fitter
 from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, moved_by
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.formatting.quantities import number
+from orchestrator.formatting.quantities import number, plural
 
 MIN_JOINT_GAIN: float = 2.0
 """Fall of the objective below which a round with all effects ends; a round costs as much as a fit of one effect."""
@@ -42,7 +42,7 @@ def fit_with_frozen_jacobian(
     # Slightly old columns do no harm; a linearisation older than its map leads away from the minimum.
     best = fitter.relinearise(model, known.linearisation if known else None, known=known)
     for _ in range(rounds if model.free else 0):
-        fitter.under_way(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
+        fitter.under_way(f"{plural(len(model.active), 'effect')} together: chi2 {number(best.chi2_per_dof)}")
         min_gain = MIN_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _frozen_steps(fitter, best, min(radius, widest), min_gain, widest)
         if trial is best:

@@ -34,7 +34,7 @@ from orchestrator.diagnosis.selection.shape_moves import (
     free_moves,
     with_best_shapes,
 )
-from orchestrator.formatting.quantities import number
+from orchestrator.formatting.quantities import number, plural
 
 FEW_EFFECTS: int = 2
 """Number of effects added one by one to an unexplained part; after these, all are fitted together."""
@@ -101,7 +101,8 @@ def best_first(
             interim.record(state, steps)
             return state
         if better.fit is not state.fit:
-            state.fitter.tell(f"{len(better.fit.model.active)} effects: chi2 {number(better.fit.chi2_per_dof)}")
+            effects = plural(len(better.fit.model.active), "effect")
+            state.fitter.tell(f"{effects}: chi2 {number(better.fit.chi2_per_dof)}")
             interim.record(better, steps)
         state = better
 
