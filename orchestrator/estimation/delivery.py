@@ -31,6 +31,8 @@ from protocols import (
     ResistanceEstimate,
 )
 
+MODEL_LEFT_OUT = "model_left_out"
+"""Code of the remark on an earlier model of other segments."""
 _RECOMPUTED_REMARKS = ("no_map", "far_from_nameplate")
 """Codes of remarks that are recomputed for the model's map."""
 
@@ -82,6 +84,8 @@ def join_model(
         Report of the estimators alone.
     """
     map_report = MapReport(basis=flux_map.basis, checks=MapChecks(), inductances=inductances_of(flux_map))
+    # This model takes the place of one that was left out.
+    base = base.model_copy(update={"remarks": tuple(r for r in base.remarks if r.code != MODEL_LEFT_OUT)})
     bare = base.without_check(MODEL)  # the diagnosed model's own check replaces it
     if bare.usable:
         base = bare.checked([missing_model("the diagnosed model is judged instead")])
@@ -113,7 +117,7 @@ def earlier_model(
             return None, ()
         if model.segments != _digest(manifest):
             text = "the diagnosed model {title} is of other segments and left out: diagnose again"
-            return None, (Remark.of("model_left_out", text, title=model.title),)
+            return None, (Remark.of(MODEL_LEFT_OUT, text, title=model.title),)
         return (load_flux_map(_map_file(directory, report, method)), model), ()
     except RecordingError as error:
         return None, (_unreadable(error),)

@@ -111,6 +111,7 @@ def test_a_model_of_other_segments_is_forgotten(tmp_path: Path) -> None:
     assert again.method != "model"
     assert "is of other segments and left out" in "".join(again.reasons)
     assert not (tmp_path / "results" / "flux_map_model.nc").exists()
+    assert "left out" not in "".join(deliver(tmp_path).reasons), "a new model takes its place"
 
 
 def test_each_map_file_says_which_model_it_is_of(tmp_path: Path) -> None:
