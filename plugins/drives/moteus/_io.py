@@ -49,8 +49,14 @@ class Io:
         self._loop.set_exception_handler(self._broken)
         self._turned_s = time.monotonic()
         self._loop.call_soon(self._turn)
-        self._thread = threading.Thread(target=self._loop.run_forever, name="moteus", daemon=True)
+        self._is_left = False
+        self._thread = threading.Thread(target=self._run, name="moteus", daemon=True)
         self._thread.start()
+
+    def _run(self) -> None:
+        self._loop.run_forever()
+        if self._is_left:
+            self._end(lambda: None)
 
     def _turn(self) -> None:
         """Note that the loop turns, again and again."""
@@ -147,10 +153,16 @@ class Io:
         """Stop the thread, let go of what runs on it, and of the transport."""
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(BOUNDS.loop_timeout_s)
-        if self._thread.is_alive():  # a call of the library blocks it: the thread is left, and the port taken from it
+        if self._thread.is_alive():
+            # A call of the library blocks the thread: it is left, and the port taken from it. It ends after that call.
+            self._is_left = True
             with suppress(Exception):
                 release()
             return
+        self._end(release)
+
+    def _end(self, release: Callable[[], None]) -> None:
+        """Let go of all that the loop has, and close it."""
         self._loop.set_exception_handler(lambda loop, context: None)
         self._loop.call_soon(self._loop.stop)
         try:

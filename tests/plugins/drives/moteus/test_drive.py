@@ -8,6 +8,7 @@ import math
 import random
 import re
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -237,7 +238,7 @@ def test_a_pulled_plug_is_a_lost_link() -> None:
             drive.disarm()
 
 
-def deaf(drive: MoteusDrive) -> None:
+def deaf(drive: MoteusDrive, _: threading.Event) -> None:
     """Exchanges that never end, and do not let themselves be cancelled."""
 
     async def execute(command: Any) -> Any:
@@ -248,23 +249,24 @@ def deaf(drive: MoteusDrive) -> None:
     drive.connected()[0]._controller.execute = execute
 
 
-def blocking(drive: MoteusDrive) -> None:
-    """Exchanges that block the event loop."""
+def blocking(drive: MoteusDrive, over: threading.Event) -> None:
+    """Exchanges that block the event loop until all is over."""
 
     async def execute(command: Any) -> Any:
-        time.sleep(8.0)
+        over.wait(20.0)
 
     drive.connected()[0]._controller.execute = execute
 
 
 @pytest.mark.parametrize("fall_silent", [deaf, blocking])
 def test_a_library_that_never_comes_back_is_a_lost_link_within_three_seconds(
-    fall_silent: Callable[[MoteusDrive], None],
+    fall_silent: Callable[[MoteusDrive, threading.Event], None],
 ) -> None:
+    over = threading.Event()
     with armed() as (drive, port):
         under_way = iter(drive.execute(HOLD.model_copy(update={"duration_s": 60.0})))
         next(under_way)
-        fall_silent(drive)
+        fall_silent(drive, over)
         begun_s = time.monotonic()
         with pytest.raises(DriveFault) as fault:
             list(under_way)
@@ -274,6 +276,8 @@ def test_a_library_that_never_comes_back_is_a_lost_link_within_three_seconds(
         wait_until(lambda: port.servo.answer(b"\x50") is None and port.servo.mode == 11, 2.0)
         begun_s = time.monotonic()
     assert time.monotonic() - begun_s < 5.0, "closing waits for the library"
+    over.set()
+    wait_until(lambda: not any(thread.name == "moteus" for thread in threading.enumerate()), 5.0)
 
 
 def test_an_iterator_that_was_left_commands_nothing_any_more() -> None:
