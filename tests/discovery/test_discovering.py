@@ -30,7 +30,7 @@ def learned_from(directory: Path, name: str | None) -> SearchOutcome:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["logarithm_in_one_leg", "one_gain_settles"])
+@pytest.mark.parametrize("name", [pytest.param("logarithm_in_one_leg", marks=pytest.mark.slow), "one_gain_settles"])
 def test_a_hidden_law_is_found_at_its_place_over_its_quantity(name: str, tmp_path: Path) -> None:
     hidden = LAWS[name]
     outcome = learned_from(tmp_path, name)
