@@ -16,9 +16,9 @@ from orchestrator.discovery.search import SearchOutcome, learn_laws
 from orchestrator.interface.api import chosen_effects
 from orchestrator.recording import open_recording
 from protocols import DiagnosisReport, FluxbenchError, InputError, MotorModel, NoiseFloor
-from tests.discovery.plant import LAWS, record
+from tests.orchestrator.discovery.plant import LAWS, record
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 DATA = ROOT / "tests" / "data" / "pm400-reduced"
 
 

@@ -22,7 +22,7 @@ from orchestrator.testing import EffectConformance, exciting_signals
 from protocols import Effect, Signals
 from tests.orchestrator.testing.kit_runner import failures
 
-PAGE = (Path(__file__).parents[2] / "docs" / "discover.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "discover.md").read_text(encoding="utf-8")
 EFFECT = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)[0]
 
 
