@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import threading
@@ -118,12 +119,13 @@ def test_an_interrupt_ends_what_has_not_begun() -> None:
         running.discard(item)
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        # Python ignores exceptions in a weak reference's callback: the next signal interrupts.
+        # Python ignores exceptions in callbacks of weak references and of the collector: the next signal interrupts.
         if frame is not None and not frame.f_code.co_filename.endswith("weakref.py"):
             signal.signal(signal.SIGINT, signal.SIG_IGN)
             raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGINT, interrupt)
+    gc.disable()
     try:
         with executor_of(2) as executor:
             # A thread that is only just starting is not yet the pool's own.
@@ -133,6 +135,7 @@ def test_an_interrupt_ends_what_has_not_begun() -> None:
             assert len(begun) < 100
             assert not running
     finally:
+        gc.enable()
         signal.signal(signal.SIGINT, before)
     assert not threads_here()
 
