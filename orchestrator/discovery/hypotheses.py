@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -184,7 +184,8 @@ QUANTITIES = (
 )  # fmt: skip
 EACH = (ALL, A, B, C)
 SENSORS = (ALL, A, B)
-KINDS: tuple[tuple[Place, Quantity, tuple[str, ...], tuple[Phases, ...]], ...] = (
+Part = Parity | Literal["lag", "play"]
+KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] = (
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("even",), EACH),
     (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
@@ -229,12 +230,12 @@ def hypotheses(ranges: Ranges) -> Iterator[Hypothesis]:
         if place is at.PULSE_VOLTAGE and ranges.pulse_rates < 2:
             continue
         for part in parts:
+            size = place.typical * ranges.sizes[place.unit]
             basis: Basis | None
-            basis = ranges.memory(quantity, part) if part in ("lag", "play") else ranges.curve(quantity, part)  # type: ignore[arg-type]
+            basis = ranges.memory(quantity, part) if part == "lag" or part == "play" else ranges.curve(quantity, part)
             if basis is None:
                 continue
-            size = place.typical * ranges.sizes[place.unit]
-            if part in ("lag", "play"):
+            if isinstance(basis, MemoryBasis):
                 # Coefficients multiply the quantity itself.
                 size /= max(map(abs, ranges.of[quantity.name]))
             for phases in which:
