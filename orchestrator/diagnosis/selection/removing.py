@@ -46,11 +46,10 @@ MIN_CERTAINTY: float = 5.0
 
 
 def remove_moves(state: SearchState) -> Iterator[Move]:
-    """Remove effects that the data do not require: all of them, or where one is needed the weaker half, and so on."""
-    out = redundant_terms(state.fit)
-    while out:
-        yield Move("remove", tuple(out), partial(_remove, state, out))
-        out = out[: len(out) // 2]
+    """Remove effects that the data do not require: all that are needed neither to first order nor in a refit."""
+    out = [name for name in redundant_terms(state.fit) if name not in state.needed]
+    if out:
+        yield Move("remove", tuple(out), partial(_remove_redundant, state, out))
     if not state.is_joint and not state.is_part:
         minor = sorted((a for a in state.fit.model.active if _is_minor(state, a)), key=lambda a: a.relative_size)
         for active in minor:
@@ -61,6 +60,22 @@ def _without(state: SearchState, names: Sequence[str]) -> Fit:
     return state.minimum(state.fit.model.with_active([a for a in state.fit.model.active if a.name not in names]))
 
 
+def _remove_redundant(state: SearchState, out: Sequence[str], *, is_refused: bool = False) -> SearchState:
+    """The state without as many of some effects as possible, the weaker first; single ones that are refused are needed.
+
+    A group that is refused is halved (group testing; R. Dorfman, doi:10.1214/aoms/1177731363).
+    """
+    if not is_refused and (after := _remove(state, out)) is not None:
+        return after
+    if len(out) == 1:
+        return replace(state, needed=state.needed.union(out))
+    weaker, stronger = out[: len(out) // 2], out[len(out) // 2 :]
+    after = _remove_redundant(state, weaker)
+    # Without the weaker half, removing the stronger one is what was refused.
+    is_refused = not set(weaker) & set(after.fit.model.names)
+    return _remove_redundant(after, stronger, is_refused=is_refused)
+
+
 def _remove(state: SearchState, out: Sequence[str]) -> SearchState | None:
     trial = _without(state, out)
     lost, max_loss = evidence_gain(state.fit, trial), state.limits.log_evidence * len(out)
@@ -69,7 +84,8 @@ def _remove(state: SearchState, out: Sequence[str]) -> SearchState | None:
         return None
     # What was added to a joint model and removed is not tried again; a first removal may have been wrong.
     refused = [name for name in out if name in state.late or not state.is_joint]
-    return replace(state.after(trial), refused=(*state.refused, *refused))
+    # In a smaller model, what was needed is needed even more.
+    return replace(state.after(trial), refused=(*state.refused, *refused), needed=state.needed)
 
 
 def _is_minor(state: SearchState, active: EffectTerm) -> bool:

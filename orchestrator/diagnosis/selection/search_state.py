@@ -43,6 +43,8 @@ class SearchState:
         Absent effects that the data show, but that are redundant or explain too little.
     late : frozenset of str
         Effects added to a joint model.
+    needed : frozenset of str
+        Effects whose removal was refused since the model last gained anything.
     view : LinearView, optional
         All absent effects to first order beside the fit.
     """
@@ -56,6 +58,7 @@ class SearchState:
     gains: Mapping[str, float] = field(default_factory=dict)
     refused: tuple[str, ...] = ()
     late: frozenset[str] = frozenset()
+    needed: frozenset[str] = frozenset()
     view: LinearView | None = None
 
     @property
@@ -109,7 +112,7 @@ class SearchState:
 
     def after(self, fit: Fit) -> SearchState:
         """The state with another fit."""
-        return replace(self, fit=fit, view=None)
+        return replace(self, fit=fit, view=None, needed=frozenset())
 
 
 @dataclass(frozen=True)

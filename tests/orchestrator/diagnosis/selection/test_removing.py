@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.selection import bayes_factors
+from orchestrator.diagnosis.selection import bayes_factors, removing
 from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
 from orchestrator.diagnosis.selection.search_state import SearchState
@@ -46,7 +46,22 @@ def test_what_blocks_disagree_on_stays_where_much_is_lost_with_it(
     state = joint_state(biased, [bias.absent()])
     monkeypatch.setattr(bayes_factors, "block_scatter", lambda f: np.full(len(f.model.free), 10.0))
     assert redundant_terms(state.fit) == ["voltage_bias"]
-    assert [move.make() for move in remove_moves(state)] == [None]
+    after = made(next(remove_moves(state)))
+    assert after.fit is state.fit
+    assert after.needed == {"voltage_bias"}
+    # It is not tried again until the model gains something.
+    assert not list(remove_moves(after))
+    assert list(remove_moves(after.after(after.fit)))
+
+
+def test_what_is_not_needed_goes_although_a_weaker_effect_is(biased: Fitter, monkeypatch: pytest.MonkeyPatch) -> None:
+    library = scaled_library([DeadTime(), VoltageBias(), PhaseResistanceImbalance()], biased.prepared.manifest)
+    state = joint_state(biased, [c.absent() for c in library])
+    order = ["voltage_bias", "dead_time", "phase_resistance_imbalance"]
+    monkeypatch.setattr(removing, "redundant_terms", lambda fit: [n for n in order if n in fit.model.names])
+    after = made(next(remove_moves(state)))
+    assert after.fit.model.names == ("voltage_bias",)
+    assert after.needed == {"voltage_bias"}
 
 
 def _with_resistance(of_resistance: float) -> SearchState:
