@@ -67,6 +67,9 @@ class CoEnergySpline(Strict):
     q_intervals: Annotated[int, Field(ge=1)]
     coefficients_j: tuple[float, ...]
     """Row by row along i_d; of the mirror images along i_q the first is kept."""
+    kink_j: tuple[float, ...] = ()
+    """Along i_d, the coefficients of ((2 - |u|)_+^5 - 16 (1 - |u|)_+^5) / 120, u = i_q in intervals: a kink of L_q at
+    i_q = 0; none without."""
     measured_hull_a: tuple[tuple[float, float], ...] = ()
     """Corners (i_d, i_q) of what was measured, counterclockwise; elsewhere the map is a continuation."""
     roughness: Positive = 1.0
@@ -79,6 +82,10 @@ class CoEnergySpline(Strict):
         wanted = (self.d_intervals + SPLINE_DEGREE) * ((self.q_intervals + SPLINE_DEGREE + 1) // 2)
         if len(self.coefficients_j) != wanted:
             raise ValueError(f"expected {wanted} coefficients_j, got {len(self.coefficients_j)}")
+        if self.kink_j and len(self.kink_j) != self.d_intervals + SPLINE_DEGREE:
+            raise ValueError(f"expected {self.d_intervals + SPLINE_DEGREE} or no kink_j, got {len(self.kink_j)}")
+        if self.kink_j and (self.q_intervals % 2 or self.q_intervals < 4):
+            raise ValueError(f"expected an even number of four or more q_intervals with kink_j, got {self.q_intervals}")
         return self
 
 

@@ -3,6 +3,11 @@
 Knots are uniform, so that all splines are shifts of the cardinal spline (C. de Boor, "A Practical Guide to Splines",
 Springer 1978, chapter IX), and the function is a polynomial in each cell. Beyond its rectangle the polynomial of the
 cell at the edge continues. Its roughness is the integral of the squared fifth derivatives, which are still functions.
+
+An even function may have a kink at y = 0, a jump of its third derivative: the energy of iron that saturates from zero
+flux on, as ribs do. The splines, which are smooth there, are then joined by one function along y,
+
+    k(u) = ((2 - |u|)_+^5 - 16 (1 - |u|)_+^5) / 120 = 2/15 - 2/3 u^2 + |u|^3 - ...,    u in cells from y = 0.
 """
 
 from __future__ import annotations
@@ -16,10 +21,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from orchestrator.numerics.types import Array
+from orchestrator.numerics.types import Array, Indices
 
 DEGREE = 5
 _SUPPORT = DEGREE + 1
+_KINK_REACH = 2
+"""Cells on either side of y = 0 where the function with the kink is not zero."""
 
 
 def _cardinal() -> Array:
@@ -47,12 +54,19 @@ class EvenSpline:
     low, high, reach : float
     cells : (int, int)
         Intervals along the first variable, and over the whole of the second.
+    kink : bool
+        Whether a function may have a kink at y = 0; the second number of cells is even then, and four or more.
     """
 
     low: float
     high: float
     reach: float
     cells: tuple[int, int]
+    kink: bool = False
+
+    def __post_init__(self) -> None:
+        if self.kink and (self.cells[1] % 2 or self.cells[1] < 2 * _KINK_REACH):
+            raise ValueError(f"expected an even number of {2 * _KINK_REACH} or more intervals, not {self.cells[1]}")
 
     @property
     def steps(self) -> tuple[float, float]:
@@ -61,8 +75,8 @@ class EvenSpline:
 
     @property
     def functions(self) -> tuple[int, int]:
-        """Splines along the first variable, and even functions of the second."""
-        return self.cells[0] + DEGREE, (self.cells[1] + DEGREE + 1) // 2
+        """Splines along the first variable, and even functions of the second, that with the kink last."""
+        return self.cells[0] + DEGREE, (self.cells[1] + DEGREE + 1) // 2 + self.kink
 
     @property
     def size(self) -> int:
@@ -81,6 +95,24 @@ class EvenSpline:
         numbers = np.array([self.low, self.steps[0], -self.reach, self.steps[1]])
         return numbers, np.array([*self.cells, *self.fold], dtype=np.int64)
 
+    @cached_property
+    def kinked(self) -> Array:
+        """Coefficients of t^p of the function with the kink, t from 0 to 1 in a cell, shape (cells, 6); or (0, 6)."""
+        out = np.zeros((self.cells[1], _SUPPORT)) if self.kink else np.zeros((0, _SUPPORT))
+        for cell in range(_KINK_REACH if self.kink else 0):
+            # |u| is cell + t above zero, and cell + 1 - t below.
+            for column, offset, side in (
+                (self.cells[1] // 2 + cell, cell, 1),
+                (self.cells[1] // 2 - 1 - cell, cell + 1, -1),
+            ):
+                for height, end in ((1.0, _KINK_REACH), (-16.0, 1)):
+                    if cell < end:
+                        powers = [math.comb(DEGREE, p) * float(end - offset) ** (DEGREE - p) for p in range(_SUPPORT)]
+                        out[column] += (
+                            height * np.array(powers) * (-side) ** np.arange(_SUPPORT) / math.factorial(DEGREE)
+                        )
+        return out
+
     def rows(self, at: Array, along_first: int, along_second: int) -> Array:
         """Mixed derivative of the basis functions at points (m, 2), shape (m, size)."""
         first = self._along_first(at[:, 0], along_first)
@@ -90,9 +122,13 @@ class EvenSpline:
 
     def patches(self, coefficients: Array) -> Array:
         """Polynomial coefficients of t^m s^n in each cell, shape (*cells, 6, 6), for `derivatives_at`."""
-        full = coefficients.reshape(self.functions)[:, self.fold]
-        cells = np.lib.stride_tricks.sliding_window_view(full, (_SUPPORT, _SUPPORT))
-        return np.ascontiguousarray(np.einsum("rm,abrs,sn->abmn", CARDINAL, cells, CARDINAL, optimize=True))
+        table = coefficients.reshape(self.functions)
+        cells = np.lib.stride_tricks.sliding_window_view(table[:, self.fold], (_SUPPORT, _SUPPORT))
+        out = np.ascontiguousarray(np.einsum("rm,abrs,sn->abmn", CARDINAL, cells, CARDINAL, optimize=True))
+        if self.kink:
+            along = np.lib.stride_tricks.sliding_window_view(table[:, -1], _SUPPORT) @ CARDINAL
+            out += along[:, None, :, None] * self.kinked[None, :, None, :]
+        return out
 
     def squares(self) -> tuple[Array, Array]:
         """Exact coefficients of x^2 and y^2: squared Greville abscissae less a constant (by blossoming)."""
@@ -102,26 +138,27 @@ class EvenSpline:
             return np.asarray(greville**2 - step**2 * (DEGREE + 1) / 12.0, dtype=np.float64)
 
         (nx, ny), (x_step, y_step) = self.functions, self.steps
-        x, y = square(self.low, x_step, nx), square(-self.reach, y_step, ny)
-        return np.repeat(x, ny), np.tile(y, nx)
+        x, y = square(self.low, x_step, nx), square(-self.reach, y_step, ny - self.kink)
+        # The function with the kink has no share in either.
+        y, one = np.append(y, [0.0] * self.kink), np.append(np.ones(ny - self.kink), [0.0] * self.kink)
+        return np.kron(x, one), np.tile(y, nx)
 
     def on(self, other: EvenSpline, coefficients: Array) -> Array:
         """Coefficients in another basis, by least squares; beyond this rectangle gradients continue linearly."""
         many = 8 * np.maximum(self.cells, other.cells)
         x = np.linspace(other.low, other.high, many[0])
-        y = np.linspace(-other.reach, other.reach, many[1])
+        y = np.linspace(0.0, other.reach, many[1])
         own_first = _continued(self._along_first, x, self.low, self.high)
-        own_second = _continued(self._along_second, y, -self.reach, self.reach)
+        own_second = _continued(self._along_second, y, 0.0, self.reach) @ self._unfold
         first = np.linalg.lstsq(other._along_first(x), own_first, rcond=None)[0]
-        second = np.linalg.lstsq(other._along_second(y), own_second, rcond=None)[0]
-        full = coefficients.reshape(self.functions)[:, self.fold]
-        return np.ascontiguousarray((first @ full @ second.T)[:, : other.functions[1]]).reshape(-1)
+        second = np.linalg.lstsq(other._along_second(y) @ other._unfold, own_second, rcond=None)[0]
+        return np.ascontiguousarray(first @ coefficients.reshape(self.functions) @ second.T).reshape(-1)
 
     def differences(self, order: int) -> list[Array]:
         """All mixed derivatives of one order as differences of the coefficients, each of shape (rows, size).
 
         Each is weighted by the root of its multiplicity, so that the sum of squares does not depend on the axes'
-        directions; the pure derivative along the first variable comes first.
+        directions; the pure derivative along the first variable comes first. A kink is in none of them.
         """
         (nx, _), (x_step, y_step), full = self.functions, self.steps, len(self.fold)
         blocks = []
@@ -130,13 +167,21 @@ class EvenSpline:
             if nx <= along_x or full <= along_y:
                 continue
             first = np.diff(np.eye(nx), n=along_x, axis=0) / x_step**along_x
-            second = np.diff(np.eye(full), n=along_y, axis=0) @ self._unfold / y_step**along_y
+            second = np.diff(self._unfold[:full], n=along_y, axis=0) / y_step**along_y
             blocks.append(np.asarray(math.sqrt(math.comb(order, along_y)) * np.kron(first, second), dtype=np.float64))
         return blocks
 
     @cached_property
     def roughness(self) -> Array:
-        """Matrix (size, size) of the integral of all squared fifth derivatives, in units of the half ranges."""
+        """Matrix (size, size) of the integral of all squared fifth derivatives, in units of the half ranges.
+
+        Raises
+        ------
+        ValueError
+            For a basis with a kink, whose fifth derivative is no function.
+        """
+        if self.kink:
+            raise ValueError("expected a basis without a kink")
         half = 0.5 * (self.high - self.low)
         firsts = _squared_derivatives(self.cells[0], self.steps[0] / half)
         seconds = _squared_derivatives(self.cells[1], self.steps[1] / self.reach)
@@ -173,26 +218,42 @@ class EvenSpline:
 
     @cached_property
     def _unfold(self) -> Array:
-        """Matrix from even functions of the second variable to its splines, of which mirrored pairs are equal."""
-        out = np.zeros((len(self.fold), self.functions[1]))
-        out[np.arange(len(self.fold)), self.fold] = 1.0
+        """Matrix from even functions of the second variable to its splines, of which mirrored pairs are equal.
+
+        With a kink, its function comes last among both.
+        """
+        full = len(self.fold)
+        out = np.zeros((full + self.kink, self.functions[1]))
+        out[np.arange(full), self.fold] = 1.0
+        out[full:, -1] = 1.0
         return out
 
     def _along_first(self, x: Array, order: int = 0) -> Array:
         return _values((x - self.low) / self.steps[0], self.cells[0], order) / self.steps[0] ** order
 
     def _along_second(self, y: Array, order: int = 0) -> Array:
-        return _values((y + self.reach) / self.steps[1], self.cells[1], order) / self.steps[1] ** order
+        u = (y + self.reach) / self.steps[1]
+        values = _values(u, self.cells[1], order)
+        if self.kink:
+            cell, powers, falling = _within_cells(u, self.cells[1], order)
+            kinked = np.sum(powers * self.kinked[cell, order:] * falling, axis=1)
+            values = np.column_stack([values, kinked])
+        return values / self.steps[1] ** order
 
 
 def _values(u: Array, cells: int, order: int) -> Array:
     """A derivative of all splines along one variable, in cell units, shape (points, cells + DEGREE)."""
-    cell = np.clip(np.floor(u).astype(np.int64), 0, cells - 1)
-    powers = (u - cell)[:, None] ** np.arange(_SUPPORT - order)
-    falling = [math.perm(p, order) for p in range(order, _SUPPORT)]
+    cell, powers, falling = _within_cells(u, cells, order)
     out = np.zeros((len(u), cells + DEGREE))
     np.put_along_axis(out, cell[:, None] + np.arange(_SUPPORT), powers @ (CARDINAL[:, order:] * falling).T, axis=1)
     return out
+
+
+def _within_cells(u: Array, cells: int, order: int) -> tuple[Indices, Array, Array]:
+    """Cell of each position, powers of the place in it, and the factors of a derivative's powers."""
+    cell = np.clip(np.floor(u).astype(np.int64), 0, cells - 1)
+    powers = (u - cell)[:, None] ** np.arange(_SUPPORT - order)
+    return cell, powers, np.array([math.perm(p, order) for p in range(order, _SUPPORT)], dtype=np.float64)
 
 
 def _continued(along: Callable[[Array, int], Array], x: Array, low: float, high: float) -> Array:

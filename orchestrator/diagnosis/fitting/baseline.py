@@ -50,6 +50,8 @@ MAX_OVERREACH: float = 0.005
 linearly; the fitted rotor angle moves the currents after the map's range was chosen."""
 LEAST_CHI2_FOR_FINER_MAP: float = 1.03
 """chi2 per degree of freedom above which a finer map is tried: noise alone stays within a few hundredths of one."""
+LEAST_CHI2_FOR_KINK: float = 1.08
+"""chi2 per degree of freedom of the best smooth map above which one with a kink is tried."""
 MAX_CHI2_FOR_FINER_MAP: float = 10.0
 """chi2 per degree of freedom, on the whole recording, above which the misfit is a missing effect, not the map."""
 MIN_GAIN_PER_MAP_FREEDOM: float = 6.0
@@ -238,11 +240,14 @@ def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """Refit on the finest map justified by its gain; all are tried, as a knee may lie between the nodes of one."""
     fit = widened_map(setup, fitter, fit)
     for intervals in setup.criteria.intervals[1:]:
-        finer = finer_map(setup, fitter, fit, (intervals, intervals))
+        grid = replace(fit.model.space.grid, cells=(intervals, intervals))
+        finer = finer_map(setup, fitter, fit, grid)
         fit = fit if finer is None else finer
-    return (
-        fit if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1] else _refine_further(setup, fitter, fit)
-    )
+    if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1]:
+        return fit
+    smooth = _refine_further(setup, fitter, fit)
+    kinked = _with_kink(setup, fitter, fit) if smooth.chi2_per_dof > LEAST_CHI2_FOR_KINK else None
+    return kinked if kinked is not None and _removes_much(kinked, smooth) else smooth
 
 
 def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
@@ -272,7 +277,7 @@ def _widened_grid(fit: Fit) -> EvenSpline:
     inside = max(grid.low - low, high - grid.high) <= tolerance * (grid.high - grid.low)
     if inside and q <= (1.0 + tolerance) * grid.reach:
         return grid
-    return EvenSpline(min(low, grid.low), max(high, grid.high), max(q, grid.reach), grid.cells)
+    return replace(grid, low=min(low, grid.low), high=max(high, grid.high), reach=max(q, grid.reach))
 
 
 def is_finer_map_justified(trial: Fit, fit: Fit) -> bool:
@@ -282,20 +287,17 @@ def is_finer_map_justified(trial: Fit, fit: Fit) -> bool:
 
 
 def has_fine_grid(fit: Fit) -> bool:
-    """Whether a fit's free map is finer or rougher than the usual ones."""
+    """Whether a fit's free map is finer or rougher than the usual ones, or has a kink."""
     space = fit.model.space
     usual = max(space.grid.cells) <= fit.criteria.fitting.intervals[-1] and space.roughness <= 1.0
+    usual = usual and not space.grid.kink
     return space.is_free and not usual
 
 
 def on_usual_grid(setup: DiagnosisSetup, fit: Fit) -> Model:
     """The model of a fit on the finest of the usual maps."""
     intervals = setup.criteria.intervals[-1]
-    return _on_map(setup, fit, (intervals, intervals))
-
-
-def _on_map(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int], roughness: float = 1.0) -> Model:
-    return _on_grid(setup, fit, replace(fit.model.space.grid, cells=cells), roughness)
+    return _on_grid(setup, fit, replace(fit.model.space.grid, cells=(intervals, intervals), kink=False), 1.0)
 
 
 def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float) -> Model:
@@ -316,23 +318,44 @@ def _removes_much(finer: Fit, fit: Fit) -> bool:
 def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """Refit on maps that are finer along one axis, or rougher, while one removes enough of the excess chi2."""
     while fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP:
-        trials = [trial for cells, r in _finer_grids(setup, fit) if (trial := finer_map(setup, fitter, fit, cells, r))]
-        best = min(trials, key=_excess_chi2, default=fit)
-        if not _removes_much(best, fit):
+        trials = [trial for grid, r in _finer_grids(setup, fit) if (trial := finer_map(setup, fitter, fit, grid, r))]
+        better = [trial for trial in trials if _removes_much(trial, fit)]
+        if not better:
             break
-        fit = best
+        fit = max(better, key=map_log_evidence)
     return fit
 
 
-def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int], float]]:
-    """Intervals and roughness of the maps that are one step finer or rougher."""
+def _with_kink(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit | None:
+    """Refit on maps with a kink at i_q = 0, finer or rougher ones too; None where a kink alone removes little."""
+    grid, roughness = fit.model.space.grid, fit.model.space.roughness
+    kinked = None if grid.kink else finer_map(setup, fitter, fit, replace(grid, kink=True), roughness)
+    if kinked is None or not _removes_much(kinked, fit):
+        return None
+    return _refine_further(setup, fitter, kinked)
+
+
+def map_log_evidence(fit: Fit) -> float:
+    """Log evidence of a fit's free map, R_s and map integrated out, up to a constant of the recording [nat].
+
+    -1/2 (J + log det N - log det P), N the normal matrix with the prior, P the prior's own; unlike J alone it compares
+    maps of different grids, roughness and kink (D. MacKay, doi:10.1162/neco.1992.4.3.415).
+    """
+    prior = np.linalg.qr(fit.model.space.prior, mode="r")
+    log_det_prior = 2.0 * float(np.log(np.abs(np.diag(prior))).sum())
+    return -0.5 * (fit.objective + float(np.linalg.slogdet(fit.normal)[1]) - log_det_prior)
+
+
+def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[EvenSpline, float]]:
+    """Grid and roughness of the maps that are one step finer or rougher."""
     limits, space = setup.criteria, fit.model.space
     d, q = space.grid.cells
     finer = [next((n for n in limits.sharper_intervals if n > present), present) for present in (d, q)]
     for cells in (finer[0], q), (d, finer[1]):
-        if replace(space.grid, cells=cells).size <= limits.most_map_numbers:
-            yield cells, space.roughness
-    yield (d, q), min(MAX_ROUGHNESS_STEP * space.roughness, MAX_ROUGHNESS_FACTOR)
+        grid = replace(space.grid, cells=cells)
+        if grid.size <= limits.most_map_numbers:
+            yield grid, space.roughness
+    yield space.grid, min(MAX_ROUGHNESS_STEP * space.roughness, MAX_ROUGHNESS_FACTOR)
 
 
 def _excess_chi2(fit: Fit) -> float:
@@ -340,22 +363,21 @@ def _excess_chi2(fit: Fit) -> float:
     return fit.chi2_per_dof - 1.0
 
 
-def finer_map(
-    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, cells: tuple[int, int], roughness: float = 1.0
-) -> Fit | None:
+def finer_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, grid: EvenSpline, roughness: float = 1.0) -> Fit | None:
     """Refit on a finer or rougher map; None where its gain does not justify it, or it is neither.
 
     Parameters
     ----------
-    cells : (int, int)
-        Spline intervals along i_d and i_q.
+    grid : EvenSpline
+        Of the finer map; with a kink where the present one has it.
     roughness : float
         As in `MapSpace`.
     """
     space = fit.model.space
-    if all(n <= present for n, present in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
+    is_finer = any(n > present for n, present in zip(grid.cells, space.grid.cells, strict=True))
+    if not (is_finer or roughness > space.roughness or (grid.kink and not space.grid.kink)):
         return None
-    trial = _fit_on_map(fitter, _on_map(setup, fit, cells, roughness), fit)
+    trial = _fit_on_map(fitter, _on_grid(setup, fit, grid, roughness), fit)
     return trial if is_finer_map_justified(trial, fit) else None
 
 

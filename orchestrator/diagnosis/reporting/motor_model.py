@@ -37,6 +37,7 @@ def kept_model(
     """A fit's model for `model.json`, with the intervals of its effects."""
     reports = {effect.name: effect for effect in found}
     grid, manifest = fit.model.space.grid, setup.prepared.manifest
+    table = fit.model.magnetics.coefficients.reshape(grid.functions)
     return MotorModel(
         recording=manifest.name,
         motor=manifest.motor,
@@ -51,7 +52,8 @@ def kept_model(
             q_high_a=grid.reach,
             d_intervals=grid.cells[0],
             q_intervals=grid.cells[1],
-            coefficients_j=tuple(float(c) for c in fit.model.magnetics.coefficients),
+            coefficients_j=tuple(float(c) for c in table[:, : table.shape[1] - grid.kink].reshape(-1)),
+            kink_j=tuple(float(c) for c in table[:, -1]) if grid.kink else (),
             measured_hull_a=measured_hull(fit.prepared.pieces),
             roughness=fit.model.space.roughness,
         ),
@@ -147,8 +149,11 @@ def _not_installed(effect: ModelEffect) -> PluginError:
 def magnetics_of(spline: CoEnergySpline) -> Magnetics:
     """The co-energy of a `model.json`."""
     s = spline
-    grid = EvenSpline(s.d_low_a, s.d_high_a, s.q_high_a, (s.d_intervals, s.q_intervals))
-    return Magnetics(grid, np.array(s.coefficients_j, dtype=np.float64))
+    grid = EvenSpline(s.d_low_a, s.d_high_a, s.q_high_a, (s.d_intervals, s.q_intervals), bool(s.kink_j))
+    table = np.array(s.coefficients_j, dtype=np.float64).reshape(grid.functions[0], -1)
+    if s.kink_j:
+        table = np.column_stack([table, np.array(s.kink_j, dtype=np.float64)])
+    return Magnetics(grid, np.ascontiguousarray(table.reshape(-1)))
 
 
 def map_nodes(grid: EvenSpline, nodes_per_interval: int = 4) -> tuple[Array, tuple[int, int]]:

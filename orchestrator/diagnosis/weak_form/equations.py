@@ -103,11 +103,12 @@ def voltage_and_resistance(
 
 def basis(batch: SegmentBatch, local: LocalMap, magnetics: Magnetics) -> list[Array]:
     """Each segment's columns for the coefficients of the co-energy, shape (rows, coefficients)."""
-    numbers, counts = magnetics.grid.layout
+    (numbers, counts), kinked = magnetics.grid.layout, magnetics.grid.kinked
     columns = []
     for j, piece in enumerate(batch.pieces):
         w, part = piece.windows, local.part(batch.signals.slice_of(j))
-        sums = sum_basis(part.i_dq, part.delta, w.step, w.test_functions, w.bins, w.n_bins, numbers, counts, CARDINAL)
+        waves = (w.step, w.test_functions, w.bins, w.n_bins)
+        sums = sum_basis(part.i_dq, part.delta, *waves, numbers, counts, CARDINAL, kinked)
         columns.append(w.combine(sums))
     return columns
 

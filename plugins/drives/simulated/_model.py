@@ -89,4 +89,14 @@ def _flux(spline: CoEnergySpline, i_d: Array, i_q: Array) -> Array:
     in_d = BSpline(knots_d, coefficients, SPLINE_DEGREE)
     psi_d = BSpline(knots_q, in_d.derivative()(i_d).T, SPLINE_DEGREE)(i_q).T
     psi_q = BSpline(knots_q, in_d(i_d).T, SPLINE_DEGREE).derivative()(i_q).T
+    if spline.kink_j:
+        kink, (value, slope) = BSpline(knots_d, np.array(spline.kink_j), SPLINE_DEGREE), _kink(i_q / step[1])
+        psi_d += np.outer(kink.derivative()(i_d), value)
+        psi_q += np.outer(kink(i_d), slope / step[1])
     return np.stack([psi_d, psi_q], axis=-1)
+
+
+def _kink(u: Array) -> tuple[Array, Array]:
+    """((2 - |u|)_+^5 - 16 (1 - |u|)_+^5) / 120 and its derivative."""
+    two, one = np.maximum(2.0 - np.abs(u), 0.0), np.maximum(1.0 - np.abs(u), 0.0)
+    return (two**5 - 16.0 * one**5) / 120.0, -np.sign(u) * (two**4 - 16.0 * one**4) / 24.0

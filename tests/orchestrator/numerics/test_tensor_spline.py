@@ -98,3 +98,49 @@ def test_differences_of_the_coefficients_are_mixed_derivatives() -> None:
     for rows, coefficients, second in ((pure, x_squared, 2.0), (other, y_squared, 2.0), (other, x_squared, 0.0)):
         found = rows @ coefficients
         assert_close(found, np.full_like(found, second), 1e-11, of=2.0)
+
+
+def test_a_kink_is_a_jump_of_the_third_derivative_at_zero_and_nowhere_else() -> None:
+    spline = EvenSpline(-3.0, 2.0, 4.0, (7, 8), kink=True)
+    c = np.zeros(spline.functions)
+    c[:, -1] = 1.0
+    y = np.array([-3.7, -2.1, -1.2, -0.3, -1e-9, 1e-9, 0.3, 1.2, 2.1, 3.7])
+    third = spline.rows(np.column_stack([np.zeros_like(y), y]), 0, 3) @ c.reshape(-1)
+    assert third[5] == pytest.approx(6.0)
+    assert_close(third, -third[::-1], 1e-9)
+    # Beyond two cells on either side there is nothing of it.
+    assert_close(third[[0, 1, 8, 9]], np.zeros(4), 1e-9, of=third)
+    step = 1e-7
+    for edge, order in ((0.0, 2), (1.0, 4), (2.0, 4)):
+        ends = [spline.rows(np.array([[0.0, edge + side]]), 0, order) @ c.reshape(-1) for side in (-step, step)]
+        assert_close(ends[0], ends[1], 1e-6, of=third)
+
+
+def test_with_a_kink_patches_derivatives_and_finer_grids_are_still_the_function() -> None:
+    spline = EvenSpline(-3.0, 2.0, 4.0, (7, 8), kink=True)
+    c = RANDOM.normal(size=spline.size)
+    slopes, curvatures = derivatives(AT, spline.patches(c), spline.layout[0])
+    expected = np.stack([spline.rows(AT, 1, 0) @ c, spline.rows(AT, 0, 1) @ c], axis=1)
+    assert_close(slopes, expected, 1e-12)
+    assert_close(curvatures[:, 2], spline.rows(AT, 0, 2) @ c, 1e-11)
+    finer = EvenSpline(-3.0, 2.0, 4.0, (14, 16), kink=True)
+    assert_close(finer.rows(AT, 0, 2) @ spline.on(finer, c), spline.rows(AT, 0, 2) @ c, 1e-9)
+
+
+def test_without_one_a_function_is_the_same_on_a_grid_with_a_kink() -> None:
+    smooth, kinked = (EvenSpline(-3.0, 2.0, 4.0, (7, 8), kink=kink) for kink in (False, True))
+    c = RANDOM.normal(size=smooth.size)
+    same = smooth.on(kinked, c)
+    assert_close(same.reshape(kinked.functions)[:, -1], np.zeros(kinked.functions[0]), 1e-10, of=same)
+    assert_close(kinked.rows(AT, 1, 1) @ same, smooth.rows(AT, 1, 1) @ c, 1e-10)
+    x_squared, y_squared = kinked.squares()
+    assert_close(kinked.rows(AT, 2, 0) @ x_squared, np.full(len(AT), 2.0), 1e-10)
+    assert_close(kinked.rows(AT, 0, 2) @ y_squared, np.full(len(AT), 2.0), 1e-10)
+
+
+@pytest.mark.parametrize("cells", [(7, 7), (7, 2)])
+def test_a_kink_needs_a_node_at_zero_and_two_intervals_on_either_side(cells: tuple[int, int]) -> None:
+    with pytest.raises(ValueError, match="even number of 4 or more intervals"):
+        EvenSpline(-3.0, 2.0, 4.0, cells, kink=True)
+    with pytest.raises(ValueError, match="without a kink"):
+        _ = EvenSpline(-3.0, 2.0, 4.0, (7, 8), kink=True).roughness

@@ -140,12 +140,21 @@ def test_a_map_is_made_as_wide_as_the_currents_where_the_rotor_lies(setup: Diagn
     assert wider.cells == own.cells
 
 
+def _regridded(fit: Fit, cells: tuple[int, int], *, kink: bool = False) -> EvenSpline:
+    return replace(fit.model.space.grid, cells=cells, kink=kink)
+
+
 def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup) -> None:
     fit = fit_baseline(setup)
     coarsest = setup.criteria.intervals[0]
     assert fit.model.space.grid.cells == (coarsest, coarsest)
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=0.3)
-    assert finer_map(setup, setup.fitter, fit, (setup.criteria.intervals[1],) * 2) is None
+    finer, kinked = (
+        _regridded(fit, (setup.criteria.intervals[1],) * 2),
+        _regridded(fit, fit.model.space.grid.cells, kink=True),
+    )
+    assert finer_map(setup, setup.fitter, fit, finer) is None
+    assert finer_map(setup, setup.fitter, fit, kinked) is None
 
 
 def test_a_finer_map_is_requested_though_one_between_is_not_worth_its_freedom(
@@ -155,9 +164,9 @@ def test_a_finer_map_is_requested_though_one_between_is_not_worth_its_freedom(
     fit = setup.fitter.fit(baseline_model(setup, Saturated()), relinearisations=0)
     finest = replace(fit, chi2=0.9 * fit.chi2)
 
-    def at_the_finest(_: DiagnosisSetup, __: Fitter, given: Fit, cells: tuple[int, int]) -> Fit | None:
+    def at_the_finest(_: DiagnosisSetup, __: Fitter, given: Fit, grid: EvenSpline) -> Fit | None:
         assert given is fit
-        return finest if cells == (setup.criteria.intervals[-1],) * 2 else None
+        return finest if grid.cells == (setup.criteria.intervals[-1],) * 2 else None
 
     monkeypatch.setattr(baseline, "finer_map", at_the_finest)
     assert with_finest_map(setup, setup.fitter, fit) is finest
@@ -200,23 +209,31 @@ def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_com
     moved = bare.model.with_active([lag if not rests else replace(lag, free=())])
     fit = sharp.fitter.fit(moved, relinearisations=2) if rests else sharp.fitter.evaluate(moved, bare.linearisation)
     cells = (fit.model.space.grid.cells[0], 12)
-    finer = finer_map(sharp, sharp.fitter, fit, cells)
+    finer = finer_map(sharp, sharp.fitter, fit, _regridded(fit, cells))
     assert finer is not None
     anew = sharp.fitter.fit(on_the_grid(sharp, fit, cells), steps=2, relinearisations=0)
     assert finer.chi2 == pytest.approx(anew.chi2, rel=2e-3 if rests else 1e-12)
 
 
-def test_iron_that_saturates_sharply_gets_a_finer_map_along_that_axis_alone(sharp: DiagnosisSetup) -> None:
+def test_iron_that_saturates_from_zero_flux_on_gets_a_kink_and_hardly_a_finer_map(sharp: DiagnosisSetup) -> None:
     fit = fit_baseline(sharp)
-    d, q = fit.model.space.grid.cells
-    assert q >= 20
-    assert d < q
+    assert fit.model.space.grid.kink
+    assert max(fit.model.space.grid.cells) <= 14
     finest = sharp.criteria.intervals[-1]
     usual = sharp.fitter.fit(on_the_grid(sharp, fit, (finest, finest)), relinearisations=0)
     assert usual.chi2_per_dof > 3.0
     assert has_fine_grid(fit)
     assert not has_fine_grid(usual)
-    assert fit.chi2_per_dof - 1.0 < 0.15 * (usual.chi2_per_dof - 1.0)
+    assert fit.chi2_per_dof - 1.0 < 0.1 * (usual.chi2_per_dof - 1.0)
+
+
+def test_without_a_kink_such_iron_gets_a_finer_map_along_that_axis_alone(
+    sharp: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(baseline, "_with_kink", lambda *_: None)
+    d, q = fit_baseline(sharp).model.space.grid.cells
+    assert q >= 20
+    assert d < q
 
 
 def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
@@ -247,6 +264,8 @@ def test_a_map_that_was_let_be_rough_is_as_rough_when_it_is_read_back(sharp: Dia
     again = restored(sharp, MotorModel.model_validate_json(kept.model_dump_json()), Saturated(), {})
     np.testing.assert_allclose(again.space.prior, fit.model.space.prior)
     assert again.space.roughness == fit.model.space.roughness
+    assert again.space.grid == fit.model.space.grid
+    np.testing.assert_array_equal(again.magnetics.coefficients, fit.model.magnetics.coefficients)
 
 
 def test_what_a_sharper_map_takes_little_of_is_not_the_maps(
@@ -259,5 +278,5 @@ def test_what_a_sharper_map_takes_little_of_is_not_the_maps(
         ended = replace(fit, chi2=fit.dof)
         trials = iter([None, None, better, None, None, ended, *[None] * 12])
         monkeypatch.setattr(baseline, "finer_map", lambda *_, trials=trials: next(trials))
-        monkeypatch.setattr(baseline, "_finer_grids", lambda *_: [((10, 14), 1.0)])
+        monkeypatch.setattr(baseline, "_finer_grids", lambda *_: [(_regridded(fit, (10, 14)), 1.0)])
         assert (with_finest_map(setup, setup.fitter, off) is not off) is taken

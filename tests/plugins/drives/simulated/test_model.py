@@ -60,6 +60,25 @@ def test_the_plant_s_map_is_the_model_s(tmp_path: Path) -> None:
     assert_close(truth.flux(i_dq), flux(i_dq), 1e-3)
 
 
+def test_a_kink_of_the_model_s_map_is_the_plant_s(tmp_path: Path) -> None:
+    path = saved(tmp_path / "model.json")
+    content = json.loads(path.read_text())
+    grid, along_d = EvenSpline(-4.0, 3.0, 4.0, (6, 8), kink=True), np.linspace(1.0, 2.0, 11)
+    at = np.stack(np.meshgrid(np.linspace(-4, 3, 40), np.linspace(-4, 4, 40)), axis=-1).reshape(-1, 2)
+    smooth = np.linalg.lstsq(grid.rows(at, 0, 0), energy(*at.T), rcond=None)[0].reshape(grid.functions)
+    smooth[:, -1] += 2e-2 * along_d
+    content["magnetics"] |= {
+        "q_intervals": 8, "coefficients_j": smooth[:, :-1].ravel().tolist(), "kink_j": smooth[:, -1].tolist()
+    }  # fmt: skip
+    path.write_text(json.dumps(content))
+    truth = true_flux(options_of(plant={"model": str(path)}), PM400)
+    axis = np.linspace(-2.5, 2.5, 9)
+    i_dq = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    added = grid.rows(i_dq, 0, 1)[:, grid.functions[1] - 1 :: grid.functions[1]] @ (2e-2 * along_d)
+    assert float(np.abs(added).max()) > 1e-3
+    assert_close(truth.flux(i_dq)[:, 1], flux(i_dq)[:, 1] + added, 3e-3)
+
+
 def test_resistance_and_effects_are_the_model_s_and_no_others(tmp_path: Path) -> None:
     model = saved(tmp_path / "model.json", effect("dead_time", voltage_v=1.5, threshold_a=0.08, softness=0.2))
     plant = {
