@@ -122,9 +122,10 @@ def repeats(v_ab: Array, period: float) -> bool:
 def scatter_beside_answer(i_ab: Array, v_ab: Array) -> Scatter:
     """Scatter of readings under an aperiodic voltage: the residual of a local ARX model of their differences.
 
-    In each block the difference of successive readings is linear in recent voltages and the current, by inductance,
-    resistance and eddy currents (least squares; L. Ljung, System Identification, 2nd ed., section 4.2). The voltage
-    must not be controlled by the readings, or it would explain their noise.
+    In each block the difference of successive readings is linear in recent voltages and an earlier current, by
+    inductance, resistance and eddy currents (least squares; L. Ljung, System Identification, 2nd ed., section 4.2).
+    Neither may share the difference's noise, or they would explain it: the current is the mean of earlier readings, and
+    the voltage must not be controlled by the readings.
 
     Parameters
     ----------
@@ -135,7 +136,9 @@ def scatter_beside_answer(i_ab: Array, v_ab: Array) -> Scatter:
     impulse = np.concatenate([np.zeros((1, 2)), np.cumsum(v_ab, axis=0)])
     ends = [np.arange(first, first + len(d)) + 1 - lag for lag in (0, *ARX_LAGS)]
     inputs = [impulse[new] - impulse[old] for new, old in pairwise(ends)]
-    x = np.column_stack([*inputs, i_ab[first:-1], np.ones(len(d))])
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum(i_ab, axis=0)])
+    earlier = (total[first : first + len(d)] - total[: len(d)]) / first
+    x = np.column_stack([*inputs, earlier, np.ones(len(d))])
     blocks = len(d) // LOCAL_BLOCK_READINGS
     if blocks == 0:
         return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))

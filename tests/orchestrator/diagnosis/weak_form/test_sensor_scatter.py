@@ -117,6 +117,15 @@ def test_the_answer_to_random_steps_of_voltage_is_no_noise() -> None:
     np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.15, atol=1e-7)
 
 
+def test_a_current_that_a_chirp_drives_does_not_explain_its_own_noise() -> None:
+    n = 10_000
+    t = np.arange(n) / n
+    phase = 2.0 * np.pi * (50.0 * t + 400.0 * t**2)
+    v_ab = 20.0 * np.stack([np.sin(phase), np.cos(phase)], axis=1)
+    scatter = scatter_beside_answer(_answer(v_ab) + _noise(n), v_ab)
+    np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.2, atol=1e-7)
+
+
 def test_a_segment_of_few_readings_tells_no_scatter() -> None:
     assert np.isnan(scatter_beside_answer(_noise(100), np.zeros((100, 2))).covariance).all()
 
