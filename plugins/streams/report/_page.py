@@ -145,9 +145,7 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
         "verdict": VERDICTS[report.verdict],
         "reasons": [findings.squared(reason.sentence) for reason in report.reasons],
         # What is left to decide stands at the top of the page, as what to do now.
-        "slots": [
-            (title.capitalize(), text) for title, text in slots(diagnosis.words.model_copy(update={"to_decide": ""}))
-        ],
+        "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words) if title != "to decide"],
         "accuracy": " ".join(accuracy_sentences(report)),
         "search": [tuple(map(findings.squared, row)) for row in search_rows(report.search)],
         "pictures": list(diagnosis_pictures(diagnosis)) if draws else [],

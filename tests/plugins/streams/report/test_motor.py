@@ -40,7 +40,7 @@ def test_the_page_opens_with_the_motor_and_says_where_what_is(material: Material
         < page.index("<nav")
         < page.index("What to do now")
         < page.index("<h2>Summary</h2>")
-        < page.index('in-short">')
+        < page.index('id="in-short"')
     )
     for target in re.findall(r'<a href="#([a-z-]+)">', page):
         assert f'id="{target}"' in page, target
