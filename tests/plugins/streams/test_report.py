@@ -307,7 +307,7 @@ def test_where_no_check_has_a_figure_one_sentence_says_why(run: Path) -> None:
     estimates = material.estimates
     assert estimates is not None
     nothing = {"crossings": None, "classical_against_injection_percent": None, "recommended": None}
-    without = {"parity": None, "reciprocity_percent": None, "maps": {}, "method": None}
+    without: dict[str, object] = {"parity": None, "reciprocity_percent": None, "maps": {}, "method": None}
     model = DeliveredModel(title="saturated", segments="", resistance=estimates.resistance)
     bare = estimates.model_copy(update={**nothing, **without, "model": model, "estimators": None})
     reason = why_no_check(replace(material, estimates=bare))
