@@ -12,7 +12,7 @@ import xarray as xr
 
 from orchestrator.interface import api
 from orchestrator.interface.cli._running import run_app
-from protocols import InputError, Motor
+from protocols import CheckOutcome, InputError, Motor, Remark, UsabilityCheck
 from tests.support.tiny import run_tiny
 
 FORMATS = ("csv", "npz", "netcdf", "c")
@@ -42,18 +42,25 @@ def test_a_map_file_takes_the_motor_that_is_named(run: Path, tmp_path: Path) -> 
     ("outcomes", "caution"),
     [
         ((), ""),
-        (("not_possible",), "the map is not judged: `fluxbench diagnose {run}` decides whether it is usable"),
-        (("not_possible", "failed"), "the map is not usable: "),
+        (
+            (CheckOutcome.NOT_POSSIBLE,),
+            "the map is not judged: `fluxbench diagnose {run}` decides whether it is usable",
+        ),
+        ((CheckOutcome.NOT_POSSIBLE, CheckOutcome.FAILED), "the map is not usable: "),
     ],
 )
 def test_a_map_that_is_not_to_be_relied_on_says_so_in_the_files_and_on_standard_error(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], outcomes: tuple[str, ...], caution: str
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], outcomes: tuple[CheckOutcome, ...], caution: str
 ) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(run, copy)
     file = copy / "results" / "estimates.json"
     estimates = json.loads(file.read_text(encoding="utf-8"))
-    unmet = [{"name": "parity", "outcome": outcome, "required": True} for outcome in outcomes]
+    remark = Remark(code="parity", text="psi_d is not even in i_q")
+    unmet = [
+        UsabilityCheck(name="parity", outcome=outcome, required=True, remark=remark).model_dump()
+        for outcome in outcomes
+    ]
     file.write_text(json.dumps(estimates | {"usable": not unmet, "checks": unmet}), encoding="utf-8")
     expected = caution.format(run=copy)
     out = tmp_path / "out"
