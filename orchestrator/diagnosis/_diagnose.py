@@ -379,7 +379,9 @@ def _report(
             *bound_remarks(last),
             *alternative_remarks(alternatives),
             *pair_remarks(pairs),
-            *own_effect_remarks(every, library, last, setup.fitter.trace.events, {one.other for one in alternatives}),
+            *own_effect_remarks(
+                setup.fitter, every, library, last, setup.fitter.trace.events, {one.other for one in alternatives}
+            ),
             *other_opinion(joint, active),
             *([inseparable_remark(proposal)] if isinstance(proposal, Inseparable) else []),
         ),

@@ -36,6 +36,7 @@ from orchestrator.diagnosis.reporting.resemblance import (
     pair_remarks,
     resembling_pairs,
 )
+from orchestrator.diagnosis.reporting.unchanged import unchanged_model
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_result import AcceptedModel
@@ -73,6 +74,8 @@ def add_effects(
 ) -> AddReport:
     """Refit with these effects beside those that the model has already, and extend the ladder.
 
+    Where the model has them all, nothing is fitted, and a remark, ``in_model``, states their sizes.
+
     Parameters
     ----------
     model : optional
@@ -89,6 +92,8 @@ def add_effects(
     if saved is not None:
         require_effects_of(saved, {effect.name for effect in effects})
     require_known([n for n in names if n not in MAP_RUNGS], effects)
+    if saved is not None and names and (unchanged := unchanged_model(saved, names)) is not None:
+        return unchanged
     return _added(recording, names, effects, saved, model or "saturated", out, tell)
 
 

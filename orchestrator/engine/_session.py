@@ -44,6 +44,8 @@ from protocols import (
 
 STREAM_START_TIMEOUT_S = 5.0
 """Longest wait for the streams to start before a run begins."""
+ON_MISSING_OPTION = "`--set drive.{option}={example}` gives it, and `fluxbench probe` lists the drives on this machine"
+"""Advice where an option of the drive is missing."""
 NOTHING_LEFT = "the run is finished: there is nothing left to do"
 
 
@@ -172,7 +174,7 @@ def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[
 def connected_drive(procedure: Procedure, private: Path | None) -> Iterator[tuple[Drive, Capabilities]]:
     """Context with the procedure's drive connected; closed at the end."""
     plugin = load_plugin(PluginKind.DRIVES, procedure.drive.name)
-    options = make_options(plugin, procedure.drive.options, "drive")
+    options = make_options(plugin, procedure.drive.options, "drive", ON_MISSING_OPTION)
     name = procedure.drive.name
     setup = DriveSetup(motor=procedure.motor, options=options, seed=procedure.seed, private_directory=private)
     with _as_plugin_errors(name):

@@ -133,17 +133,17 @@ def _other_resistances(
 
 
 def _unscaled(best: FluxMapEstimate | None, motor: Motor) -> list[Remark]:
-    """Remark on the reference of percentages where the map does not reach the rated current."""
+    """Remark on the reference of percentages where the map has no flux of the rated current."""
     if best is None or rated_flux_wb(best.map, motor.rated_current_a) is not None:
         return []
     reference = reference_flux_wb(best.map, motor)
     if reference is None:
         return [Remark.of("rated_current_not_reached", "no reference flux: percentages are omitted")]
-    text = (
-        "the map does not reach the rated current: percentages of the rated flux refer to {reference_wb:.4g} Wb, the "
-        "flux at the map's edge"
-    )
-    return [Remark.of("rated_current_not_reached", text, reference_wb=reference)]
+    code, text = "rated_current_not_reached", "the map does not reach the rated current"
+    if motor.rated_current_a is None:
+        code, text = "rated_current_not_given", "the nameplate has no rated current"
+    refer = ": percentages of the rated flux refer to {reference_wb:.4g} Wb, the flux at the map's edge"
+    return [Remark.of(code, text + refer, reference_wb=reference)]
 
 
 def inductances_of(flux_map: FluxMap) -> InductanceRange | None:

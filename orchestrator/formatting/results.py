@@ -58,8 +58,14 @@ def resistance(estimate: ResistanceEstimate) -> str:
 
 
 def resistance_course(estimate: ResistanceEstimate) -> str:
-    """R_s at the first and the last reading, with the digits of R_s itself; a model has no readings, but segments."""
+    """R_s at the first and the last reading, with the digits of R_s itself; a model has no readings, but segments.
+
+    Where both are the same in these digits, and in four, it is unchanged.
+    """
     scale = Scale.of(estimate.value_ohm, estimate.low, estimate.high, "ohm")
+    first, last = ((scale.quantity(r), quantity(r, "ohm", 4)) for r in (estimate.first_ohm, estimate.last_ohm))
+    if first == last:
+        return "unchanged over the recording"
     ends = [f"at {duration(estimate.readings[k].start_s)}" for k in (0, -1)] if estimate.readings else _ENDS
     return ", ".join(
         f"{scale.quantity(r)} {at}" for r, at in zip((estimate.first_ohm, estimate.last_ohm), ends, strict=True)

@@ -171,7 +171,7 @@ def _place(path: Path, plugin: type[Any]) -> str:
         return str(path)
 
 
-def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseModel:
+def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str, on_missing: str = "") -> BaseModel:
     """Validate the options that were written for a plugin with its own `Options`.
 
     Parameters
@@ -182,6 +182,9 @@ def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseM
         The options as they were written.
     where : str
         File (and key path) that they are from, for the error.
+    on_missing : str
+        Advice where an option is missing, with ``{option}`` for its name and ``{example}`` for the first of its field's
+        examples.
 
     Raises
     ------
@@ -193,7 +196,16 @@ def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseM
         return options.model_validate(dict(raw))
     except ValidationError as error:
         problem = first_problem(error, options, raw)
-        raise PluginError(where, problem.field, f"{problem.text} (option of {plugin.name!r})") from None
+        advice = ""
+        if problem.is_missing and on_missing:
+            advice = "; " + on_missing.format(option=problem.field, example=_first_example(options, problem.field))
+        raise PluginError(where, problem.field, f"{problem.text} (option of {plugin.name!r}){advice}") from None
+
+
+def _first_example(options: type[BaseModel], field: str) -> str:
+    """The first example of a field; a placeholder where it has none."""
+    known = options.model_fields.get(field)
+    return str(known.examples[0]) if known is not None and known.examples else "..."
 
 
 @lru_cache(maxsize=64)  # reading its metadata takes longer than all the rest here

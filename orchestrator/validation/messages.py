@@ -36,6 +36,8 @@ class Problem:
 
     path: KeyPath
     text: str
+    is_missing: bool = False
+    """Whether a required field is left out."""
 
     @property
     def field(self) -> str:
@@ -65,7 +67,7 @@ def first_problem(error: ValidationError, model: type[BaseModel] | None, raw: ob
         path = _path_of(found, raw)
     if found["type"] == "union_tag_invalid":
         path = (*path, _discriminator(found))
-    return Problem(path, _text(found, path, model))
+    return Problem(path, _text(found, path, model), found["type"] == "missing")
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str | None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Container, Sequence
 
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import separable
+from orchestrator.diagnosis.selection.separation import inseparable_from
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from orchestrator.formatting.sentences import listed
@@ -15,6 +16,7 @@ from protocols import Remark, SearchEvent
 
 
 def own_effect_remarks(
+    fitter: Fitter,
     candidates: Sequence[CandidateEffect],
     observable: Sequence[CandidateEffect],
     fit: Fit,
@@ -46,7 +48,7 @@ def own_effect_remarks(
             remarks.append(Remark.of("own_effect_tried", text, effect=plain(name), trials="; ".join(trials)))
         else:
             text = "{effect}: not fitted: {why}"
-            why = "no segment can show it" if name not in can_show else _why_not_fitted(candidate, fit, events)
+            why = "no segment can show it" if name not in can_show else _why_not_fitted(fitter, candidate, fit, events)
             remarks.append(Remark.of("own_effect_not_tried", text, effect=plain(name), why=why))
     return remarks
 
@@ -100,12 +102,8 @@ def _needed(event: SearchEvent) -> str:
     return f" (at least {number(event.threshold, 3)} nat for this)"
 
 
-def _why_not_fitted(candidate: CandidateEffect, fit: Fit, events: Sequence[SearchEvent]) -> str:
-    tied = [
-        plain(term.name)
-        for term in fit.model.active
-        if not separable(fit.prepared, candidate.effect, term.candidate.effect)
-    ]
+def _why_not_fitted(fitter: Fitter, candidate: CandidateEffect, fit: Fit, events: Sequence[SearchEvent]) -> str:
+    tied = [plain(term.name) for term in fit.model.active if inseparable_from(fitter, fit, term, [candidate])]
     if tied:
         return f"this recording cannot separate it from {listed(tied)}"
     screen = next((event for event in reversed(events) if event.move == "screen" and event.effects), None)

@@ -13,8 +13,9 @@ from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, bounds_reached
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
+from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import duration, percent, predicted_separation, quantity, value_and_interval
+from orchestrator.formatting.quantities import percent, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
 from protocols import Contrast, DiagnosisReport, DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
@@ -178,11 +179,12 @@ def _gain(diagnosis: Diagnosis) -> str:
     else:
         sizes = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
         floor = noise.heldout_rms_v
-    resistances = " -> ".join(quantity(fit.model.r_s, "ohm", 4) for fit in fits)
+    first, last = (quantity(fit.model.r_s, "ohm", 4) for fit in fits)
+    resistance = f"stays {last}" if first == last else f"{first} -> {last}"
     limits = {a.name: a.candidate.effect.gauge.rstrip(".") for a in fits[1].model.active if a.candidate.effect.gauge}
     several = len(fits[1].model.active) > 1
     gauges = [f"{plain(name)}: {limit}." if several else f"{limit}." for name, limit in limits.items()]
-    text = f"{sizes} (noise {quantity(floor, 'V')}); the model's R_s {resistances}"
+    text = f"{sizes} (noise {quantity(floor, 'V')}); the model's R_s {resistance}"
     return " ".join([f"{text}.", *gauges]) if gauges else text
 
 
@@ -199,8 +201,7 @@ def _next(diagnosis: Diagnosis) -> str:
             return f"{listed([parameter_words(name) for name in reached])} of {term.name}: {bound_advice(term)}"
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
-        sizes = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
-        return f"{sizes}, tells {proposal.separates[0]} from {proposal.separates[1]}{predicted_separation(proposal)}"
+        return experiment_to_decide(proposal)
     if inseparable := next((r for r in diagnosis.report.remarks if r.code == "not_separable"), None):
         return inseparable.text
     for found in diagnosis.report.effects:
@@ -224,7 +225,7 @@ def _next(diagnosis: Diagnosis) -> str:
         return "a part of the error remains that nothing in the library fits better; look at its shape"
     if diagnosis.report.verdict == "explained_in_another_form":
         return "nothing missing; the effect's form is not the library's, and the map's stated error includes that"
-    return "nothing left to decide"
+    return NOTHING_TO_DECIDE
 
 
 def _names(diagnosis: Diagnosis) -> set[str]:

@@ -13,7 +13,7 @@ from functools import partial
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, Library
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import separable, separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import separating_contrasts
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     Score,
@@ -24,6 +24,7 @@ from orchestrator.diagnosis.selection.scoring import (
     score,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState
+from orchestrator.diagnosis.selection.separation import inseparable_from
 from orchestrator.formatting.names import plain
 from protocols import ParameterRole
 
@@ -114,7 +115,7 @@ def _add_best(state: SearchState, shortlist: Sequence[Score]) -> SearchState | N
     others = tuple(
         other
         for g, other, trial in ranked[1:]
-        if gain - g < limits.tie or fits_as_well(trial, best) or _is_indistinguishable(fit, best, trial)
+        if gain - g < limits.tie or fits_as_well(trial, best) or _is_indistinguishable(state, best, trial)
     )
     grown = state.minimum(best.model, best)
     taken = grown.objective < fit.objective
@@ -150,16 +151,15 @@ def _inseparable(state: SearchState, library: Library) -> set[str]:
     """Candidates that this recording cannot separate from an effect of the model, or that fit as well as one."""
     active = state.fit.model.active
     tied = {name for others in state.indistinguishable.values() for name in others}
-    pairs = ((c, a.candidate) for c in library for a in active if c.name != a.name)
-    return tied | {c.name for c, present in pairs if not separable(state.fit.prepared, c.effect, present.effect)}
+    return tied.union(*(inseparable_from(state.fitter, state.fit, present, library) for present in active))
 
 
-def _is_indistinguishable(before: Fit, best: Fit, other: Fit) -> bool:
+def _is_indistinguishable(state: SearchState, best: Fit, other: Fit) -> bool:
     """Whether an alternative that the recording cannot separate from the best effect explains nearly as much."""
-    newest = best.model.active[-1].candidate.effect, other.model.active[-1].candidate.effect
-    if separable(before.prepared, *newest):
+    if state.fit.chi2 - other.chi2 <= INDISTINGUISHABLE_SHARE * (state.fit.chi2 - best.chi2):
         return False
-    return before.chi2 - other.chi2 > INDISTINGUISHABLE_SHARE * (before.chi2 - best.chi2)
+    newest, alternative = best.model.active[-1], other.model.active[-1].candidate
+    return alternative.name in inseparable_from(state.fitter, best, newest, [alternative])
 
 
 def _shortlist(state: SearchState, scores: Sequence[Score]) -> list[Score]:

@@ -75,6 +75,8 @@ class ExportReport(Strict):
     non_convex_points: int
     """Points where the energy is not convex: there the inverse gives one of several currents of the same flux."""
     notes: tuple[str, ...]
+    caution: str = ""
+    """Why the map is not to be relied on, which is the first of the notes; empty where it is usable or not known."""
 
 
 def _suggestion(name: str) -> str:
@@ -86,7 +88,13 @@ def _suggestion(name: str) -> str:
 
 
 def export_map(
-    flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str] | None = None, *, recording: str = ""
+    flux_map: FluxMap,
+    motor: Motor,
+    out: Path,
+    formats: Sequence[str] | None = None,
+    *,
+    recording: str = "",
+    caution: str = "",
 ) -> ExportReport:
     """Write a flux map into a folder, in every requested format.
 
@@ -103,6 +111,8 @@ def export_map(
         Names of `FORMATS`; by default all that the map suffices for.
     recording : str
         Name of the map's recording, for every file.
+    caution : str
+        Why the map is not to be relied on, for every file that has notes.
 
     Raises
     ------
@@ -114,7 +124,7 @@ def export_map(
     for name in formats or ():
         if name not in FORMATS:
             raise InputError("export", name, f"no such format; {_suggestion(name)}there are {', '.join(FORMATS)}")
-    products = Products(flux_map, motor, recording)
+    products = Products(flux_map, motor, recording, caution)
     contents, omitted = _contents(products, formats)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -140,6 +150,7 @@ def export_map(
         inverse_misfit_wb=products.inverse.misfit_wb,
         non_convex_points=len(products.audit.non_convex),
         notes=(*products.notes, *omitted),
+        caution=caution,
     )
 
 

@@ -58,7 +58,7 @@ def _extras(products: Products) -> dict[str, Any]:
     grids |= {"l_max": salient.l_max.T, "l_min": salient.l_min.T}
     grids |= {"saliency_ratio": salient.ratio.T, "saliency_angle_rad": salient.angle_rad.T}
     struct: dict[str, Any] = {"method": flux_map.method, "motor": products.motor.name, "recording": products.recording}
-    struct |= {"pole_pairs": float(products.motor.pole_pairs), **grids}
+    struct |= {"pole_pairs": float(products.motor.pole_pairs), "notes": "\n".join(products.notes), **grids}
     for name, curve in (("mtpa", products.mtpa), ("mtpv", products.mtpv)):
         if curve is not None:
             struct[name] = dict(vars(curve))

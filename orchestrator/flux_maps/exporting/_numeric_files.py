@@ -80,6 +80,7 @@ def npz_file(products: Products) -> FileContent:
     content |= {"inverse_flux_d": inverse.psi_d, "inverse_flux_q": inverse.psi_q}
     content |= {"inverse_i_s_dq": filled_d + 1j * filled_q, "inverse_measured": inverse.measured}
     texts = {"method": flux_map.method, "motor": products.motor.name, "recording": products.recording}
+    texts["notes"] = "\n".join(products.notes)
     content |= {name: np.array(text) for name, text in texts.items()}
     for name, curve, unit in (("mtpa", products.mtpa, "A"), ("mtpv", products.mtpv, "Wb")):
         if curve is not None:

@@ -38,10 +38,12 @@ class Products:
         The motor, with the measured R_s if available.
     recording : str
         Name of the map's recording.
+    caution : str
+        Why the map is not to be relied on; the first of the notes, and empty where it is usable or nothing is known.
     """
 
-    def __init__(self, flux_map: FluxMap, motor: Motor, recording: str = "") -> None:
-        self.flux_map, self.motor, self.recording = flux_map, motor, recording
+    def __init__(self, flux_map: FluxMap, motor: Motor, recording: str = "", caution: str = "") -> None:
+        self.flux_map, self.motor, self.recording, self.caution = flux_map, motor, recording, caution
 
     @property
     def symbol(self) -> str:
@@ -92,7 +94,7 @@ class Products:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """Notes for every format."""
-        notes = []
+        notes = [self.caution] if self.caution else []
         holes = int((~self.surface.known).sum())
         if holes:
             notes.append(f"{holes} of {self.surface.known.size} grid points were not measured")

@@ -45,7 +45,28 @@ def export(
     flux_map = load_map(path)
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "export"
     motor_used, recording = _motor_and_recording(path, motor)
-    return export_map(flux_map, motor_used, folder, formats or None, recording=recording)
+    caution = _caution(path)
+    return export_map(flux_map, motor_used, folder, formats or None, recording=recording, caution=caution)
+
+
+def _caution(path: Path) -> str:
+    """Why the delivered map of a run is not to be relied on; empty where it is usable, or another map is exported."""
+    from orchestrator.estimation import load_estimates
+    from protocols import RecordingError, Usability
+
+    try:
+        run = path if path.is_dir() else path.resolve().parent.parent
+        report = load_estimates(run)
+    except RecordingError:
+        return ""
+    is_delivered = path.is_dir() or path.resolve() == (run / "results" / report.files.get("flux_map", "")).resolve()
+    if not is_delivered or report.usability is Usability.USABLE:
+        return ""
+    if report.usability is Usability.NOT_JUDGED:
+        name = path if path.is_dir() else run.name
+        return f"the map is not judged: `fluxbench diagnose {name}` decides whether it is usable"
+    why = next((remark.text for remark in report.remarks), "its checks failed")
+    return f"the map is not usable: {why}"
 
 
 def _motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) -> tuple[Motor, str]:

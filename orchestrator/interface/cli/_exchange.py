@@ -11,20 +11,22 @@ from orchestrator.formatting.quantities import percent
 from orchestrator.importing import ImportReport, import_files, merge_recordings
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.interface import api
-from orchestrator.interface.cli._output import say, say_document, say_notes
+from orchestrator.interface.cli._output import complain, say, say_document, say_notes
 from protocols import InputError
 
 
 def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | None, as_json: bool) -> int:
     """Write the flux map of a run, recording or map file for other tools."""
     report = api.export(path, *formats, motor=motor, out=out)
+    if report.caution:
+        complain(report.caution)
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return 0
     for file in report.files:
         say(f"{file.format}: {file.path}")
     say(f"{percent(report.measured_percent, 3)} of the grid was measured")
-    say_notes(report.notes)
+    say_notes(note for note in report.notes if note != report.caution)
     return 0
 
 

@@ -19,7 +19,7 @@ class CanOptions(LinkOptions):
 
     interface: Annotated[str, Field(min_length=1)] = "socketcan"
     """python-can's name of the interface."""
-    channel: Annotated[str, Field(min_length=1)]
+    channel: Annotated[str, Field(min_length=1, examples=["can0"])]
     node: Annotated[int, Field(ge=0, lt=MAX_NODES)] = 0
     """Node number of the drive on the bus."""
     bitrate: BitRate = 1_000_000

@@ -55,7 +55,7 @@ MAX_MODULATION_RATIO = 0.8
 class OdriveOptions(Strict):
     """Options of the drive `odrive`."""
 
-    port: Annotated[str, Field(min_length=1)]
+    port: Annotated[str, Field(min_length=1, examples=["/dev/ttyACM0"])]
     """Serial device, or ``socket://host:port``."""
     baud_rate: Annotated[int, Field(ge=1)] = 115200
     """Baud rate of a UART; irrelevant on USB."""

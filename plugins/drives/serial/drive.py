@@ -13,7 +13,7 @@ from protocols import DriveSetup
 class SerialOptions(LinkOptions):
     """Options of the drive `serial`."""
 
-    port: Annotated[str, Field(min_length=1)]
+    port: Annotated[str, Field(min_length=1, examples=["/dev/ttyUSB0"])]
     """A device, the path of a pseudo-terminal, or socket://host:port."""
     baud_rate: Annotated[int, Field(ge=1200)] = 921_600
     dtr: bool = True

@@ -70,7 +70,7 @@ FAULTS: dict[int, tuple[FaultCause, str]] = {
 class VescOptions(Strict):
     """Options of the drive `vesc`."""
 
-    port: Annotated[str, Field(min_length=1)]
+    port: Annotated[str, Field(min_length=1, examples=["/dev/ttyACM0"])]
     """Serial device, or ``socket://host:port`` of a TCP bridge."""
     baud_rate: Annotated[int, Field(ge=1)] = 115200
     """Baud rate of a UART; irrelevant on USB."""

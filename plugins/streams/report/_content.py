@@ -13,7 +13,7 @@ import numpy as np
 from orchestrator.formatting.events import describe
 from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
 from orchestrator.formatting.quantities import duration, fixed, percent, plural, quantity, with_error
-from orchestrator.formatting.results import coefficient_rows, resistance, resistance_course
+from orchestrator.formatting.results import coefficient_rows
 from orchestrator.formatting.sentences import listed, typographic
 from plugins.streams.report._collect import Material
 from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor, SegmentStage, Usability
@@ -97,9 +97,7 @@ def nameplate(motor: Motor) -> str:
 def summary(material: Material) -> Iterator[Line]:
     """The page's first dozen lines."""
     yield _outcome(material)
-    yield _resistance(material)
     yield from _map_lines(material)
-    yield from _inductance_line(material)
     if material.lock is not None:
         locked = material.lock.locked
         yield Line(
@@ -191,6 +189,14 @@ def checks(material: Material) -> Iterator[Check]:
         is_known = any(bar.text != NOT_MEASURED for bar in bars)
         text = f"tick: the limit, {percent(limit)}{beside}" if is_known else _what_measures(material, report, name)
         yield Check(name, meaning, bars, text)
+
+
+def why_no_check(material: Material) -> str:
+    """Why no check at all has a figure, where that is the same for all; empty otherwise."""
+    every = list(checks(material))
+    reasons = {check.limit for check in every}
+    is_known = any(bar.text != NOT_MEASURED for check in every for bar in check.bars)
+    return "" if is_known or len(reasons) != 1 else reasons.pop()
 
 
 _STAGES_OF_CHECKS = {
@@ -303,16 +309,6 @@ def _outcome(material: Material) -> Line:
     return Line("Run", f"{ended.outcome}: {ended.reason}", OUTCOME_MOODS[ended.outcome])
 
 
-def _resistance(material: Material) -> Line:
-    estimate = material.estimates.resistance if material.estimates is not None else None
-    if estimate is None:
-        return Line("R_s", NOT_MEASURED)
-    motor = motor_of(material)
-    nameplate = motor.stator_resistance_ohm if motor is not None else None
-    beside = "" if nameplate is None else f"; nameplate {quantity(nameplate, 'ohm', 4)}"
-    return Line("R_s", f"{resistance(estimate)}; {resistance_course(estimate)}{beside}")
-
-
 def _not_estimated(material: Material) -> str:
     """Why there is no estimate; with the command, where it was not tried."""
     tried = material.estimates is not None
@@ -341,7 +337,7 @@ def _map_lines(material: Material) -> Iterator[Line]:
             yield Line("" if place else "because", typographic(remark.text))
 
 
-def _inductance_line(material: Material) -> Iterator[Line]:
+def inductance_line(material: Material) -> Iterator[Line]:
     """The three inductances over the plane, on one line."""
     report = material.estimates.recommended if material.estimates is not None else None
     if report is None or report.inductances is None:

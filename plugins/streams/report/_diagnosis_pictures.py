@@ -26,7 +26,10 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
     if entries := diagnosis.report.joint[:7]:
-        caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
+        caption = (
+            "All effects at once. z: the fitted size over its standard deviation. Filled: beyond chance (|z| ≥ 4). "
+            "Hollow: nothing that the data ask for."
+        )
         yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
     if diagnosis.steps:
         before, after = diagnosis.steps[0], diagnosis.steps[-1]

@@ -14,7 +14,7 @@ from orchestrator.flux_maps.exporting import mtpa, saliency
 from orchestrator.formatting.quantities import fixed, number, quantity, vector
 from orchestrator.formatting.results import resistance, resistance_course
 from plugins.streams.report._collect import Material
-from plugins.streams.report._content import Line, motor_of
+from plugins.streams.report._content import Line, inductance_line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
 TORQUE_HEAD = ("torque", "i_d", "i_q", "length", "angle from d")
@@ -27,12 +27,15 @@ def motor_lines(material: Material) -> Iterator[Line]:
     report, motor = material.estimates, motor_of(material)
     if report is not None and report.resistance is not None:
         of_model = any(remark.code == "model.of_the_model" for remark in report.resistance.remarks)
-        yield Line("R_s", resistance(report.resistance) + (" at 0 s, by the model" if of_model else ""))
+        stated = motor.stator_resistance_ohm if motor is not None else None
+        nameplate = "" if stated is None else f"; nameplate {quantity(stated, 'ohm', 4)}"
+        yield Line("R_s", resistance(report.resistance) + (" at 0 s, by the model" if of_model else "") + nameplate)
         yield Line("R_s at 20 °C", _at_20_c(report.resistance, material))
         yield Line("R_s over the run", resistance_course(report.resistance))
     shown = material.maps.get(report.method) if report is not None and report.method is not None else None
     if shown is not None and motor is not None:
         yield from _of_map(shown, motor, _magnet_by_emf(report))
+    yield from inductance_line(material)
 
 
 def _magnet_by_emf(report: EstimationReport | None) -> tuple[float, float] | None:

@@ -1,9 +1,13 @@
-"""What to do now, in two or three lines: with the map, with a changed model, and about what the model misses."""
+"""What to do now, in two or three lines: with the map, with a changed model, and about what the model misses.
+
+What is left to decide is the diagnosis's own section, so that the page advises nothing beside it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, predicted_separation, quantity
 from orchestrator.formatting.sentences import listed, typographic
@@ -41,27 +45,26 @@ def _about_model(material: Material) -> str:
     run = typed(material)
     if material.diagnosis is None:
         return f"not diagnosed: `fluxbench diagnose {run}` names what it misses."
-    report = material.diagnosis.report
+    report, decide = material.diagnosis.report, material.diagnosis.words.to_decide
+    to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
+    proposed = report.next_experiment
     if report.convention is not None:
-        return f"{typographic(report.convention.correction.text)}; then diagnose again."
-    if report.next_experiment is not None:
-        proposed = report.next_experiment
+        return f"{to_decide}; then diagnose again."
+    if proposed is not None and decide == experiment_to_decide(proposed):
         first, second = map(plain, proposed.separates)
         takes, how_far = duration(60.0 * proposed.minutes), predicted_separation(proposed)
         return f"`fluxbench run --from {run}` measures {takes} more, to tell {first} from {second}{how_far}."
-    match report.verdict:
-        case "clean":
-            return "nothing is missing in it."
-        case "explained" | "explained_in_another_form":
-            if twins := [effect for effect in report.effects if effect.twins]:
-                names = " or ".join(plain(name) for name in (twins[0].name, *twins[0].twins))
-                return f"compensate nothing until it is known whether it is {names}; model.json serves for either."
-            if any(r.code == "fits_better_in_place" for r in report.remarks):
-                return f"{typographic(material.diagnosis.words.to_decide)}; compensate nothing until then."
-            causes = [effect for effect in report.effects if effect.material is not False]
-            return f"nothing is left to measure; {_remedy(causes)}."
-        case _:
-            return f"{typographic(material.diagnosis.words.to_decide)}."
+    if report.verdict == "clean":
+        return "nothing is missing in it."
+    if report.verdict not in ("explained", "explained_in_another_form"):
+        return f"{to_decide}."
+    if twins := [effect for effect in report.effects if effect.twins]:
+        names = " or ".join(plain(name) for name in (twins[0].name, *twins[0].twins))
+        return f"{to_decide}; compensate nothing until it is known whether it is {names}; model.json serves for either."
+    if any(remark.code == "fits_better_in_place" for remark in report.remarks):
+        return f"{to_decide}; compensate nothing until then."
+    remedy = _remedy([effect for effect in report.effects if effect.material is not False])
+    return f"{'nothing is left to measure' if decide == NOTHING_TO_DECIDE else to_decide}; {remedy}."
 
 
 def _remedy(causes: Sequence[FoundEffect]) -> str:

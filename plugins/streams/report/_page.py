@@ -90,6 +90,8 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         summary=list(content.summary(material)),
         diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),
+        why_no_check=content.why_no_check(material),
+        finished=material.ended is not None and material.ended.outcome == "finished",
         remarks=content.remarks(material),
         sensorless={"head": sensorless.HEAD, "rows": sensorless.rows(material), "note": sensorless.note(material)},
         formulas=list(content.formulas(material)),
@@ -142,7 +144,8 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
     return {
         "verdict": VERDICTS[report.verdict],
         "reasons": [findings.squared(reason.sentence) for reason in report.reasons],
-        "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words)],
+        # What is left to decide stands at the top of the page, as what to do now.
+        "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words) if title != "to decide"],
         "accuracy": " ".join(accuracy_sentences(report)),
         "search": [tuple(map(findings.squared, row)) for row in search_rows(report.search)],
         "pictures": list(diagnosis_pictures(diagnosis)) if draws else [],

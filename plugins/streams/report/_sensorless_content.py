@@ -36,7 +36,7 @@ def note(material: Material) -> str:
     worst, left = (max(getattr(one, name) or 0.0 for one in ripples) for name in ("angle_error_rad", "left_by_map_rad"))
     map_ = f"the large-signal map (by {ripples[0].method})"
     if most <= AGREEMENT_PERCENT:
-        first = f"A small ripple sees the slopes of {map_}, within {fixed(most, 1)} %: one map serves both."
+        first = f"A small ripple sees the slopes of {map_}, within {number(most, 1)} %: one map serves both."
     else:
         first = (
             f"A small ripple sees inductances that are on average up to {fixed(most, 1)} % off the slopes "

@@ -114,13 +114,14 @@ def test_the_demo_takes_about_a_minute(pm400: Bench) -> None:
     assert check_plan(make_plan(load_procedure("demo"), drive), drive).duration_s == pytest.approx(60.0, abs=15.0)
 
 
-def test_the_readme_and_the_demo_itself_state_the_duration_that_is_planned(pm400: Bench) -> None:
-    readme = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
-    demo = load_procedure("demo")
-    with connected_drive(demo, private=None) as (_, drive):
-        planned = f"{check_plan(make_plan(demo, drive), drive).duration_s:.0f} s of the drive's time"
-    for text in (readme, demo.summary, shipped_procedure("demo")):
+@pytest.mark.parametrize(("name", "page"), [("demo", "README.md"), ("adaptive", "docs/adaptive.md")])
+def test_a_procedure_and_its_page_state_the_duration_that_is_planned(name: str, page: str) -> None:
+    procedure = load_procedure(name)
+    with connected_drive(procedure, private=None) as (_, drive):
+        planned = f"{check_plan(make_plan(procedure, drive), drive).duration_s:.0f} s of the drive's time"
+    for text in ((Path(__file__).parents[3] / page).read_text(encoding="utf-8"), procedure.summary):
         assert planned in text
+    assert planned in shipped_procedure(name)
 
 
 def test_without_a_drive_the_procedures_own_limits_are_checked(pm400: Bench) -> None:

@@ -203,6 +203,16 @@ def test_a_map_that_stops_before_the_rated_current_is_checked_against_its_own_ed
     assert not report.usable
 
 
+def test_a_nameplate_without_a_rated_current_is_said_to_have_none(tmp_path: Path) -> None:
+    motor = RECORDING.manifest.motor.model_copy(update={"rated_current_rms_a": None})
+    assert motor.rated_current_a is None
+    recording = MemoryRecording(RECORDING.manifest.model_copy(update={"motor": motor}), {})
+    report = estimate_recording(recording, [Sweeps(), Ripples()], tmp_path)
+    remark = stated(report, "rated_current_not_given")
+    assert remark.text.startswith("the nameplate has no rated current: percentages of the rated flux refer to ")
+    assert "rated_current_not_reached" not in {one.code for one in report.remarks}
+
+
 @pytest.mark.parametrize(
     ("resistance", "name"),
     [

@@ -5,11 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 
 from orchestrator.registry.plugins import PluginKind, installed, load_effects_file, load_plugin, make_options
 from protocols import NoOptions, PluginError, Strict
@@ -173,6 +174,21 @@ def test_a_wrong_option_is_one_line_with_where_it_was_written(raw: dict[str, Any
     assert text.startswith(f"demo.yaml: drive: {field}: ")
     assert problem in text
     assert "configurable" in text
+
+
+def test_a_missing_option_is_said_with_how_to_give_it() -> None:
+    class Needy:
+        name: ClassVar[str] = "needy"
+
+        class Options(Strict):
+            port: str = Field(examples=["/dev/ttyUSB0"])
+            speed: int
+
+    advice = "`--set drive.{option}={example}` gives it"
+    for raw, field, example in (({"speed": 1}, "port", "/dev/ttyUSB0"), ({"port": "a"}, "speed", "...")):
+        text = complaint(partial(make_options, Needy, raw, "drive", advice))
+        assert text == f"drive: {field}: missing (option of 'needy'); `--set drive.{field}={example}` gives it"
+    assert "`--set" not in complaint(lambda: make_options(Needy, {"port": "a", "speed": "x"}, "drive", advice))
 
 
 def test_a_plugin_without_options_takes_none() -> None:

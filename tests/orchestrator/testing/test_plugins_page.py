@@ -62,6 +62,7 @@ def test_page_shows_a_plugin_of_each_kind_and_the_kits() -> None:
         "bench_plugins/supply.py",
         "bench_plugins/thermal_soak.py",
         "bench_plugins/ohmmeter.py",
+        "bench_plugins/two_inductances.py",
         "bench_plugins/voltage_offset.py",
         "bench_plugins/lagging_drop.py",
         "bench_plugins/blanking_time.py",

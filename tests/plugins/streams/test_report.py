@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from plugins.streams.report import ReportStream, _figures, write_report
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, events, formulas, map_rows, remarks
+from plugins.streams.report._content import checks, events, formulas, map_rows, remarks, why_no_check
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -299,6 +299,19 @@ def test_checks_that_no_estimator_made_name_the_command_that_makes_them(run: Pat
     lacking = replace(material, estimates=material.estimates.model_copy(update=alone))
     crossings = next(check for check in checks(lacking) if check.name == "Crossings")
     assert crossings.limit == f"`fluxbench estimate {run.name}` computes it from this recording"
+
+
+def test_where_no_check_has_a_figure_one_sentence_says_why(run: Path) -> None:
+    material = collect(run, reads_paths=False)
+    assert why_no_check(material) == ""
+    estimates = material.estimates
+    assert estimates is not None
+    nothing = {"crossings": None, "classical_against_injection_percent": None, "recommended": None}
+    without: dict[str, object] = {"parity": None, "reciprocity_percent": None, "maps": {}, "method": None}
+    model = DeliveredModel(title="saturated", segments="", resistance=estimates.resistance)
+    bare = estimates.model_copy(update={**nothing, **without, "model": model, "estimators": None})
+    reason = why_no_check(replace(material, estimates=bare))
+    assert reason == f"`fluxbench estimate {run.name}` computes it from this recording"
 
 
 def test_a_check_that_lacks_a_stage_names_it(run: Path) -> None:

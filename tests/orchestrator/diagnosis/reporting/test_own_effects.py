@@ -60,7 +60,7 @@ REMOVED = event(5, "remove", "own_drop", chi2=(1.07, 1.06), score=5.6, threshold
 def remark(effect: Effect, *events: SearchEvent, observable: bool = True, model: Effect | None = None) -> list[str]:
     candidates = scaled_library([DeviceDrop(), effect], MAKER.prepared.manifest)
     fit = BARE if model is None else MAKER.fit(with_free(BARE.model, MAKER, model))
-    remarks = own_effect_remarks(candidates, candidates if observable else candidates[:1], fit, events)
+    remarks = own_effect_remarks(MAKER, candidates, candidates if observable else candidates[:1], fit, events)
     return [f"{one.code}: {one.text}" for one in remarks]
 
 
@@ -91,8 +91,12 @@ def test_an_own_effect_that_the_recording_cannot_separate_from_a_named_one_is_re
     class Alike(Own):
         needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
 
-    (text,) = remark(guarded(Alike()), SCREEN, model=DeadTime())
-    assert text == "own_effect_not_tried: own drop: not fitted: this recording cannot separate it from dead time"
+    class Undeclared(Own):
+        needs: ClassVar[tuple[Contrast, ...]] = ()
+
+    for own in (Alike(), Undeclared()):
+        (text,) = remark(guarded(own), SCREEN, model=DeadTime())
+        assert text == "own_effect_not_tried: own drop: not fitted: this recording cannot separate it from dead time"
 
 
 def test_what_is_in_the_model_or_installed_has_no_such_remark() -> None:

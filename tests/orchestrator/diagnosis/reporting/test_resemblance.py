@@ -15,7 +15,6 @@ from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.resemblance import (
     Alternative,
     alternative_remarks,
-    imitated_shares,
     own_alternatives,
     pair_remarks,
     resembling_pairs,
@@ -63,14 +62,6 @@ def remarks(maker: Fitter, effect: Effect, *others: Effect) -> list[tuple[str, s
     library = scaled_library([effect, *others], maker.prepared.manifest)
     fit = maker.fit(free_model().with_active([library[0].absent()]))
     return [(one.code, one.text) for one in alternative_remarks(own_alternatives(setup_of(maker), fit, library))]
-
-
-def test_an_effect_s_signal_is_imitated_by_its_like_alone(maker: Fitter) -> None:
-    library = scaled_library([VoltageBias(), guarded(SameBias()), DeadTime()], maker.prepared.manifest)
-    shares = imitated_shares(maker, fitted(maker, VoltageBias()), "voltage_bias", library)
-    assert list(shares) == ["same_bias", "dead_time"]
-    assert shares["same_bias"] > 0.95
-    assert shares["dead_time"] < 0.5
 
 
 def test_an_own_effect_like_one_of_the_model_is_indistinguishable_from_it(maker: Fitter) -> None:

@@ -83,6 +83,8 @@ def test_what_adding_it_does_is_stated_of_data_that_were_held_out(search: Search
     gain = stated(search).if_added
     assert gain.startswith("held-out error ")
     assert "the model's R_s" in gain
+    alone = AcceptedModel("voltage_bias", search.steps[0].fit)
+    assert "the model's R_s stays " in stated(SearchResult([search.steps[0], alone])).if_added
     nothing = [{**rung(step).model_dump(), "heldout_rms_v": None} for step in search.steps]
     assert stated(search, ladder=nothing).if_added.startswith("error ")
 

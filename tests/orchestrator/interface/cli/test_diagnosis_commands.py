@@ -75,6 +75,11 @@ def kept(tmp_path: Path) -> Path:
         (["diagnose", DATA, "--model", "staurated"], "neither linear, saturated nor a file; did you mean 'saturated'?"),
         (["compare", DATA, "--model", "free"], "nor a file; a file ends in .nc"),
         (["diagnose", DATA, "--effects", "nowhere.py"], "nowhere.py"),
+        (
+            ["check", "demo", "--drive", "serial"],
+            "`--set drive.port=/dev/ttyUSB0` gives it, and `fluxbench probe` lists",
+        ),
+        (["check", "demo", "--drive", "can"], "`--set drive.channel=can0` gives it"),
     ],
 )
 def test_wrong_words_are_one_line(words: list[str | Path], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -197,6 +202,23 @@ def test_a_recording_that_cannot_be_a_motor_s_is_refused(
     assert "times the rated current" in refused(capsys, 2, command, copy)
     assert not (copy / "results").exists()
     assert not (copy / "model.json").exists()
+
+
+def test_what_is_in_the_model_already_is_said_without_a_refit(
+    kept: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = json.loads((kept / "model.json").read_text())
+    voltage = {"value": 0.8, "low": 0.7993, "high": 0.801, "unit": "V", "fitted": True}
+    model["effects"] = [
+        {"name": "dead_time", "parameters": {"voltage_v": voltage}, "relative_size": 0.14, "log_evidence": 9.0}
+    ]
+    (kept / "model.json").write_text(json.dumps(model))
+    before = (kept / "model.json").read_bytes()
+    monkeypatch.setattr("orchestrator.diagnosis._refit.open_for_refit", None)  # a refit would fail
+    assert run_app(["add", str(DATA), "dead_time", "--out", str(kept)]) == 0
+    out = capsys.readouterr().out
+    assert "dead time is in the model already: voltage 800.0 mV (95 %: 799.3 to 801.0); nothing was fitted" in out
+    assert (kept / "model.json").read_bytes() == before
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The report's diagnosis: five slots first, then the ladder, pictures before and after, words for what is missing."""
+"""The report's diagnosis: the slots first, then the ladder, pictures before and after, words for what is missing."""
 
 from __future__ import annotations
 
@@ -60,9 +60,10 @@ def words_of(page: str) -> str:
     return re.sub(r"\s+", " ", bare)
 
 
-def test_the_five_slots_stand_first_in_print_characters(page: str) -> None:
+def test_the_slots_stand_first_in_print_characters(page: str) -> None:
     text = words_of(page)
     assert text.index("Explained") < text.index("Where it fails") < text.index("R_s 4.6 → 4.31 Ω") < text.index("Run")
+    assert "To decide" not in text  # that is what to do now, at the top
     assert "1480 mV rms" in text
     assert "95 % −0.399 to 0.401" in text
     assert "−3 ± 2 mV" in text

@@ -35,7 +35,13 @@ def lines(material: Material) -> dict[str, str]:
 
 def test_the_page_opens_with_the_motor_and_says_where_what_is(material: Material) -> None:
     page = render(material)
-    assert 0 < page.index("<nav") < page.index("The motor in short") < page.index("<h2>Summary</h2>")
+    assert (
+        0
+        < page.index("<nav")
+        < page.index("What to do now")
+        < page.index("<h2>Summary</h2>")
+        < page.index('id="in-short"')
+    )
     for target in re.findall(r'<a href="#([a-z-]+)">', page):
         assert f'id="{target}"' in page, target
     titles = re.findall(r"<h3>([^<]+)</h3>", page)
@@ -64,7 +70,7 @@ def test_the_model_s_resistance_says_when_it_holds(material: Material) -> None:
     remark = Remark(code="model.of_the_model", text="model: R_s is that of the whole model")
     of_model = estimates.resistance.model_copy(update={"remarks": (remark,)})
     changed = replace(material, estimates=estimates.model_copy(update={"resistance": of_model}))
-    assert lines(changed)["R_s"].endswith(" at 0 s, by the model")
+    assert " at 0 s, by the model; nameplate 4.25 Ω" in lines(changed)["R_s"]
 
 
 def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Material, run: Path) -> None:

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis import SavedDiagnosis
+from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from plugins.streams.report._collect import Material, Paths
 from plugins.streams.report._motor_content import torque_rows
 from plugins.streams.report._next_steps import next_steps
-from protocols import EstimationReport, FluxMap, Motor, Remark
+from protocols import DiagnosisWords, EstimationReport, FluxMap, Motor, NextExperiment, Remark
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
+
+DECIDED = WORDS.model_copy(update={"to_decide": NOTHING_TO_DECIDE})
 
 
 def an_estimate(**change: object) -> EstimationReport:
@@ -58,21 +61,31 @@ def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
 def test_only_what_a_drive_can_compensate_is_advised_to_be_compensated(causes: list[str], advice: str) -> None:
     found = a_diagnosis().effects[0]
     effects = [found.model_copy(update={"name": name, "twins": ()}) for name in causes]
-    saved = SavedDiagnosis(a_diagnosis(effects=effects, next_experiment=None), WORDS, ())
+    saved = SavedDiagnosis(a_diagnosis(effects=effects, next_experiment=None), DECIDED, ())
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
     assert lines[-1].text == f"nothing is left to measure; {advice}"
 
 
 @pytest.mark.parametrize(
-    ("change", "advice"),
+    ("change", "words", "advice"),
     [
-        ({"twins": ("device_drop",)}, "compensate nothing until it is known whether it is dead time or device drop"),
-        ({"twins": (), "material": False}, "nothing is left to measure; no effect is large enough to be compensated"),
+        (
+            {"twins": ("device_drop",)},
+            WORDS,
+            f"{WORDS.to_decide}; compensate nothing until it is known whether it is dead time or device drop",
+        ),
+        (
+            {"twins": (), "material": False},
+            DECIDED,
+            "nothing is left to measure; no effect is large enough to be compensated",
+        ),
     ],
 )
-def test_twins_and_immaterial_effects_are_not_to_be_compensated(change: dict[str, object], advice: str) -> None:
+def test_twins_and_immaterial_effects_are_not_to_be_compensated(
+    change: dict[str, object], words: DiagnosisWords, advice: str
+) -> None:
     effect = a_diagnosis().effects[0].model_copy(update={"name": "dead_time", **change})
-    saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), WORDS, ())
+    saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), words, ())
     lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
     assert lines[-1].text.startswith(advice)
 
@@ -97,6 +110,31 @@ def test_nothing_is_compensated_while_another_effect_fits_better_in_place() -> N
         Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), SavedDiagnosis(report, WORDS, ()), ())
     )
     assert lines[-1].text.endswith("; compensate nothing until then.")
+
+
+@pytest.mark.parametrize(
+    "verdict",
+    ["explained", "explained_in_another_form", "mostly_explained", "unknown_remains", "cannot_tell"],
+)
+def test_what_the_diagnosis_leaves_to_decide_is_what_to_do_now(verdict: str) -> None:
+    words = WORDS.model_copy(update={"to_decide": "`fluxbench diagnose RUN --without skin_effect`: hysteresis fits"})
+    effects = [a_diagnosis().effects[0].model_copy(update={"twins": ()})]
+    saved = SavedDiagnosis(a_diagnosis(verdict=verdict, effects=effects, next_experiment=None), words, ())
+    lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
+    assert lines[-1].text.startswith("`fluxbench diagnose run --without skin_effect`: hysteresis fits")
+
+
+def test_the_proposed_experiment_is_the_command_that_makes_it_unless_something_comes_first() -> None:
+    stage = {"kind": "resistance"}
+    proposal = NextExperiment.model_validate({"stage": stage, "separates": ["dead_time", "device_drop"], "minutes": 1})
+    for to_decide, text in (
+        (experiment_to_decide(proposal), "`fluxbench run --from run` measures 60 s more, to tell dead time from"),
+        ("threshold of dead_time: at its bound", "threshold of dead_time: at its bound; "),
+    ):
+        words = WORDS.model_copy(update={"to_decide": to_decide})
+        saved = SavedDiagnosis(a_diagnosis(next_experiment=proposal.model_dump()), words, ())
+        lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
+        assert lines[-1].text.startswith(text)
 
 
 def test_a_model_that_was_changed_since_the_diagnosis_is_reported() -> None:
