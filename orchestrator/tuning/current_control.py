@@ -159,7 +159,9 @@ def _largest_factor(machine: Machine, limits: DriveLimits) -> float:
         least = np.linalg.eigvalsh(true)[:, 0]
         if least.min() <= 0.0:
             i_d, i_q = at[int(np.argmin(least))]
-            text = f"an inductance may be zero within its error at i_d {i_d:.3g} A, i_q {i_q:.3g} A; measure more densely"
+            text = (
+                f"an inductance may be zero within its error at i_d {i_d:.3g} A, i_q {i_q:.3g} A; measure more densely"
+            )
             raise InputError("flux map", "l_dd_std", text)
         largest = max(largest, float(np.abs(np.linalg.eigvals(inductance @ np.linalg.inv(true))).max()))
     return largest

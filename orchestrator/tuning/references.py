@@ -196,4 +196,9 @@ class _Circles:
         allowed = self._flux <= level * (1.0 + 1e-9)
         if not allowed.any():
             return self.current_a
-        return float(min(self._axis[allowed], key=abs))
+        k = int(np.argmin(np.where(allowed, np.abs(self._axis), np.inf)))
+        before = k + 1 if self._axis[k] < 0.0 else k - 1
+        if not 0 <= before < len(self._axis) or allowed[before]:
+            return float(self._axis[k])
+        near, far = self._flux[k], self._flux[before]
+        return float(self._axis[k] + (self._axis[before] - self._axis[k]) * (level - near) / (far - near))
