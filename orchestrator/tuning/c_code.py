@@ -1,0 +1,201 @@
+"""C99 source of the tuning: lookups, current references, current control and compensation in float. Decides no value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from orchestrator.numerics.types import Array
+from orchestrator.tuning.compensation import Compensation
+from orchestrator.tuning.current_control import CurrentControl
+from orchestrator.tuning.limits import DriveLimits
+from orchestrator.tuning.references import VOLTAGE_RESERVE, CurrentReferences
+from protocols import InputError, Motor
+
+WHERE = "C code"
+NUMBERS_PER_LINE = 8
+SPACING_TOLERANCE = 1e-6
+"""Largest deviation of an axis from even spacing, in steps, and of a loss from an odd function, over its largest value."""
+
+
+@dataclass(frozen=True)
+class _Table:
+    """An array of the source: the axes' names and nodes in the order of its dimensions."""
+
+    meaning: str
+    axes: Mapping[str, Array]
+    values: Array
+
+
+def c_files(
+    symbol: str,
+    motor: Motor,
+    references: CurrentReferences,
+    control: CurrentControl,
+    compensation: Compensation,
+    limits: DriveLimits,
+) -> dict[str, bytes]:
+    """Header and source, by file name: `<symbol>_drive.h` and `<symbol>_drive.c`.
+
+    Parameters
+    ----------
+    symbol : str
+        Prefix of all public names, a C identifier.
+    motor : Motor
+        For its name and pole pairs.
+
+    Raises
+    ------
+    InputError
+        Where a number is not finite, an axis is not evenly spaced, or the losses are not odd functions of the current.
+    """
+    values = _values(symbol, motor, references, control, compensation, limits)
+    return {f"{symbol}_drive.{kind}": _rendered(f"drive.{kind}.j2", values) for kind in ("h", "c")}
+
+
+def _values(
+    symbol: str,
+    motor: Motor,
+    references: CurrentReferences,
+    control: CurrentControl,
+    compensation: Compensation,
+    limits: DriveLimits,
+) -> dict[str, Any]:
+    gain, observer = _gains(control)
+    scalars = {
+        "pole_pairs": motor.pole_pairs,
+        "r_s_ohm": control.r_s_ohm,
+        "current_a": limits.current_a,
+        "period_s": 1.0 / limits.sampling_hz,
+        "delay_s": control.delay_s,
+        "bandwidth_rad_s": control.bandwidth_rad_s,
+        "integral_rad_s": control.integral_rad_s,
+        "gain_rad_s": gain,
+        "observer_rad_s": observer,
+        "voltage_reserve": VOLTAGE_RESERVE,
+        "angle_rad": compensation.angle_rad,
+    }
+    vectors = {
+        "gain": compensation.current_gain,
+        "offset": compensation.current_offset_a,
+        "bias": compensation.bias_ab_v,
+    }
+    for name, value in (scalars | vectors).items():
+        _require_finite(name, np.asarray(value, dtype=np.float64))
+    return {
+        **scalars,
+        **vectors,
+        "p": symbol,
+        "P": symbol.upper(),
+        "name": _comment(motor.name),
+        "sources": _comment(", ".join(compensation.sources)),
+        "left_out": [_comment(f"{left.name}: {left.reason}") for left in compensation.left_out],
+        "tables": _tables(references, control, compensation),
+    }
+
+
+def _tables(references: CurrentReferences, control: CurrentControl, compensation: Compensation) -> dict[str, _Table]:
+    flux = {"PSI_D": control.i_d_a, "PSI_Q": control.i_q_a}
+    inductance = {"L_D": control.gain_i_d_a, "L_Q": control.gain_i_q_a}
+    limit = {"LIMIT": references.psi_limit_wb}
+    phase, lost, per_bus = _positive_half(compensation)
+    tables = {
+        "psi_table": _Table("psi_d, psi_q [Wb] over i_d and i_q [A]", flux, control.psi_wb),
+        "inductance_table": _Table("L_dd, L_dq, L_qq [H] over i_d and i_q [A]", inductance, control.inductance_h),
+        "torque_limit_table": _Table("largest torque [Nm] over flux limit [Wb]", limit, references.torque_limit_nm),
+        "reference_table": _Table(
+            "least i_d, i_q [A] over flux limit [Wb] and share of the largest torque",
+            limit | {"SHARE": references.share},
+            references.i_dq_a,
+        ),
+        "lost_table": _Table("voltage lost in a leg [V] over |i| [A]", {"PHASE": phase}, lost),
+        "lost_per_bus_table": _Table("the part per volt of the bus [1] over |i| [A]", {"PHASE": phase}, per_bus),
+    }
+    for name, table in tables.items():
+        _require_finite(name, table.values)
+        for axis, nodes in table.axes.items():
+            _require_even(axis.lower(), nodes)
+    return tables
+
+
+def _gains(control: CurrentControl) -> tuple[float, float]:
+    """Gain K and bandwidth B of the observer, of K + B = bandwidth and K B = bandwidth x integral [rad/s].
+
+    Raises
+    ------
+    InputError
+        Where the integral is faster than a quarter of the bandwidth, so that no real ones exist.
+    """
+    total, product = control.bandwidth_rad_s, control.bandwidth_rad_s * control.integral_rad_s
+    square = 0.25 * total**2 - product
+    if not square >= 0.0:
+        text = f"{control.integral_rad_s:g} rad/s is more than a quarter of the bandwidth, {total:g} rad/s"
+        raise InputError(WHERE, "integral_rad_s", text)
+    return 0.5 * total + math.sqrt(square), 0.5 * total - math.sqrt(square)
+
+
+def _positive_half(compensation: Compensation) -> tuple[Array, Array, Array]:
+    """The losses at currents from zero on: they are odd functions, and the source has half a table."""
+    current = np.asarray(compensation.current_a, dtype=np.float64)
+    _require_even("current_a", current)
+    halves = [current]
+    for name, table in (("lost_v", compensation.lost_v), ("lost_per_bus_v", compensation.lost_per_bus_v)):
+        _require_finite(name, table)
+        even = np.abs(table + table[::-1]).max()
+        if even > SPACING_TOLERANCE * np.abs(table).max() or abs(current[0] + current[-1]) > 1e-6 * current[-1]:
+            raise InputError(WHERE, name, f"expected an odd function of the current; its even part reaches {even:g}")
+        halves.append(0.5 * (table - table[::-1]))
+    start = len(current) // 2
+    if len(current) % 2 == 0:
+        raise InputError(
+            WHERE, "current_a", f"expected an odd number of currents with zero amid them, not {len(current)}"
+        )
+    return current[start:] - current[start], halves[1][start:], halves[2][start:]
+
+
+def _require_finite(name: str, values: Array) -> None:
+    holes = int((~np.isfinite(values)).sum())
+    if holes:
+        raise InputError(WHERE, name, f"{holes} of {values.size} numbers are not finite; a drive needs all of them")
+
+
+def _require_even(name: str, nodes: Array) -> None:
+    _require_finite(name, nodes)
+    if len(nodes) < 2 or not nodes[-1] > nodes[0]:
+        raise InputError(WHERE, name, "expected two or more increasing nodes")
+    even = np.linspace(nodes[0], nodes[-1], len(nodes))
+    if np.abs(nodes - even).max() > SPACING_TOLERANCE * (even[1] - even[0]):
+        raise InputError(WHERE, name, "expected evenly spaced nodes")
+
+
+def _rendered(template: str, values: Mapping[str, Any]) -> bytes:
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(  # noqa: S701 (C source, no markup)
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.filters.update(c=_float, rows=_rows)
+    text = files("orchestrator.tuning").joinpath(template).read_text(encoding="ascii")
+    return environment.from_string(text).render(values).encode("ascii")
+
+
+def _rows(values: Array) -> str:
+    numbers = [_float(value) for value in values.reshape(-1)]
+    lines = (numbers[k : k + NUMBERS_PER_LINE] for k in range(0, len(numbers), NUMBERS_PER_LINE))
+    return ",\n".join("    " + ", ".join(line) for line in lines)
+
+
+def _float(value: float) -> str:
+    text = f"{float(np.float32(value)):.9g}"
+    return f"{text}f" if any(mark in text for mark in ".en") else f"{text}.0f"
+
+
+def _comment(text: str) -> str:
+    """Text that does not end the comment, in ASCII and on one line."""
+    line = " ".join(text.encode("ascii", "replace").decode().split())
+    return line.replace("*/", "* /").replace("/*", "/ *")
