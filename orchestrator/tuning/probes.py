@@ -1,0 +1,300 @@
+"""What an effect does to a drive at rest, read off its response to known signals; knows no effect by name.
+
+An effect gets currents, voltages and angles through its contract (`protocols.Effect.correct`):
+
+========= ======================================================================= =============================
+probe     signals                                                                 read off
+========= ======================================================================= =============================
+holds     constant currents, one phase without any, no voltage, two bus voltages  gain and offset of the
+                                                                                  readings, lost voltage, bias
+triangles current, and voltage, rise and fall slowly                              their group delays
+angles    no current, the rotor all around                                        angle of the d axis
+========= ======================================================================= =============================
+
+With phase a without current and i_b = -i_c = x, the legs lose e(x) and e(-x) = -e(x): a vector of length
+2/sqrt(3) e(x) along beta. The even part of the losses is a bias.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.candidates import EffectTerm
+from orchestrator.diagnosis.fitting.corrections import apply_effect
+from orchestrator.diagnosis.reporting.motor_model import magnetics_of
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
+from orchestrator.numerics.frames import from_phases, inductance_to_ab, to_ab, to_dq, to_phases
+from orchestrator.numerics.types import Array
+from protocols import DriveRecord, MotorModel, RealArray, SignalBatch, Signals
+
+TABLE_POINTS = 401
+"""Currents of the table of lost voltages: a knee of a hundredth of the largest current has two on each side."""
+LOWER_BUS_RATIO = 0.9
+"""Bus voltage of the second probe over the nominal one: mains may fall by 10 % (IEC 60038)."""
+HOLD_ROWS = 8
+"""Rows of a held current: an effect that averages over neighbouring rows has some on both sides of the middle."""
+RAMP_S = 0.1
+"""Duration of a slow rise [s]; lags of sensors and drives are below a hundredth of it."""
+MIN_RAMP_ROWS = 512
+"""Rows of a rise where fewer are in that time; lags of up to ten rows have settled in its middle."""
+RAMP_VOLTAGE_RATIO = 0.05
+"""Height of the voltage's triangle over the bus voltage: the duties stay near one half."""
+PROBED_ANGLES = 24
+"""Angles of a turn at which the d axis is probed: harmonics of a turn up to the 23rd average out."""
+LATE_S = 3600.0
+"""Second instant of the probes [s]: an effect that differs an hour later drifts."""
+TRACE_RATIO = 1e-6
+"""Change relative to largest current, bus voltage or a radian below which an effect leaves no trace."""
+TRACE_DELAY_S = 1e-9
+"""Delay below which an effect leaves no trace [s]: a hundredth of a timer's step."""
+SIGMAS_OF_INTERVAL = 1.96
+"""Half a 95 % interval in standard deviations."""
+DIRECTIONS: Array = from_phases(np.array([[0.0, 1.0, -1.0], [-1.0, 0.0, 1.0], [1.0, -1.0, 0.0]]))
+"""Current vectors at which one phase has none and the others +-1 A, shape (3, 2) [A]."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """What one effect, or several one after the other, do to a drive's readings and commands.
+
+    Attributes
+    ----------
+    gain : array, shape (2, 2)
+    offset_a : array, shape (2,)
+        i_ab true = gain @ i_ab read + offset.
+    lost_v, lost_low_bus_v : array, shape (k,)
+        Voltage lost in a leg at each current of the table, at the nominal and at the lower bus voltage [V]; odd.
+    bias_v : array, shape (2,)
+        Voltage lost at every current [V].
+    angle_rad : float
+        Turn of the d axis.
+    delay_s : float
+        Delay of the voltage plus that of the readings.
+    lost_variance : array, shape (k,)
+    bias_variance, delay_variance : float
+        Variances of `lost_v`, of the length of `bias_v` and of `delay_s`.
+    outside_ratio : float
+        Largest part of a change (rms) that the numbers above do not describe.
+    """
+
+    gain: Array
+    offset_a: Array
+    lost_v: Array
+    lost_low_bus_v: Array
+    bias_v: Array
+    angle_rad: float
+    delay_s: float
+    lost_variance: Array
+    bias_variance: float = 0.0
+    delay_variance: float = 0.0
+    outside_ratio: float = 0.0
+
+    @property
+    def leaves_trace(self) -> bool:
+        """Whether anything is done."""
+        changes = (self.gain - np.eye(2), self.offset_a, self.lost_v, self.bias_v, self.angle_rad, self.delay_s)
+        return any(bool(np.any(change)) for change in changes)
+
+    def followed_by(self, later: Response) -> Response:
+        """Both effects, one after the other: readings are mapped in turn, all else adds up."""
+        sums = {name: getattr(self, name) + getattr(later, name) for name in _ADDITIVE}
+        gain, offset = later.gain @ self.gain, later.gain @ self.offset_a + later.offset_a
+        return dataclasses.replace(self, gain=gain, offset_a=offset, **sums)
+
+    def varied(self, ends: Sequence[tuple[Response, Response]]) -> Response:
+        """With variances, from the responses at both ends of each parameter's 95 % interval."""
+        per_sigma = 0.5 / SIGMAS_OF_INTERVAL
+
+        def variances(name: str) -> list[Array]:
+            return [(per_sigma * (getattr(high, name) - getattr(low, name))) ** 2 for low, high in ends]
+
+        return dataclasses.replace(
+            self,
+            lost_variance=sum(variances("lost_v"), np.zeros_like(self.lost_v)),
+            bias_variance=float(np.sum(variances("bias_v"))),
+            delay_variance=float(np.sum(variances("delay_s"))),
+        )
+
+
+_ADDITIVE = (
+    *("lost_v", "lost_low_bus_v", "bias_v", "angle_rad", "delay_s"),
+    *("lost_variance", "bias_variance", "delay_variance"),
+)
+
+
+class Probes:
+    """Known signals of a drive at rest, and what effects make of them.
+
+    Parameters
+    ----------
+    model : MotorModel
+        Its flux and inductance are in the signals, for effects that depend on them.
+    drive : DriveRecord
+        Its sampling and PWM frequencies, and the nominal bus voltage.
+    current_a : float
+        Largest phase current [A].
+    clarke_of_three : bool or None
+        Whether current vectors are computed from three sensors.
+
+    Attributes
+    ----------
+    current_a : array, shape (k,)
+        Phase currents of the table, evenly spaced [A].
+    bus_v, low_bus_v : float
+        Bus voltages of the holds [V].
+    """
+
+    def __init__(self, model: MotorModel, drive: DriveRecord, current_a: float, clarke_of_three: bool | None) -> None:
+        self.current_a: Array = np.linspace(-current_a, current_a, TABLE_POINTS)
+        self.bus_v = drive.dc_bus_voltage_v
+        self.low_bus_v = LOWER_BUS_RATIO * self.bus_v
+        self._model, self._drive, self._of_three = model, drive, clarke_of_three
+        self._magnetics: Magnetics = magnetics_of(model.magnetics)
+
+    @property
+    def none(self) -> Response:
+        """The response without any effect."""
+        zeros = np.zeros_like(self.current_a)
+        return Response(np.eye(2), np.zeros(2), zeros, zeros, np.zeros(2), 0.0, 0.0, zeros)
+
+    def response(self, term: EffectTerm) -> Response:
+        """What an effect does; raises `PluginError` where it fails."""
+        holds, low_holds = self._nominal_holds, self._low_holds
+        answer, low_answer = apply_effect(holds, term).signals, apply_effect(low_holds, term).signals
+        gain, offset, curved = _affine(_middle(holds.i_ab), _middle(answer.i_ab))
+        lost, bias, unlike = self._legs(_middle(holds.v_ab - answer.v_ab))
+        low_lost, _, _ = self._legs(_middle(low_holds.v_ab - low_answer.v_ab))
+        angle, uneven = self._angle(term)
+        delay = self._delay(term, gain)
+        amps, volts = TRACE_RATIO * self.current_a[-1], TRACE_RATIO * self.bus_v
+        return Response(
+            gain=np.eye(2) + _traces(gain - np.eye(2), TRACE_RATIO),
+            offset_a=_traces(offset, amps),
+            lost_v=_traces(lost, volts),
+            lost_low_bus_v=_traces(low_lost, volts),
+            bias_v=_traces(bias, volts),
+            angle_rad=angle if abs(angle) > TRACE_RATIO else 0.0,
+            delay_s=delay if abs(delay) > TRACE_DELAY_S else 0.0,
+            lost_variance=np.zeros_like(lost),
+            outside_ratio=max(curved, unlike, uneven),
+        )
+
+    def drifts(self, term: EffectTerm) -> bool:
+        """Whether an effect does something else later."""
+        some = self.current_a[:: len(self.current_a) // 4]
+        early, late = (apply_effect(self._holds(some, self.bus_v, t), term).signals for t in (0.0, LATE_S))
+        amps = np.abs(late.i_ab - early.i_ab).max() / self.current_a[-1]
+        volts = np.abs(late.v_ab - early.v_ab).max() / self.bus_v
+        return bool(max(amps, volts) > TRACE_RATIO)
+
+    def _legs(self, lost_ab: Array) -> tuple[Array, Array, float]:
+        """Loss of a leg (k,), bias (2,) and the part of lost vectors (3 k, 2) that these do not describe."""
+        bias = lost_ab.mean(axis=0)
+        # A vector of legs (0, e, -e) along (0, 1, -1) A: their product is 4/3 e.
+        along = np.sum(lost_ab.reshape(3, -1, 2) * DIRECTIONS[:, None, :], axis=(0, 2)) / 4.0
+        lost: Array = 0.5 * (along - along[::-1])
+        legs = np.interp(to_phases(_middle(self._nominal_holds.i_ab)), self.current_a, lost)
+        return lost, bias, _part(lost_ab - bias - from_phases(legs), lost_ab, TRACE_RATIO * self.bus_v)
+
+    def _angle(self, term: EffectTerm) -> tuple[float, float]:
+        """Mean turn of the d axis over a turn of the rotor, and the part that differs from it."""
+        probed = self._angles
+        turn = apply_effect(probed, term).signals.theta_rad - probed.theta_rad
+        return float(turn.mean()), _part(turn - turn.mean(), turn, TRACE_RATIO)
+
+    def _delay(self, term: EffectTerm, gain: Array) -> float:
+        """Group delay of voltage and readings: half the distance of rise and fall at one value, over the slope."""
+        delays = []
+        for batch, name in zip(self._triangles, ("i_ab", "v_ab"), strict=True):
+            before, after = (getattr(one, name)[:, 0] for one in (batch, apply_effect(batch, term).signals))
+            rise = len(before) // 4
+            slope = (before[rise + 1] - before[rise]) * self._drive.sampling_frequency_hz
+            delays.append(0.5 * float(after[rise] - after[len(before) - 1 - rise]) / slope)
+        # A corrected reading is ahead of the one that lags; a corrected command is behind the one that was given.
+        return float(delays[0] / gain[0, 0] - delays[1])
+
+    @cached_property
+    def _nominal_holds(self) -> SignalBatch:
+        return self._holds(self.current_a, self.bus_v)
+
+    @cached_property
+    def _low_holds(self) -> SignalBatch:
+        return self._holds(self.current_a, self.low_bus_v)
+
+    @cached_property
+    def _angles(self) -> SignalBatch:
+        theta = 2.0 * math.pi * np.arange(PROBED_ANGLES) / PROBED_ANGLES
+        nothing = np.zeros((HOLD_ROWS, 2))
+        return SignalBatch.of([self._signals(nothing, nothing, self.bus_v, theta_rad=float(t)) for t in theta])
+
+    @cached_property
+    def _triangles(self) -> tuple[SignalBatch, SignalBatch]:
+        """A rise along alpha and back: of the current alone, and of the voltage alone."""
+        rows = max(MIN_RAMP_ROWS, round(RAMP_S * self._drive.sampling_frequency_hz))
+        rise = np.linspace(-1.0, 1.0, rows)
+        triangle = np.outer(np.concatenate([rise, rise[::-1]]), [1.0, 0.0])
+        amps, volts = self.current_a[-1] * triangle, RAMP_VOLTAGE_RATIO * self.bus_v * triangle
+        pairs = ((amps, 0.0 * triangle), (0.0 * triangle, volts))
+        current, voltage = (SignalBatch.of([self._signals(*pair, self.bus_v)]) for pair in pairs)
+        return current, voltage
+
+    def _holds(self, phase_a: Array, bus_v: float, start_s: float = 0.0) -> SignalBatch:
+        """Constant currents (3 k) in the directions at which one phase has none; two have +- `phase_a` (k,)."""
+        nothing = np.zeros((HOLD_ROWS, 2))
+        vectors = (DIRECTIONS[:, None, :] * phase_a[:, None]).reshape(-1, 2)
+        held = [np.tile(i_ab, (HOLD_ROWS, 1)) for i_ab in vectors]
+        return SignalBatch.of([self._signals(i_ab, nothing, bus_v, start_s=start_s) for i_ab in held])
+
+    def _signals(
+        self, i_ab: Array, v_ab: Array, bus_v: float, *, start_s: float = 0.0, theta_rad: float = 0.0
+    ) -> Signals:
+        drive, rows = self._drive, len(i_ab)
+        psi, inductance = self._magnetics.flux_and_inductance(np.vstack([to_dq(i_ab, theta_rad), np.zeros((1, 2))]))
+        psi_dq = psi[:-1] - psi[-1] + np.array([self._model.pm_flux_wb, 0.0])
+        return Signals(
+            start_s=start_s,
+            sampling_frequency_hz=drive.sampling_frequency_hz,
+            pwm_frequency_hz=drive.pwm_frequency_hz or drive.sampling_frequency_hz,
+            i_ab=i_ab,
+            v_ab=v_ab,
+            v_dc=np.full(rows, bus_v),
+            theta_rad=np.full(rows, theta_rad),
+            resistance_ohm=np.full(rows, self._model.r_s_ohm),
+            i_m_ab=i_ab,
+            heat_j=np.zeros(rows),
+            psi_ab=to_ab(psi_dq, theta_rad),
+            inductance_ab=inductance_to_ab(inductance[:-1], theta_rad),
+            clarke_of_three=self._of_three,
+            motor=self._model.motor,
+            drive=drive,
+        )
+
+
+def _middle(held: RealArray) -> Array:
+    """The middle row of each hold, shape (holds, 2)."""
+    return np.asarray(held[HOLD_ROWS // 2 :: HOLD_ROWS], dtype=np.float64)
+
+
+def _affine(read: Array, true: Array) -> tuple[Array, Array, float]:
+    """Gain (2, 2) and offset (2,) of true = gain @ read + offset in least squares, and the part that is not affine."""
+    design = np.column_stack([read, np.ones(len(read))])
+    solution = np.linalg.lstsq(design, true, rcond=None)[0]
+    gain, offset = (np.asarray(x, dtype=np.float64) for x in (solution[:2].T, solution[2]))
+    return gain, offset, _part(true - design @ solution, true - read, TRACE_RATIO * float(np.abs(read).max()))
+
+
+def _traces(change: Array, trace: float) -> Array:
+    """The change, or zeros where all of it is below a trace."""
+    return change if np.abs(change).max() > trace else np.zeros_like(change)
+
+
+def _part(lacking: Array, whole: Array, trace: float) -> float:
+    """rms of what is lacking over that of the whole; 0 where the whole leaves no trace."""
+    size = float(np.sqrt(np.mean(whole**2)))
+    return float(np.sqrt(np.mean(lacking**2))) / size if size > trace else 0.0
