@@ -11,8 +11,8 @@ triangles current, and voltage, rise and fall slowly                            
 angles    no current, the rotor all around                                        angle of the d axis
 ========= ======================================================================= =============================
 
-With phase a without current and i_b = -i_c = x, the legs lose e(x) and e(-x) = -e(x): a vector of length
-2/sqrt(3) e(x) along beta. The even part of the losses is a bias.
+With i_a = 0 and i_b = -i_c = x, the legs lose e(x) and e(-x) = -e(x): a vector of length 2/sqrt(3) e(x) along beta.
+The even part of the losses is a bias. Voltages of effects other than the inverter's are no loss.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from orchestrator.diagnosis.reporting.motor_model import magnetics_of
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.frames import from_phases, inductance_to_ab, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
-from protocols import DriveRecord, MotorModel, RealArray, SignalBatch, Signals
+from protocols import DriveRecord, EffectLayer, MotorModel, RealArray, SignalBatch, Signals
 
 TABLE_POINTS = 401
 """Currents of the table of lost voltages: a knee of a hundredth of the largest current has two on each side."""
@@ -76,8 +76,7 @@ class Response:
         Turn of the d axis.
     delay_s : float
         Delay of the voltage plus that of the readings.
-    lost_variance : array, shape (k,)
-    bias_variance, delay_variance : float
+    lost_variance : array, shape (k,); bias_variance, delay_variance : float
         Variances of `lost_v`, of the length of `bias_v` and of `delay_s`.
     outside_ratio : float
         Largest part of a change (rms) that the numbers above do not describe.
@@ -168,8 +167,9 @@ class Probes:
         holds, low_holds = self._nominal_holds, self._low_holds
         answer, low_answer = apply_effect(holds, term).signals, apply_effect(low_holds, term).signals
         gain, offset, curved = _affine(_middle(holds.i_ab), _middle(answer.i_ab))
-        lost, bias, unlike = self._legs(_middle(holds.v_ab - answer.v_ab))
-        low_lost, _, _ = self._legs(_middle(low_holds.v_ab - low_answer.v_ab))
+        of_legs = float(term.candidate.effect.layer is EffectLayer.INVERTER)
+        lost, bias, unlike = self._legs(of_legs * _middle(holds.v_ab - answer.v_ab))
+        low_lost, _, _ = self._legs(of_legs * _middle(low_holds.v_ab - low_answer.v_ab))
         angle, uneven = self._angle(term)
         delay = self._delay(term, gain)
         amps, volts = TRACE_RATIO * self.current_a[-1], TRACE_RATIO * self.bus_v
@@ -186,7 +186,7 @@ class Probes:
         )
 
     def drifts(self, term: EffectTerm) -> bool:
-        """Whether an effect does something else later."""
+        """Whether an effect does something else later; raises `PluginError` where it fails."""
         some = self.current_a[:: len(self.current_a) // 4]
         early, late = (apply_effect(self._holds(some, self.bus_v, t), term).signals for t in (0.0, LATE_S))
         amps = np.abs(late.i_ab - early.i_ab).max() / self.current_a[-1]
@@ -241,7 +241,7 @@ class Probes:
         triangle = np.outer(np.concatenate([rise, rise[::-1]]), [1.0, 0.0])
         amps, volts = self.current_a[-1] * triangle, RAMP_VOLTAGE_RATIO * self.bus_v * triangle
         pairs = ((amps, 0.0 * triangle), (0.0 * triangle, volts))
-        current, voltage = (SignalBatch.of([self._signals(*pair, self.bus_v)]) for pair in pairs)
+        current, voltage = (SignalBatch.of([self._signals(i_ab, v_ab, self.bus_v)]) for i_ab, v_ab in pairs)
         return current, voltage
 
     def _holds(self, phase_a: Array, bus_v: float, start_s: float = 0.0) -> SignalBatch:
