@@ -1,4 +1,4 @@
-"""C99 source of the tuning: lookups, current references, current control and compensation in float. Decides no value."""
+"""C99 source of the tuning: lookups, current references, current control, compensation. Decides no value."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from protocols import InputError, Motor
 WHERE = "C code"
 NUMBERS_PER_LINE = 8
 SPACING_TOLERANCE = 1e-6
-"""Largest deviation of an axis from even spacing, in steps, and of a loss from an odd function, over its largest value."""
+"""Largest deviation of an axis from even spacing, in steps, and of a loss from an odd function, in parts of it."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ def _values(
     compensation: Compensation,
     limits: DriveLimits,
 ) -> dict[str, Any]:
-    gain, observer = _gains(control)
+    gain, observer = _gains(control, 1.0 / limits.sampling_hz)
     scalars = {
         "pole_pairs": motor.pole_pairs,
         "r_s_ohm": control.r_s_ohm,
@@ -123,20 +123,25 @@ def _tables(references: CurrentReferences, control: CurrentControl, compensation
     return tables
 
 
-def _gains(control: CurrentControl) -> tuple[float, float]:
-    """Gain K and bandwidth B of the observer, of K + B = bandwidth and K B = bandwidth x integral [rad/s].
+def _gains(control: CurrentControl, period_s: float) -> tuple[float, float]:
+    """Gain K and bandwidth B of the observer [rad/s].
+
+    They solve K + B = bandwidth (1 + B period) and K B = bandwidth x integral (1 + B period): the observer learns a
+    voltage one period late, which takes the loop's gain by the factor in brackets.
 
     Raises
     ------
     InputError
-        Where the integral is faster than a quarter of the bandwidth, so that no real ones exist.
+        Where the integral part is too fast for the bandwidth, so that no real ones exist.
     """
-    total, product = control.bandwidth_rad_s, control.bandwidth_rad_s * control.integral_rad_s
-    square = 0.25 * total**2 - product
-    if not square >= 0.0:
-        text = f"{control.integral_rad_s:g} rad/s is more than a quarter of the bandwidth, {total:g} rad/s"
+    bandwidth, integral = control.bandwidth_rad_s, control.integral_rad_s
+    linear, product = bandwidth * (1.0 - integral * period_s), bandwidth * integral
+    square = linear**2 - 4.0 * (1.0 - bandwidth * period_s) * product
+    if not (square >= 0.0 and linear > 0.0):
+        text = f"{integral:g} rad/s is too fast for a bandwidth of {bandwidth:g} rad/s; a quarter of it is the most"
         raise InputError(WHERE, "integral_rad_s", text)
-    return 0.5 * total + math.sqrt(square), 0.5 * total - math.sqrt(square)
+    observer = 2.0 * product / (linear + math.sqrt(square))
+    return bandwidth * (1.0 + observer * period_s) - observer, observer
 
 
 def _positive_half(compensation: Compensation) -> tuple[Array, Array, Array]:
@@ -176,7 +181,7 @@ def _require_even(name: str, nodes: Array) -> None:
 def _rendered(template: str, values: Mapping[str, Any]) -> bytes:
     from jinja2 import Environment, StrictUndefined
 
-    environment = Environment(  # noqa: S701 (C source, no markup)
+    environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     environment.filters.update(c=_float, rows=_rows)

@@ -6,7 +6,7 @@ import ctypes
 import dataclasses
 import shutil
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,6 +61,7 @@ class Plant:
     is_compensated: float = 0.0
     injected_v: float = 0.0
     injected_rad_per_sample: float = 0.0
+    injected_axis: float = 0.0
 
     def psi(self, i_dq: Array) -> Array:
         """Flux linkage [Wb], shape (n, 2), at currents of shape (n, 2)."""
@@ -122,7 +123,9 @@ class Loop:
         return self.run(plant, rows)
 
 
-def library_of(files: Mapping[str, bytes], folder: Path, more: bytes = b"") -> ctypes.CDLL:
+def library_of(
+    files: Mapping[str, bytes], folder: Path, more: bytes = b"", options: Sequence[str] = ("-O2",)
+) -> ctypes.CDLL:
     """The source as a shared library, every warning an error, with further source that uses it."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, content in files.items():
@@ -130,7 +133,7 @@ def library_of(files: Mapping[str, bytes], folder: Path, more: bytes = b"") -> c
     (folder / "more.c").write_bytes(more or b"typedef int nothing;\n")
     gcc = compiler()
     for name in (*(n for n in files if n.endswith(".c")), "more.c"):
-        run(gcc, *STRICT, "-O2", "-fPIC", "-c", name, folder=folder)
+        run(gcc, *STRICT, *options, "-fPIC", "-c", name, folder=folder)
     run(gcc, "-shared", "-o", "drive.so", *(p.name for p in folder.glob("*.o")), "-lm", folder=folder)
     return ctypes.CDLL(str(folder / "drive.so"))
 

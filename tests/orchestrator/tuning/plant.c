@@ -19,7 +19,7 @@ typedef struct {
     double gain_a, gain_b, offset_a, offset_b, noise_a;
     double angle_error;             /* believed angle = true - angle_error */
     double inertia, load_nm;        /* no inertia: the speed is imposed */
-    double is_compensated, injected_v, injected_rad_per_sample;
+    double is_compensated, injected_v, injected_rad_per_sample, injected_axis;
 } plant;
 
 enum { I_D, I_Q, TORQUE, OMEGA, V_D, V_Q, REF_D, REF_Q, REPORT, PHASE_A, INJECTED, LENGTH_V, COLUMNS };
@@ -176,8 +176,9 @@ void simulate(const plant *given, int count, const double (*command)[6], double 
         out[n][PHASE_A] = abc[0];
         out[n][INJECTED] = p->injected_v * sin(p->injected_rad_per_sample * n);
         out[n][LENGTH_V] = hypot(v_ref[0], v_ref[1]);
-        v[0] = (double)v_ref[0] + out[n][INJECTED];
+        v[0] = v_ref[0];
         v[1] = v_ref[1];
+        v[p->injected_axis > 0.0] += out[n][INJECTED];
         const double ahead = (double)motor_angle_ahead_rad((float)fmod(believed, 2.0 * 3.14159265358979323846), omega);
         turn(v, ahead, v_ab);
         if (p->is_compensated > 0.0) {
