@@ -18,7 +18,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, scaled_library
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.probes import Probes, Response
+from orchestrator.tuning.probes import TRACE_RATIO, Probes, Response, without_rounding
 from protocols import Effect, EffectLayer, Manifest, ModelEffect, MotorModel, PluginError, is_compensable
 
 MAX_OUTSIDE_RATIO = 0.1
@@ -101,6 +101,7 @@ class Compensation:
         manifest: Manifest,
         current_a: float,
         *,
+        pwm_frequency_hz: float | None = None,
         clarke_of_three: bool | None = None,
     ) -> Self:
         """The compensation of a model's effects.
@@ -113,6 +114,8 @@ class Compensation:
             The recording's, for its drive.
         current_a : float
             Largest phase current of the table [A peak].
+        pwm_frequency_hz : float, optional
+            Of the drive that is tuned [Hz]; by default the recording's.
         clarke_of_three : bool or None
             Whether the drive computes its current vector from three sensors; None counts as two.
 
@@ -123,11 +126,12 @@ class Compensation:
         """
         library = {c.name: c for c in scaled_library(effects, manifest)}
         require_effects_of(model, library)
-        probes = Probes(model, manifest.drive, current_a, clarke_of_three)
+        drive = manifest.drive
+        probes = Probes(model, drive, current_a, pwm_frequency_hz=pwm_frequency_hz, clarke_of_three=clarke_of_three)
         found = probes.none
         sources, left_out = [], []
         for kept in sorted(model.effects, key=lambda one: library[one.name].effect.layer):
-            reason, response = _judged(probes, _term(library[kept.name], kept), kept)
+            reason, response = _assess(probes, _term(library[kept.name], kept), kept)
             if response is not None:
                 found = found.followed_by(response)
                 sources.append(kept.name)
@@ -137,7 +141,7 @@ class Compensation:
         per_bus = (found.lost_v - found.lost_low_bus_v) / (full - low)
         return cls(
             current_a=probes.current_a,
-            lost_v=found.lost_v - full * per_bus,
+            lost_v=without_rounding(found.lost_v - full * per_bus, TRACE_RATIO * full),
             lost_per_bus_v=per_bus,
             lost_std_v=np.sqrt(found.lost_variance),
             bias_ab_v=found.bias_v,
@@ -152,7 +156,7 @@ class Compensation:
         )
 
 
-def _judged(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | None, Response | None]:
+def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | None, Response | None]:
     """Why an effect is left out, wholly or in part, and its response where it is compensated."""
     effect = term.candidate.effect
     if effect.layer is EffectLayer.BUS or not is_compensable(effect):
@@ -168,7 +172,7 @@ def _judged(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | 
         if p.fitted and p.low is not None and p.high is not None
     ]
     part = response.outside_ratio
-    return PARTLY.format(part=f"{part:.0%}") if part > MAX_OUTSIDE_RATIO else None, response.varied(ends)
+    return PARTLY.format(part=f"{part:.0%}") if part > MAX_OUTSIDE_RATIO else None, response.with_variances(ends)
 
 
 def _term(candidate: CandidateEffect, kept: ModelEffect) -> EffectTerm:

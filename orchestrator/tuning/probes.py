@@ -2,14 +2,13 @@
 
 An effect gets currents, voltages and angles through its contract (`protocols.Effect.correct`):
 
-========= ======================================================================= =============================
-probe     signals                                                                 read off
-========= ======================================================================= =============================
-holds     constant currents, one phase without any, no voltage, two bus voltages  gain and offset of the
-                                                                                  readings, lost voltage, bias
-triangles current, and voltage, rise and fall slowly                              their group delays
-angles    no current, the rotor all around                                        angle of the d axis
-========= ======================================================================= =============================
+========= ============================================================= ===============================================
+probe     signals                                                       read off
+========= ============================================================= ===============================================
+holds     constant currents, one phase without any, two bus voltages    gain and offset of readings, lost voltage, bias
+triangles current, and voltage, rise and fall slowly                    their group delays
+angles    no current, the rotor all around                              angle of the d axis
+========= ============================================================= ===============================================
 
 With i_a = 0 and i_b = -i_c = x, the legs lose e(x) and e(-x) = -e(x): a vector of length 2/sqrt(3) e(x) along beta.
 The even part of the losses is a bias. Voltages of effects other than the inverter's are no loss.
@@ -22,6 +21,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -39,10 +39,8 @@ LOWER_BUS_RATIO = 0.9
 """Bus voltage of the second probe over the nominal one: mains may fall by 10 % (IEC 60038)."""
 HOLD_ROWS = 8
 """Rows of a held current: an effect that averages over neighbouring rows has some on both sides of the middle."""
-RAMP_S = 0.1
-"""Duration of a slow rise [s]; lags of sensors and drives are below a hundredth of it."""
-MIN_RAMP_ROWS = 512
-"""Rows of a rise where fewer are in that time; lags of up to ten rows have settled in its middle."""
+RAMP_ROWS = 4096
+"""Rows of a slow rise: lags of up to a hundred rows have settled in its middle."""
 RAMP_VOLTAGE_RATIO = 0.05
 """Height of the voltage's triangle over the bus voltage: the duties stay near one half."""
 PROBED_ANGLES = 24
@@ -79,7 +77,7 @@ class Response:
     lost_variance : array, shape (k,); bias_variance, delay_variance : float
         Variances of `lost_v`, of the length of `bias_v` and of `delay_s`.
     outside_ratio : float
-        Largest part of a change (rms) that the numbers above do not describe.
+        Largest part of a change (rms) that the numbers above do not describe; of a single effect.
     """
 
     gain: Array
@@ -102,11 +100,14 @@ class Response:
 
     def followed_by(self, later: Response) -> Response:
         """Both effects, one after the other: readings are mapped in turn, all else adds up."""
-        sums = {name: getattr(self, name) + getattr(later, name) for name in _ADDITIVE}
-        gain, offset = later.gain @ self.gain, later.gain @ self.offset_a + later.offset_a
-        return dataclasses.replace(self, gain=gain, offset_a=offset, **sums)
+        mapped: dict[str, Any] = {
+            "gain": later.gain @ self.gain,
+            "offset_a": later.gain @ self.offset_a + later.offset_a,
+        }
+        names = [f.name for f in dataclasses.fields(self) if f.name not in mapped]
+        return Response(**mapped, **{name: getattr(self, name) + getattr(later, name) for name in names})
 
-    def varied(self, ends: Sequence[tuple[Response, Response]]) -> Response:
+    def with_variances(self, ends: Sequence[tuple[Response, Response]]) -> Response:
         """With variances, from the responses at both ends of each parameter's 95 % interval."""
         per_sigma = 0.5 / SIGMAS_OF_INTERVAL
 
@@ -121,12 +122,6 @@ class Response:
         )
 
 
-_ADDITIVE = (
-    *("lost_v", "lost_low_bus_v", "bias_v", "angle_rad", "delay_s"),
-    *("lost_variance", "bias_variance", "delay_variance"),
-)
-
-
 class Probes:
     """Known signals of a drive at rest, and what effects make of them.
 
@@ -135,9 +130,11 @@ class Probes:
     model : MotorModel
         Its flux and inductance are in the signals, for effects that depend on them.
     drive : DriveRecord
-        Its sampling and PWM frequencies, and the nominal bus voltage.
+        The one of the recording: its sampling and PWM frequencies, and the nominal bus voltage.
     current_a : float
         Largest phase current [A].
+    pwm_frequency_hz : float, optional
+        Of the probes [Hz]; by default the drive's.
     clarke_of_three : bool or None
         Whether current vectors are computed from three sensors.
 
@@ -149,11 +146,20 @@ class Probes:
         Bus voltages of the holds [V].
     """
 
-    def __init__(self, model: MotorModel, drive: DriveRecord, current_a: float, clarke_of_three: bool | None) -> None:
+    def __init__(
+        self,
+        model: MotorModel,
+        drive: DriveRecord,
+        current_a: float,
+        *,
+        pwm_frequency_hz: float | None = None,
+        clarke_of_three: bool | None = None,
+    ) -> None:
         self.current_a: Array = np.linspace(-current_a, current_a, TABLE_POINTS)
         self.bus_v = drive.dc_bus_voltage_v
         self.low_bus_v = LOWER_BUS_RATIO * self.bus_v
         self._model, self._drive, self._of_three = model, drive, clarke_of_three
+        self._pwm_hz = pwm_frequency_hz or drive.pwm_frequency_hz or drive.sampling_frequency_hz
         self._magnetics: Magnetics = magnetics_of(model.magnetics)
 
     @property
@@ -164,7 +170,7 @@ class Probes:
 
     def response(self, term: EffectTerm) -> Response:
         """What an effect does; raises `PluginError` where it fails."""
-        holds, low_holds = self._nominal_holds, self._low_holds
+        holds, low_holds = self._both_holds
         answer, low_answer = apply_effect(holds, term).signals, apply_effect(low_holds, term).signals
         gain, offset, curved = _affine(_middle(holds.i_ab), _middle(answer.i_ab))
         of_legs = float(term.candidate.effect.layer is EffectLayer.INVERTER)
@@ -172,13 +178,13 @@ class Probes:
         low_lost, _, _ = self._legs(of_legs * _middle(low_holds.v_ab - low_answer.v_ab))
         angle, uneven = self._angle(term)
         delay = self._delay(term, gain)
-        amps, volts = TRACE_RATIO * self.current_a[-1], TRACE_RATIO * self.bus_v
+        volts = TRACE_RATIO * self.bus_v
         return Response(
-            gain=np.eye(2) + _traces(gain - np.eye(2), TRACE_RATIO),
-            offset_a=_traces(offset, amps),
-            lost_v=_traces(lost, volts),
-            lost_low_bus_v=_traces(low_lost, volts),
-            bias_v=_traces(bias, volts),
+            gain=np.eye(2) + without_rounding(gain - np.eye(2), TRACE_RATIO),
+            offset_a=without_rounding(offset, TRACE_RATIO * self.current_a[-1]),
+            lost_v=without_rounding(lost, volts),
+            lost_low_bus_v=without_rounding(low_lost, volts),
+            bias_v=without_rounding(bias, volts),
             angle_rad=angle if abs(angle) > TRACE_RATIO else 0.0,
             delay_s=delay if abs(delay) > TRACE_DELAY_S else 0.0,
             lost_variance=np.zeros_like(lost),
@@ -189,9 +195,9 @@ class Probes:
         """Whether an effect does something else later; raises `PluginError` where it fails."""
         some = self.current_a[:: len(self.current_a) // 4]
         early, late = (apply_effect(self._holds(some, self.bus_v, t), term).signals for t in (0.0, LATE_S))
-        amps = np.abs(late.i_ab - early.i_ab).max() / self.current_a[-1]
-        volts = np.abs(late.v_ab - early.v_ab).max() / self.bus_v
-        return bool(max(amps, volts) > TRACE_RATIO)
+        sizes = {"i_ab": self.current_a[-1], "v_ab": self.bus_v, "theta_rad": 1.0}
+        changes = [np.abs(getattr(late, name) - getattr(early, name)).max() / size for name, size in sizes.items()]
+        return bool(max(changes) > TRACE_RATIO)
 
     def _legs(self, lost_ab: Array) -> tuple[Array, Array, float]:
         """Loss of a leg (k,), bias (2,) and the part of lost vectors (3 k, 2) that these do not describe."""
@@ -199,14 +205,13 @@ class Probes:
         # A vector of legs (0, e, -e) along (0, 1, -1) A: their product is 4/3 e.
         along = np.sum(lost_ab.reshape(3, -1, 2) * DIRECTIONS[:, None, :], axis=(0, 2)) / 4.0
         lost: Array = 0.5 * (along - along[::-1])
-        legs = np.interp(to_phases(_middle(self._nominal_holds.i_ab)), self.current_a, lost)
-        return lost, bias, _part(lost_ab - bias - from_phases(legs), lost_ab, TRACE_RATIO * self.bus_v)
+        legs = np.interp(to_phases(_middle(self._both_holds[0].i_ab)), self.current_a, lost)
+        return lost, bias, _relative_rms(lost_ab - bias - from_phases(legs), lost_ab, TRACE_RATIO * self.bus_v)
 
     def _angle(self, term: EffectTerm) -> tuple[float, float]:
         """Mean turn of the d axis over a turn of the rotor, and the part that differs from it."""
-        probed = self._angles
-        turn = apply_effect(probed, term).signals.theta_rad - probed.theta_rad
-        return float(turn.mean()), _part(turn - turn.mean(), turn, TRACE_RATIO)
+        turn = apply_effect(self._angles, term).signals.theta_rad - self._angles.theta_rad
+        return float(turn.mean()), _relative_rms(turn - turn.mean(), turn, TRACE_RATIO)
 
     def _delay(self, term: EffectTerm, gain: Array) -> float:
         """Group delay of voltage and readings: half the distance of rise and fall at one value, over the slope."""
@@ -220,12 +225,9 @@ class Probes:
         return float(delays[0] / gain[0, 0] - delays[1])
 
     @cached_property
-    def _nominal_holds(self) -> SignalBatch:
-        return self._holds(self.current_a, self.bus_v)
-
-    @cached_property
-    def _low_holds(self) -> SignalBatch:
-        return self._holds(self.current_a, self.low_bus_v)
+    def _both_holds(self) -> tuple[SignalBatch, SignalBatch]:
+        """All currents of the table at the nominal and at the lower bus voltage."""
+        return self._holds(self.current_a, self.bus_v), self._holds(self.current_a, self.low_bus_v)
 
     @cached_property
     def _angles(self) -> SignalBatch:
@@ -236,13 +238,11 @@ class Probes:
     @cached_property
     def _triangles(self) -> tuple[SignalBatch, SignalBatch]:
         """A rise along alpha and back: of the current alone, and of the voltage alone."""
-        rows = max(MIN_RAMP_ROWS, round(RAMP_S * self._drive.sampling_frequency_hz))
-        rise = np.linspace(-1.0, 1.0, rows)
+        rise = np.linspace(-1.0, 1.0, RAMP_ROWS)
         triangle = np.outer(np.concatenate([rise, rise[::-1]]), [1.0, 0.0])
-        amps, volts = self.current_a[-1] * triangle, RAMP_VOLTAGE_RATIO * self.bus_v * triangle
-        pairs = ((amps, 0.0 * triangle), (0.0 * triangle, volts))
-        current, voltage = (SignalBatch.of([self._signals(i_ab, v_ab, self.bus_v)]) for i_ab, v_ab in pairs)
-        return current, voltage
+        nothing, volts = np.zeros_like(triangle), RAMP_VOLTAGE_RATIO * self.bus_v * triangle
+        current = self._signals(self.current_a[-1] * triangle, nothing, self.bus_v)
+        return SignalBatch.of([current]), SignalBatch.of([self._signals(nothing, volts, self.bus_v)])
 
     def _holds(self, phase_a: Array, bus_v: float, start_s: float = 0.0) -> SignalBatch:
         """Constant currents (3 k) in the directions at which one phase has none; two have +- `phase_a` (k,)."""
@@ -254,13 +254,13 @@ class Probes:
     def _signals(
         self, i_ab: Array, v_ab: Array, bus_v: float, *, start_s: float = 0.0, theta_rad: float = 0.0
     ) -> Signals:
-        drive, rows = self._drive, len(i_ab)
+        rows = len(i_ab)
         psi, inductance = self._magnetics.flux_and_inductance(np.vstack([to_dq(i_ab, theta_rad), np.zeros((1, 2))]))
         psi_dq = psi[:-1] - psi[-1] + np.array([self._model.pm_flux_wb, 0.0])
         return Signals(
             start_s=start_s,
-            sampling_frequency_hz=drive.sampling_frequency_hz,
-            pwm_frequency_hz=drive.pwm_frequency_hz or drive.sampling_frequency_hz,
+            sampling_frequency_hz=self._drive.sampling_frequency_hz,
+            pwm_frequency_hz=self._pwm_hz,
             i_ab=i_ab,
             v_ab=v_ab,
             v_dc=np.full(rows, bus_v),
@@ -272,7 +272,7 @@ class Probes:
             inductance_ab=inductance_to_ab(inductance[:-1], theta_rad),
             clarke_of_three=self._of_three,
             motor=self._model.motor,
-            drive=drive,
+            drive=self._drive,
         )
 
 
@@ -286,15 +286,15 @@ def _affine(read: Array, true: Array) -> tuple[Array, Array, float]:
     design = np.column_stack([read, np.ones(len(read))])
     solution = np.linalg.lstsq(design, true, rcond=None)[0]
     gain, offset = (np.asarray(x, dtype=np.float64) for x in (solution[:2].T, solution[2]))
-    return gain, offset, _part(true - design @ solution, true - read, TRACE_RATIO * float(np.abs(read).max()))
+    return gain, offset, _relative_rms(true - design @ solution, true - read, TRACE_RATIO * float(np.abs(read).max()))
 
 
-def _traces(change: Array, trace: float) -> Array:
+def without_rounding(change: Array, trace: float) -> Array:
     """The change, or zeros where all of it is below a trace."""
     return change if np.abs(change).max() > trace else np.zeros_like(change)
 
 
-def _part(lacking: Array, whole: Array, trace: float) -> float:
+def _relative_rms(lacking: Array, whole: Array, trace: float) -> float:
     """rms of what is lacking over that of the whole; 0 where the whole leaves no trace."""
     size = float(np.sqrt(np.mean(whole**2)))
     return float(np.sqrt(np.mean(lacking**2))) / size if size > trace else 0.0

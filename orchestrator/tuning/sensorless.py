@@ -37,6 +37,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.analysis import COPPER_PER_K
 from orchestrator.flux_maps import MapSurface, fill_smoothly
 from orchestrator.numerics.saliency import principal
 from orchestrator.numerics.types import Array, Mask
@@ -60,6 +61,10 @@ SIGMAS = 1.96
 """Standard deviations of the error that are kept below the largest error: 95 %."""
 UNKNOWN_AXIS_STD_RAD = math.pi / math.sqrt(12.0)
 """Standard deviation of an axis of which nothing is known: uniform over half a turn."""
+WARMING_K = 50.0
+"""Warming of a winding whose R_s the drive does not follow [K]: half the rise of a class F winding (IEC 60034-1)."""
+NEGLIGIBLE_FLUX_RATIO = 1e-9
+"""Flux over the largest one that is rounding."""
 SMALL_CURRENT_RATIO = 0.02
 """|i_q| over the largest current below which the slope of psi_q stands for its chord psi_q / i_q."""
 MIN_TABLE_POINTS = 3
@@ -97,6 +102,8 @@ class Sensorless:
         Currents at which the drive works.
     least_speed_rad_s : float
         The largest of the observer's speeds there; NaN where the magnet's flux is not known.
+    least_speed_warm_rad_s : float
+        The same with R_s off by `WARMING_K` besides.
     left_by_map_rad : float
         Largest |error| that a compensation by the flux map leaves to injection there.
     """
@@ -113,6 +120,7 @@ class Sensorless:
     observer_speed_rad_s: Array
     operating_dq_a: Array
     least_speed_rad_s: float
+    least_speed_warm_rad_s: float
     left_by_map_rad: float
 
 
@@ -146,15 +154,16 @@ def sensorless_limits(
     nodes = np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1).reshape(-1, 2)
     shape = (len(i_d), len(i_q))
     inside = machine.inside(nodes)
-    measured, std = _measured(machine, injection, nodes)
+    measured, std = _incremental(machine, injection, nodes)
     seen, by_map = principal(*measured.T), principal(*_slopes(machine, nodes).T)
     slope = _error_slope(i_d, i_q, measured.reshape(*shape, 3))
     noise_a = CURRENT_NOISE_RATIO * current_a if current_noise_a is None else current_noise_a
     least_ratio = _least_ratio(noise_a / (INJECTED_RATIO * current_a))
     salient = (seen.ratio >= least_ratio) & (np.abs(seen.angle_rad) < MAX_AXIS_TURN_RAD)
-    speed = _observer_speed(machine, compensation, nodes, current_a)
-    magnet_known = machine.motor.pm_flux_wb is not None or bool(np.any(machine.psi(np.zeros((1, 2)))[:, 0] != 0.0))
-    at_work = _observer_speed(machine, compensation, operating_dq, current_a) if magnet_known else np.array([np.nan])
+    speed, at_work, warm = (
+        _observer_speed(machine, compensation, i_dq, current_a, r_s_error)
+        for i_dq, r_s_error in ((nodes, 0.0), (operating_dq, 0.0), (operating_dq, COPPER_PER_K * WARMING_K))
+    )
     left = _left_by_map(machine, injection, operating_dq)
 
     def table(values: Array) -> Array:
@@ -170,9 +179,10 @@ def sensorless_limits(
         error_slope=table(slope.ravel()),
         works=(inside & salient).reshape(shape) & (np.abs(slope) < MAX_ERROR_SLOPE),
         least_ratio=least_ratio,
-        observer_speed_rad_s=table(speed if magnet_known else np.full_like(speed, np.nan)),
+        observer_speed_rad_s=table(speed),
         operating_dq_a=operating_dq,
         least_speed_rad_s=float(np.max(at_work)),
+        least_speed_warm_rad_s=float(np.max(warm)),
         left_by_map_rad=float(np.max(np.abs(left))),
     )
 
@@ -194,7 +204,7 @@ def _slopes(machine: Machine, i_dq: Array) -> Array:
     return np.column_stack([slopes[:, 0, 0], slopes[:, 0, 1], slopes[:, 1, 1]])
 
 
-def _measured(machine: Machine, injection: FluxMap | None, i_dq: Array) -> tuple[Array, Array]:
+def _incremental(machine: Machine, injection: FluxMap | None, i_dq: Array) -> tuple[Array, Array]:
     """L_dd, L_dq, L_qq as measured and their standard deviations, shapes (n, 3) [H]: by injection where there is one,
     else by the map's tables, else the map's slopes."""
     found, std = _slopes(machine, i_dq), machine.inductance_std(i_dq)
@@ -224,7 +234,7 @@ def _at(flux_map: FluxMap, name: str, i_dq: Array) -> Array | None:
 
 def _left_by_map(machine: Machine, injection: FluxMap | None, i_dq: Array) -> Array:
     """Error of the position that a compensation by the map's slopes leaves to injection, shape (n,)."""
-    seen = principal(*_measured(machine, injection, i_dq)[0].T).angle_rad
+    seen = principal(*_incremental(machine, injection, i_dq)[0].T).angle_rad
     # An axis has no direction: angles are the same modulo half a turn.
     difference = np.exp(2j * (seen - principal(*_slopes(machine, i_dq).T).angle_rad))
     return np.asarray(0.5 * np.angle(difference))
@@ -252,16 +262,25 @@ def _angle_std(inductance: Array, std: Array) -> Array:
     return np.minimum(angle, UNKNOWN_AXIS_STD_RAD)
 
 
-def _observer_speed(machine: Machine, compensation: Compensation, i_dq: Array, current_a: float) -> Array:
-    """Speed from which the observer's error stays within its limit, shape (n,) [rad/s]."""
+def _observer_speed(
+    machine: Machine, compensation: Compensation, i_dq: Array, current_a: float, r_s_error: float
+) -> Array:
+    """Speed from which the observer's error stays within its limit, shape (n,) [rad/s], for R_s off by a relative
+    error and its standard deviation; NaN where the magnet's flux is not known."""
+    at_rest = float(machine.psi(np.zeros((1, 2)))[0, 0])
+    negligible = NEGLIGIBLE_FLUX_RATIO * float(np.abs(machine.surface.fluxes).max())
+    if machine.motor.pm_flux_wb is None and abs(at_rest) <= negligible:
+        return np.full(len(i_dq), np.nan)
     psi, size = machine.psi(i_dq), np.linalg.norm(i_dq, axis=1)
     small = np.abs(i_dq[:, 1]) < SMALL_CURRENT_RATIO * current_a
     l_q = np.where(small, _slopes(machine, i_dq)[:, 2], psi[:, 1] / np.where(small, 1.0, i_dq[:, 1]))
     active = psi[:, 0] - l_q * i_dq[:, 0]
-    volts = np.hypot(machine.r_s_std_ohm * size, np.hypot(_leg_error_v(compensation, size), compensation.bias_std_v))
+    random_v = np.hypot(machine.r_s_std_ohm * size, np.hypot(_leg_error_v(compensation, size), compensation.bias_std_v))
+    volts = SIGMAS * random_v + r_s_error * machine.r_s_ohm * size
+    active = np.where(np.abs(active) > negligible, active, 0.0)
     room = (MAX_POSITION_ERROR_RAD * active) ** 2 - (SIGMAS * machine.psi_std(i_dq)[:, 1]) ** 2
     speed: Array = np.full_like(room, np.inf)
-    np.divide(SIGMAS * volts, np.sqrt(np.maximum(room, 0.0)), out=speed, where=room > 0.0)
+    np.divide(volts, np.sqrt(np.maximum(room, 0.0)), out=speed, where=room > 0.0)
     return speed
 
 

@@ -116,7 +116,7 @@ def soft_sign(x: Array, softness: float = 0.5) -> Array:
 
 def neutral(found: Compensation, *but: str) -> None:
     """Assert that all but some of the numbers are those of a drive without effects."""
-    expected = {
+    expected: dict[str, Any] = {
         "lost_v": 0.0,
         "lost_per_bus_v": 0.0,
         "bias_ab_v": 0.0,
@@ -133,7 +133,8 @@ def neutral(found: Compensation, *but: str) -> None:
 def test_without_effects_nothing_is_compensated() -> None:
     found = compensation()
     neutral(found)
-    assert found.sources == found.left_out == ()
+    assert found.sources == ()
+    assert found.left_out == ()
     assert not found.lost_std_v.any()
 
 
@@ -147,8 +148,7 @@ def test_a_dead_time_is_lost_in_proportion_to_the_bus_voltage() -> None:
     found = one(DeadTime(), voltage_v=6.0, threshold_a=0.3)
     expected = 6.0 / BUS_V * soft_sign(found.current_a / 0.3)
     assert found.lost_per_bus_v == pytest.approx(expected, abs=1e-4 * 6.0 / BUS_V)
-    assert found.lost_v == pytest.approx(0.0, abs=1e-9)
-    neutral(found, "lost_per_bus_v", "lost_v")
+    neutral(found, "lost_per_bus_v")
     assert found.sources == ("dead_time",)
 
 
@@ -156,6 +156,16 @@ def test_a_device_drop_is_the_same_at_any_bus_voltage() -> None:
     found = one(DeviceDrop(), voltage_v=1.2, threshold_a=0.05)
     assert found.lost_v == pytest.approx(1.2 * soft_sign(found.current_a / 0.05), abs=1e-4)
     neutral(found, "lost_v")
+
+
+def test_at_twice_the_pwm_frequency_a_dead_time_takes_twice_the_voltage_and_a_device_the_same() -> None:
+    for effect, values, factor in ((DeadTime(), {"voltage_v": 6.0}, 2.0), (DeviceDrop(), {"voltage_v": 1.0}, 1.0)):
+        model = model_of(parameters(effect, **values))
+        bench, drive = (
+            Compensation.of(model, [effect], MANIFEST, LARGEST_A, pwm_frequency_hz=hz) for hz in (None, 16_000.0)
+        )
+        assert drive.lost_v == pytest.approx(factor * bench.lost_v, abs=1e-9)
+        assert drive.lost_per_bus_v == pytest.approx(factor * bench.lost_per_bus_v, abs=1e-12)
 
 
 def test_what_several_effects_take_adds_up() -> None:
@@ -263,7 +273,7 @@ def test_a_misaligned_rotor_is_an_angle() -> None:
     ],
 )
 def test_what_is_not_the_drives_is_left_out_with_its_reason(
-    effect: Effect, values: dict[str, float], reason: str
+    effect: Effect, values: dict[str, Any], reason: str
 ) -> None:
     found = one(effect, **values)
     neutral(found)
@@ -301,7 +311,7 @@ def test_the_tables_error_follows_the_parameters_intervals() -> None:
 
 def test_the_errors_of_several_parameters_add_in_squares() -> None:
     both = one(VoltageBias(), interval=0.196, bias_a_v=0.2, bias_b_v=0.3)
-    alone = [one(VoltageBias(), interval=0.196, **{name: v}) for name, v in (("bias_a_v", 0.2), ("bias_b_v", 0.3))]
+    alone = [one(VoltageBias(), interval=0.196, bias_a_v=a, bias_b_v=b) for a, b in ((0.2, 0.0), (0.0, 0.3))]
     assert both.bias_std_v == pytest.approx(math.hypot(*(a.bias_std_v for a in alone)))
 
 
