@@ -101,21 +101,25 @@ def current_control(machine: Machine, limits: DriveLimits, extra_delay_s: float 
     matrices = machine.inductance(at)
     inductance = np.stack([matrices[:, 0, 0], matrices[:, 0, 1], matrices[:, 1, 1]], axis=-1)
     return CurrentControl(
-        *axes,
-        machine.psi(_grid(*axes)).reshape(len(axes[0]), len(axes[1]), 2),
-        *gain_axes,
-        inductance.reshape(INDUCTANCE_NODES, INDUCTANCE_NODES, 3),
-        delay,
-        alpha,
-        INTEGRAL_RATIO * alpha,
-        math.degrees(phase_margin(alpha, delay)),
-        math.degrees(phase_margin(alpha, delay, factor)),
-        machine.r_s_ohm,
+        i_d_a=axes[0],
+        i_q_a=axes[1],
+        psi_wb=machine.psi(_grid(*axes)).reshape(len(axes[0]), len(axes[1]), 2),
+        gain_i_d_a=gain_axes[0],
+        gain_i_q_a=gain_axes[1],
+        inductance_h=inductance.reshape(INDUCTANCE_NODES, INDUCTANCE_NODES, 3),
+        delay_s=delay,
+        bandwidth_rad_s=alpha,
+        integral_rad_s=INTEGRAL_RATIO * alpha,
+        phase_margin_deg=math.degrees(phase_margin(alpha, delay)),
+        least_phase_margin_deg=math.degrees(phase_margin(alpha, delay, factor)),
+        r_s_ohm=machine.r_s_ohm,
     )
 
 
 def phase_margin(bandwidth_rad_s: float, delay_s: float, factor: float = 1.0) -> float:
-    """Phase margin [rad] of alpha k (1 + alpha_i / s) / s exp(-s T_d), k = `factor` the model's inductance over the true.
+    """Phase margin [rad] of alpha k (1 + alpha_i / s) / s exp(-s T_d).
+
+    k = `factor` is the model's inductance over the true one.
 
     Raises
     ------

@@ -92,7 +92,7 @@ def current_references(machine: Machine, limits: DriveLimits) -> CurrentReferenc
         Where no point of the map within the current limit gives torque.
     """
     free = _Circles(machine, np.array([np.inf]), limits.current_a)
-    _, i_free, psi_free, torque = free.best()
+    _, _, psi_free, torque = free.best()
     if not np.nanmax(torque) > 0.0:
         text = f"no measured point within {quantity(limits.current_a, 'A')} peak gives torque"
         raise InputError("flux map", "i_q", text)

@@ -22,7 +22,7 @@ def linear(l_d_h: float, l_q_h: float, pm_flux_wb: float) -> Flux:
 def saturated(pm_flux_wb: float = 0.3, i_scale_a: float = 4.0) -> Flux:
     """A saturated, cross-coupled machine: the gradient of its energy, so that it is reciprocal.
 
-    W = 0.045 s^2 (sqrt(1 + x^2) - 1) 1.6 + 0.07 s^2 (sqrt(1 + y^2) - 1) - 0.006 s^2 x^2 y^2 / (1 + x^2 + y^2) + psi_m s x,
+    W / s^2 = 0.072 (sqrt(1 + x^2) - 1) + 0.07 (sqrt(1 + y^2) - 1) - 0.006 x^2 y^2 / (1 + x^2 + y^2) + psi_m x / s,
     x = i_d / s, y = i_q / s.
     """
 
