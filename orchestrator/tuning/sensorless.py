@@ -4,11 +4,12 @@ Injection finds the axis of least incremental inductance. Cross-saturation turns
 
     eps(i) = -1/2 atan2(L_dq, (L_qq - L_dd) / 2).
 
-An injected ripple runs through a small loop of the iron's hysteresis, whose slope is below that of the large-signal
-curve psi(i): the inductances that a ripple measures are the ones that a tracking sees, and eps from these is the one
-to compensate. The slope of the large-signal map, eps', leaves eps - eps' uncompensated. Its chords psi_q / i_q and
-(psi_d - psi_d(0)) / i_d have no cross term, and do not show the error at all. The flux, the torque and the back-EMF
-are those of the large-signal map.
+A ripple runs through a small loop of the iron's hysteresis, which is flatter than the large-signal curve psi(i): what
+a ripple measures is what a tracking sees, and its eps is the one to compensate. The slopes of the large-signal map
+give eps', and leave eps - eps'. Hysteresis that is the same in all directions adds a constant to both principal
+inverse inductances: it lowers their ratio, but neither turns the axis nor changes 1/l_min - 1/l_max, the signal that
+a tracking demodulates. The map's chords psi_q / i_q and (psi_d - psi_d(0)) / i_d have no cross term, and do not show
+eps at all. Flux, torque and back-EMF are those of the large-signal map.
 
 The current control holds i* in the estimated frame, so that an error x of the estimate turns the true current,
 i = R(x) i*. A tracking loop x' = -k (x - eps(R(x) i*)) then has the gain k (1 - eps_x), with

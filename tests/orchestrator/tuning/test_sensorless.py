@@ -170,12 +170,16 @@ def test_what_a_ripple_measures_is_tracked_and_the_maps_slopes_leave_the_differe
     assert found.left_by_map_rad == pytest.approx(0.05, abs=1e-6)
 
 
-def test_small_loops_that_lower_all_inductances_alike_leave_the_error() -> None:
-    names = ("l_dd", "l_dq", "l_qq")
-    ripple = SATURATED.model_copy(update={name: 0.8 * getattr(SATURATED, name) for name in names})
-    without, found = limits(SATURATED), limits(SATURATED, injection=ripple)
+def test_small_loops_that_are_flatter_in_all_directions_alike_leave_the_error_and_the_signal() -> None:
+    """Hysteresis adds a constant to the inverse inductances; the ratio falls, the axis stays."""
+    plain = np.stack([SATURATED.l_dd, SATURATED.l_dq, SATURATED.l_dq, SATURATED.l_qq], axis=-1).reshape(41, 41, 2, 2)
+    loops = np.linalg.inv(np.linalg.inv(plain) + 5.0 * np.eye(2))
+    tables = {"l_dd": loops[..., 0, 0], "l_dq": loops[..., 0, 1], "l_qq": loops[..., 1, 1]}
+    without, found = limits(SATURATED), limits(SATURATED, injection=SATURATED.model_copy(update=tables))
     assert found.injection_error_rad == pytest.approx(without.injection_error_rad, abs=1e-9)
-    assert found.ratio == pytest.approx(without.ratio)
+    assert (found.ratio < without.ratio).all()
+    seen, by_map = (principal(x[..., 0, 0], x[..., 0, 1], x[..., 1, 1]) for x in (loops, plain))
+    assert 1.0 / seen.l_min - 1.0 / seen.l_max == pytest.approx(1.0 / by_map.l_min - 1.0 / by_map.l_max)
 
 
 def test_beyond_the_injected_region_the_maps_own_inductances_serve() -> None:
