@@ -40,7 +40,7 @@ import numpy as np
 
 from orchestrator.analysis import COPPER_PER_K
 from orchestrator.flux_maps import MapSurface, fill_smoothly
-from orchestrator.numerics.saliency import principal
+from orchestrator.numerics.saliency import Saliency, principal
 from orchestrator.numerics.types import Array, Mask
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.machine import Machine
@@ -68,8 +68,6 @@ NEGLIGIBLE_FLUX_RATIO = 1e-9
 """Flux over the largest one that is rounding."""
 SMALL_CURRENT_RATIO = 0.02
 """|i_q| over the largest current below which the slope of psi_q stands for its chord psi_q / i_q."""
-MIN_TABLE_POINTS = 3
-"""Known points of a table below which it cannot be interpolated."""
 FUNDAMENTAL_ANGLES = 96
 """Points of a turn at which the fundamental of a leg's voltage error is summed."""
 
@@ -106,7 +104,8 @@ class Sensorless:
     least_speed_warm_rad_s : float
         The same with R_s off by `WARMING_K` besides.
     left_by_map_rad : float
-        Largest |error| that a compensation by the flux map leaves to injection there.
+        Largest |error| that a compensation by the flux map leaves to injection there, as far as the saliency is large
+        enough and not inverted; NaN where it nowhere is.
     """
 
     i_d_a: Array
@@ -160,12 +159,10 @@ def sensorless_limits(
     slope = _error_slope(i_d, i_q, measured.reshape(*shape, 3))
     noise_a = CURRENT_NOISE_RATIO * current_a if current_noise_a is None else current_noise_a
     least_ratio = _least_ratio(noise_a / (INJECTED_RATIO * current_a))
-    salient = (seen.ratio >= least_ratio) & (np.abs(seen.angle_rad) < MAX_AXIS_TURN_RAD)
     speed, at_work, warm = (
         _observer_speed(machine, compensation, i_dq, current_a, r_s_error)
         for i_dq, r_s_error in ((nodes, 0.0), (operating_dq, 0.0), (operating_dq, COPPER_PER_K * WARMING_K))
     )
-    left = _left_by_map(machine, injection, operating_dq)
 
     def table(values: Array) -> Array:
         return np.where(inside, values, np.nan).reshape(shape)
@@ -178,13 +175,13 @@ def sensorless_limits(
         injection_error_std_rad=table(_angle_std(measured, std)),
         large_signal_error_rad=table(by_map.angle_rad),
         error_slope=table(slope.ravel()),
-        works=(inside & salient).reshape(shape) & (np.abs(slope) < MAX_ERROR_SLOPE),
+        works=(inside & _is_salient(seen, least_ratio)).reshape(shape) & (np.abs(slope) < MAX_ERROR_SLOPE),
         least_ratio=least_ratio,
         observer_speed_rad_s=table(speed),
         operating_dq_a=operating_dq,
         least_speed_rad_s=float(np.max(at_work)),
         least_speed_warm_rad_s=float(np.max(warm)),
-        left_by_map_rad=float(np.max(np.abs(left))),
+        left_by_map_rad=_left_by_map(machine, injection, operating_dq, least_ratio),
     )
 
 
@@ -227,18 +224,24 @@ def _at(flux_map: FluxMap, name: str, i_dq: Array) -> Array | None:
 
     i_d, i_q = (np.asarray(axis, dtype=np.float64) for axis in (flux_map.i_d, flux_map.i_q))
     table = np.asarray(getattr(flux_map, name), dtype=np.float64)
-    if np.isfinite(table).sum() < MIN_TABLE_POINTS:
+    if np.isfinite(table).sum() < 3:  # points that span an area
         return None
     held = np.clip(i_dq, [i_d[0], i_q[0]], [i_d[-1], i_q[-1]])
     return np.asarray(RegularGridInterpolator((i_d, i_q), fill_smoothly(i_d, i_q, table, name))(held))
 
 
-def _left_by_map(machine: Machine, injection: FluxMap | None, i_dq: Array) -> Array:
-    """Error of the position that a compensation by the map's slopes leaves to injection, shape (n,)."""
-    seen = principal(*_incremental(machine, injection, i_dq)[0].T).angle_rad
+def _is_salient(seen: Saliency, least_ratio: float) -> Mask:
+    """Whether the saliency is large enough and not inverted."""
+    salient: Mask = (seen.ratio >= least_ratio) & (np.abs(seen.angle_rad) < MAX_AXIS_TURN_RAD)
+    return salient
+
+
+def _left_by_map(machine: Machine, injection: FluxMap | None, i_dq: Array, least_ratio: float) -> float:
+    """Largest error of the position that a compensation by the map's slopes leaves to injection."""
+    seen, by_map = (principal(*one.T) for one in (_incremental(machine, injection, i_dq)[0], _slopes(machine, i_dq)))
     # An axis has no direction: angles are the same modulo half a turn.
-    difference = np.exp(2j * (seen - principal(*_slopes(machine, i_dq).T).angle_rad))
-    return np.asarray(0.5 * np.angle(difference))
+    left = 0.5 * np.abs(np.angle(np.exp(2j * (seen.angle_rad - by_map.angle_rad))))[_is_salient(seen, least_ratio)]
+    return float(left.max()) if len(left) else math.nan
 
 
 def _error_slope(i_d: Array, i_q: Array, inductance: Array) -> Array:

@@ -172,14 +172,25 @@ def test_what_a_ripple_measures_is_tracked_and_the_maps_slopes_leave_the_differe
 
 def test_small_loops_that_are_flatter_in_all_directions_alike_leave_the_error_and_the_signal() -> None:
     """Hysteresis adds a constant to the inverse inductances; the ratio falls, the axis stays."""
-    plain = np.stack([SATURATED.l_dd, SATURATED.l_dq, SATURATED.l_dq, SATURATED.l_qq], axis=-1).reshape(41, 41, 2, 2)
-    loops = np.linalg.inv(np.linalg.inv(plain) + 5.0 * np.eye(2))
+    entries = [SATURATED.l_dd, SATURATED.l_dq, SATURATED.l_dq, SATURATED.l_qq]
+    plain = np.asarray(np.stack(entries, axis=-1).reshape(41, 41, 2, 2), dtype=np.float64)
+    loops = np.asarray(np.linalg.inv(np.linalg.inv(plain) + 5.0 * np.eye(2)), dtype=np.float64)
     tables = {"l_dd": loops[..., 0, 0], "l_dq": loops[..., 0, 1], "l_qq": loops[..., 1, 1]}
     without, found = limits(SATURATED), limits(SATURATED, injection=SATURATED.model_copy(update=tables))
     assert found.injection_error_rad == pytest.approx(without.injection_error_rad, abs=1e-9)
     assert (found.ratio < without.ratio).all()
     seen, by_map = (principal(x[..., 0, 0], x[..., 0, 1], x[..., 1, 1]) for x in (loops, plain))
     assert 1.0 / seen.l_min - 1.0 / seen.l_max == pytest.approx(1.0 / by_map.l_min - 1.0 / by_map.l_max)
+
+
+def test_what_the_map_leaves_counts_only_where_there_is_saliency() -> None:
+    salient_map = with_axis(LINEAR, lambda d, q: np.full_like(d, 0.05), 0.03, 0.06)
+    faint = with_axis(LINEAR, lambda d, q: np.full_like(d, 0.4), 0.05, 0.051)
+    names = ("l_dd", "l_dq", "l_qq")
+    far = np.abs(LINEAR.i_q) > 1.5
+    both = {name: np.where(far, getattr(faint, name), getattr(salient_map, name)) for name in names}
+    assert limits(LINEAR, injection=LINEAR.model_copy(update=both)).left_by_map_rad == pytest.approx(0.05, abs=1e-3)
+    assert math.isnan(limits(LINEAR, injection=faint).left_by_map_rad)
 
 
 def test_beyond_the_injected_region_the_maps_own_inductances_serve() -> None:
