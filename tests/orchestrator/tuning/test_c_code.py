@@ -125,8 +125,11 @@ def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tab
         most.append(float(np.interp(largest, references.psi_limit_wb, references.torque_limit_nm)))
         most[-1] *= min(1.0, max(0.0, 1.0 - (1.0 - largest / references.psi_limit_wb[0]) / VOLTAGE_RESERVE))
         wanted = np.array([np.clip(t, -most[-1], most[-1])])
-        i = references.at(wanted, np.array([largest]))[0]
-        expected.append(references.at(wanted, np.atleast_1d(flux_limit(limits, r_s, float(np.hypot(*i)), w)))[0])
+        current = LIMITS.current_a
+        for _ in range(4):
+            i = references.at(wanted, np.atleast_1d(flux_limit(limits, r_s, current, w)))[0]
+            current = float(np.hypot(*i))
+        expected.append(i)
     found = [drive.vector("current_reference_a", 2, *x) for x in zip(torque, speed, bus, strict=True)]
     assert_near(np.array([i for _, i in found]), np.array(expected))
     assert_near(
@@ -208,8 +211,8 @@ def reference_control(tables: Tables) -> Callable[[complex, complex, float, floa
         if count > 0:
             turn = 0.5j * omega * period
             expected = ((1.0 - turn) * psi + period * (given - r_s * i - lost)) / (1.0 + turn)
-        hold = r_s * i + 1j * omega * psi + lost
-        more = gain * (1.0 + 1j * omega * control.delay_s) * (psi_ref - psi)
+        hold = r_s * i + 1j * omega * (psi if expected is None else expected) + lost
+        more = gain * (1.0 + 1j * omega * (control.delay_s - period)) * (psi_ref - psi)
         v = hold + more
         if abs(v) > most:
             steady = within(r_s * i_ref + 1j * omega * psi_ref + lost, most)
