@@ -4,6 +4,7 @@ import ctypes
 import dataclasses
 import math
 import re
+import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.references import VOLTAGE_RESERVE, flux_limit
+from plugins.wire._firmware import write_firmware
 from protocols import InputError
 from tests.orchestrator.tuning.closed_loop import STRICT, Plant, compiler, library_of, run
 from tests.orchestrator.tuning.tables import LIMITS, Tables, tables_of
@@ -31,6 +33,7 @@ PUBLIC = {
     *("current_control_v", "leg_voltage_v", "corrected_current_a", "add_bias_v", "angle_rad", "angle_ahead_rad"),
 }
 M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-Os", "-ffreestanding")
+CALLS = Path(__file__).with_name("calls.c")
 RELATIVE = 1e-3
 """Of the largest value: float32 against float64."""
 
@@ -66,7 +69,7 @@ class Drive:
         return state
 
     def control(
-        self, state: State, i_ref: Sequence[float], i: Sequence[float], omega: float, v_dc: float
+        self, state: State, i_ref: Sequence[float] | Array, i: Sequence[float] | Array, omega: float, v_dc: float
     ) -> tuple[int, Array]:
         pair = ctypes.c_float * 2
         out = pair()
@@ -303,7 +306,8 @@ def test_one_bad_sample_does_not_change_the_current_for_long(drive: Drive) -> No
     state = drive.state()
     for k in range(50):
         _, before = drive.control(state, [0.0, 5.0], [0.0, 5.0 - 0.5 * math.exp(-0.2 * k)], 100.0, 300.0)
-    assert drive.control(state, [0.0, 5.0], [math.nan, 5.0], 100.0, 300.0) == (INVALID, pytest.approx([0.0, 0.0]))
+    report, v = drive.control(state, [0.0, 5.0], [math.nan, 5.0], 100.0, 300.0)
+    assert (report, *v) == (INVALID, 0.0, 0.0)
     _, after = drive.control(state, [0.0, 5.0], [0.0, 5.0], 100.0, 300.0)
     assert after == pytest.approx(before, abs=0.1)
 
@@ -372,3 +376,39 @@ def test_names_and_effects_stand_in_the_comment_and_do_not_end_it(tables: Tables
     assert "of plant * / Mot?r, written" in header
     assert "corrected for: dead_time." in header
     assert header.count("*/") == header.count("/*")
+
+
+def answers(lines: list[str]) -> tuple[Array, Array]:
+    """Reports, shape (n,), and numbers, shape (n, 5), of the lines of calls.c."""
+    words = np.array([[int(word, 16) for word in line.split()] for line in lines], dtype=np.uint32)
+    return words[:, 0].astype(np.float64), words[:, 1:].copy().view(np.float32).astype(np.float64)
+
+
+@pytest.mark.slow
+def test_a_cortex_m4_answers_as_the_host_does_in_few_instructions(tables: Tables, tmp_path: Path) -> None:
+    for name, content in (tables.files() | {"calls.c": CALLS.read_bytes()}).items():
+        (tmp_path / name).write_bytes(content)
+    run(compiler(), *STRICT, "-O2", "calls.c", "motor_drive.c", "-lm", "-o", "calls", folder=tmp_path)
+    *expected, _ = run("./calls", folder=tmp_path).splitlines()
+    assert len(expected) == 200
+    arm, qemu = tool("arm-none-eabi-gcc"), tool("qemu-system-arm")
+    write_firmware(tmp_path / "firmware")
+    linking = ("-nostartfiles", "--specs=nano.specs", "-T", "firmware/boards/mps2_an386/memory.ld")
+    sources = ("calls.c", "motor_drive.c", "-lm")
+    run(arm, "-std=c99", "-Wall", "-Wextra", "-Werror", *M4, *linking, *sources, "-o", "calls.elf", folder=tmp_path)
+    machine = [qemu, "-M", "mps2-an386", "-icount", "shift=5", "-nographic", "-monitor", "none", "-serial", "stdio"]
+    with subprocess.Popen(
+        [*machine, "-kernel", "calls.elf"], cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        lines = []
+        for line in process.stdout:
+            lines.append(line)
+            if line.startswith("end"):
+                break
+        process.kill()
+    reports, numbers = answers(lines[:-1])
+    host_reports, host_numbers = answers(expected)
+    assert np.array_equal(reports, host_reports)
+    assert_near(numbers, host_numbers)
+    assert int(lines[-1].split()[1], 16) <= MOST_INSTRUCTIONS

@@ -3,7 +3,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -154,7 +154,7 @@ def test_a_step_of_current_ends_without_error_and_hardly_overshoots(loop: Loop, 
     assert reached * PLANT.period == pytest.approx(expected, abs=1.5 * PLANT.period)
 
 
-def open_loop(loop: Loop, plant: Plant, i_dq: Array, speed: float, bins: Array) -> tuple[Array, Complex]:
+def open_loop(loop: Loop, plant: Plant, i_dq: Array, speed: float, bins: Sequence[int]) -> tuple[Array, Complex]:
     """Frequencies [rad/s] and the loop's response to vectors turning forwards, and backwards (conjugate), shape (n, 2).
 
     A sine is added to the voltage on each axis in turn; what the controller answers beyond R_s i is the open loop times
@@ -163,7 +163,7 @@ def open_loop(loop: Loop, plant: Plant, i_dq: Array, speed: float, bins: Array) 
     count = 3 * BINS
     responses = []
     for cycles in bins:
-        turn = 2.0 * math.pi * float(cycles) / BINS
+        turn = 2.0 * math.pi * cycles / BINS
         window = np.exp(-1j * turn * np.arange(count))[-BINS:]
         answer, sent = np.zeros((2, 2), complex), np.zeros((2, 2), complex)
         for axis in (0, 1):
@@ -176,7 +176,7 @@ def open_loop(loop: Loop, plant: Plant, i_dq: Array, speed: float, bins: Array) 
         matrix = -answer @ np.linalg.inv(answer + sent)
         even, odd = 0.5 * (matrix[0, 0] + matrix[1, 1]), 0.5j * (matrix[1, 0] - matrix[0, 1])
         responses.append([even + odd, even - odd])
-    return 2.0 * math.pi * bins / BINS / plant.period, np.array(responses)
+    return 2.0 * math.pi * np.array(bins) / BINS / plant.period, np.array(responses)
 
 
 def margin_deg(frequency: Array, response: Complex) -> float:
@@ -188,7 +188,7 @@ def margin_deg(frequency: Array, response: Complex) -> float:
 
 @pytest.mark.parametrize("i_dq", CURRENTS_A)
 def test_phase_margin_at_standstill_is_the_one_promised(loop: Loop, tables: Tables, i_dq: list[float]) -> None:
-    frequency, response = open_loop(loop, PLANT, np.array(i_dq), 0.0, np.arange(25, 60, 5))
+    frequency, response = open_loop(loop, PLANT, np.array(i_dq), 0.0, range(25, 60, 5))
     for column in response.T:
         found = margin_deg(frequency, column)
         print(f"{i_dq}: phase margin {found:.1f} degrees, promised {tables.control.phase_margin_deg:.1f}")
@@ -204,7 +204,7 @@ def softer(plant: Plant, d: float, q: float, cross: float) -> Plant:
 def test_phase_margin_at_the_band_s_edge_is_the_one_promised(uncertain: Tables, make: Make) -> None:
     least = 1.0 - 1.96 * RELATIVE_STD
     plant = softer(PLANT, least, least, least)
-    frequency, response = open_loop(make(uncertain), plant, np.zeros(2), 0.0, np.arange(20, 60, 5))
+    frequency, response = open_loop(make(uncertain), plant, np.zeros(2), 0.0, range(20, 60, 5))
     found = margin_deg(frequency, response[:, 0])
     control = uncertain.control
     expected = math.degrees(phase_margin(control.bandwidth_rad_s, control.delay_s, 1.0 / least))
@@ -241,7 +241,7 @@ def formula_at_speed(control: CurrentControl, frequency: Array, speed: float) ->
 
 @pytest.mark.parametrize("speed", [0.0, 700.0, 1400.0])
 def test_phase_margin_at_speed_is_that_of_its_formula(loop: Loop, tables: Tables, speed: float) -> None:
-    frequency, response = open_loop(loop, PLANT, np.array([-5.0, 8.0]), speed, np.arange(15, 85, 10))
+    frequency, response = open_loop(loop, PLANT, np.array([-5.0, 8.0]), speed, range(15, 85, 10))
     for sign, column in zip((1.0, -1.0), response.T, strict=True):
         formula = formula_at_speed(tables.control, sign * frequency, speed)
         expected = margin_deg(frequency, formula if sign > 0.0 else np.conj(formula))
