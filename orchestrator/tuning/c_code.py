@@ -196,8 +196,8 @@ def _rows(values: Array) -> str:
 
 
 def _float(value: float) -> str:
-    text = f"{float(np.float32(value)):.9g}"
-    return f"{text}f" if any(mark in text for mark in ".en") else f"{text}.0f"
+    """The shortest literal of the same float."""
+    return f"{np.float32(value)!s}f"
 
 
 def _comment(text: str) -> str:
