@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,20 +29,21 @@ class Tables:
     references: CurrentReferences
     control: CurrentControl
     compensation: Compensation
-    limits: DriveLimits = field(default=LIMITS)
+    limits: DriveLimits
 
     def files(self) -> dict[str, bytes]:
         return c_files("motor", self.motor, self.references, self.control, self.compensation, self.limits)
 
 
-def tables_of(plant: Plant, flux: Flux | None = None, std: float = 0.0) -> Tables:
+def tables_of(
+    plant: Plant, flux: Flux | None = None, *, std: float = 0.0, limits: DriveLimits = LIMITS, reach_a: float = REACH_A
+) -> Tables:
     """Tables from a plant's own map, or from another one, with a relative standard deviation."""
     motor = Motor(name="plant */ Motör", pole_pairs=round(plant.pole_pairs))
-    map_of = flux_map(flux or plant.psi, REACH_A, nodes=NODES, std=std)
+    map_of = flux_map(flux or plant.psi, reach_a, nodes=NODES, std=std)
     machine = Machine(motor, map_of, plant.r_s, 0.01 * plant.r_s)
-    return Tables(
-        motor, current_references(machine, LIMITS), current_control(machine, LIMITS), exact_compensation(plant)
-    )
+    references, control = current_references(machine, limits), current_control(machine, limits)
+    return Tables(motor, references, control, exact_compensation(plant), limits)
 
 
 def exact_compensation(plant: Plant) -> Compensation:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.current_control import CurrentControl, phase_margin
+from orchestrator.tuning.limits import DriveLimits
 from orchestrator.tuning.references import VOLTAGE_RESERVE
 from tests.orchestrator.tuning.closed_loop import Loop, Plant
 from tests.orchestrator.tuning.tables import LIMITS, Tables, exact_compensation, tables_of
@@ -64,9 +65,9 @@ def uncertain() -> Tables:
     return tables_of(PLANT, std=RELATIVE_STD)
 
 
-def reached_torque_nm(loop: Loop, speed: float) -> float:
+def reached_torque_nm(loop: Loop, speed: float, v_dc: float = PLANT.v_dc) -> float:
     loop.library.motor_torque_limit_nm.restype = ctypes.c_float
-    return float(loop.library.motor_torque_limit_nm(ctypes.c_float(speed), ctypes.c_float(PLANT.v_dc)))
+    return float(loop.library.motor_torque_limit_nm(ctypes.c_float(speed), ctypes.c_float(v_dc)))
 
 
 def ramp(speed: float, torque_nm: Array) -> Array:
@@ -365,3 +366,39 @@ def test_machines_within_the_band_are_stable(uncertain: Tables, make: Make) -> N
 @pytest.mark.slow
 def test_a_thousand_machines_within_the_band_are_stable(uncertain: Tables, make: Make) -> None:
     require_stable(make(uncertain), machines_of_the_band(1000))
+
+
+OTHER_MACHINES = {
+    "small surface magnets": (
+        Plant(psi_m=5e-3, l_d=1e-4, i_d=60.0, l_q=1e-4, i_q=60.0, l_leak=0.0, cross=0.0, r_s=0.5, pole_pairs=7.0,
+              v_dc=24.0, period=5e-5),
+        DriveLimits(current_a=10.0, bus_v=24.0, speed_rad_s=1500.0, sampling_hz=2e4),
+    ),
+    "synchronous reluctance": (
+        Plant(psi_m=0.0, l_d=12e-3, i_d=8.0, l_q=3e-3, i_q=40.0, l_leak=0.0, cross=2e-5, r_s=0.3, pole_pairs=2.0,
+              v_dc=560.0, period=1.25e-4),
+        DriveLimits(current_a=25.0, bus_v=560.0, speed_rad_s=1500.0, sampling_hz=8e3),
+    ),
+    "traction": (
+        Plant(psi_m=0.11, l_d=2e-4, i_d=600.0, l_q=6e-4, i_q=250.0, l_leak=5e-5, cross=1e-8, i_x=300.0, i_y=400.0,
+              r_s=8e-3, pole_pairs=5.0, v_dc=650.0, period=1e-4),
+        DriveLimits(current_a=400.0, bus_v=650.0, speed_rad_s=5000.0, sampling_hz=1e4),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHER_MACHINES)
+def test_other_machines_give_their_torque_at_every_speed(make: Make, name: str) -> None:
+    plant, limits = OTHER_MACHINES[name]
+    tables = tables_of(plant, limits=limits, reach_a=1.25 * limits.current_a)
+    loop, largest = make(tables), float(tables.references.torque_limit_nm[-1])
+    command = np.repeat([0.5, -0.5, 1.0, -1.0], 500) * largest
+    for share in (0.0, 0.3, 0.7, 1.0):
+        rows = ramp(share * limits.speed_rad_s, command)
+        rows[:, 4] = plant.v_dc
+        run = loop.run(plant, rows)
+        most = reached_torque_nm(loop, share * limits.speed_rad_s, plant.v_dc)
+        steady = run["torque"][UP_TO_SPEED + 499 :: 500]
+        assert steady == pytest.approx(np.clip(command[499::500], -most, most), abs=0.002 * largest)
+        assert np.hypot(run["i_d"], run["i_q"]).max() <= 1.05 * limits.current_a
