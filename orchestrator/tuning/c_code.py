@@ -73,6 +73,7 @@ def _values(
         "current_a": limits.current_a,
         "period_s": 1.0 / limits.sampling_hz,
         "delay_s": control.delay_s,
+        "current_delay_s": compensation.current_delay_s,
         "bandwidth_rad_s": control.bandwidth_rad_s,
         "integral_rad_s": control.integral_rad_s,
         "gain_rad_s": gain,

@@ -71,8 +71,8 @@ class Compensation:
     current_offset_a : array, shape (2,)
     angle_rad : float
         True electrical angle of the d axis = believed + angle_rad.
-    delay_s : float
-        Delay of the voltage and of the current readings, beyond what the drive declares.
+    voltage_delay_s, current_delay_s : float
+        Delay of the voltage beyond what the drive declares, and of the current readings.
     delay_std_s : float
     sources : tuple of str
         Effects that are in it, as the model names them.
@@ -88,10 +88,16 @@ class Compensation:
     current_gain: Array
     current_offset_a: Array
     angle_rad: float
-    delay_s: float
+    voltage_delay_s: float
+    current_delay_s: float
     delay_std_s: float
     sources: tuple[str, ...]
     left_out: tuple[LeftOut, ...]
+
+    @property
+    def delay_s(self) -> float:
+        """Both delays, which the loop of a current control has in it."""
+        return self.voltage_delay_s + self.current_delay_s
 
     @classmethod
     def of(
@@ -149,7 +155,8 @@ class Compensation:
             current_gain=found.gain,
             current_offset_a=found.offset_a,
             angle_rad=found.angle_rad,
-            delay_s=found.delay_s,
+            voltage_delay_s=found.voltage_delay_s,
+            current_delay_s=found.current_delay_s,
             delay_std_s=math.sqrt(found.delay_variance),
             sources=tuple(sources),
             left_out=tuple(left_out),

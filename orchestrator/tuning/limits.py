@@ -79,8 +79,8 @@ def limits_of(
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise InputError(WHERE, name, f"expected a positive number, not {value:g}")
     if current_a is not None and current_a > measured * (1.0 + 1e-6):
-        asked, reached = quantity(current_a, "A"), quantity(measured, "A")
-        raise InputError(WHERE, "current_a", f"{asked} peak is beyond the map, which was measured up to {reached}")
+        wanted, reached = quantity(current_a, "A"), quantity(measured, "A")
+        raise InputError(WHERE, "current_a", f"{wanted} peak is beyond the map, which was measured up to {reached}")
     current = current_a or min(rated or measured, measured)
     bus = bus_v or (drive.dc_bus_voltage_v if drive is not None else None)
     if bus is None:

@@ -72,10 +72,10 @@ class Response:
         Voltage lost at every current [V].
     angle_rad : float
         Turn of the d axis.
-    delay_s : float
-        Delay of the voltage plus that of the readings.
+    voltage_delay_s, current_delay_s : float
+        Delay of the voltage, and of the readings.
     lost_variance : array, shape (k,); bias_variance, delay_variance : float
-        Variances of `lost_v`, of the length of `bias_v` and of `delay_s`.
+        Variances of `lost_v`, of the length of `bias_v` and of both delays' sum.
     outside_ratio : float
         Largest part of a change (rms) that the numbers above do not describe; of a single effect.
     """
@@ -86,7 +86,8 @@ class Response:
     lost_low_bus_v: Array
     bias_v: Array
     angle_rad: float
-    delay_s: float
+    voltage_delay_s: float
+    current_delay_s: float
     lost_variance: Array
     bias_variance: float = 0.0
     delay_variance: float = 0.0
@@ -95,8 +96,14 @@ class Response:
     @property
     def leaves_trace(self) -> bool:
         """Whether anything is done."""
-        changes = (self.gain - np.eye(2), self.offset_a, self.lost_v, self.bias_v, self.angle_rad, self.delay_s)
-        return any(bool(np.any(change)) for change in changes)
+        changes = (self.gain - np.eye(2), self.offset_a, self.lost_v, self.bias_v, self.angle_rad)
+        delays = (self.voltage_delay_s, self.current_delay_s)
+        return any(bool(np.any(change)) for change in (*changes, *delays))
+
+    @property
+    def delay_s(self) -> float:
+        """Delay of the voltage plus that of the readings."""
+        return self.voltage_delay_s + self.current_delay_s
 
     def followed_by(self, later: Response) -> Response:
         """Both effects, one after the other: readings are mapped in turn, all else adds up."""
@@ -166,7 +173,7 @@ class Probes:
     def none(self) -> Response:
         """The response without any effect."""
         zeros = np.zeros_like(self.current_a)
-        return Response(np.eye(2), np.zeros(2), zeros, zeros, np.zeros(2), 0.0, 0.0, zeros)
+        return Response(np.eye(2), np.zeros(2), zeros, zeros, np.zeros(2), 0.0, 0.0, 0.0, zeros)
 
     def response(self, term: EffectTerm) -> Response:
         """What an effect does; raises `PluginError` where it fails."""
@@ -177,7 +184,7 @@ class Probes:
         lost, bias, unlike = self._legs(of_legs * _middle(holds.v_ab - answer.v_ab))
         low_lost, _, _ = self._legs(of_legs * _middle(low_holds.v_ab - low_answer.v_ab))
         angle, uneven = self._angle(term)
-        delay = self._delay(term, gain)
+        of_current, of_voltage = self._delays(term)
         volts = TRACE_RATIO * self.bus_v
         return Response(
             gain=np.eye(2) + without_rounding(gain - np.eye(2), TRACE_RATIO),
@@ -186,7 +193,9 @@ class Probes:
             lost_low_bus_v=without_rounding(low_lost, volts),
             bias_v=without_rounding(bias, volts),
             angle_rad=angle if abs(angle) > TRACE_RATIO else 0.0,
-            delay_s=delay if abs(delay) > TRACE_DELAY_S else 0.0,
+            # A corrected reading is ahead of the one that lags; a corrected command is behind the one that was given.
+            voltage_delay_s=-of_voltage if abs(of_voltage) > TRACE_DELAY_S else 0.0,
+            current_delay_s=of_current / float(gain[0, 0]) if abs(of_current) > TRACE_DELAY_S else 0.0,
             lost_variance=np.zeros_like(lost),
             outside_ratio=max(curved, unlike, uneven),
         )
@@ -213,16 +222,15 @@ class Probes:
         turn = apply_effect(self._angles, term).signals.theta_rad - self._angles.theta_rad
         return float(turn.mean()), _relative_rms(turn - turn.mean(), turn, TRACE_RATIO)
 
-    def _delay(self, term: EffectTerm, gain: Array) -> float:
-        """Group delay of voltage and readings: half the distance of rise and fall at one value, over the slope."""
+    def _delays(self, term: EffectTerm) -> tuple[float, float]:
+        """Lead of readings and of voltages: half the distance of rise and fall at one value, over the slope."""
         delays = []
         for batch, name in zip(self._triangles, ("i_ab", "v_ab"), strict=True):
             before, after = (getattr(one, name)[:, 0] for one in (batch, apply_effect(batch, term).signals))
             rise = len(before) // 4
             slope = (before[rise + 1] - before[rise]) * self._drive.sampling_frequency_hz
             delays.append(0.5 * float(after[rise] - after[len(before) - 1 - rise]) / slope)
-        # A corrected reading is ahead of the one that lags; a corrected command is behind the one that was given.
-        return float(delays[0] / gain[0, 0] - delays[1])
+        return delays[0], delays[1]
 
     @cached_property
     def _both_holds(self) -> tuple[SignalBatch, SignalBatch]:

@@ -15,6 +15,7 @@ from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
 from orchestrator.tuning.c_code import c_files
 from orchestrator.tuning.drive_tuning import DriveTuning
+from orchestrator.tuning.firmware_settings import settings_for_firmware
 from orchestrator.tuning.pictures import tuning_picture
 from protocols import Number, Remark, StorageError, Strict
 
@@ -37,8 +38,9 @@ class TuningReport(Strict):
     bandwidth_hz: float
     """Of the current control."""
     phase_margin_deg: float
+    """At standstill; the fed-back j omega psi takes from it with speed."""
     least_phase_margin_deg: float
-    """Over the map's 95 % band."""
+    """The same over the map's 95 % band."""
     delay_s: float
     """From sampling to the mean of the voltage."""
     compensated: tuple[str, ...]
@@ -115,6 +117,7 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str) -> TuningReport
         "compensation.csv": _compensation_csv(tuning),
         "tuning.svg": tuning_picture(tuning),
         **_c_files(tuning),
+        **settings_for_firmware(tuning.control, tuning.limits),
     }
     report = report_of(tuning, recording).model_copy(update={"files": ("tuning.json", *contents)})
     contents["tuning.json"] = (report.model_dump_json(indent=2) + "\n").encode()

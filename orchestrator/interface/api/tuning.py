@@ -80,8 +80,14 @@ def tune(
     limits = limits_of(machine, drive, current_a=current_a, bus_v=bus_v, speed_rpm=speed_rpm, sampling_hz=sampling_hz)
     compensation = no_compensation(limits.current_a)
     if model is not None and manifest is not None:
-        known = chosen_effects(effects)
-        compensation = Compensation.of(model, known, manifest, limits.current_a, pwm_frequency_hz=limits.sampling_hz)
+        compensation = Compensation.of(
+            model,
+            chosen_effects(effects),
+            manifest,
+            limits.current_a,
+            pwm_frequency_hz=limits.sampling_hz,
+            clarke_of_three=_clarke_of_three(path),
+        )
     tuning = tune_drive(machine, limits, compensation, _injection_map(path))
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "tuning"
     return write_tuning(tuning, folder, recording)
@@ -99,6 +105,16 @@ def _injection_map(path: Path) -> FluxMap | None:
         return None
     name = estimates.files.get("flux_map" if method == estimates.method else f"flux_map_{method}")
     return None if name is None else load_flux_map((path / RECOMMENDED_MAP).parent / name)
+
+
+def _clarke_of_three(path: Path) -> bool | None:
+    """Whether the drive's current vectors were made of three readings; None where a recording does not tell."""
+    from orchestrator.diagnosis.weak_form.logged import clarke_of_three
+    from orchestrator.runs import open_any
+
+    recording = open_any(path)
+    capture = recording.load(recording.manifest.segments[0])
+    return None if capture.i_abc is None else clarke_of_three(capture.i_ab, capture.i_abc)
 
 
 def _context(path: Path) -> tuple[Manifest | None, MotorModel | None, float | None]:

@@ -45,7 +45,10 @@ def _print(report: TuningReport, folder: Path) -> None:
             "at the largest speed",
             f"{quantity(report.torque_at_largest_speed_nm, 'Nm')} at {report.largest_speed_rpm:.0f}/min",
         ),
-        ("current control", f"{number(report.bandwidth_hz)} Hz, phase margin {report.phase_margin_deg:.0f}°"),
+        (
+            "current control",
+            f"{number(report.bandwidth_hz)} Hz, phase margin {report.phase_margin_deg:.0f}° at standstill",
+        ),
         ("... over the map's errors", f"at least {report.least_phase_margin_deg:.0f}°"),
         ("compensated", listed([plain(name) for name in report.compensated]) or "nothing"),
         ("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg"),
@@ -62,10 +65,16 @@ def _print(report: TuningReport, folder: Path) -> None:
 
 
 def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
-    share, error, speed = report.injection_works_percent, report.injection_error_deg, report.observer_speed_rpm
+    share, error = report.injection_works_percent, report.injection_error_deg
     rows = []
     if share is not None:
         worst = "" if error is None else f", position off by up to {number(error)}°"
         rows.append(("injection tracks", f"in {share:.0f} % of the plane{worst}"))
-    rows.append(("back-EMF observer", "never within 5°" if speed is None else f"within 5° from {speed:.0f}/min"))
+    if report.injection_left_by_map_deg is not None:
+        rows.append(("... compensated by the map", f"off by up to {number(report.injection_left_by_map_deg)}°"))
+    warm, cold = report.observer_speed_warm_rpm, report.observer_speed_rpm
+    if warm is None or cold is None:
+        rows.append(("back-EMF observer", "not within 5° at any speed"))
+    else:
+        rows.append(("back-EMF observer", f"within 5° from {warm:.0f}/min, with R_s followed from {cold:.0f}/min"))
     return rows

@@ -155,7 +155,7 @@ void simulate(const plant *given, int count, const double (*command)[6], double 
             motor_corrected_current_a(read, read);
         dq[0] = read[0];
         dq[1] = read[1];
-        turn(dq, -(double)motor_angle_rad((float)believed), dq);
+        turn(dq, -(double)motor_angle_rad((float)believed, omega), dq);
         i_dq[0] = (float)dq[0];
         i_dq[1] = (float)dq[1];
         int report = MOTOR_OK;

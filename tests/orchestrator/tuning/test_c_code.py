@@ -6,6 +6,7 @@ import math
 import re
 import subprocess
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,16 @@ def drive(tables: Tables, folder: Path) -> Drive:
     return Drive(library_of(tables.files(), folder))
 
 
+def test_a_lag_of_the_readings_turns_their_frame_back_and_not_the_voltage_s(tables: Tables, tmp_path: Path) -> None:
+    late = replace(tables, compensation=replace(tables.compensation, current_delay_s=5e-5))
+    plain, lagging = (Drive(library_of(one.files(), tmp_path / name)) for name, one in (("a", tables), ("b", late)))
+    for drive, lag in ((plain, 0.0), (lagging, 5e-5)):
+        assert drive.number("angle_rad", 1.0, 1000.0) == pytest.approx(1.0 + PLANT.angle_error - 1000.0 * lag, rel=1e-6)
+    assert plain.number("angle_ahead_rad", 1.0, 1000.0) - lagging.number(
+        "angle_ahead_rad", 1.0, 1000.0
+    ) == pytest.approx(1000.0 * 5e-5, rel=1e-4)
+
+
 def assert_near(actual: Array, expected: Array) -> None:
     assert np.abs(actual - expected).max() <= RELATIVE * np.abs(expected).max()
 
@@ -163,8 +174,10 @@ def test_compensation_is_the_tables_and_matrices(tables: Tables, drive: Drive) -
     assert_near(np.array(out[:]), compensation.current_gain @ [3.0, -4.0] + compensation.current_offset_a)
     drive.library.motor_corrected_current_a(read, read)
     assert read[:] == out[:]
-    assert drive.number("angle_rad", 1.0) == pytest.approx(1.0 + PLANT.angle_error, rel=1e-6)
-    ahead = 1.0 + PLANT.angle_error + 2000.0 * tables.control.delay_s
+    lag = tables.compensation.current_delay_s
+    behind, ahead = 1.0 - 2000.0 * lag, 1.0 + 2000.0 * (tables.control.delay_s - lag)
+    behind, ahead = behind + PLANT.angle_error, ahead + PLANT.angle_error
+    assert drive.number("angle_rad", 1.0, 2000.0) == pytest.approx(behind, rel=1e-6)
     assert drive.number("angle_ahead_rad", 1.0, 2000.0) == pytest.approx(ahead, rel=1e-6)
 
 

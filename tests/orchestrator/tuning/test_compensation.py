@@ -123,7 +123,8 @@ def neutral(found: Compensation, *but: str) -> None:
         "current_gain": np.eye(2),
         "current_offset_a": 0.0,
         "angle_rad": 0.0,
-        "delay_s": 0.0,
+        "voltage_delay_s": 0.0,
+        "current_delay_s": 0.0,
     }
     for name, value in expected.items():
         if name not in but:
@@ -245,15 +246,16 @@ def test_gains_and_offsets_are_undone_in_the_effects_order() -> None:
 @pytest.mark.parametrize("delay_s", [3e-5, -2e-5, 2.6e-4])
 def test_a_late_voltage_is_a_delay(delay_s: float) -> None:
     found = one(VoltageDelay(), delay_s=delay_s)
-    assert found.delay_s == pytest.approx(delay_s, rel=1e-9)
-    neutral(found, "delay_s")
+    assert found.voltage_delay_s == pytest.approx(delay_s, rel=1e-9)
+    neutral(found, "voltage_delay_s")
 
 
 @pytest.mark.parametrize("time_constant_s", [4e-6, 2e-4])
 def test_a_lag_of_the_sensors_is_a_delay(time_constant_s: float) -> None:
     found = one(CurrentFilter(), time_constant_s=time_constant_s)
-    assert found.delay_s == pytest.approx(time_constant_s, rel=1e-6)
-    neutral(found, "delay_s")
+    assert found.current_delay_s == pytest.approx(time_constant_s, rel=1e-6)
+    assert found.delay_s == found.current_delay_s
+    neutral(found, "current_delay_s")
 
 
 def test_a_misaligned_rotor_is_an_angle() -> None:
