@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from orchestrator.interface.api import open as open
     from orchestrator.interface.api import remove as remove
     from orchestrator.interface.api import run as run
+    from orchestrator.interface.api import tune as tune
     from plugins.drives.simulated import simulate as simulate
     from protocols import FluxbenchError as FluxbenchError
     from protocols import Motor as Motor
@@ -62,6 +63,7 @@ _HOMES = {
     "remove": "orchestrator.interface.api",
     "run": "orchestrator.interface.api",
     "simulate": "plugins.drives.simulated",
+    "tune": "orchestrator.interface.api",
 }
 
 

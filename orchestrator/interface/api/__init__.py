@@ -20,6 +20,7 @@ from orchestrator.interface.api.exporting import export
 from orchestrator.interface.api.measurements import Measurements, open
 from orchestrator.interface.api.running import as_overrides, run, run_directory
 from orchestrator.interface.api.threads import one_thread
+from orchestrator.interface.api.tuning import tune
 
 __all__ = [
     "Measurements",
@@ -40,4 +41,5 @@ __all__ = [
     "remove",
     "run",
     "run_directory",
+    "tune",
 ]

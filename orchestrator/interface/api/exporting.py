@@ -44,7 +44,7 @@ def export(
     path = Path(place)
     flux_map = load_map(path)
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "export"
-    motor_used, recording = _motor_and_recording(path, motor)
+    motor_used, recording = motor_and_recording(path, motor)
     caution = _caution(path)
     return export_map(flux_map, motor_used, folder, formats or None, recording=recording, caution=caution)
 
@@ -69,7 +69,7 @@ def _caution(path: Path) -> str:
     return f"the map is not usable: {why}"
 
 
-def _motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) -> tuple[Motor, str]:
+def motor_and_recording(path: Path, motor: Motor | str | PathLike[str] | None) -> tuple[Motor, str]:
     """The motor, with the measured R_s where there is one, and the name of what was measured."""
     from orchestrator.config import load_motor
     from orchestrator.estimation import load_estimates

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.interface.cli._options import JsonOption
+from orchestrator.interface.cli._options import EffectsOption, JsonOption
 
 commands = typer.Typer()
 
@@ -26,6 +26,36 @@ def export_command(
     from orchestrator.interface.cli._exchange import export
 
     return export(path, formats or [], motor, out, as_json)
+
+
+@commands.command("tune")
+def tune_command(
+    path: Annotated[Path, typer.Argument(help="A run or recording with a flux map; or a map file.", metavar="RUN")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write to; by default tuning/ in RUN.", metavar="FOLDER")
+    ] = None,
+    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for a map file.")] = None,
+    current_a: Annotated[
+        float | None, typer.Option(help="Largest current, peak [A]; by default the rated one, as far as measured.")
+    ] = None,
+    bus_v: Annotated[float | None, typer.Option(help="DC bus voltage [V]; by default the recording's.")] = None,
+    speed_rpm: Annotated[
+        float | None, typer.Option(help="Largest speed, mechanical [1/min]; by default the rated one.")
+    ] = None,
+    sampling_hz: Annotated[
+        float | None, typer.Option(help="Frequency of the current control [Hz]; by default the PWM's.")
+    ] = None,
+    effects: EffectsOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Tune a drive for the motor: references, current control, compensation, C code.
+
+    Least currents over torque, speed and bus voltage; gains with the phase margin over the map's errors; the inverter's
+    and the sensors' errors that the diagnosis found; where sensorless control works. Everything as C99, CSV and JSON.
+    """
+    from orchestrator.interface.cli._tuning import tune
+
+    return tune(path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, effects, as_json)
 
 
 @commands.command("audit")

@@ -1,0 +1,133 @@
+"""Tuning of a drive from the results of a run."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from orchestrator.interface.api.analysing import Effects, chosen_effects
+from orchestrator.interface.api.exporting import motor_and_recording
+from orchestrator.interface.api.threads import one_thread
+from orchestrator.recording import has_model, read_model
+from protocols import Basis, InputError, Motor, Usability
+
+if TYPE_CHECKING:
+    from orchestrator.tuning import TuningReport
+    from protocols import FluxMap, Manifest, MotorModel
+
+DEFAULT_RESISTANCE_ERROR_RATIO: float = 0.1
+"""Standard deviation of a resistance that was not measured, relative to it: a nameplate's tolerance."""
+
+
+@one_thread()
+def tune(
+    place: str | PathLike[str],
+    *,
+    out: str | PathLike[str] | None = None,
+    motor: Motor | str | PathLike[str] | None = None,
+    current_a: float | None = None,
+    bus_v: float | None = None,
+    speed_rpm: float | None = None,
+    sampling_hz: float | None = None,
+    effects: Effects = (),
+) -> TuningReport:
+    """Current references, current control, compensation and sensorless limits, with their C code.
+
+    Parameters
+    ----------
+    place : path
+        A run or recording with a flux map; or a map file, with a motor and a bus voltage.
+    out : path, optional
+        Folder to write to; by default ``tuning/`` beside the source.
+    motor : Motor or path, optional
+        The motor, or a YAML file with it, for a map file without one.
+    current_a : float, optional
+        Largest current [A peak]; by default the rated one as far as it was measured.
+    bus_v : float, optional
+        DC bus voltage [V]; by default the recording's.
+    speed_rpm : float, optional
+        Largest mechanical speed [1/min]; by default the rated one.
+    sampling_hz : float, optional
+        Frequency of the current control [Hz]; by default the recording's PWM frequency.
+    effects : path, effect, or sequence of effects
+        Effects of your own that the model has.
+
+    Raises
+    ------
+    InputError
+        Where there is no usable map, no motor or no resistance, or the limits exclude each other; nothing is written.
+    StorageError
+        Where a file cannot be written.
+    """
+    from orchestrator.flux_maps import load_map
+    from orchestrator.tuning import Compensation, Machine, limits_of, no_compensation, write_tuning
+    from orchestrator.tuning import tune as tune_drive
+
+    path = Path(place)
+    flux_map = load_map(path)
+    chosen, recording = motor_and_recording(path, motor)
+    manifest, model, std = _context(path)
+    ohm = chosen.stator_resistance_ohm
+    if ohm is None:
+        raise InputError(
+            str(path), "stator_resistance_ohm", "R_s is unknown: estimate it, or give a motor with it (--motor)"
+        )
+    machine = Machine(
+        chosen, flux_map, ohm, std or chosen.stator_resistance_std_ohm or DEFAULT_RESISTANCE_ERROR_RATIO * ohm
+    )
+    drive = None if manifest is None else manifest.drive
+    limits = limits_of(machine, drive, current_a=current_a, bus_v=bus_v, speed_rpm=speed_rpm, sampling_hz=sampling_hz)
+    compensation = no_compensation(limits.current_a)
+    if model is not None and manifest is not None:
+        compensation = Compensation.of(
+            model,
+            chosen_effects(effects),
+            manifest,
+            limits.current_a,
+            pwm_frequency_hz=limits.sampling_hz,
+            clarke_of_three=_clarke_of_three(path),
+        )
+    tuning = tune_drive(machine, limits, compensation, _injection_map(path))
+    folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "tuning"
+    return write_tuning(tuning, folder, recording)
+
+
+def _injection_map(path: Path) -> FluxMap | None:
+    """The best map that rests on injection, where a folder has one."""
+    from orchestrator.estimation import RECOMMENDED_MAP, load_estimates, load_flux_map
+
+    if not path.is_dir():
+        return None
+    estimates = load_estimates(path)
+    method = next((name for name, one in estimates.maps.items() if one.basis is Basis.INJECTION), None)
+    if method is None:
+        return None
+    name = estimates.files.get("flux_map" if method == estimates.method else f"flux_map_{method}")
+    return None if name is None else load_flux_map((path / RECOMMENDED_MAP).parent / name)
+
+
+def _clarke_of_three(path: Path) -> bool | None:
+    """Whether the drive's current vectors were made of three readings; None where a recording does not tell."""
+    from orchestrator.diagnosis.weak_form.logged import clarke_of_three
+    from orchestrator.runs import open_any
+
+    recording = open_any(path)
+    capture = recording.load(recording.manifest.segments[0])
+    return None if capture.i_abc is None else clarke_of_three(capture.i_ab, capture.i_abc)
+
+
+def _context(path: Path) -> tuple[Manifest | None, MotorModel | None, float | None]:
+    """The manifest, the diagnosed model and the standard deviation of R_s [ohm], where a folder has them."""
+    from orchestrator.estimation import load_estimates
+    from orchestrator.runs import open_any
+
+    if not path.is_dir():
+        return None, None, None
+    estimates = load_estimates(path)
+    if estimates.usability is Usability.NOT_USABLE:
+        why = next((check.remark.text for check in estimates.checks if not check.is_met), "a check failed")
+        raise InputError(str(path), "flux map", f"not usable: {why}; `fluxbench diagnose {path}` looks for the cause")
+    resistance = estimates.resistance
+    std = None if resistance is None else (resistance.high - resistance.low) / 3.92
+    return open_any(path).manifest, read_model(path) if has_model(path) else None, std

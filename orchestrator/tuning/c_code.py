@@ -1,0 +1,207 @@
+"""C99 source of the tuning: lookups, current references, current control, compensation. Decides no value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from orchestrator.numerics.types import Array
+from orchestrator.tuning.compensation import Compensation
+from orchestrator.tuning.current_control import CurrentControl
+from orchestrator.tuning.limits import DriveLimits
+from orchestrator.tuning.references import VOLTAGE_RESERVE, CurrentReferences
+from protocols import InputError, Motor
+
+WHERE = "C code"
+NUMBERS_PER_LINE = 8
+SPACING_TOLERANCE = 1e-6
+"""Largest deviation of an axis from even spacing, in steps, and of a loss from an odd function, in parts of it."""
+
+
+@dataclass(frozen=True)
+class _Table:
+    """An array of the source: the axes' names and nodes in the order of its dimensions."""
+
+    meaning: str
+    axes: Mapping[str, Array]
+    values: Array
+
+
+def c_files(
+    symbol: str,
+    motor: Motor,
+    references: CurrentReferences,
+    control: CurrentControl,
+    compensation: Compensation,
+    limits: DriveLimits,
+) -> dict[str, bytes]:
+    """Header and source, by file name: `<symbol>_drive.h` and `<symbol>_drive.c`.
+
+    Parameters
+    ----------
+    symbol : str
+        Prefix of all public names, a C identifier.
+    motor : Motor
+        For its name and pole pairs.
+
+    Raises
+    ------
+    InputError
+        Where a number is not finite, an axis is not evenly spaced, or the losses are not odd functions of the current.
+    """
+    values = _values(symbol, motor, references, control, compensation, limits)
+    return {f"{symbol}_drive.{kind}": _rendered(f"drive.{kind}.j2", values) for kind in ("h", "c")}
+
+
+def _values(
+    symbol: str,
+    motor: Motor,
+    references: CurrentReferences,
+    control: CurrentControl,
+    compensation: Compensation,
+    limits: DriveLimits,
+) -> dict[str, Any]:
+    gain, observer = _gains(control, 1.0 / limits.sampling_hz)
+    scalars = {
+        "pole_pairs": motor.pole_pairs,
+        "r_s_ohm": control.r_s_ohm,
+        "current_a": limits.current_a,
+        "period_s": 1.0 / limits.sampling_hz,
+        "delay_s": control.delay_s,
+        "current_delay_s": compensation.current_delay_s,
+        "bandwidth_rad_s": control.bandwidth_rad_s,
+        "integral_rad_s": control.integral_rad_s,
+        "gain_rad_s": gain,
+        "observer_rad_s": observer,
+        "voltage_reserve": VOLTAGE_RESERVE,
+        "angle_rad": compensation.angle_rad,
+    }
+    vectors = {
+        "gain": compensation.current_gain,
+        "offset": compensation.current_offset_a,
+        "bias": compensation.bias_ab_v,
+    }
+    for name, value in (scalars | vectors).items():
+        _require_finite(name, np.asarray(value, dtype=np.float64))
+    return {
+        **scalars,
+        **vectors,
+        "p": symbol,
+        "P": symbol.upper(),
+        "name": _comment(motor.name),
+        "sources": _comment(", ".join(compensation.sources)),
+        "left_out": [_comment(f"{left.name}: {left.reason}") for left in compensation.left_out],
+        "tables": _tables(references, control, compensation),
+    }
+
+
+def _tables(references: CurrentReferences, control: CurrentControl, compensation: Compensation) -> dict[str, _Table]:
+    flux = {"PSI_D": control.i_d_a, "PSI_Q": control.i_q_a}
+    inductance = {"L_D": control.gain_i_d_a, "L_Q": control.gain_i_q_a}
+    limit = {"LIMIT": references.psi_limit_wb}
+    phase, lost, per_bus = _positive_half(compensation)
+    tables = {
+        "psi_table": _Table("psi_d, psi_q [Wb] over i_d and i_q [A]", flux, control.psi_wb),
+        "inductance_table": _Table("L_dd, L_dq, L_qq [H] over i_d and i_q [A]", inductance, control.inductance_h),
+        "torque_limit_table": _Table("largest torque [Nm] over flux limit [Wb]", limit, references.torque_limit_nm),
+        "reference_table": _Table(
+            "least i_d, i_q [A] over flux limit [Wb] and share of the largest torque",
+            limit | {"SHARE": references.share},
+            references.i_dq_a,
+        ),
+        "lost_table": _Table("voltage lost in a leg [V] over |i| [A]", {"PHASE": phase}, lost),
+        "lost_per_bus_table": _Table("the part per volt of the bus [1] over |i| [A]", {"PHASE": phase}, per_bus),
+    }
+    for name, table in tables.items():
+        _require_finite(name, table.values)
+        for axis, nodes in table.axes.items():
+            _require_even(axis.lower(), nodes)
+    return tables
+
+
+def _gains(control: CurrentControl, period_s: float) -> tuple[float, float]:
+    """Gain K and bandwidth B of the observer [rad/s].
+
+    They solve K + B = bandwidth (1 + B period) and K B = bandwidth x integral (1 + B period): the observer learns a
+    voltage one period late, which takes the loop's gain by the factor in brackets.
+
+    Raises
+    ------
+    InputError
+        Where the integral part is too fast for the bandwidth, so that no real ones exist.
+    """
+    bandwidth, integral = control.bandwidth_rad_s, control.integral_rad_s
+    linear, product = bandwidth * (1.0 - integral * period_s), bandwidth * integral
+    square = linear**2 - 4.0 * (1.0 - bandwidth * period_s) * product
+    if not (square >= 0.0 and linear > 0.0):
+        text = f"{integral:g} rad/s is too fast for a bandwidth of {bandwidth:g} rad/s; a quarter of it is the most"
+        raise InputError(WHERE, "integral_rad_s", text)
+    observer = 2.0 * product / (linear + math.sqrt(square))
+    return bandwidth * (1.0 + observer * period_s) - observer, observer
+
+
+def _positive_half(compensation: Compensation) -> tuple[Array, Array, Array]:
+    """The losses at currents from zero on: they are odd functions, and the source has half a table."""
+    current = np.asarray(compensation.current_a, dtype=np.float64)
+    _require_even("current_a", current)
+    halves = [current]
+    for name, table in (("lost_v", compensation.lost_v), ("lost_per_bus_v", compensation.lost_per_bus_v)):
+        _require_finite(name, table)
+        even = np.abs(table + table[::-1]).max()
+        if even > SPACING_TOLERANCE * np.abs(table).max() or abs(current[0] + current[-1]) > 1e-6 * current[-1]:
+            raise InputError(WHERE, name, f"expected an odd function of the current; its even part reaches {even:g}")
+        halves.append(0.5 * (table - table[::-1]))
+    start = len(current) // 2
+    if len(current) % 2 == 0:
+        raise InputError(
+            WHERE, "current_a", f"expected an odd number of currents with zero amid them, not {len(current)}"
+        )
+    return current[start:] - current[start], halves[1][start:], halves[2][start:]
+
+
+def _require_finite(name: str, values: Array) -> None:
+    holes = int((~np.isfinite(values)).sum())
+    if holes:
+        raise InputError(WHERE, name, f"{holes} of {values.size} numbers are not finite; a drive needs all of them")
+
+
+def _require_even(name: str, nodes: Array) -> None:
+    _require_finite(name, nodes)
+    if len(nodes) < 2 or not nodes[-1] > nodes[0]:
+        raise InputError(WHERE, name, "expected two or more increasing nodes")
+    even = np.linspace(nodes[0], nodes[-1], len(nodes))
+    if np.abs(nodes - even).max() > SPACING_TOLERANCE * (even[1] - even[0]):
+        raise InputError(WHERE, name, "expected evenly spaced nodes")
+
+
+def _rendered(template: str, values: Mapping[str, Any]) -> bytes:
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    environment.filters.update(c=_float, rows=_rows)
+    text = files("orchestrator.tuning").joinpath(template).read_text(encoding="ascii")
+    return environment.from_string(text).render(values).encode("ascii")
+
+
+def _rows(values: Array) -> str:
+    numbers = [_float(value) for value in values.reshape(-1)]
+    lines = (numbers[k : k + NUMBERS_PER_LINE] for k in range(0, len(numbers), NUMBERS_PER_LINE))
+    return ",\n".join("    " + ", ".join(line) for line in lines)
+
+
+def _float(value: float) -> str:
+    """The shortest literal of the same float."""
+    return f"{np.float32(value)!s}f"
+
+
+def _comment(text: str) -> str:
+    """Text that does not end the comment, in ASCII and on one line."""
+    line = " ".join(text.encode("ascii", "replace").decode().split())
+    return line.replace("*/", "* /").replace("/*", "/ *")

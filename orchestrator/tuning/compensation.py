@@ -1,0 +1,194 @@
+"""What a drive takes out of its readings and commands, from the effects of a model; knows no effect by name.
+
+`tuning.probes` tells what each effect does to a drive. The effects of the winding's resistance and of the iron belong
+to the motor, those of a brake to the bench, and a drive measures its own bus: they are not in the tables. Nor is an
+effect that drifts with time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, scaled_library
+from orchestrator.diagnosis.reporting.motor_model import require_effects_of
+from orchestrator.numerics.types import Array
+from orchestrator.tuning.probes import TRACE_RATIO, Probes, Response, without_rounding
+from protocols import Effect, EffectLayer, Manifest, ModelEffect, MotorModel, PluginError, is_compensable
+
+MAX_OUTSIDE_RATIO = 0.1
+"""Part of what an effect changes (rms) that the tables may lack without a remark."""
+
+REASONS = {
+    EffectLayer.BUS: "the drive measures its bus voltage",
+    EffectLayer.RESISTANCE: "it is the motor's, and follows the temperature of the winding",
+    EffectLayer.FRAME: "it is the bench's: a drive in use has no locked rotor",
+    EffectLayer.IRON: "it is the motor's iron",
+}
+NO_TRACE = "it changes neither constant readings, nor a constant voltage, nor an angle or a delay"
+NOT_COMPENSABLE = "a drive cannot take it out"
+DRIFTS = "it changes with time, which no table can follow"
+PARTLY = "it is compensated in part: {part} of what it changes depends on more than the tables know"
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An effect of the model that the drive does not compensate, or not all of it."""
+
+    name: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """What a drive adds to its commands and takes out of its readings.
+
+    First the readings are corrected; `lost_v` is of the corrected phase currents. Each leg's command gets
+    ``lost_v + v_dc * lost_per_bus_v`` at its current, and the command vector gets `bias_ab_v`.
+
+    Attributes
+    ----------
+    current_a : array, shape (k,)
+        Evenly spaced phase currents, from -I to I [A].
+    lost_v : array, shape (k,)
+        Voltage lost in a leg at any bus voltage, at the drive's PWM frequency; odd [V].
+    lost_per_bus_v : array, shape (k,)
+        Voltage lost in a leg over the bus voltage [1].
+    lost_std_v : array, shape (k,)
+        Standard deviation of the loss at the nominal bus voltage, from the intervals of the effects' parameters [V].
+        Each parameter is varied alone, so near the knee, where parameters replace each other, it is too large.
+    bias_ab_v : array, shape (2,)
+        Voltage lost at every current [V].
+    bias_std_v : float
+        Standard deviation of its length [V].
+    current_gain : array, shape (2, 2)
+        i_ab true = gain @ i_ab read + offset.
+    current_offset_a : array, shape (2,)
+    angle_rad : float
+        True electrical angle of the d axis = believed + angle_rad.
+    voltage_delay_s, current_delay_s : float
+        Delay of the voltage beyond what the drive declares, and of the current readings.
+    delay_std_s : float
+    sources : tuple of str
+        Effects that are in it, as the model names them.
+    left_out : tuple of LeftOut
+    """
+
+    current_a: Array
+    lost_v: Array
+    lost_per_bus_v: Array
+    lost_std_v: Array
+    bias_ab_v: Array
+    bias_std_v: float
+    current_gain: Array
+    current_offset_a: Array
+    angle_rad: float
+    voltage_delay_s: float
+    current_delay_s: float
+    delay_std_s: float
+    sources: tuple[str, ...]
+    left_out: tuple[LeftOut, ...]
+
+    @property
+    def delay_s(self) -> float:
+        """Both delays, which the loop of a current control has in it."""
+        return self.voltage_delay_s + self.current_delay_s
+
+    @classmethod
+    def of(
+        cls,
+        model: MotorModel,
+        effects: Sequence[Effect],
+        manifest: Manifest,
+        current_a: float,
+        *,
+        pwm_frequency_hz: float | None = None,
+        clarke_of_three: bool | None = None,
+    ) -> Self:
+        """The compensation of a model's effects.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            The installed effects.
+        manifest : Manifest
+            The recording's, for its drive.
+        current_a : float
+            Largest phase current of the table [A peak].
+        pwm_frequency_hz : float, optional
+            Of the drive that is tuned [Hz]; by default the recording's.
+        clarke_of_three : bool or None
+            Whether the drive computes its current vector from three sensors; None counts as two.
+
+        Raises
+        ------
+        PluginError
+            If an effect of the model is not installed, has other parameters, or fails.
+        """
+        library = {c.name: c for c in scaled_library(effects, manifest)}
+        require_effects_of(model, library)
+        drive = manifest.drive
+        probes = Probes(model, drive, current_a, pwm_frequency_hz=pwm_frequency_hz, clarke_of_three=clarke_of_three)
+        found = probes.none
+        sources, left_out = [], []
+        for kept in sorted(model.effects, key=lambda one: library[one.name].effect.layer):
+            reason, response = _assess(probes, _term(library[kept.name], kept), kept)
+            if response is not None:
+                found = found.followed_by(response)
+                sources.append(kept.name)
+            if reason is not None:
+                left_out.append(LeftOut(kept.name, reason))
+        low, full = (probes.low_bus_v, probes.bus_v)
+        per_bus = (found.lost_v - found.lost_low_bus_v) / (full - low)
+        return cls(
+            current_a=probes.current_a,
+            lost_v=without_rounding(found.lost_v - full * per_bus, TRACE_RATIO * full),
+            lost_per_bus_v=per_bus,
+            lost_std_v=np.sqrt(found.lost_variance),
+            bias_ab_v=found.bias_v,
+            bias_std_v=math.sqrt(found.bias_variance),
+            current_gain=found.gain,
+            current_offset_a=found.offset_a,
+            angle_rad=found.angle_rad,
+            voltage_delay_s=found.voltage_delay_s,
+            current_delay_s=found.current_delay_s,
+            delay_std_s=math.sqrt(found.delay_variance),
+            sources=tuple(sources),
+            left_out=tuple(left_out),
+        )
+
+
+def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | None, Response | None]:
+    """Why an effect is left out, wholly or in part, and its response where it is compensated."""
+    effect = term.candidate.effect
+    if effect.layer is EffectLayer.BUS or not is_compensable(effect):
+        return REASONS.get(effect.layer, NOT_COMPENSABLE), None
+    if probes.drifts(term):
+        return DRIFTS, None
+    response = probes.response(term)
+    if not response.leaves_trace:
+        return NO_TRACE, None
+    ends = [
+        (probes.response(_at(term, name, p.low)), probes.response(_at(term, name, p.high)))
+        for name, p in kept.parameters.items()
+        if p.fitted and p.low is not None and p.high is not None
+    ]
+    part = response.outside_ratio
+    return PARTLY.format(part=f"{part:.0%}") if part > MAX_OUTSIDE_RATIO else None, response.with_variances(ends)
+
+
+def _term(candidate: CandidateEffect, kept: ModelEffect) -> EffectTerm:
+    names = [p.name for p in candidate.parameters]
+    if sorted(names) != sorted(kept.parameters):
+        problem = f"has {', '.join(names)}, but the model gives {', '.join(kept.parameters) or 'none'}"
+        raise PluginError("effects", kept.name, f"parameters: the installed effect {problem}")
+    return EffectTerm(candidate, {name: kept.parameters[name].value for name in names}, ())
+
+
+def _at(term: EffectTerm, name: str, value: float) -> EffectTerm:
+    return dataclasses.replace(term, values={**term.values, name: value})

@@ -1,0 +1,116 @@
+"""What the drive may do: largest current, bus voltage, largest speed, sampling frequency."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from orchestrator.formatting.quantities import quantity
+from orchestrator.tuning.machine import Machine
+from protocols import DriveRecord, InputError
+
+WHERE = "limits"
+MIN_SAMPLES_PER_TURN: float = 10.0
+"""Samples in an electrical turn at the largest speed, below which a current control per period is not designed: its
+delay of 1.5 samples would turn the voltage by 54 degrees."""
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """Limits that the references keep.
+
+    Attributes
+    ----------
+    current_a : float
+        Largest length of the current vector [A peak].
+    bus_v : float
+        DC bus voltage [V].
+    speed_rad_s : float
+        Largest electrical speed [rad/s].
+    sampling_hz : float
+        Frequency of the current control, which updates the voltage once in a period.
+    """
+
+    current_a: float
+    bus_v: float
+    speed_rad_s: float
+    sampling_hz: float
+
+    @property
+    def voltage_v(self) -> float:
+        """Largest length of a voltage vector in every direction [V peak]: the circle inside the hexagon."""
+        return self.bus_v / math.sqrt(3.0)
+
+
+def limits_of(
+    machine: Machine,
+    drive: DriveRecord | None,
+    *,
+    current_a: float | None = None,
+    bus_v: float | None = None,
+    speed_rpm: float | None = None,
+    sampling_hz: float | None = None,
+) -> DriveLimits:
+    """Limits as given, else as the nameplate and the recording's drive have them.
+
+    Parameters
+    ----------
+    machine : Machine
+    drive : DriveRecord or None
+        The drive that the motor was measured with.
+    current_a : float, optional
+        [A peak]; by default the rated one, or the largest measured one where that is smaller or there is none.
+    bus_v : float, optional
+        [V]; by default the recording's.
+    speed_rpm : float, optional
+        Mechanical [1/min]; by default the rated one, or else that at which the magnet alone takes the whole voltage.
+    sampling_hz : float, optional
+        [Hz]; by default the recording's PWM frequency.
+
+    Raises
+    ------
+    InputError
+        Where a limit is missing, not positive, beyond what was measured, or excludes another one.
+    """
+    measured = machine.largest_current_a
+    rated = machine.motor.rated_current_a
+    given = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
+    for name, value in given.items():
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise InputError(WHERE, name, f"expected a positive number, not {value:g}")
+    if current_a is not None and current_a > measured * (1.0 + 1e-6):
+        wanted, reached = quantity(current_a, "A"), quantity(measured, "A")
+        raise InputError(WHERE, "current_a", f"{wanted} peak is beyond the map, which was measured up to {reached}")
+    current = current_a or min(rated or measured, measured)
+    bus = bus_v or (drive.dc_bus_voltage_v if drive is not None else None)
+    if bus is None:
+        raise InputError(WHERE, "bus_v", "unknown; give the DC bus voltage (--bus-v)")
+    sampling = sampling_hz or (drive.pwm_frequency_hz if drive is not None else None)
+    if sampling is None:
+        raise InputError(WHERE, "sampling_hz", "unknown; give the frequency of the current control (--sampling-hz)")
+    if machine.r_s_ohm * current >= bus / math.sqrt(3.0):
+        drop, most = quantity(machine.r_s_ohm * current, "V"), quantity(bus / math.sqrt(3.0), "V")
+        raise InputError(WHERE, "bus_v", f"R_s alone takes {drop} of the {most} that the bus allows")
+    speed = _largest_speed(machine, speed_rpm, bus)
+    fastest = 2.0 * math.pi * sampling / MIN_SAMPLES_PER_TURN
+    if speed > fastest:
+        if speed_rpm is None:
+            speed = fastest
+        else:
+            rpm = fastest / machine.pole_pairs * 30.0 / math.pi
+            text = (
+                f"{sampling:g} Hz suffices up to {rpm:.0f}/min: {MIN_SAMPLES_PER_TURN:g} samples in an electrical turn"
+            )
+            raise InputError(WHERE, "speed_rpm", text)
+    return DriveLimits(current, bus, speed, sampling)
+
+
+def _largest_speed(machine: Machine, speed_rpm: float | None, bus_v: float) -> float:
+    """Largest electrical speed [rad/s]: the given, the rated, or that of the no-load voltage."""
+    rpm = speed_rpm or machine.motor.rated_speed_rpm
+    if rpm is not None:
+        return rpm * machine.pole_pairs * math.pi / 30.0
+    magnet = machine.motor.pm_flux_wb
+    if not magnet:
+        raise InputError(WHERE, "speed_rpm", "unknown; give the largest speed (--speed-rpm)")
+    return bus_v / math.sqrt(3.0) / magnet

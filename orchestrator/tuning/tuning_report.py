@@ -1,0 +1,197 @@
+"""What `fluxbench tune` states, and its files: everything is computed before the first is written."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.formatting.quantities import quantity
+from orchestrator.recording import replace_file
+from orchestrator.tuning.c_code import c_files
+from orchestrator.tuning.drive_tuning import DriveTuning
+from orchestrator.tuning.firmware_settings import settings_for_firmware
+from orchestrator.tuning.pictures import tuning_picture
+from protocols import Number, Remark, StorageError, Strict
+
+
+class TuningReport(Strict):
+    """`tuning.json`: the tuning of a drive for one motor. Peak-valued vectors, electrical angles, mechanical speeds."""
+
+    motor: str
+    recording: str
+    method: str
+    """Method of the flux map."""
+    current_limit_a: float
+    bus_v: float
+    sampling_hz: float
+    largest_torque_nm: float
+    base_speed_rpm: float
+    """Up to which the largest torque is available; may be above the largest speed."""
+    largest_speed_rpm: float
+    torque_at_largest_speed_nm: float
+    bandwidth_hz: float
+    """Of the current control."""
+    phase_margin_deg: float
+    """At standstill; the fed-back j omega psi takes from it with speed."""
+    least_phase_margin_deg: float
+    """The same over the map's 95 % band."""
+    delay_s: float
+    """From sampling to the mean of the voltage."""
+    compensated: tuple[str, ...]
+    """Effects of the model that the code compensates."""
+    left_out: dict[str, str]
+    """Effects of the model that it does not, with the reason."""
+    lost_v: float
+    """Voltage of a leg that the inverter loses at the largest current, at this bus voltage [V]."""
+    injection_works_percent: Number
+    """Part of the measured plane within the current limit where a tracking by injection works."""
+    injection_error_deg: Number
+    """Largest position error of injection by cross-saturation there."""
+    injection_left_by_map_deg: Number
+    """Largest error at the references of least current that a compensation by the flux map leaves."""
+    observer_speed_rpm: Number
+    """From which a back-EMF observer stays within 5 degrees at those references; null where it never does."""
+    observer_speed_warm_rpm: Number
+    """The same with a winding that has warmed by 50 K unnoticed."""
+    remarks: tuple[Remark, ...] = ()
+    files: tuple[str, ...] = ()
+    """Names of the written files."""
+
+
+def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
+    """The report, without files."""
+    control, limits, sensorless = tuning.control, tuning.limits, tuning.sensorless
+    compensation = tuning.compensation
+    plane = np.stack(np.meshgrid(sensorless.i_d_a, sensorless.i_q_a, indexing="ij"), axis=-1)
+    inside = tuning.machine.inside(plane.reshape(-1, 2)).reshape(plane.shape[:2])
+    inside &= np.linalg.norm(plane, axis=-1) <= limits.current_a
+    works = sensorless.works & inside
+    error = np.abs(sensorless.injection_error_rad[works])
+    lost = np.abs(compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v)
+    return TuningReport(
+        motor=tuning.machine.motor.name,
+        recording=recording,
+        method=tuning.machine.flux_map.method,
+        current_limit_a=limits.current_a,
+        bus_v=limits.bus_v,
+        sampling_hz=limits.sampling_hz,
+        largest_torque_nm=tuning.largest_torque_nm,
+        base_speed_rpm=tuning.rpm(tuning.base_speed_rad_s),
+        largest_speed_rpm=tuning.rpm(tuning.largest_speed_rad_s),
+        torque_at_largest_speed_nm=float(
+            np.interp(tuning.largest_speed_rad_s, tuning.speeds_rad_s, tuning.torque_curve_nm)
+        ),
+        bandwidth_hz=control.bandwidth_rad_s / (2.0 * math.pi),
+        phase_margin_deg=control.phase_margin_deg,
+        least_phase_margin_deg=control.least_phase_margin_deg,
+        delay_s=control.delay_s,
+        compensated=compensation.sources,
+        left_out={one.name: one.reason for one in compensation.left_out},
+        lost_v=float(lost.max(initial=0.0)),
+        injection_works_percent=100.0 * float(works.sum()) / float(inside.sum()) if inside.any() else None,
+        injection_error_deg=math.degrees(float(error.max())) if error.size else None,
+        injection_left_by_map_deg=_finite(math.degrees(sensorless.left_by_map_rad)),
+        observer_speed_rpm=_finite(tuning.rpm(sensorless.least_speed_rad_s)),
+        observer_speed_warm_rpm=_finite(tuning.rpm(sensorless.least_speed_warm_rad_s)),
+        remarks=tuple(_remarks(tuning)),
+    )
+
+
+def write_tuning(tuning: DriveTuning, out: Path, recording: str) -> TuningReport:
+    """Write report, tables, picture and C code into a folder; each file is replaced atomically.
+
+    Raises
+    ------
+    StorageError
+        Where the folder or a file cannot be written.
+    """
+    contents = {
+        "references.csv": _references_csv(tuning),
+        "torque.csv": _torque_csv(tuning),
+        "compensation.csv": _compensation_csv(tuning),
+        "tuning.svg": tuning_picture(tuning),
+        **_c_files(tuning),
+        **settings_for_firmware(tuning.control, tuning.limits),
+    }
+    report = report_of(tuning, recording).model_copy(update={"files": ("tuning.json", *contents)})
+    contents["tuning.json"] = (report.model_dump_json(indent=2) + "\n").encode()
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{out}: cannot be created: {error.strerror or error}") from error
+    for name, content in contents.items():
+        replace_file(out / name, content)
+    return report
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _c_files(tuning: DriveTuning) -> dict[str, bytes]:
+    motor = tuning.machine.motor
+    parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits)
+    return c_files(symbol_of(motor.name), motor, *parts)
+
+
+def symbol_of(name: str) -> str:
+    """A motor's name as a C identifier: lower-case letters, digits, underscores."""
+    symbol = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:32].strip("_")
+    return symbol if symbol[:1].isalpha() else f"motor_{symbol}".rstrip("_")
+
+
+def _remarks(tuning: DriveTuning) -> Iterator[Remark]:
+    limits, machine = tuning.limits, tuning.machine
+    if not tuning.references.reaches_speed:
+        text = "at {current} and {bus} the references reach {reached:.0f}/min of the {wanted:.0f}/min wanted"
+        yield Remark.of(
+            "speed_not_reached",
+            text,
+            current=quantity(limits.current_a, "A"),
+            bus=quantity(limits.bus_v, "V"),
+            reached=tuning.rpm(tuning.largest_speed_rad_s),
+            wanted=tuning.rpm(limits.speed_rad_s),
+        )
+    rated = machine.motor.rated_current_a
+    if rated is not None and limits.current_a < rated * (1.0 - 1e-6):
+        text = "the map ends at {current}, below the rated {rated}: the references end there"
+        yield Remark.of(
+            "below_rated_current", text, current=quantity(limits.current_a, "A"), rated=quantity(rated, "A")
+        )
+
+
+def _references_csv(tuning: DriveTuning) -> bytes:
+    references = tuning.references
+    rows = []
+    for psi, limit, currents in zip(
+        references.psi_limit_wb, references.torque_limit_nm, references.i_dq_a, strict=True
+    ):
+        rows += [(psi, limit * share, *i_dq) for share, i_dq in zip(references.share, currents, strict=True)]
+    return _csv(("psi_limit_wb", "torque_nm", "i_d_a", "i_q_a"), rows)
+
+
+def _torque_csv(tuning: DriveTuning) -> bytes:
+    mechanical = tuning.speeds_rad_s / tuning.machine.pole_pairs
+    columns = (mechanical * 30.0 / math.pi, tuning.torque_curve_nm, tuning.torque_curve_nm * mechanical)
+    return _csv(("speed_rpm", "torque_nm", "power_w"), zip(*columns, strict=True))
+
+
+def _compensation_csv(tuning: DriveTuning) -> bytes:
+    held = tuning.compensation
+    columns = (held.current_a, held.lost_v, held.lost_per_bus_v)
+    return _csv(("phase_current_a", "lost_v", "lost_per_bus_v"), zip(*columns, strict=True))
+
+
+def _csv(names: Sequence[str], rows: Iterable[Sequence[float]]) -> bytes:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for row in rows:
+        writer.writerow([f"{float(value):.7g}" for value in row])
+    return text.getvalue().encode()

@@ -1,0 +1,427 @@
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import math
+import re
+import subprocess
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
+
+from orchestrator.numerics.types import Array
+from orchestrator.tuning.references import VOLTAGE_RESERVE, flux_limit
+from plugins.wire._firmware import write_firmware
+from protocols import InputError
+from tests.orchestrator.tuning.closed_loop import STRICT, Plant, compiler, library_of, run
+from tests.orchestrator.tuning.tables import LIMITS, Tables, tables_of
+from tests.plugins.wire.firmware.built import tool
+
+OK, LIMITED, INVALID = 0, 1, -1
+MOST_FLASH = 16 * 1024
+MOST_INSTRUCTIONS = 1500
+"""Of a Cortex-M4 in a period; at 168 MHz they take 9 us."""
+PLANT = Plant(dead_time=1.5e-6, drop_v=0.8, drop_ohm=0.02, gain_a=1.02, gain_b=0.99, offset_a=0.1, offset_b=-0.05,
+              angle_error=0.02)  # fmt: skip
+PUBLIC = {
+    *("psi_wb", "inductance_h", "torque_limit_nm", "current_reference_a", "current_control_init"),
+    *("current_control_v", "leg_voltage_v", "corrected_current_a", "add_bias_v", "angle_rad", "angle_ahead_rad"),
+}
+M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-Os", "-ffreestanding")
+CALLS = Path(__file__).with_name("calls.c")
+RELATIVE = 1e-3
+"""Of the largest value: float32 against float64."""
+
+
+class State(ctypes.Structure):
+    _fields_ = (
+        ("lost_v", ctypes.c_float * 2),
+        ("given_v", ctypes.c_float * 2),
+        ("psi_expected_wb", ctypes.c_float * 2),
+        ("samples", ctypes.c_int),
+    )
+
+
+class Drive:
+    """The compiled functions, with lists in place of arrays."""
+
+    def __init__(self, library: ctypes.CDLL) -> None:
+        self.library = library
+        for name in ("torque_limit_nm", "leg_voltage_v", "angle_rad", "angle_ahead_rad"):
+            getattr(library, f"motor_{name}").restype = ctypes.c_float
+
+    def number(self, name: str, *values: float) -> float:
+        return float(getattr(self.library, f"motor_{name}")(*(ctypes.c_float(v) for v in values)))
+
+    def vector(self, name: str, size: int, *values: float) -> tuple[int, Array]:
+        out = (ctypes.c_float * size)()
+        report = getattr(self.library, f"motor_{name}")(*(ctypes.c_float(v) for v in values), out)
+        return int(report), np.array(out[:])
+
+    def state(self) -> State:
+        state = State()
+        self.library.motor_current_control_init(ctypes.byref(state))
+        return state
+
+    def control(
+        self, state: State, i_ref: Sequence[float] | Array, i: Sequence[float] | Array, omega: float, v_dc: float
+    ) -> tuple[int, Array]:
+        pair = ctypes.c_float * 2
+        out = pair()
+        numbers = (ctypes.c_float(omega), ctypes.c_float(v_dc))
+        report = self.library.motor_current_control_v(ctypes.byref(state), pair(*i_ref), pair(*i), *numbers, out)
+        return int(report), np.array(out[:])
+
+
+@pytest.fixture(scope="module")
+def tables() -> Tables:
+    return tables_of(PLANT)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("drive")
+
+
+@pytest.fixture(scope="module")
+def drive(tables: Tables, folder: Path) -> Drive:
+    return Drive(library_of(tables.files(), folder))
+
+
+def test_a_lag_of_the_readings_turns_their_frame_back_and_not_the_voltage_s(tables: Tables, tmp_path: Path) -> None:
+    late = replace(tables, compensation=replace(tables.compensation, current_delay_s=5e-5))
+    plain, lagging = (Drive(library_of(one.files(), tmp_path / name)) for name, one in (("a", tables), ("b", late)))
+    for drive, lag in ((plain, 0.0), (lagging, 5e-5)):
+        assert drive.number("angle_rad", 1.0, 1000.0) == pytest.approx(1.0 + PLANT.angle_error - 1000.0 * lag, rel=1e-6)
+    assert plain.number("angle_ahead_rad", 1.0, 1000.0) - lagging.number(
+        "angle_ahead_rad", 1.0, 1000.0
+    ) == pytest.approx(1000.0 * 5e-5, rel=1e-4)
+
+
+def assert_near(actual: Array, expected: Array) -> None:
+    assert np.abs(actual - expected).max() <= RELATIVE * np.abs(expected).max()
+
+
+def test_flux_is_the_table_linear_between_and_beyond_its_nodes(tables: Tables, drive: Drive) -> None:
+    control = tables.control
+    at = np.random.default_rng(1).uniform(-40.0, 40.0, (500, 2))
+    lookup = RegularGridInterpolator(
+        (control.i_d_a, control.i_q_a), control.psi_wb, bounds_error=False, fill_value=None
+    )
+    assert_near(np.array([drive.vector("psi_wb", 2, *i)[1] for i in at]), lookup(at))
+
+
+def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Drive) -> None:
+    control = tables.control
+    at = np.random.default_rng(2).uniform(-40.0, 40.0, (500, 2))
+    lookup = RegularGridInterpolator((control.gain_i_d_a, control.gain_i_q_a), control.inductance_h)
+    held = np.clip(at, control.gain_i_d_a[0], control.gain_i_d_a[-1])
+    assert_near(np.array([drive.vector("inductance_h", 3, *i)[1] for i in at]), lookup(held))
+
+
+def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tables: Tables, drive: Drive) -> None:
+    rng = np.random.default_rng(3)
+    torque, speed, bus = (
+        rng.uniform(-12.0, 12.0, 500),
+        rng.uniform(-3000.0, 3000.0, 500),
+        rng.uniform(290.0, 400.0, 500),
+    )
+    references, r_s, expected, most = tables.references, tables.control.r_s_ohm, [], []
+    for t, w, v in zip(torque, speed, bus, strict=True):
+        limits = dataclasses.replace(LIMITS, bus_v=float(v))
+        largest = flux_limit(limits, r_s, LIMITS.current_a, w)
+        most.append(float(np.interp(largest, references.psi_limit_wb, references.torque_limit_nm)))
+        most[-1] *= min(1.0, max(0.0, 1.0 - (1.0 - largest / references.psi_limit_wb[0]) / VOLTAGE_RESERVE))
+        wanted = np.array([np.clip(t, -most[-1], most[-1])])
+        current = LIMITS.current_a
+        for _ in range(4):
+            i = references.at(wanted, np.atleast_1d(flux_limit(limits, r_s, current, w)))[0]
+            current = float(np.hypot(*i))
+        expected.append(i)
+    found = [drive.vector("current_reference_a", 2, *x) for x in zip(torque, speed, bus, strict=True)]
+    assert_near(np.array([i for _, i in found]), np.array(expected))
+    assert_near(
+        np.array([drive.number("torque_limit_nm", w, v) for w, v in zip(speed, bus, strict=True)]), np.array(most)
+    )
+    reports = np.array([report for report, _ in found])
+    clear = np.abs(np.abs(torque) - most) > 1e-3
+    assert np.array_equal(reports[clear], np.where(np.abs(torque) > most, LIMITED, OK)[clear])
+
+
+def test_torque_ends_where_the_voltage_is_too_low_for_the_speed(drive: Drive) -> None:
+    full = drive.number("torque_limit_nm", 3000.0, 300.0)
+    assert 0.0 < drive.number("torque_limit_nm", 3000.0, 292.0) < full
+    assert drive.number("torque_limit_nm", 3000.0, 250.0) == 0.0
+    assert drive.number("torque_limit_nm", 0.0, 300.0) > full
+
+
+def test_compensation_is_the_tables_and_matrices(tables: Tables, drive: Drive) -> None:
+    compensation = tables.compensation
+    current = np.random.default_rng(4).uniform(-30.0, 30.0, 300)
+    for bus in (250.0, 350.0):
+        losses = compensation.lost_v + bus * compensation.lost_per_bus_v
+        expected = np.interp(current, compensation.current_a, losses)
+        assert_near(np.array([drive.number("leg_voltage_v", i, bus) for i in current]), expected)
+    pair = ctypes.c_float * 2
+    read, out = pair(3.0, -4.0), pair()
+    drive.library.motor_corrected_current_a(read, out)
+    assert_near(np.array(out[:]), compensation.current_gain @ [3.0, -4.0] + compensation.current_offset_a)
+    drive.library.motor_corrected_current_a(read, read)
+    assert read[:] == out[:]
+    lag = tables.compensation.current_delay_s
+    behind, ahead = 1.0 - 2000.0 * lag, 1.0 + 2000.0 * (tables.control.delay_s - lag)
+    behind, ahead = behind + PLANT.angle_error, ahead + PLANT.angle_error
+    assert drive.number("angle_rad", 1.0, 2000.0) == pytest.approx(behind, rel=1e-6)
+    assert drive.number("angle_ahead_rad", 1.0, 2000.0) == pytest.approx(ahead, rel=1e-6)
+
+
+def test_bias_is_added_to_the_voltage(tables: Tables, tmp_path: Path) -> None:
+    compensation = dataclasses.replace(tables.compensation, bias_ab_v=np.array([0.5, -0.25]))
+    library = library_of(dataclasses.replace(tables, compensation=compensation).files(), tmp_path)
+    v = (ctypes.c_float * 2)(1.0, 2.0)
+    library.motor_add_bias_v(v)
+    assert v[:] == [1.5, 1.75]
+
+
+def reference_control(tables: Tables) -> Callable[[complex, complex, float, float], complex]:
+    """The same controller in complex numbers, with its state."""
+    control, period = tables.control, 1.0 / LIMITS.sampling_hz
+    lookup = RegularGridInterpolator((control.i_d_a, control.i_q_a), control.psi_wb)
+    r_s, alpha, corner = control.r_s_ohm, control.bandwidth_rad_s, control.integral_rad_s
+    # K + B = alpha (1 + B T), K B = alpha alpha_i (1 + B T)
+    roots = np.roots([alpha * period - 1.0, alpha * (1.0 - corner * period), -alpha * corner])
+    observer = float(roots.real.min())
+    gain = alpha * (1.0 + observer * period) - observer
+    assert gain * observer == pytest.approx(alpha * corner * (1.0 + observer * period))
+    lost, given, expected = 0j, 0j, None
+    count = 0
+
+    def psi_of(i: complex) -> complex:
+        return complex(*lookup([i.real, i.imag])[0])
+
+    def within(x: complex, most: float) -> complex:
+        return x if abs(x) <= most else x / abs(x) * most
+
+    def reach(x: complex, step: complex, most: float) -> complex:
+        """By bisection, as far along the step as the length stays."""
+        if abs(x + step) <= most:
+            return x + step
+        low, high = 0.0, 1.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if abs(x + middle * step) <= most else (low, middle)
+        return x + low * step
+
+    def step(i_ref: complex, i: complex, omega: float, v_dc: float) -> complex:
+        nonlocal lost, given, expected, count
+        most = v_dc / math.sqrt(3.0)
+        psi, psi_ref = psi_of(i), psi_of(i_ref)
+        if expected is not None:
+            lost = within(lost + observer * (expected - psi), most)
+        if count > 0:
+            turn = 0.5j * omega * period
+            expected = ((1.0 - turn) * psi + period * (given - r_s * i - lost)) / (1.0 + turn)
+        hold = r_s * i + 1j * omega * (psi if expected is None else expected) + lost
+        more = gain * (1.0 + 1j * omega * (control.delay_s - period)) * (psi_ref - psi)
+        v = hold + more
+        if abs(v) > most:
+            steady = within(r_s * i_ref + 1j * omega * psi_ref + lost, most)
+            v = reach(reach(steady, hold - steady, max(abs(steady), (1.0 - 0.5 * VOLTAGE_RESERVE) * most)), more, most)
+        given, count = v, count + 1
+        return v
+
+    return step
+
+
+@pytest.mark.parametrize("size", [2.0, 20.0])
+def test_current_control_is_its_formula_within_and_at_the_limit(tables: Tables, drive: Drive, size: float) -> None:
+    rng, limited = np.random.default_rng(5), 0
+    for _ in range(20):
+        state, formula = drive.state(), reference_control(tables)
+        omega = rng.uniform(-2500.0, 2500.0) if size > 10.0 else rng.uniform(-500.0, 500.0)
+        for _ in range(6):
+            i_ref = rng.uniform(-1.0, 1.0, 2) * size / math.sqrt(2.0) - [5.0, 0.0]
+            i = i_ref + rng.normal(0.0, 0.1 * size, 2)
+            report, v = drive.control(state, i_ref, i, omega, 300.0)
+            expected = formula(complex(*i_ref), complex(*i), omega, 300.0)
+            assert abs(complex(*v) - expected) < RELATIVE * 300.0
+            assert report in (OK, LIMITED)
+            limited += report == LIMITED
+    assert (limited > 20) if size > 10.0 else (limited < 60)
+
+
+BAD = st.sampled_from([math.nan, math.inf, -math.inf, 3e38, -2e6])
+NUMBERS = st.floats(-1e3, 1e3, width=32)
+ANY = st.one_of(NUMBERS, BAD, st.just(0.0))
+
+
+def usable(*values: float) -> bool:
+    return all(math.isfinite(v) and abs(v) <= 1e6 for v in values)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, st.one_of(ANY, st.just(300.0))), min_size=1, max_size=5))
+def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
+    drive: Drive, calls: list[tuple[float, float, float, float, float, float]]
+) -> None:
+    state = drive.state()
+    for *currents, omega, v_dc in calls:
+        lost = state.lost_v[:]
+        report, v = drive.control(state, currents[:2], currents[2:], omega, v_dc)
+        if usable(*currents, omega, v_dc) and v_dc > 0.0:
+            assert report in (OK, LIMITED)
+            assert np.hypot(*v) <= v_dc / math.sqrt(3.0) * (1.0 + 1e-5)
+        else:
+            assert report == INVALID
+            assert np.array_equal(v, [0.0, 0.0])
+            assert state.lost_v[:] == lost
+        assert np.isfinite([*state.lost_v, *state.given_v, *state.psi_expected_wb]).all()
+    for _ in range(3):
+        report, v = drive.control(state, [0.0, 1.0], [0.0, 1.0], 10.0, 300.0)
+        assert report in (OK, LIMITED)
+        assert np.isfinite(v).all()
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(ANY, ANY, ANY)
+def test_whatever_comes_references_and_lookups_are_finite(drive: Drive, a: float, b: float, c: float) -> None:
+    report, i_ref = drive.vector("current_reference_a", 2, a, b, c)
+    limit = drive.number("torque_limit_nm", b, c)
+    assert np.hypot(*i_ref) <= LIMITS.current_a * 1.001
+    assert 0.0 <= limit < 12.0
+    assert (report == INVALID) == (not usable(a, b, c) or c <= 0.0)
+    if not usable(b, c) or c <= 0.0:
+        assert np.array_equal(i_ref, [0.0, 0.0])
+        assert limit == 0.0
+    elif not usable(a):
+        assert i_ref[1] == pytest.approx(0.0, abs=1e-6)
+    for name, size in (("psi_wb", 2), ("inductance_h", 3)):
+        assert np.isfinite(drive.vector(name, size, a, b)[1]).all()
+    assert math.isfinite(drive.number("leg_voltage_v", a, b))
+
+
+def test_invalid_numbers_are_refused_with_fast_arithmetic_too(tables: Tables, tmp_path: Path) -> None:
+    fast = Drive(library_of(tables.files(), tmp_path, options=("-O3", "-ffast-math")))
+    for bad in (math.nan, math.inf):
+        assert fast.control(fast.state(), [0.0, 1.0], [bad, 0.0], 10.0, 300.0)[0] == INVALID
+        report, v = fast.vector("current_reference_a", 2, bad, 10.0, 300.0)
+        assert (report, v[1]) == (INVALID, 0.0)
+
+
+def test_one_bad_sample_does_not_change_the_current_for_long(drive: Drive) -> None:
+    """The integral part stays: after a NaN the next voltage is the one before it."""
+    state = drive.state()
+    for k in range(50):
+        _, before = drive.control(state, [0.0, 5.0], [0.0, 5.0 - 0.5 * math.exp(-0.2 * k)], 100.0, 300.0)
+    report, v = drive.control(state, [0.0, 5.0], [math.nan, 5.0], 100.0, 300.0)
+    assert (report, *v) == (INVALID, 0.0, 0.0)
+    _, after = drive.control(state, [0.0, 5.0], [0.0, 5.0], 100.0, 300.0)
+    assert after == pytest.approx(before, abs=0.1)
+
+
+def test_the_source_has_the_declared_symbols_alone_and_no_mutable_data(drive: Drive, folder: Path) -> None:
+    run(compiler(), *STRICT, "-Wshadow", "-Os", "-fno-asynchronous-unwind-tables", "-c", "motor_drive.c", folder=folder)
+    symbols = [line.split()[-2:] for line in run(tool("nm"), "motor_drive.o", folder=folder).splitlines()]
+    assert {name for kind, name in symbols if kind == "T"} == {f"motor_{name}" for name in PUBLIC}
+    assert {name for kind, name in symbols if kind == "U"} <= {"sqrtf"}
+    assert {kind for kind, _ in symbols} <= {"T", "t", "r", "U"}
+    declared = re.findall(r"^(?:void|int|float) motor_(\w+)\(", (folder / "motor_drive.h").read_text(), re.MULTILINE)
+    assert set(declared) == PUBLIC
+    text, data, bss = (int(n) for n in run(tool("size"), "motor_drive.o", folder=folder).splitlines()[1].split()[:3])
+    assert (data, bss) == (0, 0)
+    assert text < MOST_FLASH
+
+
+def without(table: Array) -> Array:
+    out = np.array(table, dtype=np.float64)
+    out.flat[out.size // 2] = np.nan
+    return out
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "name"),
+    [
+        ("references", "i_dq_a", "reference_table"),
+        ("references", "torque_limit_nm", "torque_limit_table"),
+        ("references", "psi_limit_wb", "limit"),
+        ("control", "psi_wb", "psi_table"),
+        ("control", "inductance_h", "inductance_table"),
+        ("control", "i_q_a", "psi_q"),
+        ("compensation", "lost_v", "lost_v"),
+        ("compensation", "current_gain", "gain"),
+        ("compensation", "bias_ab_v", "bias"),
+    ],
+)
+def test_a_table_with_a_hole_is_refused(tables: Tables, part: str, field: str, name: str) -> None:
+    whole = getattr(tables, part)
+    holed = dataclasses.replace(whole, **{field: without(getattr(whole, field))})
+    with pytest.raises(InputError, match=rf"{name}.*not finite"):
+        dataclasses.replace(tables, **{part: holed}).files()
+
+
+def test_unusable_axes_losses_and_gains_are_refused(tables: Tables) -> None:
+    control, compensation = tables.control, tables.compensation
+    uneven = dataclasses.replace(control, i_d_a=np.sort(control.i_d_a**3))
+    with pytest.raises(InputError, match=r"psi_d.*evenly spaced"):
+        dataclasses.replace(tables, control=uneven).files()
+    falling = dataclasses.replace(control, i_d_a=control.i_d_a[::-1])
+    with pytest.raises(InputError, match=r"psi_d.*increasing"):
+        dataclasses.replace(tables, control=falling).files()
+    fast = dataclasses.replace(control, integral_rad_s=0.5 * control.bandwidth_rad_s)
+    with pytest.raises(InputError, match=r"integral_rad_s.*too fast"):
+        dataclasses.replace(tables, control=fast).files()
+    even = dataclasses.replace(compensation, lost_v=compensation.lost_v + 0.1)
+    with pytest.raises(InputError, match=r"lost_v.*odd function"):
+        dataclasses.replace(tables, compensation=even).files()
+    cut = {name: getattr(compensation, name)[1:] for name in ("current_a", "lost_v", "lost_per_bus_v")}
+    with pytest.raises(InputError, match=r"lost_v.*odd function"):
+        dataclasses.replace(tables, compensation=dataclasses.replace(compensation, **cut)).files()
+
+
+def test_names_and_effects_stand_in_the_comment_and_do_not_end_it(tables: Tables) -> None:
+    header = tables.files()["motor_drive.h"].decode("ascii")
+    assert "of plant * / Mot?r, written" in header
+    assert "corrected for: dead_time." in header
+    assert header.count("*/") == header.count("/*")
+
+
+def answers(lines: list[str]) -> tuple[Array, Array]:
+    """Reports, shape (n,), and numbers, shape (n, 5), of the lines of calls.c."""
+    words = np.array([[int(word, 16) for word in line.split()] for line in lines], dtype=np.uint32)
+    return words[:, 0].astype(np.float64), words[:, 1:].copy().view(np.float32).astype(np.float64)
+
+
+@pytest.mark.slow
+def test_a_cortex_m4_answers_as_the_host_does_in_few_instructions(tables: Tables, tmp_path: Path) -> None:
+    for name, content in (tables.files() | {"calls.c": CALLS.read_bytes()}).items():
+        (tmp_path / name).write_bytes(content)
+    run(compiler(), *STRICT, "-O2", "calls.c", "motor_drive.c", "-lm", "-o", "calls", folder=tmp_path)
+    *expected, _ = run("./calls", folder=tmp_path).splitlines()
+    assert len(expected) == 200
+    arm, qemu = tool("arm-none-eabi-gcc"), tool("qemu-system-arm")
+    write_firmware(tmp_path / "firmware")
+    linking = ("-nostartfiles", "--specs=nano.specs", "-T", "firmware/boards/mps2_an386/memory.ld")
+    sources = ("calls.c", "motor_drive.c", "-lm")
+    run(arm, "-std=c99", "-Wall", "-Wextra", "-Werror", *M4, *linking, *sources, "-o", "calls.elf", folder=tmp_path)
+    machine = [qemu, "-M", "mps2-an386", "-icount", "shift=5", "-nographic", "-monitor", "none", "-serial", "stdio"]
+    with subprocess.Popen(
+        [*machine, "-kernel", "calls.elf"], cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        lines = []
+        for line in process.stdout:
+            lines.append(line)
+            if line.startswith("end"):
+                break
+        process.kill()
+    reports, numbers = answers(lines[:-1])
+    host_reports, host_numbers = answers(expected)
+    assert np.array_equal(reports, host_reports)
+    assert_near(numbers, host_numbers)
+    assert int(lines[-1].split()[1], 16) <= MOST_INSTRUCTIONS
