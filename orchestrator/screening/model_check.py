@@ -11,7 +11,7 @@ What a few moves do not explain is not judged: the whole search of `fluxbench di
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -36,6 +36,7 @@ from orchestrator.diagnosis.selection.shape_moves import fixed_parameters, free_
 from orchestrator.estimation import missing_model, model_check
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.sentences import listed
+from orchestrator.screening.rivals import rivals_of
 from protocols import (
     Effect,
     FluxMap,
@@ -133,6 +134,8 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
     )
     setup, last = _explaining(setup, first, library)
     uncertainty = MapUncertainty.of(setup.fitter, last, library)
+    rivals = rivals_of(setup.fitter, last, library, uncertainty)
+    uncertainty = replace(uncertainty, absent=(*uncertainty.absent, *rivals))
     currents, rated_wb = mean_currents(last), rated_flux_wb(setup)
     band_wb = uncertainty.band_wb(currents)
     record = verdict_record(
