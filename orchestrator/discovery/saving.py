@@ -46,13 +46,15 @@ def _require_writable(target: Path) -> None:
     if target.suffix != ".py":
         raise InputError(str(target), "", "an effect is written to a Python file: its name ends in .py")
     try:
-        if os.path.lexists(target):
-            raise InputError(str(target), "", _EXISTS)
-        folder = next(parent for parent in (target.parent, *target.parent.absolute().parents) if os.path.lexists(parent))
+        target.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        folder = next(folder for folder in (target.parent, *target.absolute().parents) if os.path.lexists(folder))
         if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-            raise InputError(str(target), "", f"cannot be written: {folder} is no folder that can be written to")
+            raise InputError(str(target), "", f"cannot be written: {folder} is no folder to write to") from None
     except OSError as error:
         raise InputError(str(target), "", f"cannot be written: {error.strerror or error}") from error
+    else:
+        raise InputError(str(target), "", _EXISTS)
 
 
 def save_discovery(directory: Path, found: Learned) -> None:

@@ -36,7 +36,7 @@ def common_gain_wb(fit: Fit, i_dq: Array) -> float:
 
 
 def unequal_gains(fit: Fit) -> float:
-    """Half of the relative difference by which a model's sensors stretch one axis of the current more than the other."""
+    """By how much more a model's sensors stretch one axis of the current than both on average."""
     sensors = [a for a in fit.model.active if a.candidate.effect.layer is EffectLayer.CURRENT_SENSORS]
     if not sensors:
         return 0.0
