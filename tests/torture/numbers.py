@@ -1,4 +1,4 @@
-"""Numbers at the ends of what a float holds, in every numeric field of a procedure, its motor, its plan and its drive."""
+"""Numbers at the ends of what a float holds, in every numeric field of a procedure: its motor, plan and drive."""
 
 from __future__ import annotations
 
