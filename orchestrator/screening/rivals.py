@@ -6,9 +6,9 @@ may take its place, at a cost of its prior alone:
 
     y = -H_rr^-1 (g_r + H_re d),    dJ = d'H_ee d / 2 + (g_r + H_re d)'y / 2
 
-y is the change of all the rest, R_s and the map among it. Where the other effects explain the recording as well,
-exp(-dJ) is near one: which of the two is true is not known, and neither is the map to better than their difference. One
-sensor's gain, for example, is unequal resistance to a rotor at one angle, and only the gain changes the map.
+y is the change of all the rest, R_s and the map among it. Where dJ is less than the evidence that an effect has to
+have, which of the two is true is not known, and neither is the map to better than their difference. One sensor's gain,
+for example, is unequal resistance to a rotor at one angle, and only the gain changes the map.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ def rivals_of(fitter: Fitter, fit: Fit, library: Library, uncertainty: MapUncert
         pull = gradient[rest] + total[np.ix_(rest, own)] @ out
         moved = -np.linalg.solve(total[np.ix_(rest, rest)], pull)
         cost = 0.5 * float(out @ total[np.ix_(own, own)] @ out + pull @ moved)
-        odds = -cost / max(fit.chi2_per_dof, 1.0)
+        # An effect is distinct from its rivals where it beats them by as much as it has to be worth to be added.
+        odds = fit.criteria.selection.log_evidence - cost / max(fit.chi2_per_dof, 1.0)
         probability = 0.5 * (1.0 + math.tanh(0.5 * odds))
         rivals.append(AbsentEffect(probability, moved[:width], uncertainty.covariance))
     return tuple(rivals)

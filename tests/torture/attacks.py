@@ -294,7 +294,7 @@ def cut(rng: random.Random, folder: Path) -> str:
 ATTACKS = (
     Attack("kills", 1000, "every point once, currents within 1 % of a run in one go", killed),
     Attack("inputs", 10_000, "read, or one line and exit 2 or 3", mutated),
-    Attack("numbers", 5000, "`check` is over within 10 s: an answer, or one line and exit 2", extreme),
+    Attack("numbers", 5000, "`check` ends within 10 s of CPU: an answer, or one line and exit 2", extreme),
     Attack("disks", 500, "safe end, whole after resuming", failed),
     Attack("lies", 200, "a named fault or the true capture; off in the end", lied),
     Attack("noise", 300, "a named fault or the true capture; off in the end", disturbed),
