@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 import random
@@ -26,7 +27,7 @@ Place = tuple[str | int, ...]
 
 def extreme(rng: random.Random, folder: Path) -> str:
     """`check` of a procedure with one or two extreme numbers ends in time, with an answer or a refusal of one line."""
-    document = tiny_document()
+    document = copy.deepcopy(tiny_document())
     for place, kind in rng.sample(numeric_fields(), rng.choice((1, 1, 1, 2))):
         put(document, place, value_of(rng, kind))
     file = folder / "procedure.yaml"
