@@ -24,7 +24,7 @@ class Stretch(EffectParameters):
 
 
 def _stretched(vectors: Array, p: Stretch) -> Array:
-    return vectors @ np.array([[1.0 + p.along_a, p.between], [p.between, 1.0 - p.along_a]])
+    return np.asarray(vectors @ np.array([[1.0 + p.along_a, p.between], [p.between, 1.0 - p.along_a]]))
 
 
 class UnequalCurrentGains:
