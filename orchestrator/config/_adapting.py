@@ -16,6 +16,8 @@ MAX_FREQUENCY_SHIFT = 0.2
 """Largest relative shift of a frequency; beyond it the experiment would be another one."""
 SPLITTABLE_STAGES = (SegmentStage.RESISTANCE, SegmentStage.GATES_OFF)
 """Stages whose points may be split into several captures; elsewhere a point is one segment."""
+MAX_CAPTURES = 1000
+"""Captures into which a point is split at most; a drive that captures so little is refused by its limit."""
 
 
 @dataclass
@@ -100,7 +102,9 @@ class PlanAdapter:
         return [e.model_copy(update={"periods": count}) for count in counts]
 
     def _split(self, e: Hold | GatesOff, longest_s: float, drive: Capabilities, where: str) -> list[Excitation]:
-        captures = math.ceil(e.captured_s / longest_s - 1e-9)
+        captures = math.ceil(min(e.captured_s / longest_s, MAX_CAPTURES + 1.0) - 1e-9)
+        if captures > MAX_CAPTURES:  # refused with the drive's limit
+            return [e]
         rows = math.floor(e.captured_s * drive.sampling_frequency_hz / captures + 1e-9)
         part_s = rows / drive.sampling_frequency_hz
         self._note(f"{where}: {e.captured_s:g} s become {captures} captures of {part_s:g} s each")

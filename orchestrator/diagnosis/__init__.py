@@ -8,7 +8,7 @@ from orchestrator.diagnosis._compare import compare_recording
 from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
 from orchestrator.diagnosis._refit import add_effects, remove_effect
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, require_known
 from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.fitting.workers import workers_here
@@ -46,6 +46,7 @@ __all__ = [
     "load_diagnosis",
     "model_changes",
     "remove_effect",
+    "require_known",
     "save_diagnosis",
     "simulated_current",
     "workers_here",

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import keyword
+import os
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 from orchestrator.discovery.discover import Learned
@@ -12,18 +15,46 @@ from protocols import InputError, StorageError
 
 REPORT_NAME = "discovery.json"
 PICTURE_NAME = "discovery.svg"
+MAX_NAME_LENGTH: int = 80
+"""Characters of an effect's name, as of a new plugin's."""
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
+_EXISTS = "exists already: give another name, or move it away"
 
 
-def require_name(name: str, target: Path | None) -> str:
-    """The name of an effect to be written; raises `InputError` where it cannot be one, or its file not be written."""
-    if target is not None and target.exists():
-        raise InputError(str(target), "", "exists already: give another name, or move it away")
-    if target is not None and target.suffix != ".py":
-        raise InputError(str(target), "", "an effect is written to a Python file: its name ends in .py")
-    if _NAME.fullmatch(name) is None:
-        raise InputError(name, "", "no name for an effect: expected lower-case letters, digits and underscores")
+def require_name(name: str, target: Path | None, taken: Collection[str] = ()) -> str:
+    """The name of an effect to be written; raises `InputError` where it cannot be one, or its file not be written.
+
+    Parameters
+    ----------
+    taken : collection of str
+        Names of the library's effects.
+    """
+    if target is not None:
+        _require_writable(target)
+    if len(name) > MAX_NAME_LENGTH:
+        raise InputError(f"{name[:12]}...", "", f"no name for an effect: it has more than {MAX_NAME_LENGTH} letters")
+    if _NAME.fullmatch(name) is None or keyword.iskeyword(name):
+        expected = "expected lower-case letters, digits and underscores, and no keyword of Python"
+        raise InputError(name, "", f"no name for an effect: {expected}")
+    if name in taken:
+        raise InputError(name, "", "an effect of that name exists already: choose another")
     return name
+
+
+def _require_writable(target: Path) -> None:
+    """Raise `InputError` where no file can be made there: known before minutes of search."""
+    if target.suffix != ".py":
+        raise InputError(str(target), "", "an effect is written to a Python file: its name ends in .py")
+    try:
+        target.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        folder = next(folder for folder in (target.parent, *target.absolute().parents) if os.path.lexists(folder))
+        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(str(target), "", f"cannot be written: {folder} is no folder to write to") from None
+    except OSError as error:
+        raise InputError(str(target), "", f"cannot be written: {error.strerror or error}") from error
+    else:
+        raise InputError(str(target), "", _EXISTS)
 
 
 def save_discovery(directory: Path, found: Learned) -> None:
@@ -49,4 +80,6 @@ def write_law(target: Path, found: Learned) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StorageError(f"{target}: cannot be written: {error.strerror or error}") from error
+    if os.path.lexists(target):  # made by another since this began
+        raise StorageError(f"{target}: {_EXISTS}")
     replace_file(target, found.text.encode())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import keyword
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 
 from orchestrator.discovery.hypotheses import ALL, PHASE_NAMES, Hypothesis
 from orchestrator.discovery.law import Law, Table
+from orchestrator.formatting.sentences import visible
 
 
 @dataclass(frozen=True)
@@ -185,12 +187,19 @@ def _fold(line: str) -> str:
 
 
 def _wrapped(text: str) -> str:
-    return textwrap.fill(text, 118)
+    """A paragraph of a docstring; a recording's name may hold anything, and must neither end nor escape it."""
+    return textwrap.fill(visible(text).replace("\\", "/").replace('"', "'"), 118)
 
 
 def _capital(text: str) -> str:
     return text[0].upper() + text[1:]
 
 
+_OWN_NAMES = re.compile(r"Array|Correction|EffectLayer|EffectParameters|Signals|[XY]\d*")
+"""What a written file calls by these names itself."""
+
+
 def _camel(name: str) -> str:
-    return "".join(word.capitalize() for word in name.split("_"))
+    """The class of an effect; another word where Python or the file has that one."""
+    camel = "".join(word.capitalize() for word in name.split("_"))
+    return f"{camel}Law" if keyword.iskeyword(camel) or _OWN_NAMES.fullmatch(camel) else camel

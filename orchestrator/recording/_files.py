@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from contextlib import suppress
 from pathlib import Path
 
@@ -19,9 +20,10 @@ def capture_path(directory: Path, segment_id: str) -> Path:
 def replace_file(path: Path, content: bytes) -> None:
     """Write `content` to `path` so that a reader sees the old file or the new one, never a part.
 
-    Raises `StorageError` where the disk is full or the folder gone; the old file is then untouched.
+    Several processes may replace one file at once: the last one's stays. Raises `StorageError` where the disk is full
+    or the folder gone; the old file is then untouched.
     """
-    partial = partial_path(path)
+    partial = path.with_name(f".{path.name}.{threading.get_native_id()}{PARTIAL_SUFFIX}")
     try:
         with partial.open("wb") as file:
             file.write(content)

@@ -10,8 +10,9 @@ What a few moves do not explain is not judged: the whole search of `fluxbench di
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -36,6 +37,9 @@ from orchestrator.diagnosis.selection.shape_moves import fixed_parameters, free_
 from orchestrator.estimation import missing_model, model_check
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.sentences import listed
+from orchestrator.screening.common_gain import common_gain_wb
+from orchestrator.screening.rivals import rivals_of
+from orchestrator.screening.unequal_gains import UnequalCurrentGains, UnequalVoltageGains
 from protocols import (
     Effect,
     FluxMap,
@@ -133,8 +137,11 @@ def _screened(recording: RecordingReader, effects: Sequence[Effect]) -> _Screene
     )
     setup, last = _explaining(setup, first, library)
     uncertainty = MapUncertainty.of(setup.fitter, last, library)
+    gains = scaled_library([UnequalCurrentGains(), UnequalVoltageGains()], setup.prepared.manifest)
+    rivals = rivals_of(setup.fitter, last, (*library, *gains), uncertainty)
+    uncertainty = replace(uncertainty, absent=(*uncertainty.absent, *rivals))
     currents, rated_wb = mean_currents(last), rated_flux_wb(setup)
-    band_wb = uncertainty.band_wb(currents)
+    band_wb = math.hypot(uncertainty.band_wb(currents), common_gain_wb(last, currents))
     record = verdict_record(
         first,
         setup.fitter.hold(last.model),

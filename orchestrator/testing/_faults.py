@@ -59,14 +59,15 @@ def _limited(max_seconds: float) -> Iterator[None]:
         pytest.fail(f"the plugin has not returned within {max_seconds:g} s{place}", pytrace=False)
 
     before = signal.signal(signal.SIGALRM, overdue)
-    remaining_s, _ = signal.setitimer(signal.ITIMER_REAL, max_seconds)
+    # Again and again: what cleans up after the check may not return either.
+    remaining_s, interval_s = signal.setitimer(signal.ITIMER_REAL, max_seconds, max_seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
         if remaining_s:  # of a limit around this one
-            signal.setitimer(signal.ITIMER_REAL, remaining_s)
+            signal.setitimer(signal.ITIMER_REAL, remaining_s, interval_s)
 
 
 def _place(frames: Any, *, innermost_first: bool = False) -> str:

@@ -34,6 +34,7 @@ from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_document, tin
 from tests.torture.clocks import jumped
 from tests.torture.kills import commissioning_killed, fleet_killed
 from tests.torture.mutilations import harmless, mutilated
+from tests.torture.numbers import extreme
 from tests.torture.pages import flooded
 
 REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
@@ -293,6 +294,7 @@ def cut(rng: random.Random, folder: Path) -> str:
 ATTACKS = (
     Attack("kills", 1000, "every point once, currents within 1 % of a run in one go", killed),
     Attack("inputs", 10_000, "read, or one line and exit 2 or 3", mutated),
+    Attack("numbers", 5000, "`check` ends within 10 s of CPU: an answer, or one line and exit 2", extreme),
     Attack("disks", 500, "safe end, whole after resuming", failed),
     Attack("lies", 200, "a named fault or the true capture; off in the end", lied),
     Attack("noise", 300, "a named fault or the true capture; off in the end", disturbed),

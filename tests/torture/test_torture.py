@@ -12,6 +12,7 @@ from tests.torture.attacks import ATTACKS, Attack
 
 SEED = 20261122
 SAMPLE = {"kills": 0, "inputs": 10, "disks": 0, "lies": 1, "noise": 6, "links": 0} | {
+    "numbers": 20,
     "pages": 0,
     "commissionings": 0,
     "fleets": 0,

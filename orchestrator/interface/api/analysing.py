@@ -239,20 +239,25 @@ def discover(
     Raises
     ------
     InputError
-        Where `write` is no Python file, or the name cannot be one.
+        Where `write` is no Python file or cannot be written, or the name cannot be one or is an effect's already.
+    PluginError
+        Where an effect in `without` is not known.
     StorageError
         Where a file cannot be written.
     """
-    from orchestrator.diagnosis import load_diagnosis
+    from orchestrator.diagnosis import CROSS_SATURATION, SATURATION, load_diagnosis, require_known
     from orchestrator.discovery import discover_laws, require_name, save_discovery, write_law
 
     target = Path(write) if write is not None else None
-    called = require_name(name or (target.stem if target is not None else "learned_law"), target)
+    library = chosen_effects(effects)
+    require_known(without, library)
+    taken = {SATURATION, CROSS_SATURATION, *(effect.name for effect in library)}
+    called = require_name(name or (target.stem if target is not None else "learned_law"), target, taken)
     directory = _directory(out) or Path(place)
     diagnosis = load_diagnosis(directory)
     if diagnosis is None or not has_model(directory):
         diagnosis = diagnose(place, effects=effects, without=without, out=out, tell=tell)
-    every = [effect for effect in chosen_effects(effects) if effect.name not in without]
+    every = [effect for effect in library if effect.name not in without]
     found = discover_laws(open_any(Path(place)), every, read_model(directory), diagnosis.report, name=called, tell=tell)
     save_discovery(directory, found)
     if target is not None:

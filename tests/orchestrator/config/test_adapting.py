@@ -37,6 +37,11 @@ def test_a_long_dwell_becomes_several_captures_of_which_the_first_settles(pm400:
     assert "stages.0 (resistance): 2 s become 4 captures of 0.5 s each" in plan.notes
 
 
+def test_a_drive_that_captures_next_to_nothing_is_refused_by_its_limit_at_once(pm400: Bench) -> None:
+    with pytest.raises(CapabilityError, match="captures 2 s; the drive's longest capture is 1e-09 s"):
+        fitted(pm400, HOLD, longest_capture_s=1e-9)
+
+
 def test_what_is_one_segment_to_its_stage_is_shortened(pm400: Bench) -> None:
     plan = fitted(pm400, {"kind": "alignment", "duration_s": 2.0}, longest_capture_s=0.5)
     assert [p.captured_s for p in plan.points] == [0.5]

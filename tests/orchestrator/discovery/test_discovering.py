@@ -15,7 +15,15 @@ from orchestrator.discovery import Learned, discover_laws, require_name, write_l
 from orchestrator.discovery.search import SearchOutcome, learn_laws
 from orchestrator.interface.api import chosen_effects
 from orchestrator.recording import open_recording
-from protocols import DiagnosisReport, FluxbenchError, InputError, MotorModel, NoiseFloor
+from protocols import (
+    DiagnosisReport,
+    FluxbenchError,
+    InputError,
+    MotorModel,
+    NoiseFloor,
+    PluginError,
+    StorageError,
+)
 from tests.orchestrator.discovery.plant import LAWS, record
 
 ROOT = Path(__file__).parents[3]
@@ -78,17 +86,49 @@ def test_a_law_is_written_to_its_file(tmp_path: Path) -> None:
         ("mine", Path("mine.txt"), "its name ends in .py"),
         ("My Law", None, "no name for an effect"),
         ("2nd", None, "no name for an effect"),
+        ("class", None, "no keyword of Python"),
+        ("a" * 81, None, "more than 80 letters"),
+        ("dead_time", None, "an effect of that name exists already"),
+        ("mine", Path("/dev/null/mine.py"), "/dev/null is no folder to write to"),
+        ("mine", Path("a" * 300 + "/mine.py"), "cannot be written: File name too long"),
     ],
 )
 def test_a_name_that_cannot_be_an_effects_is_refused(name: str, target: Path | None, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        require_name(name, target)
+        require_name(name, target, {"dead_time"})
 
 
 def test_a_file_that_exists_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("mine")
     with pytest.raises(InputError, match="exists already"):
         require_name("mine", tmp_path / "mine.py")
+
+
+def test_a_link_to_nowhere_or_to_itself_is_no_target(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(InputError, match="exists already"):
+        require_name("mine", tmp_path / "mine.py")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with pytest.raises(InputError, match="Too many levels of symbolic links"):
+        require_name("mine", tmp_path / "loop" / "mine.py")
+
+
+def test_a_file_that_another_made_meanwhile_is_not_replaced(tmp_path: Path) -> None:
+    model, report = _diagnosed("clean")
+    found = discover_laws(open_recording(DATA), chosen_effects(), model, report)
+    (tmp_path / "mine.py").write_text("another's")
+    with pytest.raises(StorageError, match="exists already"):
+        write_law(tmp_path / "mine.py", Learned(found.report, "text"))
+    assert (tmp_path / "mine.py").read_text() == "another's"
+
+
+def test_the_library_s_names_and_unknown_ones_are_refused_before_any_diagnosis(tmp_path: Path) -> None:
+    for name in ("dead_time", "saturation"):
+        with pytest.raises(InputError, match="exists already"):
+            fluxbench.discover(DATA, name=name, out=tmp_path)
+    with pytest.raises(PluginError, match="no such effect"):
+        fluxbench.discover(DATA, without=["nothing_such"], out=tmp_path)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_is_no_recording_is_refused_in_one_line() -> None:

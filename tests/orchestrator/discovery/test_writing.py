@@ -139,3 +139,21 @@ def test_two_laws_are_two_classes_of_one_file(tmp_path: Path) -> None:
     path = tmp_path / "both.py"
     path.write_text(source_of([NamedLaw(first, "one"), NamedLaw(second, "other")], {}, False), encoding="utf-8")
     assert [effect.name for effect in load_effects_file(path)] == ["one", "other"]
+
+
+@pytest.mark.parametrize(
+    "text", ['a"""\nraise SystemExit', "\\N{no such}", "\\x", "ends in \\", "null \0 and \udcff", "x" * 300 + "\\"]
+)
+def test_what_a_recording_is_called_cannot_spoil_the_file(text: str) -> None:
+    law = law_of(at.LEG_VOLTAGE, of.PHASE_CURRENT, ALL, "tanh")
+    source = source_of([NamedLaw(law, "some_law", (f"Learned from {text}.",))], {}, False)
+    assert loaded(source).name == "some_law"
+
+
+@pytest.mark.parametrize("name", ["none", "true", "correction", "signals", "effect_parameters", "x", "y2", "np"])
+def test_a_law_may_be_called_like_what_its_file_needs(name: str) -> None:
+    law = law_of(at.READING, of.PHASE_CURRENT, ALL, "table")
+    effect = loaded(source_of([NamedLaw(law, name)], {}, False))
+    assert effect.name == name
+    values = {p.name: p.typical for p in effect.Parameters.declared()}
+    assert effect.correct(signals(), effect.Parameters(**values)).i_ab is not None

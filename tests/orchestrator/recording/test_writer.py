@@ -8,6 +8,7 @@ import os
 import resource
 import signal
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -241,3 +242,16 @@ def test_the_manifest_comes_back_and_is_plain_json(make_recording: Callable[...,
     write_manifest(directory, manifest)
     assert open_recording(directory).manifest == manifest
     assert json.loads((directory / "recording.json").read_text())["format"] == "fluxbench-recording"
+
+
+def test_several_may_replace_one_file_at_once(tmp_path: Path) -> None:
+    file, contents = tmp_path / "x", [bytes([97 + k]) * 50_000 for k in range(4)]
+
+    def replace(content: bytes) -> None:
+        for _ in range(25):
+            replace_file(file, content)
+            assert file.read_bytes() in contents
+
+    with ThreadPoolExecutor(len(contents)) as executor:
+        list(executor.map(replace, contents))
+    assert list(tmp_path.iterdir()) == [file]

@@ -13,6 +13,7 @@ import pytest
 
 from orchestrator.testing._faults import faults_as_failures
 from protocols import Correction, EstimationContext, RecordingReader, Signals
+from tests.orchestrator.testing import test_drive_kit as drives
 from tests.orchestrator.testing import test_effect_kit as effects
 from tests.orchestrator.testing import test_estimator_kit as estimators
 from tests.orchestrator.testing.kit_runner import failures
@@ -92,6 +93,21 @@ def test_a_wrong_estimator_is_named_in_a_line(estimator: Any, named: str, tmp_pa
     for check in ("uncertainties_are_finite", "same_recording"):
         (message,) = failures(kit, tmp_path / check, only=check).values()
         require_line(message, named)
+
+
+class NeverStops(drives.ExampleDrive):
+    def disarm(self) -> None:
+        while True:
+            time.sleep(0.01)
+
+
+def test_a_drive_that_never_stops_is_named_in_a_line(tmp_path: Path) -> None:
+    kit = drives.kit_for(NeverStops)
+    type(kit).max_seconds = 0.2
+    messages = failures(kit, tmp_path, only="disarm")
+    assert messages
+    for message in messages.values():
+        require_line(message, r"not returned within 0.2 s \(.*test_faults.py, line \d+\)$")
 
 
 def test_a_limit_around_a_kit_s_check_stays() -> None:
