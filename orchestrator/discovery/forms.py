@@ -157,7 +157,7 @@ def fitting_forms(score: Score) -> list[FormFit]:
         return _memories(score, basis)
     assert isinstance(basis, CurveBasis)
     grid = basis.grid(12 * basis.cells)[1 if basis.parity == "odd" else 0 :]
-    design = basis.design(grid).toarray()
+    design = basis.design(grid)
     values = design @ score.coefficients
     floor = DISCREPANCY * float(np.abs(values).max())
     weigh = np.linalg.cholesky(np.linalg.inv(score.covariance + floor**2 * np.eye(basis.size))).T

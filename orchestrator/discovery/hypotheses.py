@@ -58,23 +58,43 @@ class Hypothesis:
         words = [self.place.name, PHASE_NAMES[self.phases], self.basis.kind, parity.replace("none", "")]
         return "-".join(word for word in [*words, self.quantity.name] if word)
 
-    def candidate(self) -> CandidateEffect:
+    def candidate(self, shared: SharedColumns | None = None) -> CandidateEffect:
         """The flexible law as a candidate effect of this machine, one amplitude for each coefficient."""
-        effect = FlexibleEffect(self)
+        effect = FlexibleEffect(self, shared or SharedColumns())
         return CandidateEffect(cast(Effect, effect), effect.Parameters.declared())
 
-    def values(self, columns: Any, coefficients: Array) -> Array:
+    def values(self, columns: Array, coefficients: Array) -> Array:
         """The law's values from its columns, (n, 3) or (n,) as the place takes them."""
-        y: Array = np.asarray(columns @ coefficients, dtype=np.float64)
+        # The ranking asks for one coefficient at a time.
+        there = np.flatnonzero(coefficients)
+        y: Array = coefficients[there[0]] * columns[there[0]] if len(there) == 1 else coefficients @ columns
         if not self.place.of_phases:
             return y
         y = y.reshape(-1, 3) if self.quantity.of_phases else y[:, None]
         return np.asarray(y * np.array(self.phases), dtype=np.float64)
 
-    def columns(self, batch: SignalBatch) -> Any:
-        """Columns of the basis at the quantity's values in a batch."""
+    def columns(self, batch: SignalBatch) -> Array:
+        """Columns of the basis at the quantity's values in a batch, shape (size, n) or (size, 3 n)."""
         x = self.quantity.of(batch)
         return self.basis.columns(x if x.ndim == 2 else x[:, None], batch, self.place.over_interval)
+
+
+@dataclass
+class SharedColumns:
+    """Columns that hypotheses have in common, as those of each phase and of all, for the batch that is evaluated."""
+
+    _seen: dict[object, tuple[SignalBatch, Array]] = field(default_factory=dict)
+
+    def of(self, hypothesis: Hypothesis, batch: SignalBatch) -> Array:
+        """A hypothesis' columns, computed where the last batch was another."""
+        place = hypothesis.place
+        # Places of one layer see the same signals.
+        key = hypothesis.quantity.name, hypothesis.basis, place.over_interval, place.layer
+        seen = self._seen.get(key)
+        # Other threads may ask of other batches.
+        if seen is None or seen[0] is not batch:
+            self._seen[key] = seen = batch, hypothesis.columns(batch)
+        return seen[1]
 
 
 class FlexibleEffect:
@@ -85,21 +105,17 @@ class FlexibleEffect:
     needs = ()
     gauge = ""
 
-    def __init__(self, hypothesis: Hypothesis) -> None:
-        self.hypothesis = hypothesis
+    def __init__(self, hypothesis: Hypothesis, shared: SharedColumns) -> None:
+        self.hypothesis, self.shared = hypothesis, shared
         self.name = hypothesis.key
         self.layer = hypothesis.place.layer
         self.Parameters = _parameters(hypothesis)
-        self._seen: tuple[SignalBatch, Any] | None = None
 
     def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
         """The signals without the law's values."""
         coefficients = np.array([getattr(p, name) for name in names(self.hypothesis)])
-        # All coefficients of a law are asked of one batch in turn; other threads may ask of other batches.
-        seen = self._seen
-        if seen is None or seen[0] is not batch:
-            self._seen = seen = batch, self.hypothesis.columns(batch)
-        return self.hypothesis.place.apply(batch, self.hypothesis.values(seen[1], coefficients))
+        columns = self.shared.of(self.hypothesis, batch)
+        return self.hypothesis.place.apply(batch, self.hypothesis.values(columns, coefficients))
 
     def correct(self, signals: Signals, p: Any) -> Correction:
         """`correct_batch` of one segment."""

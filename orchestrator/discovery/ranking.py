@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.discovery.bases import penalty
-from orchestrator.discovery.hypotheses import Hypothesis, names
+from orchestrator.discovery.hypotheses import Hypothesis, SharedColumns, names
 from orchestrator.discovery.places import VOLTAGE_GAIN
 from orchestrator.discovery.quantities import PHASE_VOLTAGE
 from orchestrator.numerics.types import Array
@@ -90,7 +90,8 @@ class _Block:
 
 def _blocks(fitter: Fitter, fit: Fit, hypotheses: Sequence[Hypothesis]) -> list[_Block]:
     """All that is fitted eliminated; coefficients in units of `size`."""
-    columns = [(term, name) for one in hypotheses for term in [one.candidate().absent()] for name in names(one)]
+    shared = SharedColumns()
+    columns = [(term, name) for one in hypotheses for term in [one.candidate(shared).absent()] for name in names(one)]
     evaluated = fitter.evaluate(fit.model, fit.linearisation, columns, known=fit)
     total, pulls = evaluated.system()
     fitted = len(total) - len(columns)

@@ -16,7 +16,9 @@ from orchestrator.discovery.search import SearchOutcome, learn_laws
 from orchestrator.interface.api import chosen_effects
 from orchestrator.recording import open_recording
 from protocols import DiagnosisReport, FluxbenchError, InputError, MotorModel, NoiseFloor
-from tests.orchestrator.discovery.plant import LAWS, record
+from tests.laws.bench import record
+from tests.laws.hidden import Hidden
+from tests.laws import plant as of
 
 ROOT = Path(__file__).parents[3]
 DATA = ROOT / "tests" / "data" / "pm400-reduced"

@@ -25,7 +25,7 @@ def score_of(form: Form, scale: float, power: float, phases: tuple[float, float,
     knee = np.inf if form.parity == "none" else 0.03 * TOP
     basis = CurveBasis(0.0, TOP, 24, form.parity, knee)
     x = np.linspace(1e-3, TOP, 2000)
-    coefficients = np.linalg.lstsq(basis.design(x).toarray(), form.of(x, scale, power), rcond=None)[0]
+    coefficients = np.linalg.lstsq(basis.design(x), form.of(x, scale, power), rcond=None)[0]
     place, quantity = (at.RESISTANCE, of.TIME) if form.parity == "none" else (at.LEG_VOLTAGE, of.PHASE_CURRENT)
     hypothesis = Hypothesis(place, quantity, ALL if form.parity == "none" else phases, basis, 1.0)
     return Score(hypothesis, 0.0, 0.0, coefficients, 1e-6 * np.eye(basis.size), 1.0, 1.0)
@@ -44,7 +44,7 @@ def test_where_r_s_takes_up_a_straight_line_the_rest_decides_the_form() -> None:
     basis = score.hypothesis.basis
     assert isinstance(basis, CurveBasis)
     x = np.linspace(1e-3, TOP, 2000)
-    line = np.linalg.lstsq(basis.design(x).toarray(), 0.7 * x, rcond=None)[0]
+    line = np.linalg.lstsq(basis.design(x), 0.7 * x, rcond=None)[0]
     leaning = replace(score, coefficients=score.coefficients + line)
     best = fitting_forms(leaning)[0]
     assert best.form is tanh
@@ -53,7 +53,7 @@ def test_where_r_s_takes_up_a_straight_line_the_rest_decides_the_form() -> None:
 
 def test_an_odd_curve_is_odd_and_an_even_one_even() -> None:
     x = np.linspace(-TOP, TOP, 101)
-    odd, even = (CurveBasis(0.0, TOP, 8, parity, 0.1).design(x).toarray() for parity in ("odd", "even"))
+    odd, even = (CurveBasis(0.0, TOP, 8, parity, 0.1).design(x) for parity in ("odd", "even"))
     np.testing.assert_allclose(odd, -odd[::-1], atol=1e-12)
     np.testing.assert_allclose(even, even[::-1], atol=1e-12)
     assert not odd[50].any()
@@ -64,8 +64,8 @@ def test_a_curve_over_intervals_is_the_mean_between_samples() -> None:
     basis = CurveBasis(0.0, TOP, 8, "odd", 0.1)
     x = np.linspace(-1.0, 1.0, batch.samples)[:, None]
     means, fine = (
-        basis.columns(x, batch, mean=True).toarray(),
-        basis.design(np.linspace(x[0, 0], x[1, 0], 101)).toarray(),
+        basis.columns(x, batch, mean=True).T,
+        basis.design(np.linspace(x[0, 0], x[1, 0], 101)),
     )
     np.testing.assert_allclose(means[0], fine.mean(axis=0), atol=1e-5)
 
