@@ -5,7 +5,7 @@ best is put into a short form, and written as an effect plugin of one class.
 """
 
 from orchestrator.discovery.discover import Learned, discover_laws
-from orchestrator.discovery.memory import lagged, play
+from orchestrator.discovery.memory import cooled, lagged, play, slopes
 from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
 from orchestrator.discovery.saving import require_name, save_discovery, write_law
 
@@ -14,10 +14,12 @@ __all__ = [
     "FoundForm",
     "FoundLaw",
     "Learned",
+    "cooled",
     "discover_laws",
     "lagged",
     "play",
     "require_name",
     "save_discovery",
+    "slopes",
     "write_law",
 ]

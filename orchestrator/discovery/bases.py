@@ -1,4 +1,4 @@
-"""Flexible laws of a quantity, linear in their coefficients: a curve, a spectrum of lags, and a sum of plays.
+"""Flexible laws of a quantity, linear in their coefficients: a curve, harmonics of an angle, and sums of memories.
 
 The coefficients c are random with a precision K / tau^2, whose K penalises the curve's second differences (a P-spline;
 P. H. C. Eilers, B. D. Marx, Stat. Sci. 11 (1996) 89, doi:10.1214/ss/1038425655) and, weakly, its size.
@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from orchestrator.discovery.memory import lagged, play
+from orchestrator.discovery.memory import cooled, lagged, play
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch
 
@@ -25,7 +25,7 @@ RIDGE: float = 0.05
 KNEE: float = 0.03
 """Part of a signed quantity's range below which knots are even; beyond, they are spaced geometrically."""
 
-Parity = Literal["odd", "even", "none"]
+Parity = Literal["odd", "even", "none", "periodic"]
 
 
 class Basis(Protocol):
@@ -99,12 +99,29 @@ class CurveBasis:
 
 
 @dataclass(frozen=True)
+class HarmonicBasis(CurveBasis):
+    """cos x, sin x, cos 2 x, ... of an angle x, up to as many harmonics as `cells`."""
+
+    @property
+    def size(self) -> int:
+        return 2 * self.cells
+
+    def grid(self, points: int) -> Array:
+        return np.linspace(self.low, self.high, points)
+
+    def _columns(self, x: Array, starts: NDArray[np.int64], mean: bool) -> Array:
+        # An angle hardly moves within an interval.
+        turns = np.arange(1, self.cells + 1)[:, None] * x.ravel()
+        return np.stack([np.cos(turns), np.sin(turns)], axis=1).reshape(self.size, x.size)
+
+
+@dataclass(frozen=True)
 class MemoryBasis:
-    """x less its lag of several time constants, or less its play of several radii.
+    """x less its lag of several time constants, or less its play of several radii; or the heat that is left of x.
 
     Attributes
     ----------
-    kind : {"lag", "play"}
+    kind : {"lag", "play", "cooling"}
     values : tuple of float
         Time constants [s], or radii in the unit of x.
     """
@@ -117,11 +134,10 @@ class MemoryBasis:
         return len(self.values)
 
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
-        follow = lagged if self.kind == "lag" else play
         out = np.empty((self.size, x.size))
         last = batch.starts[1:] - 1
         for j, value in enumerate(self.values):
-            y = x - follow(x, value, batch)
+            y = self._memory(x, value, batch)
             if mean:
                 after = np.roll(y, -1, axis=0)
                 after[last] = y[last]
@@ -129,9 +145,16 @@ class MemoryBasis:
             out[j] = y.ravel()
         return out
 
+    def _memory(self, x: Array, value: float, batch: SignalBatch) -> Array:
+        if self.kind == "cooling":
+            return cooled(x[:, 0], value, batch)[:, None]
+        return x - (lagged if self.kind == "lag" else play)(x, value, batch)
+
 
 def penalty(basis: Basis) -> Array:
-    """K, shape (size, size)."""
+    """K, shape (size, size); of harmonics, the square of their second derivatives."""
+    if isinstance(basis, HarmonicBasis):
+        return np.diag(np.repeat(np.arange(1.0, basis.cells + 1.0) ** 4, 2))
     bend = np.diff(np.eye(basis.size), 2, axis=0)
     return bend.T @ bend + RIDGE * np.eye(basis.size) if basis.kind == "curve" else np.eye(basis.size)
 

@@ -24,6 +24,8 @@ SCAN: int = 40
 DISCREPANCY: float = 0.01
 """Difference between a law and a form, relative to the law's largest value, that is not held against the form."""
 
+HARMONICS: tuple[int, ...] = (1, 2, 3, 4, 6)
+
 
 @dataclass(frozen=True)
 class Form:
@@ -38,7 +40,7 @@ class Form:
         g as an expression of ``x``, ``b`` and ``p``.
     of : callable
         The same as a function of (x, b, p).
-    parity : {"odd", "even", "none"}
+    parity : {"odd", "even", "none", "periodic"}
         Of the curves that it may be.
     has_scale, has_power : bool
     is_linear : bool
@@ -52,6 +54,7 @@ class Form:
     parity: Parity
     has_scale: bool = True
     has_power: bool = False
+    scale_name: str = "scale"
     power_of_x: int = 0
     """Power of the quantity in g, where it has no scale."""
     power_name: str = "exponent"
@@ -127,6 +130,13 @@ CURVES: tuple[Form, ...] = (
         "fractional power", "a (|x| / b)^p", "(np.abs(x) / b) ** p", lambda x, b, p: (np.abs(x) / b) ** p, "none",
         has_power=True,
     ),
+    *(
+        Form(
+            f"harmonic {k}", f"a sin({k} x + b)", f"np.sin({k} * x + b)",
+            lambda x, b, p, k=k: np.sin(k * x + b), "periodic", scale_name="phase",
+        )
+        for k in HARMONICS
+    ),
 )  # fmt: skip
 
 
@@ -196,6 +206,10 @@ def _gauges(hypothesis: Hypothesis, grid: Array) -> list[Array]:
 
 def _shapes(form: Form, basis: CurveBasis) -> Iterator[tuple[float, float]]:
     top = max(abs(basis.low), abs(basis.high))
+    if form.parity == "periodic":
+        # The scale is a phase; the size has the sign.
+        yield from ((float(b), 1.0) for b in np.linspace(0.1, 0.1 + math.pi, 2 * SCAN))
+        return
     scales: Sequence[float] = [top]
     if form.has_scale and (not form.has_power or form.power_name == "sharpness"):
         near = 0.2 if form.name in ("step", "ramp", "hinge", "even hinge") else 0.003

@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import KNEE, Basis, CurveBasis, MemoryBasis, Parity
+from orchestrator.discovery.bases import KNEE, Basis, CurveBasis, HarmonicBasis, MemoryBasis, Parity
 from orchestrator.discovery.places import Place
 from orchestrator.discovery.quantities import Quantity
 from orchestrator.numerics.types import Array
@@ -22,6 +22,9 @@ CELLS: int = 9
 """Intervals of a curve in the ranking."""
 LAGS: int = 8
 """Time constants of a spectrum of lags."""
+COOLING = np.array([0.03, 1.0])
+"""Shortest and longest time constant of cooling, relative to the experiment's length."""
+MAX_HARMONICS: int = 6
 RADII: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)
 """Radii of plays, in units of the quantity's range."""
 
@@ -149,6 +152,10 @@ class Ranges:
         By the unit of a place.
     pulse_rates : int
         Number of PWM frequencies.
+    positions : int
+        Number of rotor angles.
+    whole_s : float
+        Length of the experiment.
     """
 
     of: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -156,6 +163,8 @@ class Ranges:
     longest_s: float = 1.0
     sizes: Mapping[str, float] = field(default_factory=dict)
     pulse_rates: int = 1
+    positions: int = 1
+    whole_s: float = 1.0
 
     @classmethod
     def in_fit(cls, fit: Fit) -> Ranges:
@@ -172,11 +181,24 @@ class Ranges:
         amps, ohms = found[of.CURRENT.name][1], abs(fit.model.r_s)
         sizes = {"V": amps * ohms, "A": amps, "ohm": ohms, "1": 1.0, "rad": 1.0}
         pulse_rates = {float(f) for b in batches for f in b.pwm_frequency_hz}
-        return cls(found, 1.0 / max(rates), max(lengths), sizes, len(pulse_rates))
+        angles = {round(float(b.segments[k].turned_rad), 3) for b in batches for k in range(len(b.segments))}
+        whole_s = found[of.TIME.name][1]
+        return cls(found, 1.0 / max(rates), max(lengths), sizes, len(pulse_rates), len(angles), whole_s)
+
+    def size_at(self, place: Place) -> float:
+        """A small size of a law there."""
+        if place.factor is None:
+            return place.typical * self.sizes[place.unit]
+        far = max(map(abs, self.of[place.factor.name]))
+        return place.typical * self.sizes[place.unit.split("/")[0]] / max(far, 1e-300)
 
     def curve(self, quantity: Quantity, parity: Parity, cells: int = CELLS) -> CurveBasis | None:
         """A curve over a quantity's range; None where the quantity does not vary."""
         low, high = self.of[quantity.name]
+        if parity == "periodic":
+            # As many positions as twice the harmonics: higher ones look like lower ones.
+            harmonics = min(MAX_HARMONICS, self.positions // 2)
+            return HarmonicBasis(-np.pi, np.pi, harmonics, parity) if harmonics > 0 else None
         if parity != "none":
             low, high = 0.0, max(abs(low), abs(high))
         if not high - low > 1e-6 * max(abs(low), abs(high)):
@@ -189,22 +211,26 @@ class Ranges:
         top = max(map(abs, self.of[quantity.name]))
         if top == 0.0:
             return None
+        if kind == "cooling":
+            return MemoryBasis("cooling", tuple(float(t) for t in np.geomspace(*(self.whole_s * COOLING), LAGS)))
         if kind == "play":
             return MemoryBasis("play", tuple(r * top for r in RADII))
         return MemoryBasis("lag", tuple(float(t) for t in np.geomspace(self.interval_s, 0.5 * self.longest_s, LAGS)))
 
 
 QUANTITIES = (
-    of.PHASE_CURRENT, of.NEXT_CURRENT, of.PREVIOUS_CURRENT, of.PHASE_VOLTAGE, of.PHASE_FLUX, of.CURRENT, of.CURRENT_D,
-    of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER, of.LINK_VOLTAGE, of.TIME, of.HEAT,
+    of.PHASE_CURRENT, of.NEXT_CURRENT, of.PREVIOUS_CURRENT, of.CURRENT_SLOPE, of.PHASE_VOLTAGE, of.PHASE_FLUX, of.CURRENT, of.CURRENT_D,
+    of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER, of.LINK_VOLTAGE, of.TIME, of.HEAT, of.ROTOR_ANGLE,
 )  # fmt: skip
 EACH = (ALL, A, B, C)
 SENSORS = (ALL, A, B)
-Part = Parity | Literal["lag", "play"]
+Part = Parity | Literal["lag", "play", "cooling"]
 KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] = (
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("even",), EACH),
     (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
+    (at.LEG_VOLTAGE_BY_TIME, of.PHASE_CURRENT, ("odd",), EACH),
+    (at.LEG_VOLTAGE_BY_HEAT, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("lag", "play"), (ALL,)),
     (at.LEG_VOLTAGE, of.PHASE_VOLTAGE, ("odd",), (ALL,)),
     (at.LEG_VOLTAGE, of.TIME, ("none",), (A, B, C)),
@@ -219,23 +245,27 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
     (at.READING, of.PHASE_CURRENT, ("lag", "play"), (ALL,)),
     (at.READING, of.NEXT_CURRENT, ("odd",), SENSORS),
     (at.READING, of.PREVIOUS_CURRENT, ("odd",), SENSORS),
+    (at.READING_BY_TIME, of.PHASE_CURRENT, ("odd",), SENSORS),
+    (at.READING, of.CURRENT_SLOPE, ("odd",), SENSORS),
+    (at.READING, of.CURRENT, ("none",), SENSORS),
     (at.READING, of.TIME, ("none",), SENSORS),
     (at.READING_GAIN, of.TIME, ("none",), SENSORS),
     (at.READING_GAIN, of.HEAT, ("none",), SENSORS),
     (at.READING_GAIN, of.CURRENT, ("none",), (ALL,)),
     (at.RESISTANCE, of.TIME, ("none",), (ALL,)),
-    (at.RESISTANCE, of.HEAT, ("none",), (ALL,)),
+    (at.RESISTANCE, of.HEAT, ("none", "cooling"), (ALL,)),
     (at.RESISTANCE, of.CURRENT, ("none",), (ALL,)),
     (at.LEG_RESISTANCE, of.TIME, ("none",), (A, B, C)),
-    (at.LEG_RESISTANCE, of.HEAT, ("none",), (A, B, C)),
+    (at.LEG_RESISTANCE, of.HEAT, ("none", "cooling"), (A, B, C)),
     (at.ANGLE, of.TIME, ("none",), (ALL,)),
     (at.ANGLE, of.HEAT, ("none",), (ALL,)),
+    (at.ANGLE, of.ROTOR_ANGLE, ("periodic",), (ALL,)),
     (at.ANGLE, of.CURRENT_Q, ("odd", "even"), (ALL,)),
     (at.ANGLE, of.TORQUE, ("odd", "even"), (ALL,)),
     (at.ANGLE, of.CURRENT_D, ("none",), (ALL,)),
     (at.MAGNETISING, of.PHASE_FLUX, ("lag", "play"), EACH),
     (at.MAGNETISING_D, of.TIME, ("none",), (ALL,)),
-    (at.MAGNETISING_D, of.HEAT, ("none",), (ALL,)),
+    (at.MAGNETISING_D, of.HEAT, ("none", "cooling"), (ALL,)),
 )
 """The single laws: place, quantity, parts of a curve or kinds of memory, phases."""
 
@@ -246,9 +276,12 @@ def hypotheses(ranges: Ranges) -> Iterator[Hypothesis]:
         if place is at.PULSE_VOLTAGE and ranges.pulse_rates < 2:
             continue
         for part in parts:
-            size = place.typical * ranges.sizes[place.unit]
+            size = ranges.size_at(place)
             basis: Basis | None
-            basis = ranges.memory(quantity, part) if part == "lag" or part == "play" else ranges.curve(quantity, part)
+            if part == "lag" or part == "play" or part == "cooling":
+                basis = ranges.memory(quantity, part)
+            else:
+                basis = ranges.curve(quantity, part)
             if basis is None:
                 continue
             if isinstance(basis, MemoryBasis):

@@ -265,7 +265,7 @@ def _is_table(fitted: FittedLaw) -> bool:
 def _refined(setup: DiagnosisSetup, part: Fit, score: Score) -> Score:
     """The law with the resolution that the evidence prefers."""
     basis = score.hypothesis.basis
-    if not isinstance(basis, CurveBasis):
+    if not isinstance(basis, CurveBasis) or basis.parity == "periodic":
         return score
     top = max(abs(basis.low), abs(basis.high))
     finer = [

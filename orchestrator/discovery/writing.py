@@ -48,8 +48,11 @@ def source_of(laws: Sequence[NamedLaw], factors: Mapping[str, float], three_sens
         docstring += map(_wrapped, (first, *one.story))
         classes.append(_class(one.law, one.name, summary, body, factors))
         helpers += [text for text in (_OVER_INTERVAL, _PULSE_RATE) if _name_of(text) in body]
-        source = inspect.getsource(one.law.hypothesis.quantity.of)
-        helpers.append(source.replace("Signals | SignalBatch", "Signals").rstrip())
+        of = one.law.hypothesis
+        for quantity in (of.quantity, of.place.factor):
+            if quantity is not None:
+                source = inspect.getsource(quantity.of)
+                helpers.append(source.replace("Signals | SignalBatch", "Signals").rstrip())
         if isinstance(one.law.form, Table):
             tables.append(_table_lines(one.law.form, suffix))
     code = "\n\n\n".join([*classes, *dict.fromkeys(helpers)]) + "\n"
@@ -114,7 +117,8 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
             u = u.format(x="np.abs({x})") if form.parity == "even" else "np.sign({x}) * " + u.format(x="np.abs({x})")
         expression = f"{size} * {u.format(x='x')}"
     elif form.form is None:
-        expression = f"{size} * (x - {'lagged' if hypothesis.basis.kind == 'lag' else 'play'}(x, {shapes[0]}, signals))"
+        memory = {"lag": "x - lagged", "play": "x - play", "cooling": "cooled"}[hypothesis.basis.kind]
+        expression = f"{size} * {_bracketed(f'{memory}(x, {shapes[0]}, signals)')}"
     else:
         code = re.sub(r"\bb\b", shapes[0], form.form.code) if form.form.has_scale else form.form.code
         code = re.sub(r"\bp\b(?!\.)", shapes[1], code) if form.form.has_power else code
@@ -131,6 +135,8 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
             lines += [f"y = y[:, None] * {list(hypothesis.phases)}"]
         if place.name == "reading_gain":
             lines += ["y = y / (1.0 + y) * to_phases(signals.i_ab)"]
+    if place.factor is not None:
+        lines += [f"y = y * {place.factor.name}(signals)[:, None]"]
     sensors = "from_phases(y)" if three_sensors else "from_two_phases(y[:, 0], y[:, 1])"
     lines += [f"return {place.code.format(sensors=sensors)}"]
     return "\n".join(lines)
@@ -162,7 +168,7 @@ def _table_lines(table: Table, suffix: str) -> str:
 
 def _imports(code: str) -> str:
     frames = [n for n in ("from_phases", "from_two_phases", "to_dq", "to_phases") if re.search(rf"\b{n}\(", code)]
-    memory = [n for n in ("lagged", "play") if re.search(rf"\b{n}\(", code)]
+    memory = [n for n in ("cooled", "lagged", "play", "slopes") if re.search(rf"\b{n}\(", code)]
     shapes = ", ".join(["amplitude", *(["shape"] if " shape(" in code else [])])
     return "\n".join(
         [

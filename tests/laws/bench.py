@@ -18,6 +18,7 @@ from tests.blind.magnetics import PM400
 from tests.laws.hidden import Hidden
 from tests.laws.plant import BUS_GAIN, CONTROL, NOTHING, OFF, OPEN, RESOLVER, STATES, Array, Machine, run
 
+SHORT = Campaign(period_s=0.5, injection_s=0.25)
 POSITIONS = 6
 """Places of a rotor that is turned."""
 BUS_SWING, BUS_PERIOD_S = 0.08, 23.0
@@ -71,7 +72,7 @@ def record(directory: Path, hidden: Hidden | None, seed: int = 0, machine: Machi
     positions = POSITIONS if bench.law == RESOLVER else 1
     counts: dict[str, int] = {}
     segments: list[dict[str, Any]] = []
-    for ask in _plan(PM400, Campaign()):
+    for ask in _plan(PM400, SHORT):
         number = counts.get(ask.stage, 0)
         counts[ask.stage] = number + 1
         turn = 2.0 * math.pi / positions * (len(segments) % positions)

@@ -100,7 +100,7 @@ KINDS: Mapping[str, Draw] = {
         place="pulse_voltage",
     ),
     "growing_drop": _leg(
-        of.GROWING_DROP, (0.5, 1.5), (0.1, 0.5), "a tanh(i/b) t/60 s in one leg", quantity="phase_currents*time"
+        of.GROWING_DROP, (0.5, 1.5), (0.1, 0.5), "a tanh(i/b) t/60 s in one leg", place="leg_voltage_by_time"
     ),
     "sensor_crosstalk": _sensor(of.CROSSTALK, "next_phase_currents", (0.02, 0.06), (0.5, 2.0), "a tanh(i_next/b)"),
     "saturating_sensor": _sensor(of.CLIP, "phase_currents", (0.03, 0.1), (1.2, 2.2), "-a max(|i| - b, 0) sgn(i)"),
@@ -117,7 +117,7 @@ KINDS: Mapping[str, Draw] = {
     "joint_loosens": _whole(of.RAMP, "resistance", "time", (0.2, 0.6), (15.0, 35.0), "a max(t/b - 1, 0)"),
     "heated_leg": _leg(
         of.HEATED_LEG, (0.0005, 0.002), (5.0, 15.0), "ohms a W, dW/dt = P - W/b, in one leg", place="leg_resistance",
-        quantity="decaying_heat",
+        quantity="heat",
     ),
     "load_angle": _whole(
         of.LOAD_ANGLE, "angle", "current_q", (0.01, 0.03), (0.5, 1.5), "a tanh(i_q/b)", (("angle", "torque"),)
