@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.laws.baselines import thresholded_terms
 from tests.laws.bench import record
 from tests.laws.hidden import draw
 from tests.laws.plant import Machine
@@ -36,12 +37,10 @@ class Answer:
         Held-out rms in units of its noise.
     map_before, map_after : float
         rms error of the map without and with the law, in percent of the rated flux.
-    usable : bool
-        Whether the model with the law leaves no more than 1.2 of its noise floor, by what `add` prints.
     diagnose_s, discover_s : float
         CPU seconds.
     baseline : dict
-        What thresholded least squares finds of the same leftover.
+        Fields of `Thresholded`: what thresholded least squares finds of the same leftover.
     """
 
     kind: str
@@ -55,7 +54,6 @@ class Answer:
     after: float
     map_before: float | None
     map_after: float | None
-    usable: bool
     diagnose_s: float
     discover_s: float
     baseline: dict[str, Any] = field(default_factory=dict)
@@ -64,6 +62,7 @@ class Answer:
 def examine(kind: str, seed: int, folder: Path) -> Answer:
     """Go through the commands of the page; recordings that are in the folder are not made again."""
     import fluxbench
+    from orchestrator.recording import open_recording
 
     hidden, machine = draw(kind, seed)
     place, law = folder / kind, folder / f"{kind}_law.py"
@@ -77,17 +76,16 @@ def examine(kind: str, seed: int, folder: Path) -> Answer:
     begin = time.process_time()
     found = fluxbench.discover(place, write=law)
     discovered = time.process_time()
-    map_after, usable = None, False
+    map_after = None
     if found.outcome == "law":
-        added = fluxbench.add(place, *(one.name for one in found.laws), effects=law)
+        fluxbench.add(place, *(one.name for one in found.laws), effects=law)
         map_after = map_error(fluxbench.map_of(place), machine)
-        usable = found.after < 1.2
-        del added
     return Answer(
         kind, seed, verdict, found.outcome, found.reason,
         [[one.place, one.quantity, one.phase] for one in found.laws],
         [_with_constants(one.forms[0]) for one in found.laws],
-        found.before, found.after, map_before, map_after, usable, diagnosed - start, discovered - begin,
+        found.before, found.after, map_before, map_after, diagnosed - start, discovered - begin,
+        asdict(thresholded_terms(open_recording(place))),
     )  # fmt: skip
 
 

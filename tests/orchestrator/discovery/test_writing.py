@@ -38,10 +38,12 @@ def law_of(place: Place, quantity: Quantity, phases: Phases, form: str) -> Law:
     x = quantity.of(signals())
     top = float(np.abs(x).max())
     parity = "odd" if form in FORMS and FORMS[form].parity == "odd" else "none"
-    size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit]
-    if form in ("lag", "play"):
+    size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit.split("/")[0]]
+    if place.factor is not None:
+        size /= float(np.abs(place.factor.of(signals())).max())
+    if form in ("lag", "play", "cooling"):
         hypothesis = Hypothesis(place, quantity, phases, MemoryBasis(form, (1.0,)), size)
-        return Law(hypothesis, FormFit(None, size / top, 2e-3 if form == "lag" else 0.2 * top, 1.0, 0.0))
+        return Law(hypothesis, FormFit(None, size / top, 0.2 * top if form == "play" else 2e-3, 1.0, 0.0))
     hypothesis = Hypothesis(place, quantity, phases, CurveBasis(0.0, top, 8, parity), size)  # type: ignore[arg-type]
     if form == "table":
         return Law(hypothesis, Table(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 9) ** 2, top, size, "odd"))
@@ -72,6 +74,14 @@ CASES = [
     (at.ANGLE, of.TORQUE, ALL, "proportional"),
     (at.MAGNETISING, of.PHASE_FLUX, A, "lag"),
     (at.MAGNETISING_D, of.HEAT, ALL, "saturating"),
+    (at.LEG_RESISTANCE, of.HEAT, A, "cooling"),
+    (at.RESISTANCE, of.HEAT, ALL, "cooling"),
+    (at.ANGLE, of.ROTOR_ANGLE, ALL, "harmonic 2"),
+    (at.READING, of.CURRENT_SLOPE, A, "tanh"),
+    (at.READING, of.CURRENT, A, "straight"),
+    (at.LEG_VOLTAGE_BY_TIME, of.PHASE_CURRENT, A, "tanh"),
+    (at.LEG_VOLTAGE_BY_HEAT, of.PHASE_CURRENT, ALL, "logarithm"),
+    (at.READING_BY_TIME, of.PHASE_CURRENT, A, "proportional"),
 ]
 
 
