@@ -7,7 +7,8 @@ best is put into a short form, and written as an effect plugin of one class.
 from orchestrator.discovery.discover import Learned, discover_laws
 from orchestrator.discovery.memory import cooled, lagged, play, slopes
 from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
-from orchestrator.discovery.saving import require_name, save_discovery, write_law
+from orchestrator.discovery.pictures import curve_picture
+from orchestrator.discovery.saving import load_discovery, require_name, save_discovery, write_law
 
 __all__ = [
     "Discovery",
@@ -15,8 +16,10 @@ __all__ = [
     "FoundLaw",
     "Learned",
     "cooled",
+    "curve_picture",
     "discover_laws",
     "lagged",
+    "load_discovery",
     "play",
     "require_name",
     "save_discovery",
