@@ -6,8 +6,8 @@ best is put into a short form, and written as an effect plugin of one class.
 
 from orchestrator.discovery.discover import Learned, discover_laws
 from orchestrator.discovery.memory import cooled, lagged, play, slopes
-from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
 from orchestrator.discovery.pictures import curve_picture
+from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
 from orchestrator.discovery.saving import load_discovery, require_name, save_discovery, write_law
 
 __all__ = [
