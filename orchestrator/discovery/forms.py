@@ -25,6 +25,7 @@ DISCREPANCY: float = 0.01
 """Difference between a law and a form, relative to the law's largest value, that is not held against the form."""
 
 HARMONICS: tuple[int, ...] = (1, 2, 3, 4, 6)
+"""Of an angle: its own, the offsets, gains and slots of its sensor."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,14 @@ class Form:
     def constants(self) -> int:
         """Number of its constants."""
         return 1 + self.has_scale + self.has_power
+
+
+def _harmonic(k: int) -> Form:
+    def of(x: Array, b: float, p: float) -> Array:
+        return np.asarray(np.sin(k * x + b), dtype=np.float64)
+
+    code = f"np.sin({k} * x + b)" if k > 1 else "np.sin(x + b)"
+    return Form(f"harmonic {k}", f"a {code.removeprefix('np.')}", code, of, "periodic", scale_name="phase")
 
 
 CURVES: tuple[Form, ...] = (
@@ -130,13 +139,7 @@ CURVES: tuple[Form, ...] = (
         "fractional power", "a (|x| / b)^p", "(np.abs(x) / b) ** p", lambda x, b, p: (np.abs(x) / b) ** p, "none",
         has_power=True,
     ),
-    *(
-        Form(
-            f"harmonic {k}", f"a sin({k} x + b)", f"np.sin({k} * x + b)",
-            lambda x, b, p, k=k: np.sin(k * x + b), "periodic", scale_name="phase",
-        )
-        for k in HARMONICS
-    ),
+    *map(_harmonic, HARMONICS),
 )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ CELLS: int = 9
 """Intervals of a curve in the ranking."""
 LAGS: int = 8
 """Time constants of a spectrum of lags."""
-COOLING = np.array([0.03, 1.0])
+COOLING: tuple[float, float] = (0.03, 1.0)
 """Shortest and longest time constant of cooling, relative to the experiment's length."""
 MAX_HARMONICS: int = 6
 RADII: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)
@@ -212,7 +212,8 @@ class Ranges:
         if top == 0.0:
             return None
         if kind == "cooling":
-            return MemoryBasis("cooling", tuple(float(t) for t in np.geomspace(*(self.whole_s * COOLING), LAGS)))
+            shortest, longest = (part * self.whole_s for part in COOLING)
+            return MemoryBasis("cooling", tuple(float(t) for t in np.geomspace(shortest, longest, LAGS)))
         if kind == "play":
             return MemoryBasis("play", tuple(r * top for r in RADII))
         return MemoryBasis("lag", tuple(float(t) for t in np.geomspace(self.interval_s, 0.5 * self.longest_s, LAGS)))

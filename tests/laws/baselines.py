@@ -20,11 +20,11 @@ from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import fit_baseline
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
-from orchestrator.diagnosis.fitting.equations import Array
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis, Ranges, SharedColumns, hypotheses, names
 from orchestrator.discovery.laws import error_of
 from orchestrator.discovery.ranking import scales_voltage
+from orchestrator.numerics.types import Array
 from protocols import RecordingReader, SignalBatch
 from tests.blind.baselines import _fall, _solved
 

@@ -39,9 +39,10 @@ class Hidden:
     formula: str = ""
     same: tuple[tuple[str, str], ...] = ()
 
-    def is_named_by(self, place: str, quantity: str, phase: str) -> bool:
-        """Whether a place, a quantity and a phase are the law's."""
-        return phase == self.phase and (place, quantity) in ((self.place, self.quantity), *self.same)
+    @property
+    def names(self) -> tuple[tuple[str, str, str], ...]:
+        """Place, quantity and phase, by which a search may name it."""
+        return tuple((*one, self.phase) for one in ((self.place, self.quantity), *self.same))
 
 
 def _between(rng: Rng, low: float, high: float) -> float:
@@ -88,7 +89,6 @@ def _whole(
 
 
 Draw = Callable[[Rng], Hidden]
-GAINS = (("reading_gain", "time"), ("voltage_gain", "heat"), ("reading_gain", "heat"))
 KINDS: Mapping[str, Draw] = {
     "poor_contact": _leg(of.POOR_CONTACT, (0.2, 0.8), (0.2, 0.8), "a (i/b) / (1 + (i/b)^2) in one leg"),
     "asinh_drop": _leg(of.ASINH_LEG, (0.08, 0.3), (0.05, 0.3), "a asinh(i/b) in one leg"),

@@ -138,9 +138,9 @@ def _leg(law: int, k: Array, y: Array, x: float, t: float, pulses: float) -> flo
     if law == SLOW_LEG:
         return k[0] * math.tanh(x / k[1]) * pulses
     if law == GROWING_DROP:
-        return k[0] * math.tanh(x / k[1]) * t / 60.0
+        return float(k[0]) * math.tanh(x / k[1]) * t / 60.0
     if law == HEATED_LEG:
-        return k[0] * y[3] * x
+        return float(k[0] * y[3]) * x
     return 0.0
 
 

@@ -45,13 +45,13 @@ def judge(answer: Answer) -> Judgement:
     """Hold an answer against what was hidden."""
     hidden, _ = draw(answer.kind, answer.seed)
     written = answer.outcome == "law"
-    right = written and len(answer.places) == 1 and hidden.is_named_by(*answer.places[0])
+    right = written and len(answer.places) == 1 and tuple(answer.places[0]) in hidden.names
     noise = written and answer.after <= NOISE
     trusted = answer.map_after if noise else answer.map_before if answer.verdict in EXPLAINED else None
-    first = answer.baseline.get("first")
+    first = tuple(answer.baseline.get("first") or ())
     return Judgement(
         answer, written, right, noise, trusted is not None and trusted > WRONG_MAP_PERCENT,
-        bool(first) and hidden.is_named_by(*first),
+        first in hidden.names,
     )  # fmt: skip
 
 
