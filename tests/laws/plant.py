@@ -97,19 +97,21 @@ def _of_phase(phase: int, x_a: float, x_b: float, x_c: float) -> tuple[float, fl
 
 @njit(cache=True)
 def _lost_flux(law: int, k: Array, y: Array) -> float:
-    return k[0] * (1.0 - math.exp(-y[3] / k[1])) if law == WARM_MAGNET else 0.0
+    size, scale = float(k[0]), float(k[1])
+    return size * (1.0 - math.exp(-float(y[3]) / scale)) if law == WARM_MAGNET else 0.0
 
 
 @njit(cache=True)
 def _angle(law: int, k: Array, y: Array, m: Array, t: float, believed: float) -> float:
     """The rotor's true angle."""
+    size, scale = float(k[0]), float(k[1])
     if law == CREEP:
-        return believed + k[0] * (1.0 - math.exp(-t / k[1]))
+        return believed + size * (1.0 - math.exp(-t / scale))
     if law == LOAD_ANGLE:
         _, q = _current(y[0], y[1], m, 0.0)
-        return believed + k[0] * math.tanh(q / k[1])
+        return believed + size * math.tanh(q / scale)
     if law == RESOLVER:
-        return believed + k[0] * math.sin(2.0 * believed + k[1])
+        return believed + size * math.sin(2.0 * believed + scale)
     return believed
 
 
@@ -127,20 +129,21 @@ def _stator(law: int, k: Array, y: Array, m: Array, theta: float) -> tuple[float
 @njit(cache=True)
 def _leg(law: int, k: Array, y: Array, x: float, t: float, pulses: float) -> float:
     """Voltage that a leg loses at its current x."""
+    size, scale = float(k[0]), float(k[1])
     if law == LOG_LEG:
-        return k[0] * math.copysign(math.log1p(abs(x) / k[1]), x)
+        return size * math.copysign(math.log1p(abs(x) / scale), x)
     if law == SQUARE_LEGS:
-        return k[0] * x * x
+        return size * x * x
     if law == POOR_CONTACT:
-        return k[0] * (x / k[1]) / (1.0 + (x / k[1]) ** 2)
+        return size * (x / scale) / (1.0 + (x / scale) ** 2)
     if law == ASINH_LEG:
-        return k[0] * math.asinh(x / k[1])
+        return size * math.asinh(x / scale)
     if law == SLOW_LEG:
-        return k[0] * math.tanh(x / k[1]) * pulses
+        return size * math.tanh(x / scale) * pulses
     if law == GROWING_DROP:
-        return float(k[0]) * math.tanh(x / k[1]) * t / 60.0
+        return size * math.tanh(x / scale) * t / 60.0
     if law == HEATED_LEG:
-        return float(k[0] * y[3]) * x
+        return size * float(y[3]) * x
     return 0.0
 
 
