@@ -62,6 +62,7 @@ CASES = [
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, A, "tanh"),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ALL, "play"),
     (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ALL, "root"),
+    (at.READING, of.PHASE_CURRENT, ALL, "play"),
     (at.VOLTAGE_GAIN, of.TIME, ALL, "settling"),
     (at.READING, of.PHASE_CURRENT, A, "power"),
     (at.READING, of.NEXT_CURRENT, A, "proportional"),
@@ -149,3 +150,16 @@ def test_two_laws_are_two_classes_of_one_file(tmp_path: Path) -> None:
     path = tmp_path / "both.py"
     path.write_text(source_of([NamedLaw(first, "one"), NamedLaw(second, "other")], {}, False), encoding="utf-8")
     assert [effect.name for effect in load_effects_file(path)] == ["one", "other"]
+
+
+def test_a_play_may_begin_anywhere_within_its_radius() -> None:
+    law = law_of(at.READING, of.PHASE_CURRENT, ALL, "play")
+    effect = effect_of(law)
+    values = {p.name: p.value for p in law.parameters}
+    directions = effect.random_directions(signals(), effect.Parameters(**values))  # type: ignore[attr-defined]
+    assert len(directions) == (3 if signals().clarke_of_three else 2)
+    first = np.abs(directions[0].i_ab - signals().i_ab)
+    assert first[0].max() == pytest.approx(values["size"] * values["radius_a"] / np.sqrt(3.0), rel=1e-6)
+    assert first[-1].max() < 1e-12  # the current has swung over by more than the radius since
+    without = effect_of(law_of(at.READING, of.PHASE_CURRENT, ALL, "tanh"))
+    assert not hasattr(without, "random_directions")
