@@ -127,8 +127,7 @@ KINDS: Mapping[str, Draw] = {
     ),
     "brake_creeps": _whole(of.CREEP, "angle", "time", (0.02, 0.06), (6.0, 20.0), "a (1 - exp(-t/b))"),
     "magnet_warms": _whole(
-        of.WARM_MAGNET, "magnet_flux", "heat", (0.004, 0.015), (100.0, 400.0), "flux less by a (1 - exp(-W/b))",
-        (("magnetising_d", "heat"),),
+        of.WARM_MAGNET, "magnetising_d", "heat", (0.05, 0.2), (100.0, 400.0), "i_d more by a (1 - exp(-W/b))"
     ),
     "shorted_turn": _leg(
         of.TURN, (0.6, 1.8), (2e-4, 8e-4), "a (psi - psi lagging by b) in one phase", place="magnetising",

@@ -52,23 +52,24 @@ class Machine:
             off = np.array([d - i_d, q - i_q])
             if np.abs(off).max() < 1e-12:
                 break
-            psi -= np.linalg.solve(np.array(_slopes(psi[0], psi[1], self.numbers, 0.0)).reshape(2, 2), off)
+            psi -= np.linalg.solve(np.array(_slopes(psi[0], psi[1], self.numbers)).reshape(2, 2), off)
         return float(psi[0]), float(psi[1])
 
 
 @njit(cache=True)
 def _current(psi_d: float, psi_q: float, m: Array, lost: float) -> tuple[float, float]:
-    d, q = psi_d - m[0] + lost, psi_q
+    """Of a magnet that has lost something, the stator has to make up for the current."""
+    d, q = psi_d - m[0], psi_q
     return (
-        d / m[2] + 18.0 * d * d + 900.0 * d**3 + 320.0 * d * q * q,
+        lost + d / m[2] + 18.0 * d * d + 900.0 * d**3 + 320.0 * d * q * q,
         q / m[3] + 320.0 * d * d * q + 260.0 * q**3,
     )
 
 
 @njit(cache=True)
-def _slopes(psi_d: float, psi_q: float, m: Array, lost: float) -> tuple[float, float, float, float]:
+def _slopes(psi_d: float, psi_q: float, m: Array) -> tuple[float, float, float, float]:
     """di_d/dpsi_d, di_d/dpsi_q, di_q/dpsi_d, di_q/dpsi_q."""
-    d, q = psi_d - m[0] + lost, psi_q
+    d, q = psi_d - m[0], psi_q
     across = 640.0 * d * q
     return (
         1.0 / m[2] + 36.0 * d + 2700.0 * d * d + 320.0 * q * q,
@@ -96,7 +97,7 @@ def _of_phase(phase: int, x_a: float, x_b: float, x_c: float) -> tuple[float, fl
 
 
 @njit(cache=True)
-def _lost_flux(law: int, k: Array, y: Array) -> float:
+def _lost_current(law: int, k: Array, y: Array) -> float:
     size, scale = float(k[0]), float(k[1])
     return size * (1.0 - math.exp(-float(y[3]) / scale)) if law == WARM_MAGNET else 0.0
 
@@ -118,7 +119,7 @@ def _angle(law: int, k: Array, y: Array, m: Array, t: float, believed: float) ->
 @njit(cache=True)
 def _stator(law: int, k: Array, y: Array, m: Array, theta: float) -> tuple[float, float]:
     """Stator current of the fluxes and the shorted turn's lag."""
-    d, q = _current(y[0], y[1], m, _lost_flux(law, k, y))
+    d, q = _current(y[0], y[1], m, _lost_current(law, k, y))
     c, s = math.cos(theta), math.sin(theta)
     alpha = c * d - s * q
     if law == TURN:
@@ -175,7 +176,7 @@ def _rates(
     elif law == LOAD_ANGLE:
         # The angle follows i_q, whose rate depends on how fast the angle moves.
         _, q = _current(y[0], y[1], m, 0.0)
-        _, _, q_d, q_q = _slopes(y[0], y[1], m, 0.0)
+        _, _, q_d, q_q = _slopes(y[0], y[1], m)
         per_q = k[0] / k[1] / math.cosh(q / k[1]) ** 2
         turning = per_q * (q_d * u_d + q_q * u_q) / (1.0 - per_q * (q_d * y[1] - q_q * y[0]))
     out[0] = u_d + turning * y[1]

@@ -42,7 +42,7 @@ def test_the_slopes_are_those_of_the_current() -> None:
     ahead_d, ahead_q = _current(0.35 + step, 0.1, m, 0.0), _current(0.35, 0.1 + step, m, 0.0)
     behind_d, behind_q = _current(0.35 - step, 0.1, m, 0.0), _current(0.35, 0.1 - step, m, 0.0)
     numerical = [(a - b) / (2.0 * step) for a, b in zip((*ahead_d, *ahead_q), (*behind_d, *behind_q), strict=True)]
-    d_d, d_q, q_d, q_q = _slopes(0.35, 0.1, m, 0.0)
+    d_d, d_q, q_d, q_q = _slopes(0.35, 0.1, m)
     assert (d_d, q_d, d_q, q_q) == pytest.approx(numerical, rel=1e-6)
 
 
@@ -53,7 +53,7 @@ def test_a_load_angle_turns_with_the_rate_of_the_current_that_turns_it() -> None
     _, q = _current(y[0], y[1], m, 0.0)
     turned = 0.3 + k[0] * np.tanh(q / k[1])
     _rates(NOTHING, k, -1, m, y, 20.0, -10.0, 0.0, 0.0, float(turned), 1.0, still)
-    _, _, q_d, q_q = _slopes(y[0], y[1], m, 0.0)
+    _, _, q_d, q_q = _slopes(y[0], y[1], m)
     turning = k[0] / k[1] / np.cosh(q / k[1]) ** 2 * (q_d * out[0] + q_q * out[1])
     assert out[:2] == pytest.approx(still[:2] + turning * np.array([y[1], -y[0]]))
 
