@@ -157,9 +157,10 @@ def test_a_play_may_begin_anywhere_within_its_radius() -> None:
     effect = effect_of(law)
     values = {p.name: p.value for p in law.parameters}
     directions = effect.random_directions(signals(), effect.Parameters(**values))  # type: ignore[attr-defined]
-    assert len(directions) == (3 if signals().clarke_of_three else 2)
+    assert len(directions) == 3
     first = np.abs(directions[0].i_ab - signals().i_ab)
-    assert first[0].max() == pytest.approx(values["size"] * values["radius_a"] / np.sqrt(3.0), rel=1e-6)
+    # Of an error in one of three readings two thirds are left in the vector.
+    assert first[0] == pytest.approx([2.0 / 3.0 * values["size"] * values["radius_a"] / np.sqrt(3.0), 0.0])
     assert first[-1].max() < 1e-12  # the current has swung over by more than the radius since
     without = effect_of(law_of(at.READING, of.PHASE_CURRENT, ALL, "tanh"))
     assert not hasattr(without, "random_directions")
