@@ -220,9 +220,9 @@ class Ranges:
 
 
 QUANTITIES = (
-    of.PHASE_CURRENT, of.NEXT_CURRENT, of.PREVIOUS_CURRENT, of.CURRENT_SLOPE, of.PHASE_VOLTAGE, of.PHASE_FLUX,
-    of.CURRENT, of.CURRENT_D, of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER, of.LINK_VOLTAGE, of.TIME, of.HEAT,
-    of.ROTOR_ANGLE,
+    of.PHASE_CURRENT, of.SMOOTH_CURRENT, of.NEXT_CURRENT, of.PREVIOUS_CURRENT, of.CURRENT_SLOPE, of.PHASE_VOLTAGE,
+    of.PHASE_FLUX, of.CURRENT, of.CURRENT_D, of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER, of.LINK_VOLTAGE, of.TIME,
+    of.HEAT, of.ROTOR_ANGLE,
 )  # fmt: skip
 EACH = (ALL, A, B, C)
 SENSORS = (ALL, A, B)
@@ -233,7 +233,7 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
     (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE_BY_TIME, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE_BY_HEAT, of.PHASE_CURRENT, ("odd",), EACH),
-    (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("lag", "play"), (ALL,)),
+    (at.LEG_VOLTAGE, of.SMOOTH_CURRENT, ("lag", "play"), (ALL,)),
     (at.LEG_VOLTAGE, of.PHASE_VOLTAGE, ("odd",), (ALL,)),
     (at.LEG_VOLTAGE, of.TIME, ("none",), (A, B, C)),
     (at.VOLTAGE_GAIN, of.TIME, ("none",), (ALL,)),
@@ -244,7 +244,7 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
     (at.VOLTAGE_GAIN, of.HEAT, ("none",), (ALL,)),
     (at.READING, of.PHASE_CURRENT, ("odd",), SENSORS),
     (at.READING, of.PHASE_CURRENT, ("even",), SENSORS),
-    (at.READING, of.PHASE_CURRENT, ("lag", "play"), (ALL,)),
+    (at.READING, of.SMOOTH_CURRENT, ("lag", "play"), (ALL,)),
     (at.READING, of.NEXT_CURRENT, ("odd",), SENSORS),
     (at.READING, of.PREVIOUS_CURRENT, ("odd",), SENSORS),
     (at.READING_BY_TIME, of.PHASE_CURRENT, ("odd",), SENSORS),

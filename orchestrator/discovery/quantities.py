@@ -27,6 +27,12 @@ def phase_currents(signals: Signals | SignalBatch) -> Array:
     return to_phases(signals.i_ab if quiet is None else quiet)
 
 
+def smooth_currents(signals: Signals | SignalBatch) -> Array:
+    """Each phase's own current [A] that belongs to the smooth flux: a memory would follow the peaks of noise."""
+    smooth = signals.i_smooth_ab
+    return to_phases(signals.i_ab if smooth is None else smooth)
+
+
 def next_phase_currents(signals: Signals | SignalBatch) -> Array:
     """For phases a, b, c the current of phase b, c, a [A]."""
     return np.roll(to_phases(signals.i_ab), -1, axis=1)
@@ -139,6 +145,7 @@ class Quantity:
 
 
 PHASE_CURRENT = Quantity(phase_currents, "its own current", "A", True, "i", of_phases=True)
+SMOOTH_CURRENT = Quantity(smooth_currents, "its own smooth current", "A", True, "i", of_phases=True)
 NEXT_CURRENT = Quantity(next_phase_currents, "the current of the next phase", "A", True, "i_next", of_phases=True)
 PREVIOUS_CURRENT = Quantity(
     previous_phase_currents, "the current of the previous phase", "A", True, "i_previous", of_phases=True

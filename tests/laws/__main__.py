@@ -18,6 +18,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit code."""
     requested = _parser().parse_args(words)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from protocols import FluxbenchError
     from tests.laws.examine import examine, keep, kept
     from tests.laws.score import judge, table
 
@@ -27,7 +28,11 @@ def main(words: Sequence[str] | None = None) -> int:
         for kind in requested.only or KINDS:
             if kind in answers:
                 continue
-            answers[kind] = answer = examine(kind, requested.seed, folder)
+            try:
+                answers[kind] = answer = examine(kind, requested.seed, folder)
+            except FluxbenchError as error:
+                print(f"{'MISS':<5}{kind:<20}refused: {error}", flush=True)
+                continue
             if requested.answers is not None:
                 keep(requested.answers, answer)
             mark = "ok" if judge(answer).is_right else "MISS"

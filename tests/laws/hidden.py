@@ -109,7 +109,8 @@ KINDS: Mapping[str, Draw] = {
     "gain_settles": _sensor(of.GAIN_SETTLES, "time", (0.01, 0.03), (6.0, 20.0), "gain a (1 - exp(-t/b))"),
     "slope_pick_up": _sensor(of.PICK_UP, "current_slopes", (0.01, 0.03), (3.0, 30.0), "a tanh(di/dt / b)"),
     "sensor_remanence": _whole(
-        of.PLAY, "reading", "phase_currents", (0.01, 0.03), (0.02, 0.06), "a/b (i - i with a play of b)"
+        of.PLAY, "reading", "phase_currents", (0.01, 0.03), (0.02, 0.06), "a/b (i - i with a play of b)",
+        (("reading", "smooth_currents"),),
     ),
     "bus_dependent_gain": _whole(
         of.BUS_GAIN, "voltage_gain", "link_voltage", (0.1, 0.3), (1.0, 1.0), "lost: a (v_dc/540 V - 1) of the voltage"
