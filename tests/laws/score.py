@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -75,7 +76,7 @@ def summary(judgements: Sequence[Judgement]) -> str:
     return (
         f"Of {count} laws {sum(j.is_right for j in judgements)} have the right place, quantity and phase; "
         f"{sum(j.is_left_to_noise for j in judgements)} leave at most {NOISE} times the noise; "
-        f"{sum(j.is_written and not j.is_right for j in judgements)} are written though wrong; "
+        f"{sum(j.is_written and not j.is_right for j in judgements)} written laws are wrong; "
         f"{sum(j.is_usable_but_wrong for j in judgements)} give a model to trust whose map is more than "
         f"{WRONG_MAP_PERCENT:g} % off. `discover` takes {statistics.median(ratio):.1f} times the CPU of `diagnose` "
         f"in the median, {max(ratio):.1f} at most. The first term of thresholded least squares is right in "
@@ -98,14 +99,16 @@ def _row(one: Judgement) -> str:
     baseline = answer.baseline
     after = "-" if baseline.get("after") is None else f"{baseline['after']:.2f}"
     terms = f"{'right' if one.baseline_is_right else 'wrong'}, {baseline['terms']} terms, {after}" if baseline else "-"
-    return (
-        (
-            f"| {_plain(answer.kind)}: {where} | {found} | {answer.before:.2f} / {answer.after:.2f} | {maps} | "
-            f"{answer.diagnose_s:.0f} s / {answer.discover_s:.0f} s | {terms} |"
-        )
-        .replace("|i|", "abs(i)")
-        .replace("|x|", "abs(x)")
+    cells = (
+        f"{_plain(answer.kind)}: {where}",
+        found,
+        f"{answer.before:.2f} / {answer.after:.2f}",
+        maps,
+        f"{answer.diagnose_s:.0f} s / {answer.discover_s:.0f} s",
+        terms,
     )
+    # A bar would end the cell.
+    return f"| {' | '.join(re.sub(r'[|](.+?)[|]', r'abs(\1)', cell) for cell in cells)} |"
 
 
 def _plain(name: str) -> str:

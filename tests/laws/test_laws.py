@@ -19,7 +19,7 @@ def an_answer(kind: str, seed: int = 5) -> Answer:
     """Of a law that is found."""
     hidden, _ = draw(kind, seed)
     return Answer(
-        kind, seed, "unknown_remains", "law", "", [[hidden.place, hidden.quantity, hidden.phase]], ["a x: size 1"],
+        kind, seed, "unknown_remains", "law", "", [[hidden.place, hidden.quantity, hidden.phase]], ["a |x|: size 1"],
         9.0, 1.01, 2.0, 0.1, 20.0, 10.0, {"first": ["reading", "time", "a"], "terms": 7, "after": 3.0, "cpu_s": 5.0},
     )  # fmt: skip
 
@@ -88,6 +88,7 @@ def test_the_table_has_a_row_for_each_answer_and_replaces_the_last_one(tmp_path:
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     assert len(rows) == 2 + len(KINDS)
     assert {line.count(" | ") for line in rows} == {5}
+    assert "a abs(x): size 1" in text
     assert "Of 20 laws 20 have the right place" in text
 
 
