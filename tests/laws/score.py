@@ -108,7 +108,8 @@ def _row(one: Judgement) -> str:
         terms,
     )
     # A bar would end the cell.
-    return f"| {' | '.join(re.sub(r'[|](.+?)[|]', r'abs(\1)', cell) for cell in cells)} |"
+    row = " | ".join(re.sub(r"[|](.+?)[|]", r"abs(\1)", cell) for cell in cells)
+    return f"| {row} |"
 
 
 def _plain(name: str) -> str:
