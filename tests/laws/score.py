@@ -76,7 +76,7 @@ def summary(judgements: Sequence[Judgement]) -> str:
     return (
         f"Of {count} laws {sum(j.is_right for j in judgements)} have the right place, quantity and phase; "
         f"{sum(j.is_left_to_noise for j in judgements)} leave at most {NOISE} times the noise; "
-        f"{sum(j.is_written and not j.is_right for j in judgements)} written laws are wrong; "
+        f"of those written, {sum(j.is_written and not j.is_right for j in judgements)} wrong; "
         f"{sum(j.is_usable_but_wrong for j in judgements)} give a model to trust whose map is more than "
         f"{WRONG_MAP_PERCENT:g} % off. `discover` takes {statistics.median(ratio):.1f} times the CPU of `diagnose` "
         f"in the median, {max(ratio):.1f} at most. The first term of thresholded least squares is right in "
