@@ -75,6 +75,7 @@ def summary(judgements: Sequence[Judgement]) -> str:
     baseline = [one.answer.baseline["after"] for one in judgements if one.answer.baseline.get("after") is not None]
     return (
         f"Of {count} laws {sum(j.is_right for j in judgements)} have the right place, quantity and phase; "
+        f"{sum(j.answer.verdict in EXPLAINED for j in judgements)} the library explains by itself; "
         f"{sum(j.is_left_to_noise for j in judgements)} leave at most {NOISE} times the noise; "
         f"of those written, {sum(j.is_written and not j.is_right for j in judgements)} wrong; "
         f"{sum(j.is_usable_but_wrong for j in judgements)} give a model to trust whose map is more than "
@@ -95,6 +96,8 @@ def _row(one: Judgement) -> str:
         for place, formula in zip(answer.places, answer.formulas, strict=True)
     )
     found = f"{'right' if one.is_right else 'wrong'}: {laws}" if one.is_written else _plain(answer.outcome)
+    if answer.verdict in EXPLAINED:
+        found = "the library explains it"
     maps = " / ".join("-" if x is None else f"{x:.2f} %" for x in (answer.map_before, answer.map_after))
     baseline = answer.baseline
     after = "-" if baseline.get("after") is None else f"{baseline['after']:.2f}"
@@ -102,7 +105,7 @@ def _row(one: Judgement) -> str:
     cells = (
         f"{_plain(answer.kind)}: {where}",
         found,
-        f"{answer.before:.2f} / {answer.after:.2f}",
+        f"{answer.before:.2f} / {answer.after:.2f}" if answer.verdict not in EXPLAINED else "-",
         maps,
         f"{answer.diagnose_s:.0f} s / {answer.discover_s:.0f} s",
         terms,
