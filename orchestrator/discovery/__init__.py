@@ -5,19 +5,25 @@ best is put into a short form, and written as an effect plugin of one class.
 """
 
 from orchestrator.discovery.discover import Learned, discover_laws
-from orchestrator.discovery.memory import lagged, play
+from orchestrator.discovery.memory import cooled, lagged, play, slopes, unknown_memory
+from orchestrator.discovery.pictures import curve_picture
 from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
-from orchestrator.discovery.saving import require_name, save_discovery, write_law
+from orchestrator.discovery.saving import load_discovery, require_name, save_discovery, write_law
 
 __all__ = [
     "Discovery",
     "FoundForm",
     "FoundLaw",
     "Learned",
+    "cooled",
+    "curve_picture",
     "discover_laws",
     "lagged",
+    "load_discovery",
     "play",
     "require_name",
     "save_discovery",
+    "slopes",
+    "unknown_memory",
     "write_law",
 ]

@@ -1,4 +1,4 @@
-"""Flexible laws of a quantity, linear in their coefficients: a curve, a spectrum of lags, and a sum of plays.
+"""Flexible laws of a quantity, linear in their coefficients: a curve, harmonics of an angle, and sums of memories.
 
 The coefficients c are random with a precision K / tau^2, whose K penalises the curve's second differences (a P-spline;
 P. H. C. Eilers, B. D. Marx, Stat. Sci. 11 (1996) 89, doi:10.1214/ss/1038425655) and, weakly, its size.
@@ -6,15 +6,16 @@ P. H. C. Eilers, B. D. Marx, Stat. Sci. 11 (1996) 89, doi:10.1214/ss/1038425655)
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-from scipy.interpolate import BSpline
-from scipy.sparse import csc_array
+from numba import njit
+from numpy.typing import NDArray
 
-from orchestrator.discovery.memory import lagged, play
+from orchestrator.discovery.memory import cooled, lagged, play
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch
 
@@ -24,7 +25,7 @@ RIDGE: float = 0.05
 KNEE: float = 0.03
 """Part of a signed quantity's range below which knots are even; beyond, they are spaced geometrically."""
 
-Parity = Literal["odd", "even", "none"]
+Parity = Literal["odd", "even", "none", "periodic"]
 
 
 class Basis(Protocol):
@@ -38,8 +39,8 @@ class Basis(Protocol):
     @property
     def kind(self) -> str: ...
 
-    def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array | csc_array:
-        """Columns over the samples of x (n, m), shape (n m, size); over each interval's `mean` or at its start."""
+    def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
+        """Columns over the samples of x (n, m), shape (size, n m); over each interval's `mean` or at its start."""
         ...
 
 
@@ -75,43 +76,52 @@ class CurveBasis:
     def size(self) -> int:
         return self.cells + DEGREE - (self.parity == "odd")
 
-    def design(self, x: Array) -> csc_array:
+    def design(self, x: Array) -> Array:
         """Values of all functions at x (n,), shape (n, size); constant beyond the range."""
-        place = np.abs(x) if self.parity != "none" else x
-        u = np.clip(self._warped(place), self.knots[0], self.knots[-1])
-        whole = csc_array(BSpline.design_matrix(u, self.knots, DEGREE))
-        if self.parity != "odd":
-            return whole
-        # An odd function is zero at zero, where only the first function is not.
-        odd, signs = csc_array(whole[:, 1:]), np.sign(x)
-        return csc_array((odd.data * signs[odd.indices], odd.indices, odd.indptr), shape=odd.shape)
+        return self._columns(x[:, None], np.array([0, len(x)]), mean=False).T
 
     def grid(self, points: int) -> Array:
         """Values of x over the range, evenly in the warped coordinate."""
         u = np.linspace(self.knots[0], self.knots[-1], points)
         return u if np.isinf(self.knee) else np.asarray(self.knee * np.sinh(u), dtype=np.float64)
 
-    def columns(self, x: Array, batch: SignalBatch, mean: bool) -> csc_array:
-        if not mean:
-            return self.design(x.ravel())
-        # Simpson's rule over the interval after each sample; nothing follows a segment's last one.
-        after = np.roll(x, -1, axis=0)
-        last = batch.starts[1:] - 1
-        after[last] = x[last]
-        ends = self.design(x.ravel()) + self.design(after.ravel())
-        return csc_array((ends + 4.0 * self.design(0.5 * (x + after).ravel())) / 6.0)
+    def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
+        return self._columns(x, batch.starts, mean)
+
+    def _columns(self, x: Array, starts: NDArray[np.int64], mean: bool) -> Array:
+        out = np.zeros((self.size, x.size))
+        parity = ("even", "none", "odd").index(self.parity)
+        _fill(np.ascontiguousarray(x, dtype=np.float64), starts, self.knots, self.knee, parity, mean, out)
+        return out
 
     def _warped(self, x: Array) -> Array:
         return x if np.isinf(self.knee) else np.arcsinh(x / self.knee)
 
 
 @dataclass(frozen=True)
+class HarmonicBasis(CurveBasis):
+    """cos x, sin x, cos 2 x, ... of an angle x, up to as many harmonics as `cells`."""
+
+    @property
+    def size(self) -> int:
+        return 2 * self.cells
+
+    def grid(self, points: int) -> Array:
+        return np.linspace(self.low, self.high, points)
+
+    def _columns(self, x: Array, starts: NDArray[np.int64], mean: bool) -> Array:
+        # An angle hardly moves within an interval.
+        turns = np.arange(1, self.cells + 1)[:, None] * x.ravel()
+        return np.stack([np.cos(turns), np.sin(turns)], axis=1).reshape(self.size, x.size)
+
+
+@dataclass(frozen=True)
 class MemoryBasis:
-    """x less its lag of several time constants, or less its play of several radii.
+    """x less its lag of several time constants, or less its play of several radii; or the heat that is left of x.
 
     Attributes
     ----------
-    kind : {"lag", "play"}
+    kind : {"lag", "play", "cooling"}
     values : tuple of float
         Time constants [s], or radii in the unit of x.
     """
@@ -124,20 +134,92 @@ class MemoryBasis:
         return len(self.values)
 
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
-        follow = lagged if self.kind == "lag" else play
-        out = np.empty((x.size, self.size))
+        out = np.empty((self.size, x.size))
         last = batch.starts[1:] - 1
         for j, value in enumerate(self.values):
-            y = x - follow(x, value, batch)
+            y = self._memory(x, value, batch)
             if mean:
                 after = np.roll(y, -1, axis=0)
                 after[last] = y[last]
                 y = 0.5 * (y + after)
-            out[:, j] = y.ravel()
+            out[j] = y.ravel()
         return out
+
+    def _memory(self, x: Array, value: float, batch: SignalBatch) -> Array:
+        if self.kind == "cooling":
+            return cooled(x[:, 0], value, batch)[:, None]
+        return x - (lagged if self.kind == "lag" else play)(x, value, batch)
 
 
 def penalty(basis: Basis) -> Array:
-    """K, shape (size, size)."""
+    """K, shape (size, size); of harmonics, the square of their second derivatives."""
+    if isinstance(basis, HarmonicBasis):
+        return np.diag(np.repeat(np.arange(1.0, basis.cells + 1.0) ** 4, 2))
     bend = np.diff(np.eye(basis.size), 2, axis=0)
     return bend.T @ bend + RIDGE * np.eye(basis.size) if basis.kind == "curve" else np.eye(basis.size)
+
+
+EVEN, NO_PARITY, ODD = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def _fill(
+    x: Array, starts: NDArray[np.int64], knots: Array, knee: float, parity: int, mean: bool, out: Array
+) -> None:  # fmt: skip
+    """Values at each sample, or by Simpson's rule over the interval after it; nothing follows a segment's last one."""
+    for s in range(starts.shape[0] - 1):
+        for k in range(starts[s], starts[s + 1]):
+            after = min(k + 1, starts[s + 1] - 1)
+            for m in range(x.shape[1]):
+                row = k * x.shape[1] + m
+                if mean:
+                    _add(x[k, m], 1.0 / 6.0, knots, knee, parity, out, row)
+                    _add(0.5 * (x[k, m] + x[after, m]), 4.0 / 6.0, knots, knee, parity, out, row)
+                    _add(x[after, m], 1.0 / 6.0, knots, knee, parity, out, row)
+                else:
+                    _add(x[k, m], 1.0, knots, knee, parity, out, row)
+
+
+@njit(cache=True, nogil=True)
+def _add(x: float, weight: float, knots: Array, knee: float, parity: int, out: Array, row: int) -> None:
+    """Add the weighted values of the four cubic B-splines at x that are not zero, by de Boor's recurrence."""
+    u = x if parity == NO_PARITY else abs(x)
+    if not math.isinf(knee):
+        u = math.asinh(u / knee)
+    low, high = knots[DEGREE], knots[-DEGREE - 1]
+    u = min(max(u, low), high)
+    cells = knots.shape[0] - 2 * DEGREE - 1
+    first = min(int((u - low) / (high - low) * cells), cells - 1)
+    at = first + DEGREE
+    b0, b1, b2, b3 = 1.0, 0.0, 0.0, 0.0
+    for degree in range(1, DEGREE + 1):
+        kept = 0.0
+        for j in range(degree):
+            right, left = knots[at + 1 + j], knots[at + 1 + j - degree]
+            old = b0 if j == 0 else b1 if j == 1 else b2
+            part = old / (right - left)
+            new = kept + (right - u) * part
+            kept = (u - left) * part
+            if j == 0:
+                b0 = new
+            elif j == 1:
+                b1 = new
+            else:
+                b2 = new
+        if degree == 1:
+            b1 = kept
+        elif degree == 2:
+            b2 = kept
+        else:
+            b3 = kept
+    if parity == ODD:
+        # An odd function is zero at zero, where only the first function is not.
+        weight = math.copysign(weight, x) if x != 0.0 else 0.0
+        first -= 1
+        if first >= 0:
+            out[first, row] += weight * b0
+    else:
+        out[first, row] += weight * b0
+    out[first + 1, row] += weight * b1
+    out[first + 2, row] += weight * b2
+    out[first + 3, row] += weight * b3

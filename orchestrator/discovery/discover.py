@@ -222,7 +222,7 @@ def curve_of(score: Score) -> tuple[Array, Array, Array]:
         return np.zeros(0), np.zeros(0), np.zeros(0)
     x = basis.grid(CURVE_POINTS)
     x = x if basis.parity == "none" else np.concatenate([-x[:0:-1], x])
-    design = basis.design(x).toarray()
+    design = basis.design(x)
     return x, design @ score.coefficients, np.sqrt(np.einsum("ij,jk,ik->i", design, score.covariance, design))
 
 

@@ -24,6 +24,9 @@ SCAN: int = 40
 DISCREPANCY: float = 0.01
 """Difference between a law and a form, relative to the law's largest value, that is not held against the form."""
 
+HARMONICS: tuple[int, ...] = (1, 2, 3, 4, 6)
+"""Of an angle: its own, the offsets, gains and slots of its sensor."""
+
 
 @dataclass(frozen=True)
 class Form:
@@ -38,7 +41,7 @@ class Form:
         g as an expression of ``x``, ``b`` and ``p``.
     of : callable
         The same as a function of (x, b, p).
-    parity : {"odd", "even", "none"}
+    parity : {"odd", "even", "none", "periodic"}
         Of the curves that it may be.
     has_scale, has_power : bool
     is_linear : bool
@@ -52,6 +55,7 @@ class Form:
     parity: Parity
     has_scale: bool = True
     has_power: bool = False
+    scale_name: str = "scale"
     power_of_x: int = 0
     """Power of the quantity in g, where it has no scale."""
     power_name: str = "exponent"
@@ -62,6 +66,14 @@ class Form:
     def constants(self) -> int:
         """Number of its constants."""
         return 1 + self.has_scale + self.has_power
+
+
+def _harmonic(k: int) -> Form:
+    def of(x: Array, b: float, p: float) -> Array:
+        return np.asarray(np.sin(k * x + b), dtype=np.float64)
+
+    code = f"np.sin({k} * x + b)" if k > 1 else "np.sin(x + b)"
+    return Form(f"harmonic {k}", f"a {code.removeprefix('np.')}", code, of, "periodic", scale_name="phase")
 
 
 CURVES: tuple[Form, ...] = (
@@ -127,6 +139,7 @@ CURVES: tuple[Form, ...] = (
         "fractional power", "a (|x| / b)^p", "(np.abs(x) / b) ** p", lambda x, b, p: (np.abs(x) / b) ** p, "none",
         has_power=True,
     ),
+    *map(_harmonic, HARMONICS),
 )  # fmt: skip
 
 
@@ -157,7 +170,7 @@ def fitting_forms(score: Score) -> list[FormFit]:
         return _memories(score, basis)
     assert isinstance(basis, CurveBasis)
     grid = basis.grid(12 * basis.cells)[1 if basis.parity == "odd" else 0 :]
-    design = basis.design(grid).toarray()
+    design = basis.design(grid)
     values = design @ score.coefficients
     floor = DISCREPANCY * float(np.abs(values).max())
     weigh = np.linalg.cholesky(np.linalg.inv(score.covariance + floor**2 * np.eye(basis.size))).T
@@ -196,6 +209,10 @@ def _gauges(hypothesis: Hypothesis, grid: Array) -> list[Array]:
 
 def _shapes(form: Form, basis: CurveBasis) -> Iterator[tuple[float, float]]:
     top = max(abs(basis.low), abs(basis.high))
+    if form.parity == "periodic":
+        # The scale is a phase; the size has the sign.
+        yield from ((float(b), 1.0) for b in np.linspace(0.1, 0.1 + math.pi, 2 * SCAN))
+        return
     scales: Sequence[float] = [top]
     if form.has_scale and (not form.has_power or form.power_name == "sharpness"):
         near = 0.2 if form.name in ("step", "ramp", "hinge", "even hinge") else 0.003

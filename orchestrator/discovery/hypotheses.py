@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import KNEE, Basis, CurveBasis, MemoryBasis, Parity
+from orchestrator.discovery.bases import KNEE, Basis, CurveBasis, HarmonicBasis, MemoryBasis, Parity
 from orchestrator.discovery.places import Place
 from orchestrator.discovery.quantities import Quantity
 from orchestrator.numerics.types import Array
@@ -22,6 +22,9 @@ CELLS: int = 9
 """Intervals of a curve in the ranking."""
 LAGS: int = 8
 """Time constants of a spectrum of lags."""
+COOLING: tuple[float, float] = (0.03, 1.0)
+"""Shortest and longest time constant of cooling, relative to the experiment's length."""
+MAX_HARMONICS: int = 6
 RADII: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3)
 """Radii of plays, in units of the quantity's range."""
 
@@ -58,23 +61,43 @@ class Hypothesis:
         words = [self.place.name, PHASE_NAMES[self.phases], self.basis.kind, parity.replace("none", "")]
         return "-".join(word for word in [*words, self.quantity.name] if word)
 
-    def candidate(self) -> CandidateEffect:
+    def candidate(self, shared: SharedColumns | None = None) -> CandidateEffect:
         """The flexible law as a candidate effect of this machine, one amplitude for each coefficient."""
-        effect = FlexibleEffect(self)
+        effect = FlexibleEffect(self, shared or SharedColumns())
         return CandidateEffect(cast(Effect, effect), effect.Parameters.declared())
 
-    def values(self, columns: Any, coefficients: Array) -> Array:
+    def values(self, columns: Array, coefficients: Array) -> Array:
         """The law's values from its columns, (n, 3) or (n,) as the place takes them."""
-        y: Array = np.asarray(columns @ coefficients, dtype=np.float64)
+        # The ranking asks for one coefficient at a time.
+        there = np.flatnonzero(coefficients)
+        y: Array = coefficients[there[0]] * columns[there[0]] if len(there) == 1 else coefficients @ columns
         if not self.place.of_phases:
             return y
         y = y.reshape(-1, 3) if self.quantity.of_phases else y[:, None]
         return np.asarray(y * np.array(self.phases), dtype=np.float64)
 
-    def columns(self, batch: SignalBatch) -> Any:
-        """Columns of the basis at the quantity's values in a batch."""
+    def columns(self, batch: SignalBatch) -> Array:
+        """Columns of the basis at the quantity's values in a batch, shape (size, n) or (size, 3 n)."""
         x = self.quantity.of(batch)
         return self.basis.columns(x if x.ndim == 2 else x[:, None], batch, self.place.over_interval)
+
+
+@dataclass
+class SharedColumns:
+    """Columns that hypotheses have in common, as those of each phase and of all, for the batch that is evaluated."""
+
+    _seen: dict[object, tuple[SignalBatch, Array]] = field(default_factory=dict)
+
+    def of(self, hypothesis: Hypothesis, batch: SignalBatch) -> Array:
+        """A hypothesis' columns, computed where the last batch was another."""
+        place = hypothesis.place
+        # Places of one layer see the same signals.
+        key = hypothesis.quantity.name, hypothesis.basis, place.over_interval, place.layer
+        seen = self._seen.get(key)
+        # Other threads may ask of other batches.
+        if seen is None or seen[0] is not batch:
+            self._seen[key] = seen = batch, hypothesis.columns(batch)
+        return seen[1]
 
 
 class FlexibleEffect:
@@ -85,21 +108,17 @@ class FlexibleEffect:
     needs = ()
     gauge = ""
 
-    def __init__(self, hypothesis: Hypothesis) -> None:
-        self.hypothesis = hypothesis
+    def __init__(self, hypothesis: Hypothesis, shared: SharedColumns) -> None:
+        self.hypothesis, self.shared = hypothesis, shared
         self.name = hypothesis.key
         self.layer = hypothesis.place.layer
         self.Parameters = _parameters(hypothesis)
-        self._seen: tuple[SignalBatch, Any] | None = None
 
     def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
         """The signals without the law's values."""
         coefficients = np.array([getattr(p, name) for name in names(self.hypothesis)])
-        # All coefficients of a law are asked of one batch in turn; other threads may ask of other batches.
-        seen = self._seen
-        if seen is None or seen[0] is not batch:
-            self._seen = seen = batch, self.hypothesis.columns(batch)
-        return self.hypothesis.place.apply(batch, self.hypothesis.values(seen[1], coefficients))
+        columns = self.shared.of(self.hypothesis, batch)
+        return self.hypothesis.place.apply(batch, self.hypothesis.values(columns, coefficients))
 
     def correct(self, signals: Signals, p: Any) -> Correction:
         """`correct_batch` of one segment."""
@@ -133,6 +152,10 @@ class Ranges:
         By the unit of a place.
     pulse_rates : int
         Number of PWM frequencies.
+    positions : int
+        Number of rotor angles.
+    whole_s : float
+        Length of the experiment.
     """
 
     of: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -140,6 +163,8 @@ class Ranges:
     longest_s: float = 1.0
     sizes: Mapping[str, float] = field(default_factory=dict)
     pulse_rates: int = 1
+    positions: int = 1
+    whole_s: float = 1.0
 
     @classmethod
     def in_fit(cls, fit: Fit) -> Ranges:
@@ -156,11 +181,24 @@ class Ranges:
         amps, ohms = found[of.CURRENT.name][1], abs(fit.model.r_s)
         sizes = {"V": amps * ohms, "A": amps, "ohm": ohms, "1": 1.0, "rad": 1.0}
         pulse_rates = {float(f) for b in batches for f in b.pwm_frequency_hz}
-        return cls(found, 1.0 / max(rates), max(lengths), sizes, len(pulse_rates))
+        angles = {round(float(b.segments[k].turned_rad), 3) for b in batches for k in range(len(b.segments))}
+        whole_s = found[of.TIME.name][1]
+        return cls(found, 1.0 / max(rates), max(lengths), sizes, len(pulse_rates), len(angles), whole_s)
+
+    def size_at(self, place: Place) -> float:
+        """A small size of a law there."""
+        if place.factor is None:
+            return place.typical * self.sizes[place.unit]
+        far = max(map(abs, self.of[place.factor.name]))
+        return place.typical * self.sizes[place.unit.split("/")[0]] / max(far, 1e-300)
 
     def curve(self, quantity: Quantity, parity: Parity, cells: int = CELLS) -> CurveBasis | None:
         """A curve over a quantity's range; None where the quantity does not vary."""
         low, high = self.of[quantity.name]
+        if parity == "periodic":
+            # As many positions as twice the harmonics: higher ones look like lower ones.
+            harmonics = min(MAX_HARMONICS, self.positions // 2)
+            return HarmonicBasis(-np.pi, np.pi, harmonics, parity) if harmonics > 0 else None
         if parity != "none":
             low, high = 0.0, max(abs(low), abs(high))
         if not high - low > 1e-6 * max(abs(low), abs(high)):
@@ -173,23 +211,29 @@ class Ranges:
         top = max(map(abs, self.of[quantity.name]))
         if top == 0.0:
             return None
+        if kind == "cooling":
+            shortest, longest = (part * self.whole_s for part in COOLING)
+            return MemoryBasis("cooling", tuple(float(t) for t in np.geomspace(shortest, longest, LAGS)))
         if kind == "play":
             return MemoryBasis("play", tuple(r * top for r in RADII))
         return MemoryBasis("lag", tuple(float(t) for t in np.geomspace(self.interval_s, 0.5 * self.longest_s, LAGS)))
 
 
 QUANTITIES = (
-    of.PHASE_CURRENT, of.NEXT_CURRENT, of.PREVIOUS_CURRENT, of.PHASE_VOLTAGE, of.PHASE_FLUX, of.CURRENT, of.CURRENT_D,
-    of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER, of.LINK_VOLTAGE, of.TIME, of.HEAT,
+    of.PHASE_CURRENT, of.SMOOTH_CURRENT, of.NEXT_CURRENT, of.PREVIOUS_CURRENT, of.CURRENT_SLOPE, of.PHASE_VOLTAGE,
+    of.PHASE_FLUX, of.CURRENT, of.CURRENT_D, of.CURRENT_Q, of.TORQUE, of.VOLTAGE, of.POWER, of.LINK_VOLTAGE, of.TIME,
+    of.HEAT, of.ROTOR_ANGLE,
 )  # fmt: skip
 EACH = (ALL, A, B, C)
 SENSORS = (ALL, A, B)
-Part = Parity | Literal["lag", "play"]
+Part = Parity | Literal["lag", "play", "cooling"]
 KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] = (
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("even",), EACH),
     (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
-    (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("lag", "play"), (ALL,)),
+    (at.LEG_VOLTAGE_BY_TIME, of.PHASE_CURRENT, ("odd",), EACH),
+    (at.LEG_VOLTAGE_BY_HEAT, of.PHASE_CURRENT, ("odd",), EACH),
+    (at.LEG_VOLTAGE, of.SMOOTH_CURRENT, ("lag", "play"), (ALL,)),
     (at.LEG_VOLTAGE, of.PHASE_VOLTAGE, ("odd",), (ALL,)),
     (at.LEG_VOLTAGE, of.TIME, ("none",), (A, B, C)),
     (at.VOLTAGE_GAIN, of.TIME, ("none",), (ALL,)),
@@ -200,26 +244,30 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
     (at.VOLTAGE_GAIN, of.HEAT, ("none",), (ALL,)),
     (at.READING, of.PHASE_CURRENT, ("odd",), SENSORS),
     (at.READING, of.PHASE_CURRENT, ("even",), SENSORS),
-    (at.READING, of.PHASE_CURRENT, ("lag", "play"), (ALL,)),
+    (at.READING, of.SMOOTH_CURRENT, ("lag", "play"), (ALL,)),
     (at.READING, of.NEXT_CURRENT, ("odd",), SENSORS),
     (at.READING, of.PREVIOUS_CURRENT, ("odd",), SENSORS),
+    (at.READING_BY_TIME, of.PHASE_CURRENT, ("odd",), SENSORS),
+    (at.READING, of.CURRENT_SLOPE, ("odd",), SENSORS),
+    (at.READING, of.CURRENT, ("none",), SENSORS),
     (at.READING, of.TIME, ("none",), SENSORS),
     (at.READING_GAIN, of.TIME, ("none",), SENSORS),
     (at.READING_GAIN, of.HEAT, ("none",), SENSORS),
     (at.READING_GAIN, of.CURRENT, ("none",), (ALL,)),
     (at.RESISTANCE, of.TIME, ("none",), (ALL,)),
-    (at.RESISTANCE, of.HEAT, ("none",), (ALL,)),
+    (at.RESISTANCE, of.HEAT, ("none", "cooling"), (ALL,)),
     (at.RESISTANCE, of.CURRENT, ("none",), (ALL,)),
     (at.LEG_RESISTANCE, of.TIME, ("none",), (A, B, C)),
-    (at.LEG_RESISTANCE, of.HEAT, ("none",), (A, B, C)),
+    (at.LEG_RESISTANCE, of.HEAT, ("none", "cooling"), (A, B, C)),
     (at.ANGLE, of.TIME, ("none",), (ALL,)),
     (at.ANGLE, of.HEAT, ("none",), (ALL,)),
+    (at.ANGLE, of.ROTOR_ANGLE, ("periodic",), (ALL,)),
     (at.ANGLE, of.CURRENT_Q, ("odd", "even"), (ALL,)),
     (at.ANGLE, of.TORQUE, ("odd", "even"), (ALL,)),
     (at.ANGLE, of.CURRENT_D, ("none",), (ALL,)),
     (at.MAGNETISING, of.PHASE_FLUX, ("lag", "play"), EACH),
     (at.MAGNETISING_D, of.TIME, ("none",), (ALL,)),
-    (at.MAGNETISING_D, of.HEAT, ("none",), (ALL,)),
+    (at.MAGNETISING_D, of.HEAT, ("none", "cooling"), (ALL,)),
 )
 """The single laws: place, quantity, parts of a curve or kinds of memory, phases."""
 
@@ -230,9 +278,12 @@ def hypotheses(ranges: Ranges) -> Iterator[Hypothesis]:
         if place is at.PULSE_VOLTAGE and ranges.pulse_rates < 2:
             continue
         for part in parts:
-            size = place.typical * ranges.sizes[place.unit]
+            size = ranges.size_at(place)
             basis: Basis | None
-            basis = ranges.memory(quantity, part) if part == "lag" or part == "play" else ranges.curve(quantity, part)
+            if part == "lag" or part == "play" or part == "cooling":
+                basis = ranges.memory(quantity, part)
+            else:
+                basis = ranges.curve(quantity, part)
             if basis is None:
                 continue
             if isinstance(basis, MemoryBasis):

@@ -72,13 +72,13 @@ class Law:
             return (_size(y, form.size), _shape("range", x, form.top, WIDTH_OF_UNIT))
         if form.form is None:
             kind = self.hypothesis.basis.kind
-            shape = _shape("lag", "s", form.scale) if kind == "lag" else _shape("radius", x, form.scale)
+            shape = _shape("radius", x, form.scale) if kind == "play" else _shape(kind, "s", form.scale)
             return (_size(_quotient(y, x, 1), form.size), shape)
         found = [_size(_quotient(y, x, form.form.power_of_x), form.size)]
         if form.form.has_scale:
             # A power's scale and size are one number: the scale only says where the size is meant.
             is_unit = form.form.has_power and form.form.power_name == "exponent"
-            found.append(_shape("scale", x, form.scale, WIDTH_OF_UNIT if is_unit else WIDTH_OF_SHAPE))
+            found.append(_shape(form.form.scale_name, x, form.scale, WIDTH_OF_UNIT if is_unit else WIDTH_OF_SHAPE))
         if form.form.has_power:
             found.append(
                 Parameter(form.form.power_name, "1", form.power, *POWER_BOUNDS[form.form.power_name], is_size=False)
@@ -93,6 +93,8 @@ class Law:
         if isinstance(form, Table):
             return f"a table over {x}"
         if form.form is None:
+            if hypothesis.basis.kind == "cooling":
+                return f"a {x}, {x}' = P - {x} / b"
             return f"a ({x} - {x} {'lagging by' if hypothesis.basis.kind == 'lag' else 'with a play of'} b)"
         return (
             re.sub(r"\bx\b", x.replace("|", ""), form.form.formula)

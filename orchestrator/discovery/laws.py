@@ -15,6 +15,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, scaled_library
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.machine_scale import MachineScale
 from orchestrator.diagnosis.fitting.model import Fit
@@ -30,6 +31,8 @@ from orchestrator.discovery.writing import NamedLaw, source_of
 from orchestrator.registry.plugins import load_effects_file
 from protocols import Effect
 
+FLEXIBLE_ROUNDS: int = 2
+"""Relinearisations of a flexible law's fit."""
 TABLE_POINTS: int = 32
 """Points of a table."""
 
@@ -79,9 +82,10 @@ def fit_flexible(fitter: Fitter, fit: Fit, score: Score) -> FittedLaw:
     """A flexible law beside a model, with the prior width that the ranking found."""
     hypothesis = replace(score.hypothesis, size=max(score.width, 1e-3 * score.hypothesis.size))
     term = term_of(hypothesis, score.coefficients)
-    # A flexible law is linear in its coefficients but for the map's curvature: few steps do.
+    # A flexible law is linear in its coefficients but for the map's curvature: its columns hold for several steps.
     grown = fit.model.with_active([*fit.model.active, term])
-    return FittedLaw(None, hypothesis, fitter.fit(grown, fit.linearisation, steps=3, relinearisations=1))
+    fitted = fit_with_frozen_jacobian(fitter, grown, rounds=FLEXIBLE_ROUNDS, tolerance=1e-4, known=fit)
+    return FittedLaw(None, hypothesis, fitted)
 
 
 def score_of(flexible: FittedLaw) -> Score:

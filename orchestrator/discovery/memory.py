@@ -1,4 +1,4 @@
-"""Memory of a quantity along time, each segment on its own: a first-order lag and a play.
+"""Memory of a quantity along time: in each segment its slope, a lag and a play; over the experiment, heat that cools.
 
 The play follows its input at a distance of at most its radius, whatever the rate (A. Visintin, "Differential Models of
 Hysteresis", Springer 1994, doi:10.1007/978-3-662-11557-2). Sums of plays of several radii are a Prandtl-Ishlinskii
@@ -24,10 +24,11 @@ def lagged(x: RealArray, time_constant_s: float, signals: Signals | SignalBatch)
     return _lagged(_columns(x), starts, time_constant_s * rates)
 
 
-def play(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
+def play(x: RealArray, radius: float, signals: Signals | SignalBatch, ahead: float = 0.0) -> Array:
     """Play of phase quantities x (n, 3) that follow the phase currents: a segment's began where the current came from.
 
-    Before a segment, x is taken as proportional to the current; without a history the play begins at x.
+    Before a segment, x is taken as proportional to the current; without a history the play begins at x. `ahead` is
+    added to what it remembers at each segment's beginning.
     """
     starts, _ = _layout(signals)
     segments = signals.segments if isinstance(signals, SignalBatch) else (signals,)
@@ -41,7 +42,44 @@ def play(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
         slope = float(np.sum(x[at] * i_abc[at]) / power) if power > 0.0 else 0.0
         path = x[starts[k]] + slope * (to_phases(segment.came_from_ab) - i_abc[starts[k]])
         memory[k] = _played(path, np.array([0, len(path)]), radius, path[:1])[-1]
-    return _played(x, starts, radius, memory)
+    return _played(x, starts, radius, memory + ahead)
+
+
+def unknown_memory(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
+    """Change of a play by one standard deviation of what it remembers at a segment's beginning, (n, 3).
+
+    Between two segments the current is not recorded, and may have swung over by more than the radius: then the play
+    is anywhere within it.
+    """
+    ends = [play(x, radius, signals, ahead=side * 4.0 * radius) for side in (1.0, -1.0)]
+    return np.asarray((ends[0] - ends[1]) / math.sqrt(12.0), dtype=np.float64)
+
+
+def cooled(heat_j: RealArray, time_constant_s: float, signals: Signals | SignalBatch) -> Array:
+    """Heat left of what was dissipated so far, W' = P - W / tau, shape (n,); all of it where no history is known."""
+    starts, _ = _layout(signals)
+    segments = signals.segments if isinstance(signals, SignalBatch) else (signals,)
+    out = np.array(heat_j, dtype=np.float64)
+    known: dict[int, Array] = {}
+    for k, segment in enumerate(segments):
+        losses = segment.losses
+        if losses is None:
+            continue
+        if id(losses) not in known:
+            time_s, power_w = np.asarray(losses.time_s, np.float64), np.asarray(losses.power_w, np.float64)
+            known[id(losses)] = _left(time_s, power_w, time_constant_s)
+        at = slice(int(starts[k]), int(starts[k + 1]))
+        out[at] = np.interp(segment.time_s, losses.time_s, known[id(losses)])
+    return out
+
+
+def slopes(x: RealArray, signals: Signals | SignalBatch) -> Array:
+    """Mean slope of each column of x (n, m) over the interval before each sample; a segment's first is its second's."""
+    starts, rates = _layout(signals)
+    out = np.diff(_columns(x), axis=0, prepend=x[:1])
+    first = starts[:-1]
+    out[first] = out[np.minimum(first + 1, starts[1:] - 1)]
+    return np.asarray(out * np.repeat(rates, np.diff(starts))[:, None], dtype=np.float64)
 
 
 def _layout(signals: Signals | SignalBatch) -> tuple[NDArray[np.int64], Array]:
@@ -82,4 +120,14 @@ def _played(x: Array, starts: NDArray[np.int64], radius: float, memory: Array) -
             for k in range(starts[s], starts[s + 1]):
                 y = min(max(y, x[k, m] - radius), x[k, m] + radius)
                 out[k, m] = y
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _left(time_s: Array, power_w: Array, time_constant_s: float) -> Array:
+    """Exact for a power that is constant from each time to the next."""
+    out = np.zeros(time_s.shape[0])
+    for k in range(1, time_s.shape[0]):
+        decay = math.exp(-(time_s[k] - time_s[k - 1]) / time_constant_s)
+        out[k] = out[k - 1] * decay + power_w[k - 1] * time_constant_s * (1.0 - decay)
     return out

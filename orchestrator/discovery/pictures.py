@@ -50,5 +50,5 @@ def form_values(form: FoundForm, x: Array) -> Array | None:
     if known is None:
         return None
     constants = {c.name.split("_")[0]: c.value for c in form.constants}
-    values = known.of(x, constants.get("scale", 1.0), constants.get(known.power_name, 1.0))
+    values = known.of(x, constants.get(known.scale_name, 1.0), constants.get(known.power_name, 1.0))
     return np.asarray(constants["size"] * values)

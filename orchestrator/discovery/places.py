@@ -1,15 +1,18 @@
 """Where a law may enter the equations: which signal it changes, and how.
 
-Each place turns a law's values y into a `Correction`. A written effect holds the same expressions, `code`.
+Each place turns a law's values y into a `Correction`. A written effect holds the same expressions, `code`. A law of
+two quantities is a curve over one at a place that multiplies it by the other: of a tensor of both, the part of rank
+one that is linear in the second.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orchestrator.discovery.quantities import HEAT, TIME, Quantity
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
 from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, SignalBatch
@@ -36,6 +39,8 @@ class Place:
         The correction for values y of a batch's samples.
     code : str
         The same as an expression of `signals` and `y`; ``{sensors}`` stands for the Clarke transform of the readings.
+    factor : Quantity or None
+        What the law's values are multiplied by.
     """
 
     name: str
@@ -47,6 +52,7 @@ class Place:
     typical: float
     apply: Callable[[SignalBatch, Array], Correction]
     code: str
+    factor: Quantity | None = None
 
 
 def of_three_sensors(batch: SignalBatch) -> bool:
@@ -120,3 +126,18 @@ MAGNETISING_D = Place(
     lambda s, y: Correction(i_m_ab=s.i_m_ab - _along_d(s, y)),
     "Correction(i_m_ab=signals.i_m_ab - np.stack([y * np.cos(signals.theta_rad), y * np.sin(signals.theta_rad)], 1))",
 )  # fmt: skip
+
+
+def _growing(place: Place, by: Quantity) -> Place:
+    """A place of the phases whose law is multiplied by a quantity."""
+
+    def apply(batch: SignalBatch, y: Array) -> Correction:
+        return place.apply(batch, y * by.of(batch)[:, None])
+
+    name, text, unit = f"{place.name}_by_{by.name}", f"{place.text} in proportion to {by.text}", by.unit
+    return replace(place, name=name, text=text, unit=f"{place.unit}/{unit}", apply=apply, factor=by)
+
+
+LEG_VOLTAGE_BY_TIME, LEG_VOLTAGE_BY_HEAT, READING_BY_TIME = (
+    _growing(place, by) for place, by in ((LEG_VOLTAGE, TIME), (LEG_VOLTAGE, HEAT), (READING, TIME))
+)

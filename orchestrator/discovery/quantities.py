@@ -1,6 +1,7 @@
 """Quantities that a law may depend on, each a function of a segment's signals.
 
-A written effect holds a copy of the function that it uses: each needs numpy and `orchestrator.numerics.frames` alone.
+A written effect holds a copy of the function that it uses: each needs numpy, `orchestrator.numerics.frames` and the
+memories of `orchestrator.discovery` alone.
 Quantities of the phases have shape (n, 3), all others (n,).
 """
 
@@ -12,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from orchestrator.discovery.memory import slopes
 from orchestrator.numerics.frames import to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch, Signals
@@ -25,6 +27,12 @@ def phase_currents(signals: Signals | SignalBatch) -> Array:
     return to_phases(signals.i_ab if quiet is None else quiet)
 
 
+def smooth_currents(signals: Signals | SignalBatch) -> Array:
+    """Each phase's own current [A] that belongs to the smooth flux: a memory would follow the peaks of noise."""
+    smooth = signals.i_smooth_ab
+    return to_phases(signals.i_ab if smooth is None else smooth)
+
+
 def next_phase_currents(signals: Signals | SignalBatch) -> Array:
     """For phases a, b, c the current of phase b, c, a [A]."""
     return np.roll(to_phases(signals.i_ab), -1, axis=1)
@@ -33,6 +41,12 @@ def next_phase_currents(signals: Signals | SignalBatch) -> Array:
 def previous_phase_currents(signals: Signals | SignalBatch) -> Array:
     """For phases a, b, c the current of phase c, a, b [A]."""
     return np.roll(to_phases(signals.i_ab), 1, axis=1)
+
+
+def current_slopes(signals: Signals | SignalBatch) -> Array:
+    """Slope of each phase's current up to each reading [A/s], of the current that belongs to the smooth flux."""
+    smooth = signals.i_smooth_ab
+    return slopes(to_phases(signals.i_ab if smooth is None else smooth), signals)
 
 
 def phase_voltages(signals: Signals | SignalBatch) -> Array:
@@ -91,6 +105,11 @@ def time(signals: Signals | SignalBatch) -> Array:
     return np.asarray(signals.time_s, dtype=np.float64)
 
 
+def rotor_angle(signals: Signals | SignalBatch) -> Array:
+    """Electrical angle of the rotor as believed [rad]."""
+    return np.asarray(signals.theta_rad, dtype=np.float64)
+
+
 def heat(signals: Signals | SignalBatch) -> Array:
     """Copper loss since the start of the experiment [W s]."""
     return np.asarray(signals.heat_j, dtype=np.float64)
@@ -126,10 +145,12 @@ class Quantity:
 
 
 PHASE_CURRENT = Quantity(phase_currents, "its own current", "A", True, "i", of_phases=True)
+SMOOTH_CURRENT = Quantity(smooth_currents, "its own smooth current", "A", True, "i", of_phases=True)
 NEXT_CURRENT = Quantity(next_phase_currents, "the current of the next phase", "A", True, "i_next", of_phases=True)
 PREVIOUS_CURRENT = Quantity(
     previous_phase_currents, "the current of the previous phase", "A", True, "i_previous", of_phases=True
 )
+CURRENT_SLOPE = Quantity(current_slopes, "the slope of its own current", "A/s", True, "di/dt", of_phases=True)
 PHASE_VOLTAGE = Quantity(phase_voltages, "its own voltage", "V", True, "v", of_phases=True)
 PHASE_FLUX = Quantity(phase_fluxes, "its own flux", "Wb", True, "psi", of_phases=True)
 CURRENT = Quantity(current, "|i|", "A", False, "|i|")
@@ -140,4 +161,5 @@ VOLTAGE = Quantity(voltage, "|v|", "V", False, "|v|")
 POWER = Quantity(power, "the power", "W", True, "P")
 LINK_VOLTAGE = Quantity(link_voltage, "the link voltage", "V", False, "v_dc")
 TIME = Quantity(time, "time", "s", False, "t")
+ROTOR_ANGLE = Quantity(rotor_angle, "the angle of the rotor", "rad", False, "theta")
 HEAT = Quantity(heat, "the heat dissipated", "W s", False, "W")

@@ -20,7 +20,7 @@ from scipy.linalg import cho_factor, cho_solve, eigh
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.discovery.bases import penalty
-from orchestrator.discovery.hypotheses import Hypothesis, names
+from orchestrator.discovery.hypotheses import Hypothesis, SharedColumns, names
 from orchestrator.discovery.places import VOLTAGE_GAIN
 from orchestrator.discovery.quantities import PHASE_VOLTAGE
 from orchestrator.numerics.types import Array
@@ -73,7 +73,7 @@ def rank(fitter: Fitter, fit: Fit, hypotheses: Sequence[Hypothesis], noise: floa
     """
     blocks = _blocks(fitter, fit, hypotheses)
     if noise is None:
-        least = (_least_chi2(fit, b) for b in blocks if not _scales_voltage(b.hypothesis))
+        least = (_least_chi2(fit, b) for b in blocks if not scales_voltage(b.hypothesis))
         noise = max(1.0, min(least, default=fit.chi2) / fit.dof)
     return sorted((_score(fit, block, noise) for block in blocks), key=lambda score: -score.log_evidence)
 
@@ -90,7 +90,8 @@ class _Block:
 
 def _blocks(fitter: Fitter, fit: Fit, hypotheses: Sequence[Hypothesis]) -> list[_Block]:
     """All that is fitted eliminated; coefficients in units of `size`."""
-    columns = [(term, name) for one in hypotheses for term in [one.candidate().absent()] for name in names(one)]
+    shared = SharedColumns()
+    columns = [(term, name) for one in hypotheses for term in [one.candidate(shared).absent()] for name in names(one)]
     evaluated = fitter.evaluate(fit.model, fit.linearisation, columns, known=fit)
     total, pulls = evaluated.system()
     fitted = len(total) - len(columns)
@@ -115,7 +116,8 @@ def _solved(normal: Array, right: Array) -> Array:
     return np.asarray(cho_solve(cho_factor(scaled), right / size[:, None]) / size[:, None], dtype=np.float64)
 
 
-def _scales_voltage(hypothesis: Hypothesis) -> bool:
+def scales_voltage(hypothesis: Hypothesis) -> bool:
+    """Whether a law may make all of the equations smaller."""
     return hypothesis.place is VOLTAGE_GAIN or hypothesis.quantity is PHASE_VOLTAGE
 
 
@@ -138,7 +140,7 @@ def _score(fit: Fit, block: _Block, noise: float) -> Score:
     gains = 0.5 * np.sum(along**2 / (1.0 / taus[:, None] + values), axis=1)
     gains -= 0.5 * np.log1p(taus[:, None] * values).sum(axis=1)
     back = root @ turn
-    if _scales_voltage(hypothesis):
+    if scales_voltage(hypothesis):
         moved = np.abs(block.resistance @ back @ (along / (1.0 / taus[:, None] + values)).T)
         gains[moved > MAX_CHANGE_OF_RESISTANCE * abs(fit.model.r_s)] = -np.inf
     best = int(np.argmax(gains))

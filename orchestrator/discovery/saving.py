@@ -10,8 +10,9 @@ from pathlib import Path
 
 from orchestrator.discovery.discover import Learned
 from orchestrator.discovery.pictures import curve_picture
+from orchestrator.discovery.report import Discovery
 from orchestrator.recording import replace_file
-from protocols import InputError, StorageError
+from protocols import InputError, RecordingError, StorageError
 
 REPORT_NAME = "discovery.json"
 PICTURE_NAME = "discovery.svg"
@@ -70,6 +71,17 @@ def save_discovery(directory: Path, found: Learned) -> None:
         replace_file(results / PICTURE_NAME, picture)
     else:
         (results / PICTURE_NAME).unlink(missing_ok=True)
+
+
+def load_discovery(directory: Path) -> Discovery | None:
+    """The report in ``results/``; None where there is none. Raises `RecordingError` where it cannot be read."""
+    file = directory / "results" / REPORT_NAME
+    if not file.is_file():
+        return None
+    try:
+        return Discovery.model_validate_json(file.read_bytes())
+    except (OSError, ValueError) as error:
+        raise RecordingError(str(file), "", "cannot be read: `fluxbench discover` writes it anew") from error
 
 
 def write_law(target: Path, found: Learned) -> None:

@@ -48,10 +48,13 @@ def source_of(laws: Sequence[NamedLaw], factors: Mapping[str, float], three_sens
         body = _body(one.law, three_sensors, suffix)
         first = f"y = {one.law.formula}: {summary[0].lower()}{summary[1:]}"
         docstring += map(_wrapped, (first, *one.story))
-        classes.append(_class(one.law, one.name, summary, body, factors))
+        classes.append(_class(one.law, one.name, summary, body, factors, three_sensors))
         helpers += [text for text in (_OVER_INTERVAL, _PULSE_RATE) if _name_of(text) in body]
-        source = inspect.getsource(one.law.hypothesis.quantity.of)
-        helpers.append(source.replace("Signals | SignalBatch", "Signals").rstrip())
+        of = one.law.hypothesis
+        for quantity in (of.quantity, of.place.factor):
+            if quantity is not None:
+                source = inspect.getsource(quantity.of)
+                helpers.append(source.replace("Signals | SignalBatch", "Signals").rstrip())
         if isinstance(one.law.form, Table):
             tables.append(_table_lines(one.law.form, suffix))
     code = "\n\n\n".join([*classes, *dict.fromkeys(helpers)]) + "\n"
@@ -84,7 +87,7 @@ def gauge_of(hypothesis: Hypothesis) -> str:
     return ""
 
 
-def _class(law: Law, name: str, summary: str, body: str, factors: Mapping[str, float]) -> str:
+def _class(law: Law, name: str, summary: str, body: str, factors: Mapping[str, float], three_sensors: bool) -> str:
     parameters = "\n".join(_fold(p.declared(factors.get(p.unit, 1.0))) for p in law.parameters)
     hypothesis = law.hypothesis
     return f'''class {_camel(name)}:
@@ -102,7 +105,32 @@ def _class(law: Law, name: str, summary: str, body: str, factors: Mapping[str, f
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The signals without it."""
-{textwrap.indent(body, "        ")}'''
+{textwrap.indent(body, "        ")}{_random_directions(law, three_sensors)}'''
+
+
+def _random_directions(law: Law, three_sensors: bool) -> str:
+    """The method of a play's unknown beginning; empty of any other law."""
+    hypothesis, place = law.hypothesis, law.hypothesis.place
+    if isinstance(law.form, Table) or law.form.form is not None or hypothesis.basis.kind != "play":
+        return ""
+    size, radius = (f"p.{parameter.name}" for parameter in law.parameters)
+    two = place.name == "reading" and not three_sensors
+    each = [phase for phase in _phases_of(hypothesis) if not (two and phase[2])]
+    return f'''
+
+    def random_directions(self, signals: Signals, p: Parameters) -> list[Correction]:
+        """What each phase's play remembers when a segment begins, by one standard deviation."""
+        far = {size} * unknown_memory({hypothesis.quantity.name}(signals), {radius}, signals)
+        each = [far * phase for phase in {each}]
+        return [{place.code.format(sensors=_sensors(three_sensors))} for y in each]'''
+
+
+def _phases_of(hypothesis: Hypothesis) -> list[list[float]]:
+    return [[float(k == j) for j in range(3)] for k in range(3) if hypothesis.phases[k]]
+
+
+def _sensors(three_sensors: bool) -> str:
+    return "from_phases(y)" if three_sensors else "from_two_phases(y[:, 0], y[:, 1])"
 
 
 def _body(law: Law, three_sensors: bool, suffix: str) -> str:
@@ -116,7 +144,8 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
             u = u.format(x="np.abs({x})") if form.parity == "even" else "np.sign({x}) * " + u.format(x="np.abs({x})")
         expression = f"{size} * {u.format(x='x')}"
     elif form.form is None:
-        expression = f"{size} * (x - {'lagged' if hypothesis.basis.kind == 'lag' else 'play'}(x, {shapes[0]}, signals))"
+        memory = {"lag": "x - lagged", "play": "x - play", "cooling": "cooled"}[hypothesis.basis.kind]
+        expression = f"{size} * {_bracketed(f'{memory}(x, {shapes[0]}, signals)')}"
     else:
         code = re.sub(r"\bb\b", shapes[0], form.form.code) if form.form.has_scale else form.form.code
         code = re.sub(r"\bp\b(?!\.)", shapes[1], code) if form.form.has_power else code
@@ -133,8 +162,9 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
             lines += [f"y = y[:, None] * {list(hypothesis.phases)}"]
         if place.name == "reading_gain":
             lines += ["y = y / (1.0 + y) * to_phases(signals.i_ab)"]
-    sensors = "from_phases(y)" if three_sensors else "from_two_phases(y[:, 0], y[:, 1])"
-    lines += [f"return {place.code.format(sensors=sensors)}"]
+    if place.factor is not None:
+        lines += [f"y = y * {place.factor.name}(signals)[:, None]"]
+    lines += [f"return {place.code.format(sensors=_sensors(three_sensors))}"]
     return "\n".join(lines)
 
 
@@ -164,7 +194,7 @@ def _table_lines(table: Table, suffix: str) -> str:
 
 def _imports(code: str) -> str:
     frames = [n for n in ("from_phases", "from_two_phases", "to_dq", "to_phases") if re.search(rf"\b{n}\(", code)]
-    memory = [n for n in ("lagged", "play") if re.search(rf"\b{n}\(", code)]
+    memory = [n for n in ("cooled", "lagged", "play", "slopes", "unknown_memory") if re.search(rf"\b{n}\(", code)]
     shapes = ", ".join(["amplitude", *(["shape"] if " shape(" in code else [])])
     return "\n".join(
         [

@@ -277,7 +277,7 @@ def _reading(fit: VoltageFit, hold: Dwell, pwm_hz: float) -> ResistanceReading:
     length = float(np.linalg.norm(hold.i_ab))
     along = hold.i_ab / length
     voltage = fit.resistive(hold.i_ab[None], hold.v_ab[None], pwm_hz)[0]
-    noise_v = max(float(np.sqrt(max(along @ hold.v_covariance @ along, 0.0))), fit.noise_v)
+    noise_v = max(float(np.sqrt(max(float(along @ hold.v_covariance @ along), 0.0))), fit.noise_v)
     std = np.hypot(noise_v, fit.lost_std(hold.i_ab[None], pwm_hz, along)) / length
     return ResistanceReading(start_s=hold.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
 

@@ -33,6 +33,7 @@ from protocols import (
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
+    from orchestrator.discovery import Discovery
 
 T = TypeVar("T")
 
@@ -70,6 +71,8 @@ class Material:
     """What could not be read, one line each."""
     model_changes: tuple[str, ...] = ()
     """Effects that were added to `model.json` since the diagnosis, or removed."""
+    discovery: Discovery | None = None
+    """What a search for a law found beyond the library."""
 
     @property
     def ended(self) -> RunEnded | None:
@@ -142,11 +145,19 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
     diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
     model = attempt(lambda: read_model(directory), wanted=has_model(directory))
     changes = model_changes(diagnosis.report, model) if diagnosis is not None and model is not None else ()
+    discovery = attempt(lambda: _discovery(directory), wanted=(directory / "results" / "discovery.json").is_file())
     problems += _notes_after_the_end(journal)
     shown = paths or Paths()
     return Material(
-        directory, manifest, record, tuple(journal), estimates, maps, shown, diagnosis, tuple(problems), changes
-    )
+        directory, manifest, record, tuple(journal), estimates, maps, shown, diagnosis, tuple(problems), changes,
+        discovery,
+    )  # fmt: skip
+
+
+def _discovery(directory: Path) -> Discovery | None:
+    from orchestrator.discovery import load_discovery
+
+    return load_discovery(directory)
 
 
 def _notes_after_the_end(journal: Sequence[JournalRecord]) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from orchestrator.formatting.sentences import listed, typographic
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
+    from orchestrator.discovery import Discovery
 
 
 @dataclass(frozen=True)
@@ -31,14 +33,26 @@ def squared(text: str) -> str:
     return typographic(text).replace("chi2", "χ²")
 
 
-def ladder_rows(diagnosis: SavedDiagnosis) -> Rows:
-    """The error after each added effect; the last line is the noise floor. None where nothing was fitted."""
+def ladder_rows(diagnosis: SavedDiagnosis, learned: Discovery | None = None, changes: Sequence[str] = ()) -> Rows:
+    """The error after each added effect; the last line is the noise floor. None where nothing was fitted.
+
+    A learned law that was added to the model since the diagnosis has a line of its own.
+    """
     if diagnosis.report.convention is not None:
         return []
     floor = diagnosis.report.noise_floor
     held_out = floor.rms_v if floor.heldout_rms_v is None else floor.heldout_rms_v
     alone = "noise alone", "1", quantity(floor.rms_v, "V"), quantity(held_out, "V"), ""
-    return [*rungs(diagnosis.report.ladder), alone]
+    return [*rungs(diagnosis.report.ladder), *_learned_rows(learned, changes), alone]
+
+
+def _learned_rows(learned: Discovery | None, changes: Sequence[str]) -> Rows:
+    laws = learned.laws if learned is not None else ()
+    if learned is None or not laws or not all(f"+ {plain(law.name)}" in changes for law in laws):
+        return []
+    names = listed([plain(law.name) for law in laws])
+    held_out = "" if learned.after_rms_v is None else quantity(learned.after_rms_v, "V")
+    return [(f"+ {names} (learned)", number(learned.chi2_after), "", held_out, "")]
 
 
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:

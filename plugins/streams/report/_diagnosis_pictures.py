@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from orchestrator.formatting.events import step_error_v
 from orchestrator.formatting.names import plain
-from orchestrator.formatting.quantities import quantity, vector
+from orchestrator.formatting.quantities import number, quantity, vector
 from orchestrator.formatting.sentences import listed
 from plugins.streams.report import _diagnosis_figures as figures
 from plugins.streams.report._content import Picture
@@ -15,6 +16,7 @@ from protocols import CurrentExcerpt, DiagnosisStep
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
+    from orchestrator.discovery import Discovery
 
 
 def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
@@ -35,6 +37,22 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
         before, after = diagnosis.steps[0], diagnosis.steps[-1]
         yield from _residuals(before, after)
         yield from _waveforms(before, after)
+
+
+def learned_pictures(found: Discovery | None) -> Iterator[Picture]:
+    """The curve of a law that was learned, with its band; none where no law was found, or none has a curve."""
+    from orchestrator.discovery import curve_picture
+
+    image = curve_picture(found) if found is not None and found.outcome == "law" else None
+    if found is None or image is None:
+        return
+    laws = " ".join(f"{law.sentence} y = {law.forms[0].formula}." for law in found.laws)
+    caption = (
+        f"{laws} Held out, in units of noise: {number(found.before)} without it, {number(found.after)} with it. The "
+        "band is the flexible curve's 95 %, the dashed line the formula."
+    )
+    encoded = base64.b64encode(image).decode("ascii")
+    yield Picture("The law that was learned", caption, f"data:image/svg+xml;base64,{encoded}")
 
 
 def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:

@@ -22,7 +22,7 @@ from plugins.streams.report import _figures as figures
 from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._content import Picture
-from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
+from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures
 from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
 from plugins.streams.report._next_steps import next_steps
 from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray
@@ -148,8 +148,8 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
         "slots": [(title.capitalize(), text) for title, text in slots(diagnosis.words) if title != "to decide"],
         "accuracy": " ".join(accuracy_sentences(report)),
         "search": [tuple(map(findings.squared, row)) for row in search_rows(report.search)],
-        "pictures": list(diagnosis_pictures(diagnosis)) if draws else [],
-        "ladder": findings.ladder_rows(diagnosis),
+        "pictures": [*diagnosis_pictures(diagnosis), *learned_pictures(material.discovery)] if draws else [],
+        "ladder": findings.ladder_rows(diagnosis, material.discovery, material.model_changes),
         "effects": findings.effect_rows(diagnosis),
         "alike": findings.alike_rows(diagnosis),
         "leftover": [(plain(s.group), percent(100.0 * (s.share or 0.0))) for s in report.unexplained.shape],

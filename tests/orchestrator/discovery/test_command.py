@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from orchestrator.discovery import Discovery, FoundForm, FoundLaw, Learned, save_discovery
+from orchestrator.discovery import Discovery, FoundForm, FoundLaw, Learned, load_discovery, save_discovery
 from orchestrator.discovery.report import Constant, CurvePoint, RankedHypothesis
 from orchestrator.interface import api
 from orchestrator.interface.cli import _diagnosis
 from orchestrator.interface.cli._running import run_app
-from protocols import InputError
+from protocols import InputError, RecordingError
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
 
@@ -102,10 +102,18 @@ def test_programs_get_the_report(found: dict[str, Any], capsys: pytest.CaptureFi
 def test_report_and_picture_are_stored_and_an_old_picture_does_not_stay(tmp_path: Path) -> None:
     save_discovery(tmp_path, Learned(a_discovery(), "text"))
     stored = (tmp_path / "results" / "discovery.json").read_text(encoding="utf-8")
-    assert Discovery.model_validate_json(stored) == a_discovery()
+    assert Discovery.model_validate_json(stored) == load_discovery(tmp_path) == a_discovery()
     assert (tmp_path / "results" / "discovery.svg").read_bytes().lstrip().startswith(b"<?xml")
     save_discovery(tmp_path, Learned(a_discovery(outcome="no_law", laws=())))
     assert not (tmp_path / "results" / "discovery.svg").exists()
+
+
+def test_a_report_that_is_damaged_is_refused_and_one_that_is_missing_is_none(tmp_path: Path) -> None:
+    assert load_discovery(tmp_path) is None
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "discovery.json").write_text("{", encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"discovery\.json.*writes it anew"):
+        load_discovery(tmp_path)
 
 
 def test_a_diagnosis_offers_it_only_where_something_unknown_remains(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,29 +6,42 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 
-from orchestrator.discovery import lagged, play
+from orchestrator.discovery import cooled, lagged, play, slopes
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.bases import CurveBasis, HarmonicBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
-from orchestrator.discovery.hypotheses import ALL, A, Hypothesis
+from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns
 from orchestrator.discovery.ranking import Score, _solved
 from orchestrator.testing import exciting_signals
-from protocols import SignalBatch
+from protocols import LossHistory, SignalBatch
 
 TOP = 4.0
 
 
 def score_of(form: Form, scale: float, power: float, phases: tuple[float, float, float] = A) -> Score:
     """A flexible law that follows a form over the quantity's range, known to a thousandth."""
+    if form.parity == "periodic":
+        return score_of_harmonic(form, scale)
     knee = np.inf if form.parity == "none" else 0.03 * TOP
     basis = CurveBasis(0.0, TOP, 24, form.parity, knee)
     x = np.linspace(1e-3, TOP, 2000)
-    coefficients = np.linalg.lstsq(basis.design(x).toarray(), form.of(x, scale, power), rcond=None)[0]
+    fitted = np.linalg.lstsq(basis.design(x), form.of(x, scale, power), rcond=None)[0]
+    coefficients = np.asarray(fitted, dtype=np.float64)
     place, quantity = (at.RESISTANCE, of.TIME) if form.parity == "none" else (at.LEG_VOLTAGE, of.PHASE_CURRENT)
     hypothesis = Hypothesis(place, quantity, ALL if form.parity == "none" else phases, basis, 1.0)
     return Score(hypothesis, 0.0, 0.0, coefficients, 1e-6 * np.eye(basis.size), 1.0, 1.0)
+
+
+def score_of_harmonic(form: Form, phase: float) -> Score:
+    """Harmonics that follow a form over a turn."""
+    basis = HarmonicBasis(-np.pi, np.pi, 6, "periodic")
+    x = np.linspace(-np.pi, np.pi, 2000)
+    fitted = np.linalg.lstsq(basis.design(x), form.of(x, phase, 1.0), rcond=None)[0]
+    hypothesis = Hypothesis(at.ANGLE, of.ROTOR_ANGLE, ALL, basis, 1.0)
+    return Score(hypothesis, 0.0, 0.0, np.asarray(fitted, dtype=np.float64), 1e-6 * np.eye(basis.size), 1.0, 1.0)
 
 
 @pytest.mark.parametrize("form", [f for f in CURVES if f.name != "steady"], ids=lambda form: form.name)
@@ -44,7 +57,7 @@ def test_where_r_s_takes_up_a_straight_line_the_rest_decides_the_form() -> None:
     basis = score.hypothesis.basis
     assert isinstance(basis, CurveBasis)
     x = np.linspace(1e-3, TOP, 2000)
-    line = np.linalg.lstsq(basis.design(x).toarray(), 0.7 * x, rcond=None)[0]
+    line = np.linalg.lstsq(basis.design(x), 0.7 * x, rcond=None)[0]
     leaning = replace(score, coefficients=score.coefficients + line)
     best = fitting_forms(leaning)[0]
     assert best.form is tanh
@@ -53,7 +66,7 @@ def test_where_r_s_takes_up_a_straight_line_the_rest_decides_the_form() -> None:
 
 def test_an_odd_curve_is_odd_and_an_even_one_even() -> None:
     x = np.linspace(-TOP, TOP, 101)
-    odd, even = (CurveBasis(0.0, TOP, 8, parity, 0.1).design(x).toarray() for parity in ("odd", "even"))
+    odd, even = (CurveBasis(0.0, TOP, 8, parity, 0.1).design(x) for parity in ("odd", "even"))
     np.testing.assert_allclose(odd, -odd[::-1], atol=1e-12)
     np.testing.assert_allclose(even, even[::-1], atol=1e-12)
     assert not odd[50].any()
@@ -64,8 +77,8 @@ def test_a_curve_over_intervals_is_the_mean_between_samples() -> None:
     basis = CurveBasis(0.0, TOP, 8, "odd", 0.1)
     x = np.linspace(-1.0, 1.0, batch.samples)[:, None]
     means, fine = (
-        basis.columns(x, batch, mean=True).toarray(),
-        basis.design(np.linspace(x[0, 0], x[1, 0], 101)).toarray(),
+        basis.columns(x, batch, mean=True).T,
+        basis.design(np.linspace(x[0, 0], x[1, 0], 101)),
     )
     np.testing.assert_allclose(means[0], fine.mean(axis=0), atol=1e-5)
 
@@ -105,3 +118,39 @@ def test_a_number_that_does_not_show_leaves_the_others_as_they_are() -> None:
     expected = np.linalg.solve(normal[:2, :2], right[:2])
     found = _solved(normal, right)
     np.testing.assert_allclose([found[0, 0], found[1, 0] + found[2, 0]], expected[:, 0], rtol=1e-6)
+
+
+def test_heat_cools_with_its_time_constant_over_the_whole_experiment() -> None:
+    time_s = np.linspace(0.0, 40.0, 401)
+    power_w = np.where(time_s < 10.0, 5.0, 0.0)
+    signals = replace(exciting_signals(), start_s=30.0, losses=LossHistory(time_s=time_s, power_w=power_w))
+    left = 5.0 * 8.0 * (1.0 - np.exp(-10.0 / 8.0)) * np.exp(-20.0 / 8.0)
+    assert cooled(signals.heat_j, 8.0, signals)[0] == pytest.approx(left, rel=1e-3)
+    unknown = replace(signals, losses=None)
+    np.testing.assert_array_equal(cooled(unknown.heat_j, 8.0, unknown), unknown.heat_j)
+
+
+def test_the_slope_before_a_reading_is_that_of_its_own_segment() -> None:
+    one = exciting_signals()
+    batch, n, rate = SignalBatch.of([one, one]), len(one.v_dc), one.sampling_frequency_hz
+    x = np.tile(np.arange(n) ** 2.0, 2)[:, None]
+    found = slopes(x, batch)[:, 0] / rate
+    np.testing.assert_allclose(found[[1, 5, n - 1, n + 5]], [1.0, 9.0, 2.0 * n - 3.0, 9.0])
+    np.testing.assert_allclose(found[[0, n]], found[[1, n + 1]])
+
+
+def test_a_curve_is_that_of_its_b_splines() -> None:
+    basis = CurveBasis(0.0, TOP, 8, "none")
+    x = np.random.default_rng(0).uniform(0.0, TOP, 500)
+    expected = BSpline.design_matrix(x, basis.knots, 3).toarray()
+    np.testing.assert_allclose(basis.design(x), expected, atol=1e-12)
+
+
+def test_hypotheses_that_differ_by_their_phase_alone_share_their_columns() -> None:
+    batch, shared = SignalBatch.of([exciting_signals()]), SharedColumns()
+    basis = CurveBasis(0.0, TOP, 8, "odd", 0.1)
+    one, other = (Hypothesis(at.LEG_VOLTAGE, of.PHASE_CURRENT, phases, basis, 1.0) for phases in (A, ALL))
+    columns = shared.of(one, batch)
+    assert shared.of(other, batch) is columns
+    assert shared.of(replace(one, place=at.READING), batch) is not columns
+    assert shared.of(one, SignalBatch.of([exciting_signals()])) is not columns

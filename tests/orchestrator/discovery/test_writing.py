@@ -38,10 +38,12 @@ def law_of(place: Place, quantity: Quantity, phases: Phases, form: str) -> Law:
     x = quantity.of(signals())
     top = float(np.abs(x).max())
     parity = "odd" if form in FORMS and FORMS[form].parity == "odd" else "none"
-    size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit]
-    if form in ("lag", "play"):
+    size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit.split("/")[0]]
+    if place.factor is not None:
+        size /= float(np.abs(place.factor.of(signals())).max())
+    if form in ("lag", "play", "cooling"):
         hypothesis = Hypothesis(place, quantity, phases, MemoryBasis(form, (1.0,)), size)
-        return Law(hypothesis, FormFit(None, size / top, 2e-3 if form == "lag" else 0.2 * top, 1.0, 0.0))
+        return Law(hypothesis, FormFit(None, size / top, 0.2 * top if form == "play" else 2e-3, 1.0, 0.0))
     hypothesis = Hypothesis(place, quantity, phases, CurveBasis(0.0, top, 8, parity), size)  # type: ignore[arg-type]
     if form == "table":
         return Law(hypothesis, Table(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 9) ** 2, top, size, "odd"))
@@ -60,6 +62,7 @@ CASES = [
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, A, "tanh"),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ALL, "play"),
     (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ALL, "root"),
+    (at.READING, of.PHASE_CURRENT, ALL, "play"),
     (at.VOLTAGE_GAIN, of.TIME, ALL, "settling"),
     (at.READING, of.PHASE_CURRENT, A, "power"),
     (at.READING, of.NEXT_CURRENT, A, "proportional"),
@@ -72,6 +75,14 @@ CASES = [
     (at.ANGLE, of.TORQUE, ALL, "proportional"),
     (at.MAGNETISING, of.PHASE_FLUX, A, "lag"),
     (at.MAGNETISING_D, of.HEAT, ALL, "saturating"),
+    (at.LEG_RESISTANCE, of.HEAT, A, "cooling"),
+    (at.RESISTANCE, of.HEAT, ALL, "cooling"),
+    (at.ANGLE, of.ROTOR_ANGLE, ALL, "harmonic 2"),
+    (at.READING, of.CURRENT_SLOPE, A, "tanh"),
+    (at.READING, of.CURRENT, A, "straight"),
+    (at.LEG_VOLTAGE_BY_TIME, of.PHASE_CURRENT, A, "tanh"),
+    (at.LEG_VOLTAGE_BY_HEAT, of.PHASE_CURRENT, ALL, "logarithm"),
+    (at.READING_BY_TIME, of.PHASE_CURRENT, A, "proportional"),
 ]
 
 
@@ -157,3 +168,17 @@ def test_a_law_may_be_called_like_what_its_file_needs(name: str) -> None:
     assert effect.name == name
     values = {p.name: p.typical for p in effect.Parameters.declared()}
     assert effect.correct(signals(), effect.Parameters(**values)).i_ab is not None
+
+
+def test_a_play_may_begin_anywhere_within_its_radius() -> None:
+    law = law_of(at.READING, of.PHASE_CURRENT, ALL, "play")
+    effect = effect_of(law)
+    values = {p.name: p.value for p in law.parameters}
+    directions = effect.random_directions(signals(), effect.Parameters(**values))  # type: ignore[attr-defined]
+    assert len(directions) == 3
+    first = np.abs(directions[0].i_ab - signals().i_ab)
+    # Of an error in one of three readings two thirds are left in the vector.
+    assert first[0] == pytest.approx([2.0 / 3.0 * values["size"] * values["radius_a"] / np.sqrt(3.0), 0.0])
+    assert first[-1].max() < 1e-12  # the current has swung over by more than the radius since
+    without = effect_of(law_of(at.READING, of.PHASE_CURRENT, ALL, "tanh"))
+    assert not hasattr(without, "random_directions")

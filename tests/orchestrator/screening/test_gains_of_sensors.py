@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def noisy(recording: Rewritten, std_a: float = 0.02) -> Rewritten:
     return recording.captured(lambda c: {"i_ab": (c.i_ab + std_a * draw.normal(size=c.i_ab.shape)).astype(np.float32)})
 
 
-def along_a(name: str, factor: float) -> Rewritten:
+def along_a(name: Literal["i_ab", "v_ab"], factor: float) -> Rewritten:
     """A recording whose currents or voltages have another gain along phase a than across it."""
     return noisy(Rewritten.of(clean()).mapped(name, np.diag([factor, 1.0])))
 

@@ -16,6 +16,7 @@ from protocols import Correction, EstimationContext, RecordingReader, Signals
 from tests.orchestrator.testing import test_drive_kit as drives
 from tests.orchestrator.testing import test_effect_kit as effects
 from tests.orchestrator.testing import test_estimator_kit as estimators
+from tests.orchestrator.testing.example_drive import ExampleDrive
 from tests.orchestrator.testing.kit_runner import failures
 
 
@@ -95,7 +96,7 @@ def test_a_wrong_estimator_is_named_in_a_line(estimator: Any, named: str, tmp_pa
         require_line(message, named)
 
 
-class NeverStops(drives.ExampleDrive):
+class NeverStops(ExampleDrive):
     def disarm(self) -> None:
         while True:
             time.sleep(0.01)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from tests.support.tiny import run_tiny
 MOTOR = Motor(
     name="Test motor 1", pole_pairs=2, rated_current_rms_a=2.0, rated_speed_rpm=3000.0, stator_resistance_ohm=1.0
 )
-DRIVE = {"bus_v": 300.0, "sampling_hz": 10e3}
+DRIVE: dict[str, Any] = {"bus_v": 300.0, "sampling_hz": 10e3}
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_by_default_the_files_are_beside_the_map(map_file: Path) -> None:
     ],
 )
 def test_what_does_not_suffice_is_one_line_and_nothing_is_written(
-    motor: Motor | None, given: dict[str, float], message: str, map_file: Path, tmp_path: Path
+    motor: Motor | None, given: dict[str, Any], message: str, map_file: Path, tmp_path: Path
 ) -> None:
     with pytest.raises(InputError, match=message):
         api.tune(map_file, motor=motor, out=tmp_path / "out", **given)
@@ -91,7 +92,16 @@ def test_a_run_is_tuned_with_its_own_drive_and_resistance_unless_its_map_is_not_
 
 def test_the_command_prints_the_main_figures(map_file: Path, tmp_path: Path) -> None:
     (tmp_path / "motor.yaml").write_text(json.dumps({"motor": MOTOR.model_dump(exclude_none=True)}))
-    words = ["tune", map_file, "--motor", tmp_path / "motor.yaml", "--bus-v", "300", "--sampling-hz", "10000"]
+    words: list[str | Path] = [
+        "tune",
+        map_file,
+        "--motor",
+        tmp_path / "motor.yaml",
+        "--bus-v",
+        "300",
+        "--sampling-hz",
+        "10000",
+    ]
     done = called(*words)
     assert done.returncode == 0
     for figure in (

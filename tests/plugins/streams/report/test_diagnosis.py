@@ -15,8 +15,9 @@ from orchestrator.diagnosis.search_recorder import SearchRecorder
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import write_report
 from plugins.streams.report._diagnosis_figures import _rising, plane_figures, with_zero_sequence
-from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
+from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures
 from protocols import Reason
+from tests.orchestrator.discovery.test_command import a_discovery
 from tests.plugins.streams.example_run import a_run_directory
 from tests.plugins.streams.report.example_diagnosis import (
     PHASES,
@@ -237,3 +238,17 @@ def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: 
 def test_a_diagnosis_without_reasons_has_no_empty_list(page: str) -> None:
     assert "Steps of the search" not in page
     assert 'class="reasons"' not in page
+
+
+def test_a_learned_law_has_its_curve_behind_the_diagnosis_pictures() -> None:
+    (picture,) = learned_pictures(a_discovery())
+    assert picture.uri.startswith("data:image/svg+xml;base64,")
+    assert "as a function of its own current. y = a tanh(i / b)." in picture.caption
+    assert "9 without it, 1.01 with it" in picture.caption
+    assert list(learned_pictures(None)) == list(learned_pictures(a_discovery(outcome="no_law", laws=()))) == []
+
+
+def test_a_learned_law_is_a_step_of_the_ladder_once_it_is_added() -> None:
+    last = findings.ladder_rows(saved(), a_discovery(), ("+ mine",))[-2]
+    assert last == ("+ mine (learned)", "1.02", "", "4 mV", "")
+    assert findings.ladder_rows(saved(), a_discovery()) == findings.ladder_rows(saved())
