@@ -55,7 +55,9 @@ def test_a_gain_common_to_sensors_is_as_uncertain_as_their_difference_is_large()
 
 
 @pytest.mark.parametrize(("name", "factor"), [("i_ab", 0.95), pytest.param("v_ab", 1.04, marks=pytest.mark.slow)])
-def test_a_gain_that_passes_for_unequal_resistances_is_in_the_band(name: str, factor: float) -> None:
+def test_a_gain_that_passes_for_unequal_resistances_is_in_the_band(
+    name: Literal["i_ab", "v_ab"], factor: float
+) -> None:
     band, error = band_and_error_percent(along_a(name, factor))
     assert error > 1.5, "what would be called usable without"
     assert band > error
