@@ -7,7 +7,7 @@ from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.drive_tuning import DriveTuning, no_compensation, tune
 from orchestrator.tuning.limits import DriveLimits, limits_of
 from orchestrator.tuning.machine import Machine
-from orchestrator.tuning.tuning_report import TuningReport, write_tuning
+from orchestrator.tuning.tuning_report import TuningReport, load_tuning, write_tuning
 
 __all__ = [
     "Compensation",
@@ -16,6 +16,7 @@ __all__ = [
     "Machine",
     "TuningReport",
     "limits_of",
+    "load_tuning",
     "no_compensation",
     "tune",
     "write_tuning",

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from pydantic import ValidationError
 
 from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
@@ -17,7 +18,7 @@ from orchestrator.tuning.c_code import c_files
 from orchestrator.tuning.drive_tuning import DriveTuning
 from orchestrator.tuning.firmware_settings import settings_for_firmware
 from orchestrator.tuning.pictures import tuning_picture
-from protocols import Number, Remark, StorageError, Strict
+from protocols import Number, RecordingError, Remark, StorageError, Strict
 
 
 class TuningReport(Strict):
@@ -138,6 +139,18 @@ def _c_files(tuning: DriveTuning) -> dict[str, bytes]:
     motor = tuning.machine.motor
     parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits)
     return c_files(symbol_of(motor.name), motor, *parts)
+
+
+def load_tuning(folder: Path) -> TuningReport:
+    """The report of a folder; raises `RecordingError` where it cannot be read."""
+    path = folder / "tuning.json"
+    try:
+        return TuningReport.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RecordingError(str(path), ".".join(map(str, first["loc"])), first["msg"]) from error
 
 
 def symbol_of(name: str) -> str:

@@ -8,7 +8,7 @@ from orchestrator.interface.cli._output import complain
 from protocols import FluxbenchError, StreamSetup
 
 REPORT, PAGE = "report", "report.html"
-SOURCES = ("run.json", "journal.jsonl", "model.json", "results/*")
+SOURCES = ("run.json", "journal.jsonl", "model.json", "results/*", "tuning/tuning.json")
 """Sources of the page; changes of recording.json show in all results."""
 
 

@@ -34,6 +34,7 @@ from protocols import (
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
     from orchestrator.discovery import Discovery
+    from orchestrator.tuning import TuningReport
 
 T = TypeVar("T")
 
@@ -73,6 +74,8 @@ class Material:
     """Effects that were added to `model.json` since the diagnosis, or removed."""
     discovery: Discovery | None = None
     """What a search for a law found beyond the library."""
+    tuning: TuningReport | None = None
+    """What `fluxbench tune` made of the map."""
 
     @property
     def ended(self) -> RunEnded | None:
@@ -146,11 +149,12 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
     model = attempt(lambda: read_model(directory), wanted=has_model(directory))
     changes = model_changes(diagnosis.report, model) if diagnosis is not None and model is not None else ()
     discovery = attempt(lambda: _discovery(directory), wanted=(directory / "results" / "discovery.json").is_file())
+    tuning = attempt(lambda: _tuning(directory), wanted=(directory / "tuning" / "tuning.json").is_file())
     problems += _notes_after_the_end(journal)
     shown = paths or Paths()
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, shown, diagnosis, tuple(problems), changes,
-        discovery,
+        discovery, tuning,
     )  # fmt: skip
 
 
@@ -158,6 +162,12 @@ def _discovery(directory: Path) -> Discovery | None:
     from orchestrator.discovery import load_discovery
 
     return load_discovery(directory)
+
+
+def _tuning(directory: Path) -> TuningReport | None:
+    from orchestrator.tuning import load_tuning
+
+    return load_tuning(directory / "tuning")
 
 
 def _notes_after_the_end(journal: Sequence[JournalRecord]) -> list[str]:

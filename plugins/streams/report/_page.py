@@ -23,6 +23,7 @@ from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._content import Picture
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures
+from plugins.streams.report._drive_content import drive_section
 from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
 from plugins.streams.report._next_steps import next_steps
 from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray
@@ -94,6 +95,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         finished=material.ended is not None and material.ended.outcome == "finished",
         remarks=content.remarks(material),
         sensorless={"head": sensorless.HEAD, "rows": sensorless.rows(material), "note": sensorless.note(material)},
+        drive=drive_section(material, draws=draws),
         formulas=list(content.formulas(material)),
         pictures=list(_pictures(material, main)) if draws else [Picture("Pictures", stopped)],
         quantities=list(MAP_QUANTITIES.values()),

@@ -1,0 +1,55 @@
+"""The figures of a tuning in words, for the command line and the report."""
+
+from __future__ import annotations
+
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.sentences import listed
+from orchestrator.tuning.tuning_report import TuningReport
+
+
+def headline(report: TuningReport) -> str:
+    """The motor and the limits."""
+    limits = f"{quantity(report.current_limit_a, 'A')} peak, {quantity(report.bus_v, 'V')} bus"
+    return f"{report.motor}: {limits}, control at {number(report.sampling_hz)} Hz"
+
+
+def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """The main figures, each with its name."""
+    return [
+        ("largest torque", f"{quantity(report.largest_torque_nm, 'Nm')}, up to {report.base_speed_rpm:.0f}/min"),
+        (
+            "at the largest speed",
+            f"{quantity(report.torque_at_largest_speed_nm, 'Nm')} at {report.largest_speed_rpm:.0f}/min",
+        ),
+        (
+            "current control",
+            f"{number(report.bandwidth_hz)} Hz, phase margin {report.phase_margin_deg:.0f}° at standstill",
+        ),
+        ("... over the map's errors", f"at least {report.least_phase_margin_deg:.0f}°"),
+        ("compensated", listed([plain(name) for name in report.compensated]) or "nothing"),
+        ("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg"),
+        *_sensorless_rows(report),
+    ]
+
+
+def notes(report: TuningReport) -> list[str]:
+    """The remarks, and the effects that are not compensated with their reasons."""
+    left_out = [f"not compensated: {plain(name)}, {reason}" for name, reason in report.left_out.items()]
+    return [*(remark.text for remark in report.remarks), *left_out]
+
+
+def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
+    share, error = report.injection_works_percent, report.injection_error_deg
+    rows = []
+    if share is not None:
+        worst = "" if error is None else f", position off by up to {number(error)}°"
+        rows.append(("injection tracks", f"in {share:.0f} % of the plane{worst}"))
+    if report.injection_left_by_map_deg is not None:
+        rows.append(("... compensated by the map", f"off by up to {number(report.injection_left_by_map_deg)}°"))
+    warm, cold = report.observer_speed_warm_rpm, report.observer_speed_rpm
+    if warm is None or cold is None:
+        rows.append(("back-EMF observer", "not within 5° at any speed"))
+    else:
+        rows.append(("back-EMF observer", f"within 5° from {warm:.0f}/min, with R_s followed from {cold:.0f}/min"))
+    return rows
