@@ -104,8 +104,13 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
     )
 
 
-def write_tuning(tuning: DriveTuning, out: Path, recording: str) -> TuningReport:
+def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequence[Remark] = ()) -> TuningReport:
     """Write report, tables, picture and C code into a folder; each file is replaced atomically.
+
+    Parameters
+    ----------
+    remarks : sequence of Remark
+        On the map, before those of the tuning.
 
     Raises
     ------
@@ -120,7 +125,9 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str) -> TuningReport
         **_c_files(tuning),
         **settings_for_firmware(tuning.control, tuning.limits),
     }
-    report = report_of(tuning, recording).model_copy(update={"files": ("tuning.json", *contents)})
+    report = report_of(tuning, recording)
+    known = {"files": ("tuning.json", *contents), "remarks": (*remarks, *report.remarks)}
+    report = report.model_copy(update=known)
     contents["tuning.json"] = (report.model_dump_json(indent=2) + "\n").encode()
     try:
         out.mkdir(parents=True, exist_ok=True)

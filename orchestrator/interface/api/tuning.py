@@ -10,7 +10,7 @@ from orchestrator.interface.api.analysing import Effects, chosen_effects
 from orchestrator.interface.api.exporting import motor_and_recording
 from orchestrator.interface.api.threads import one_thread
 from orchestrator.recording import has_model, read_model
-from protocols import Basis, InputError, Motor, Usability
+from protocols import Basis, InputError, Motor, Remark, Usability
 
 if TYPE_CHECKING:
     from orchestrator.tuning import TuningReport
@@ -67,7 +67,7 @@ def tune(
     path = Path(place)
     flux_map = load_map(path)
     chosen, recording = motor_and_recording(path, motor)
-    manifest, model, std = _context(path)
+    manifest, model, std, remarks = _context(path)
     ohm = chosen.stator_resistance_ohm
     if ohm is None:
         raise InputError(
@@ -90,7 +90,7 @@ def tune(
         )
     tuning = tune_drive(machine, limits, compensation, _injection_map(path))
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "tuning"
-    return write_tuning(tuning, folder, recording)
+    return write_tuning(tuning, folder, recording, remarks)
 
 
 def _injection_map(path: Path) -> FluxMap | None:
@@ -117,17 +117,24 @@ def _clarke_of_three(path: Path) -> bool | None:
     return None if capture.i_abc is None else clarke_of_three(capture.i_ab, capture.i_abc)
 
 
-def _context(path: Path) -> tuple[Manifest | None, MotorModel | None, float | None]:
-    """The manifest, the diagnosed model and the standard deviation of R_s [ohm], where a folder has them."""
+def _context(path: Path) -> tuple[Manifest | None, MotorModel | None, float | None, list[Remark]]:
+    """The manifest, the diagnosed model and the standard deviation of R_s [ohm], where a folder has them; remarks."""
     from orchestrator.estimation import load_estimates
     from orchestrator.runs import open_any
 
     if not path.is_dir():
-        return None, None, None
+        return None, None, None, []
     estimates = load_estimates(path)
     if estimates.usability is Usability.NOT_USABLE:
         why = next((check.remark.text for check in estimates.checks if not check.is_met), "a check failed")
         raise InputError(str(path), "flux map", f"not usable: {why}; `fluxbench diagnose {path}` looks for the cause")
     resistance = estimates.resistance
     std = None if resistance is None else (resistance.high - resistance.low) / 3.92
-    return open_any(path).manifest, read_model(path) if has_model(path) else None, std
+    model, remarks = read_model(path) if has_model(path) else None, []
+    if model is None:
+        text = "not diagnosed: nothing is known to compensate; `fluxbench diagnose {run}` looks for it"
+        remarks.append(Remark.of("not_diagnosed", text, run=str(path)))
+    elif estimates.usability is Usability.NOT_JUDGED:
+        text = "the map is not judged: `fluxbench explain {run}` has the reasons"
+        remarks.append(Remark.of("map_not_judged", text, run=str(path)))
+    return open_any(path).manifest, model, std, remarks

@@ -78,6 +78,7 @@ def test_a_map_that_its_audit_refuses_is_not_tuned(tmp_path: Path) -> None:
 def test_a_run_is_tuned_with_its_own_drive_and_resistance_unless_its_map_is_not_usable(tmp_path: Path) -> None:
     run = run_tiny(tmp_path).path
     report = api.tune(run)
+    assert "not_diagnosed" in [remark.code for remark in report.remarks]
     assert report.bus_v == pytest.approx(api.open(run).manifest.drive.dc_bus_voltage_v)
     assert (run / "tuning" / "tuning.json").is_file()
     path = run / "results" / "estimates.json"
