@@ -51,7 +51,8 @@ def tune_command(
     """Tune a drive for the motor: references, current control, compensation, C code.
 
     Least currents over torque, speed and bus voltage. Gains with the phase margin over the map's errors. The inverter's
-    and the sensors' errors that the diagnosis found. Where sensorless control works. As C99, CSV, JSON and in the report.
+    and the sensors' errors that the diagnosis found. Where sensorless control works. As C99, CSV and JSON, and in the
+    report.
     """
     from orchestrator.interface.cli._tuning import tune
 
