@@ -59,7 +59,8 @@ def read_map(path: Path) -> MapFile:
     """
     if path.is_dir():
         if not (path / RECOMMENDED_MAP).is_file():
-            raise InputError(str(path), str(RECOMMENDED_MAP), "no such file; `fluxbench estimate` makes it")
+            problem = "no such file; `fluxbench estimate` makes it, or notes which stages it lacks"
+            raise InputError(str(path), str(RECOMMENDED_MAP), problem)
         return MapFile(_read_netcdf(path / RECOMMENDED_MAP))
     if path.suffix == ".json":
         from orchestrator.diagnosis import flux_map_of  # a late import, because it compiles

@@ -97,12 +97,12 @@ def energy_measurements(recording: RecordingReader, context: EstimationContext) 
             swept = ClassicalEstimator().estimate(recording, context)
             context = EstimationContext((*context.estimates, swept))
         except NotMeasuredError as error:
-            problems.append(str(error))
+            problems.append(error.problem)
     if injected is None:
         try:
             injected = InjectionEstimator().estimate(recording, context)
         except NotMeasuredError as error:
-            problems.append(str(error))
+            problems.append(error.problem)
     where = recording.manifest.name
     if injected is None and swept is None:
         raise NotMeasuredError(where, "segments", "; ".join(problems))

@@ -223,7 +223,8 @@ class SimulatedDrive(DriveShell):
         if time.monotonic() - self._last_beat <= watchdog:
             return False
         self._controlled(self._rig.ramp_down(), 1)
-        self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off"))
+        problem = f"no heartbeat for {watchdog:g} s, this computer may be too busy; current ramped down, bridge off"
+        self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, problem))
         return True
 
     # Plant

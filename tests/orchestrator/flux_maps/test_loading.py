@@ -104,7 +104,10 @@ def test_a_csv_that_is_no_map_is_one_line_that_names_the_column(tmp_path: Path, 
     [
         ("missing.csv", "missing.csv: no such file"),
         ("missing.xlsx", "expected a run, a recording, or a .nc, .csv, .npz, .mat, .json or .yaml file"),
-        (".", "results/flux_map.nc: no such file; `fluxbench estimate` makes it"),
+        (
+            ".",
+            "results/flux_map.nc: no such file; `fluxbench estimate` makes it, or notes which stages it lacks",
+        ),
     ],
 )
 def test_what_is_not_there_is_stated(tmp_path: Path, name: str, message: str) -> None:
