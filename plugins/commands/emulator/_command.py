@@ -16,7 +16,10 @@ if TYPE_CHECKING:
     from plugins.drives.simulated import SimulatedOptions
     from protocols import Motor
 
-Part = Annotated[float, typer.Option(min=0.0, max=1.0, metavar="P", help="Part of the frames, each way.")]
+Part = Annotated[
+    float,
+    typer.Option(min=0.0, max=1.0, metavar="P", help="Part of the frames that this happens to, in each direction."),
+]
 _NOT_HERE = {
     "watchdog_s": "use --watchdog",
     "realtime_factor": "use --speed",

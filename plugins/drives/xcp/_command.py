@@ -42,7 +42,9 @@ def write_routine(directory: Path) -> tuple[Path, ...]:
     return tuple(written)
 
 
-def xcp(directory: Annotated[Path, typer.Argument(help="Folder to write them to.", metavar="DIR")]) -> int:
+def xcp(
+    directory: Annotated[Path, typer.Argument(help="Folder to write the routine's files to.", metavar="DIR")],
+) -> int:
     """Write the C routine for an ECU that the drive `xcp` measures and calibrates (docs/xcp.md)."""
     for path in write_routine(directory):
         print(path)
