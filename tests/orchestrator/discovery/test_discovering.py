@@ -53,7 +53,12 @@ def learned_from(directory: Path, name: str) -> SearchOutcome:
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    "name", [pytest.param("logarithm_in_one_leg", marks=pytest.mark.slow), "one_gain_settles", "resolver_error"]
+    "name",
+    [
+        pytest.param("logarithm_in_one_leg", marks=pytest.mark.slow),
+        pytest.param("one_gain_settles", marks=pytest.mark.slow),
+        "resolver_error",
+    ],
 )
 def test_a_hidden_law_is_found_at_its_place_over_its_quantity(name: str, tmp_path: Path) -> None:
     hidden = LAWS[name]
