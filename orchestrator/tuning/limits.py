@@ -15,6 +15,16 @@ MIN_SAMPLES_PER_TURN: float = 10.0
 delay of 1.5 samples would turn the voltage by 54 degrees."""
 
 
+PLAUSIBLE: dict[str, tuple[float, float]] = {
+    "bus_v": (1.0, 1e5),
+    "speed_rpm": (1.0, 1e6),
+    "sampling_hz": (100.0, 1e6),
+}
+"""Least and greatest values of given limits: outside, a unit is wrong."""
+MIN_CURRENT_RATIO: float = 1e-2
+"""Least current limit over the largest measured current: below, the map has no points to tell."""
+
+
 @dataclass(frozen=True)
 class DriveLimits:
     """Limits that the references keep.
@@ -78,6 +88,10 @@ def limits_of(
     for name, value in given.items():
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise InputError(WHERE, name, f"expected a positive number, not {value:g}")
+        low, high = PLAUSIBLE.get(name, (MIN_CURRENT_RATIO * measured, math.inf))
+        if value is not None and not low <= value <= high:
+            bound = f"{low:.3g} or more" if value < low else f"{high:.3g} or less"
+            raise InputError(WHERE, name, f"expected {bound}, not {value:g}: is it in the right unit?")
     if current_a is not None and current_a > measured * (1.0 + 1e-6):
         wanted, reached = quantity(current_a, "A"), quantity(measured, "A")
         raise InputError(WHERE, "current_a", f"{wanted} peak is beyond the map, which was measured up to {reached}")

@@ -34,7 +34,11 @@ def test_what_is_given_comes_first() -> None:
         ({"bus_v": 1.0}, "R_s alone takes"),
         ({"speed_rpm": -3.0}, "expected a positive number"),
         ({"speed_rpm": math.nan}, "expected a positive number"),
-        ({"speed_rpm": 1e6}, "samples in an electrical turn"),
+        ({"speed_rpm": 9e5}, "samples in an electrical turn"),
+        ({"speed_rpm": 1e-3}, "expected 1 or more"),
+        ({"bus_v": 1e6}, "expected 1e[+]05 or less"),
+        ({"sampling_hz": 10.0}, "is it in the right unit"),
+        ({"current_a": 1e-3}, "expected 0.0566 or more"),
     ],
 )
 def test_limits_that_cannot_be_are_refused(given: dict[str, float], message: str) -> None:
