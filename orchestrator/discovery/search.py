@@ -27,7 +27,6 @@ from orchestrator.discovery.laws import (
     table_of,
     with_fitted_constants,
 )
-from orchestrator.discovery.quantities import HEAT, TIME
 from orchestrator.discovery.ranking import Score, rank
 
 MAX_LAWS: int = 2
@@ -197,17 +196,11 @@ def _numbered(name: str, before: int) -> str:
 
 
 def _start(setup: DiagnosisSetup, model: Model, besides: Sequence[Hypothesis] = ()) -> _Start:
-    """A model with its ranking, without laws at the place of those that it has, over their quantity or one like it."""
+    """A model with its ranking, without laws at the place of those that it has, over their quantity."""
     part = setup.part_fitter.fit(model)
-    there = {_place_and_quantity(one) for one in besides}
-    every = [h for h in hypotheses(Ranges.in_fit(part)) if _place_and_quantity(h) not in there]
+    there = {(one.place.name, one.quantity.name) for one in besides}
+    every = [h for h in hypotheses(Ranges.in_fit(part)) if (h.place.name, h.quantity.name) not in there]
     return _Start(part, rank(setup.part_fitter, part, every))
-
-
-def _place_and_quantity(hypothesis: Hypothesis) -> tuple[str, str]:
-    """Time and heat count as one: both only grow, so that a curve of either mends a wrong form of the other."""
-    name = hypothesis.quantity.name
-    return hypothesis.place.name, TIME.name if name == HEAT.name else name
 
 
 def _learn(

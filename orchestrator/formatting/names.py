@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -63,6 +64,12 @@ def rung_name(added: str | None, index: int) -> str:
     if added is None:
         return "the model alone" if index == 0 else "refitted"
     return f"+ {plain(added)}"
+
+
+def code_identifier(name: str) -> str:
+    """A motor's name as a valid C and Modelica name: lower-case letters, digits, underscores."""
+    identifier = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:32].strip("_")
+    return identifier if identifier[:1].isalpha() else f"motor_{identifier}".rstrip("_")
 
 
 def symbol_of(name: str) -> str:

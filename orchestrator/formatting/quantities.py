@@ -222,7 +222,7 @@ def _minus(text: str) -> str:
 def predicted_separation(proposal: NextExperiment) -> str:
     """How far a proposed stage separates two effects, as the rest of a sentence; empty where it is not predicted.
 
-    A stage that the recording holds already is said to be a repetition.
+    A stage that the recording holds already is marked as a repetition.
     """
     if proposal.sigmas is None:
         return ""

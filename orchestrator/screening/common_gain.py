@@ -6,7 +6,7 @@ therefore knows the currents' scale to no better than M stretches one axis more 
 
     i_corrected = M i,    s = |sym M - 1/2 tr(M) 1| / sqrt(2),    d psi = s L(i) i
 
-with the Frobenius norm and the incremental inductances L. Sensors whose inequality nobody sees are taken as right.
+with the Frobenius norm and the incremental inductances L. Sensors that the model has as equal are taken as right.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The check that a map is that of a model which explains its recording: a part of a diagnosis, for seconds.
 
 A map is usable when the model that made it explains the recording. Estimators take out some effects of their own, each
-in its way; which ones they met is not asked of them. R_s and a free map are fitted to the recording, and where these do
+in its way, whichever the recording has. R_s and a free map are fitted to the recording, and where these do
 not explain it, the effects of the library that the score test ranks first, a few at most. The verdict is judged as a
 diagnosis judges it. The map is usable where that verdict has no objection, and the estimated map is the model's.
 

@@ -15,11 +15,11 @@ from typing import Self
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, scaled_library
-from orchestrator.diagnosis.reporting.motor_model import require_effects_of
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
+from orchestrator.diagnosis.reporting.motor_model import term_of
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.probes import TRACE_RATIO, Probes, Response, without_rounding
-from protocols import Effect, EffectLayer, Manifest, ModelEffect, MotorModel, PluginError, is_compensable
+from protocols import Effect, EffectLayer, Manifest, ModelEffect, MotorModel, is_compensable
 
 MAX_OUTSIDE_RATIO = 0.1
 """Part of what an effect changes (rms) that the tables may lack without a remark."""
@@ -131,13 +131,13 @@ class Compensation:
             If an effect of the model is not installed, has other parameters, or fails.
         """
         library = {c.name: c for c in scaled_library(effects, manifest)}
-        require_effects_of(model, library)
         drive = manifest.drive
         probes = Probes(model, drive, current_a, pwm_frequency_hz=pwm_frequency_hz, clarke_of_three=clarke_of_three)
         found = probes.none
         sources, left_out = [], []
-        for kept in sorted(model.effects, key=lambda one: library[one.name].effect.layer):
-            reason, response = _assess(probes, _term(library[kept.name], kept), kept)
+        terms = [(kept, term_of(kept, library)) for kept in model.effects]
+        for kept, term in sorted(terms, key=lambda one: one[1].candidate.effect.layer):
+            reason, response = _assess(probes, term, kept)
             if response is not None:
                 found = found.followed_by(response)
                 sources.append(kept.name)
@@ -180,14 +180,6 @@ def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | 
     ]
     part = response.outside_ratio
     return PARTLY.format(part=f"{part:.0%}") if part > MAX_OUTSIDE_RATIO else None, response.with_variances(ends)
-
-
-def _term(candidate: CandidateEffect, kept: ModelEffect) -> EffectTerm:
-    names = [p.name for p in candidate.parameters]
-    if sorted(names) != sorted(kept.parameters):
-        problem = f"has {', '.join(names)}, but the model gives {', '.join(kept.parameters) or 'none'}"
-        raise PluginError("effects", kept.name, f"parameters: the installed effect {problem}")
-    return EffectTerm(candidate, {name: kept.parameters[name].value for name in names}, ())
 
 
 def _at(term: EffectTerm, name: str, value: float) -> EffectTerm:

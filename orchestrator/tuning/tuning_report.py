@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import math
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from pydantic import ValidationError
 
+from orchestrator.formatting.names import code_identifier
 from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
 from orchestrator.tuning.c_code import c_files
@@ -145,7 +145,7 @@ def _finite(value: float) -> float | None:
 def _c_files(tuning: DriveTuning) -> dict[str, bytes]:
     motor = tuning.machine.motor
     parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits)
-    return c_files(symbol_of(motor.name), motor, *parts)
+    return c_files(code_identifier(motor.name), motor, *parts)
 
 
 def load_tuning(folder: Path) -> TuningReport:
@@ -158,12 +158,6 @@ def load_tuning(folder: Path) -> TuningReport:
     except ValidationError as error:
         first = error.errors()[0]
         raise RecordingError(str(path), ".".join(map(str, first["loc"])), first["msg"]) from error
-
-
-def symbol_of(name: str) -> str:
-    """A motor's name as a C identifier: lower-case letters, digits, underscores."""
-    symbol = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:32].strip("_")
-    return symbol if symbol[:1].isalpha() else f"motor_{symbol}".rstrip("_")
 
 
 def _remarks(tuning: DriveTuning) -> Iterator[Remark]:

@@ -1,4 +1,4 @@
-"""Make a law's recording, diagnose it, discover, add what was written, and keep what the user was told."""
+"""Make a law's recording, diagnose it, discover, add what was written, and keep what was printed."""
 
 from __future__ import annotations
 

@@ -117,10 +117,11 @@ def restored(
     """
     magnetics = magnetics_of(kept.magnetics)
     space = map_space(setup, baseline, magnetics.grid, magnetics.coefficients, kept.magnetics.roughness)
-    return Model(space, magnetics, kept.r_s_ohm, tuple(_active(effect, library) for effect in kept.effects))
+    return Model(space, magnetics, kept.r_s_ohm, tuple(term_of(effect, library) for effect in kept.effects))
 
 
-def _active(effect: ModelEffect, library: Mapping[str, CandidateEffect]) -> EffectTerm:
+def term_of(effect: ModelEffect, library: Mapping[str, CandidateEffect]) -> EffectTerm:
+    """A model's effect with its parameters; raises `PluginError` where it is not installed, or has other parameters."""
     candidate = library.get(effect.name)
     if candidate is None:
         raise _not_installed(effect)

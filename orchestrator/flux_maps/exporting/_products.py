@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +10,7 @@ import numpy as np
 from orchestrator.flux_maps import MapAudit, MapSurface, audit_map
 from orchestrator.flux_maps.exporting._inverse import InverseMap, invert
 from orchestrator.flux_maps.exporting._torque import Trajectory, mtpa, mtpv, saliency, torque_nm
+from orchestrator.formatting.names import code_identifier
 from orchestrator.numerics.saliency import Saliency
 from orchestrator.numerics.types import Array
 from protocols import FluxMap, Motor
@@ -48,8 +48,7 @@ class Products:
     @property
     def symbol(self) -> str:
         """The motor's name as a valid C and Modelica name: lower-case letters, digits, underscores."""
-        name = re.sub(r"[^a-z0-9]+", "_", self.motor.name.lower()).strip("_")[:32].strip("_")
-        return name if name[:1].isalpha() else f"motor_{name}".rstrip("_")
+        return code_identifier(self.motor.name)
 
     @property
     def rest_wb(self) -> float | None:

@@ -320,7 +320,7 @@ _USES = {
     Usability.NOT_USABLE: ("not to be used", "bad"),
     Usability.NOT_JUDGED: ("not judged, for a diagnosis to decide", "warning"),
 }
-"""What is said of the use of a map, and its mood."""
+"""Sentence on the use of a map, and its mood."""
 
 
 def _map_lines(material: Material) -> Iterator[Line]:

@@ -13,13 +13,7 @@ import fluxbench
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import fit_baseline
 from orchestrator.discovery import Learned, discover_laws, require_name, write_law
-from orchestrator.discovery import places as at
-from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import CurveBasis
-from orchestrator.discovery.hypotheses import ALL, Hypothesis
-from orchestrator.discovery.places import Place
-from orchestrator.discovery.quantities import Quantity
-from orchestrator.discovery.search import SearchOutcome, _place_and_quantity, learn_laws
+from orchestrator.discovery.search import SearchOutcome, learn_laws
 from orchestrator.interface.api import chosen_effects
 from orchestrator.recording import open_recording
 from protocols import (
@@ -159,12 +153,3 @@ def test_the_library_s_names_and_unknown_ones_are_refused_before_any_diagnosis(t
 def test_what_is_no_recording_is_refused_in_one_line() -> None:
     with pytest.raises(FluxbenchError, match="nowhere"):
         fluxbench.discover("nowhere")
-
-
-def test_a_second_law_over_heat_counts_as_one_over_time_at_the_same_place_alone() -> None:
-    def over(place: Place, quantity: Quantity) -> tuple[str, str]:
-        return _place_and_quantity(Hypothesis(place, quantity, ALL, CurveBasis(0.0, 1.0, 8, "none"), 1.0))
-
-    assert over(at.RESISTANCE, of.HEAT) == over(at.RESISTANCE, of.TIME)
-    assert over(at.RESISTANCE, of.HEAT) != over(at.RESISTANCE, of.CURRENT)
-    assert over(at.RESISTANCE, of.HEAT) != over(at.ANGLE, of.HEAT)

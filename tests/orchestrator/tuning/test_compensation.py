@@ -1,4 +1,4 @@
-"""What a drive compensates agrees with the effects' formulas, written out here, and with effects nobody knows yet."""
+"""What a drive compensates agrees with the effects' formulas, written out here, and with effects of one's own."""
 
 from __future__ import annotations
 
