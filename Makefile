@@ -18,7 +18,7 @@ STAMP := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable
 
-# Kernels that have changed are compiled once: workers that begin together would all do it.
+# Kernels that have changed are compiled once, and tests are read once: workers that begin together would all do it.
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
@@ -82,6 +82,7 @@ $(VENV)/.docs: $(STAMP)
 
 $(COMPILED): $(STAMP) $(KERNELS)
 	$(BIN)/python -m tests.support.kernels
+	-$(BIN)/pytest --collect-only -qq > /dev/null
 	touch $@
 
 lint: $(STAMP)  ## ruff, import-linter and mypy

@@ -240,8 +240,8 @@ class Probes:
     @cached_property
     def _angles(self) -> SignalBatch:
         theta = 2.0 * math.pi * np.arange(PROBED_ANGLES) / PROBED_ANGLES
-        nothing = np.zeros((HOLD_ROWS, 2))
-        return SignalBatch.of([self._signals(nothing, nothing, self.bus_v, theta_rad=float(t)) for t in theta])
+        nothing = np.zeros((PROBED_ANGLES * HOLD_ROWS, 2))
+        return _holds_of(self._signals(nothing, nothing, self.bus_v, theta_rad=np.repeat(theta, HOLD_ROWS)))
 
     @cached_property
     def _triangles(self) -> tuple[SignalBatch, SignalBatch]:
@@ -254,13 +254,11 @@ class Probes:
 
     def _holds(self, phase_a: Array, bus_v: float, start_s: float = 0.0) -> SignalBatch:
         """Constant currents (3 k) in the directions at which one phase has none; two have +- `phase_a` (k,)."""
-        nothing = np.zeros((HOLD_ROWS, 2))
-        vectors = (DIRECTIONS[:, None, :] * phase_a[:, None]).reshape(-1, 2)
-        held = [np.tile(i_ab, (HOLD_ROWS, 1)) for i_ab in vectors]
-        return SignalBatch.of([self._signals(i_ab, nothing, bus_v, start_s=start_s) for i_ab in held])
+        held = np.repeat((DIRECTIONS[:, None, :] * phase_a[:, None]).reshape(-1, 2), HOLD_ROWS, axis=0)
+        return _holds_of(self._signals(held, np.zeros_like(held), bus_v, start_s=start_s))
 
     def _signals(
-        self, i_ab: Array, v_ab: Array, bus_v: float, *, start_s: float = 0.0, theta_rad: float = 0.0
+        self, i_ab: Array, v_ab: Array, bus_v: float, *, start_s: float = 0.0, theta_rad: Array | float = 0.0
     ) -> Signals:
         rows = len(i_ab)
         psi, inductance = self._magnetics.flux_and_inductance(np.vstack([to_dq(i_ab, theta_rad), np.zeros((1, 2))]))
@@ -272,7 +270,7 @@ class Probes:
             i_ab=i_ab,
             v_ab=v_ab,
             v_dc=np.full(rows, bus_v),
-            theta_rad=np.full(rows, theta_rad),
+            theta_rad=np.broadcast_to(theta_rad, (rows,)).copy(),
             resistance_ohm=np.full(rows, self._model.r_s_ohm),
             i_m_ab=i_ab,
             heat_j=np.zeros(rows),
@@ -282,6 +280,13 @@ class Probes:
             motor=self._model.motor,
             drive=self._drive,
         )
+
+
+def _holds_of(whole: Signals) -> SignalBatch:
+    """Signals of many holds as a segment each, all of which begin at one time."""
+    arrays = {name: array for name in Signals.__slots__ if isinstance(array := getattr(whole, name), np.ndarray)}
+    rows = (slice(k, k + HOLD_ROWS) for k in range(0, len(whole.v_dc), HOLD_ROWS))
+    return SignalBatch.of([whole.replaced({name: array[at] for name, array in arrays.items()}) for at in rows])
 
 
 def _middle(held: RealArray) -> Array:

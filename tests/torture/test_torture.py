@@ -20,10 +20,14 @@ SAMPLE = {"kills": 0, "inputs": 10, "disks": 0, "lies": 1, "noise": 6, "links": 
     "mutilations": 1,
     "harmless": 1,
 }
+SLOW = ("mutilations", "harmless")
 """Of each attack; most have tests of their own, and hundreds of them in `make torture`."""
 
 
-@pytest.mark.parametrize("attack", [a for a in ATTACKS if SAMPLE[a.name]], ids=lambda attack: attack.name)
+@pytest.mark.parametrize(
+    "attack",
+    [pytest.param(a, id=a.name, marks=[pytest.mark.slow] * (a.name in SLOW)) for a in ATTACKS if SAMPLE[a.name]],
+)
 def test_a_sample_of_each_attack_finds_nothing(attack: Attack) -> None:
     kept = list(attempts(attack, SEED, range(SAMPLE[attack.name]), seconds=200.0))
     assert [one for one in kept if one["finding"]] == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ FORMS = {form.name: form for form in CURVES}
 STORY = ("Found on a recording.", "Constants there.")
 
 
+@cache
 def signals() -> Signals:
     """The kit's signals, 30 s after the start."""
     return replace(exciting_signals(), start_s=30.0)
@@ -90,11 +92,11 @@ CASES = [
 def test_a_written_law_passes_the_kit_of_effects(
     place: Place, quantity: Quantity, phases: Phases, form: str, tmp_path: Path
 ) -> None:
-    law = law_of(place, quantity, phases, form)
+    written = type(effect_of(law_of(place, quantity, phases, form)))
 
     class Kit(EffectConformance):
         def make_effect(self) -> Effect:
-            return effect_of(law)
+            return written()
 
         def signals(self) -> Signals:
             return signals()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -14,17 +15,22 @@ from orchestrator.tuning.references import CurrentReferences, current_references
 from tests.orchestrator.tuning.machines import linear, machine, saturated
 
 LIMITS = DriveLimits(current_a=2.8, bus_v=300.0, speed_rad_s=700.0, sampling_hz=10e3)
+BURIED = (0.03, 0.07, 0.25)
 MACHINES = {
-    "buried magnets": machine(linear(0.03, 0.07, 0.25)),
+    "buried magnets": machine(linear(*BURIED)),
     "saturated": machine(saturated()),
     "no magnet": machine(linear(0.12, 0.03, 0.0)),
 }
 
 
-@pytest.fixture(scope="module", params=sorted(MACHINES))
+@cache
+def references_of(name: str) -> CurrentReferences:
+    return current_references(MACHINES[name], LIMITS)
+
+
+@pytest.fixture(params=sorted(MACHINES))
 def tuned(request: pytest.FixtureRequest) -> tuple[Machine, CurrentReferences]:
-    made = MACHINES[request.param]
-    return made, current_references(made, LIMITS)
+    return MACHINES[request.param], references_of(request.param)
 
 
 def test_every_node_gives_its_torque_within_current_and_flux_limit(tuned: tuple[Machine, CurrentReferences]) -> None:
@@ -61,29 +67,29 @@ def test_copper_loss_is_that_of_a_dense_search(tuned: tuple[Machine, CurrentRefe
 
 
 def test_without_saturation_mtpa_is_the_closed_form() -> None:
-    l_d, l_q, magnet = 0.03, 0.07, 0.25
-    references = current_references(machine(linear(l_d, l_q, magnet)), LIMITS)
+    l_d, l_q, magnet = BURIED
+    references = references_of("buried magnets")
     i_d, i_q = references.i_dq_a[-1, 1:].T
     expected = magnet / (2.0 * (l_q - l_d)) - np.sqrt((magnet / (2.0 * (l_q - l_d))) ** 2 + i_q**2)
     assert i_d == pytest.approx(expected, abs=2e-3)
 
 
 def test_a_negative_torque_has_the_opposite_q_current() -> None:
-    references = current_references(MACHINES["saturated"], LIMITS)
+    references = references_of("saturated")
     psi = np.full(2, references.psi_limit_wb[3])
     motoring, braking = references.at(np.array([0.4, -0.4]), psi)
     assert braking == pytest.approx(motoring * [1.0, -1.0])
 
 
 def test_torque_beyond_the_limit_is_limited() -> None:
-    references = current_references(MACHINES["saturated"], LIMITS)
+    references = references_of("saturated")
     psi = references.psi_limit_wb[[-1]]
     at = references.at(np.array([1e3]), psi)
     assert at[0] == pytest.approx(references.i_dq_a[-1, -1])
 
 
 def test_a_speed_beyond_reach_is_said() -> None:
-    within = current_references(MACHINES["saturated"], LIMITS)
+    within = references_of("saturated")
     beyond = current_references(
         MACHINES["saturated"], DriveLimits(current_a=0.5, bus_v=60.0, speed_rad_s=5000.0, sampling_hz=10e3)
     )
