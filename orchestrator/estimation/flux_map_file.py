@@ -110,11 +110,15 @@ def load_flux_map(path: Path) -> FluxMap:
         Where the file is missing, not NetCDF, lacks i_d, i_q, psi_d or psi_q, or an axis does not increase.
     """
     import h5netcdf
+    import h5py
 
     if not path.is_file():
         raise RecordingError(str(path), "", "no such file")
     names = [name for quantity in _UNITS for name in (quantity, f"{quantity}_std")]
     try:
+        # Its constructor, where the attributes are damaged, leaves an object that prints a traceback when it is deleted.
+        with h5py.File(path, "r") as root:
+            root.attrs.get("_nc3_strict")
         with h5netcdf.File(path, "r") as file:
             present = ", ".join(file.variables) or "none"
             found = {name: file.variables[name] for name in (*_AXES, *names) if name in file.variables}

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import copy
 import errno
 import functools
-import json
 import random
-import shutil
 import signal
 import tempfile
 import time
@@ -17,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from orchestrator.recording import open_recording
 from plugins.wire import Message, PowerState
@@ -29,15 +25,16 @@ from tests.plugins.link.bench import armed, taken
 from tests.plugins.link.device import FS, Script, waveforms
 from tests.plugins.link.test_drive import HOLD, INJECTION, TRAPEZOID, turned
 from tests.plugins.link.test_kills import Bench, require_named_end
-from tests.support.processes import called, wait_until
-from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_document, tiny_file
+from tests.support.processes import wait_until
+from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_file
+from tests.torture.analyses import discovered, tuned
 from tests.torture.clocks import jumped
+from tests.torture.inputs import mutated
 from tests.torture.kills import commissioning_killed, fleet_killed
 from tests.torture.mutilations import harmless, mutilated
 from tests.torture.numbers import extreme
 from tests.torture.pages import flooded
 
-REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
 SHORT = [*STAGES[:4], STAGES[5]]
 """Six points, no estimates."""
 
@@ -83,73 +80,6 @@ def _whole() -> dict[str, RealArray]:
 def _currents(run: Path) -> dict[str, RealArray]:
     recording = open_recording(run)
     return {segment.id: recording.load(segment).i_ab for segment in recording.segments()}
-
-
-# Inputs
-
-
-def mutated(rng: random.Random, folder: Path) -> str:
-    """A file with something wrong in it is read, or refused in one line."""
-    if rng.random() < 0.4:
-        file = folder / "procedure.yaml"
-        file.write_bytes(_damaged(rng, _changed(rng, tiny_document())))
-        words: list[str | Path] = ["check", file]
-    else:
-        recording = folder / "recording"
-        (recording / "captures").mkdir(parents=True)
-        manifest = json.loads((REDUCED / "recording.json").read_text(encoding="utf-8"))
-        manifest["segments"] = [s for s in manifest["segments"] if s["stage"] == "resistance"][:3]
-        names = [f"{segment['id']}.parquet" for segment in manifest["segments"]]
-        for name in names:
-            shutil.copy(REDUCED / "captures" / name, recording / "captures" / name)
-        chosen = recording / "captures" / rng.choice(names)
-        if rng.random() < 0.6:
-            (recording / "recording.json").write_bytes(_damaged(rng, _changed(rng, manifest)))
-        else:
-            for segment in manifest["segments"]:
-                segment["sha256"] = None
-            (recording / "recording.json").write_text(json.dumps(manifest), encoding="utf-8")
-            chosen.write_bytes(_damaged(rng, chosen.read_bytes(), always=True))
-        words = ["estimate", recording, "--estimator", "resistance", "--out", folder / "out"]
-    done = called(*words)
-    assert done.returncode in (0, 2, 3), done.stderr
-    assert done.stderr.count("\n") <= 1, done.stderr
-    assert (done.returncode == 0) == (not done.stderr), done.stderr
-    return {0: "taken", 2: "refused", 3: "given up"}[done.returncode]
-
-
-_ODD: tuple[Any, ...] = (
-    True, None, -1, 0, 1e300, -1e-300, 2**70, "", "x" * 5000, "\x1b[2J\u202e",
-    [], {}, [[]], "nan", "1", 0.5, [1, 2], {"a": {}},
-)  # fmt: skip
-
-
-def _changed(rng: random.Random, document: Any) -> bytes:
-    """A document with some values replaced, left out or doubled."""
-    document = json.loads(json.dumps(document))
-    for _ in range(rng.choice((0, 1, 1, 1, 2, 5))):
-        here: Any = document
-        while isinstance(here, dict | list) and here:
-            key = rng.choice(list(here)) if isinstance(here, dict) else rng.randrange(len(here))
-            if not isinstance(here[key], dict | list) or not here[key] or rng.random() < 0.15:
-                if rng.random() < 0.2:
-                    del here[key]
-                else:
-                    here[key] = copy.deepcopy(rng.choice(_ODD))
-                break
-            here = here[key]
-    text = json.dumps(document) if rng.random() < 0.5 else yaml.safe_dump(document)
-    return text.encode("utf-8", "surrogatepass")
-
-
-def _damaged(rng: random.Random, content: bytes, *, always: bool = False) -> bytes:
-    """Bytes, some of them others, or an end that is missing."""
-    if not always and rng.random() < 0.7:
-        return content
-    data = bytearray(content)
-    for _ in range(rng.choice((1, 2, 10, 100))):
-        data[rng.randrange(max(0, len(data) - rng.choice((400, 4000, len(data)))), len(data))] = rng.randrange(256)
-    return bytes(data[: rng.randrange(len(data))] if rng.random() < 0.2 else data)
 
 
 # Disks
@@ -303,6 +233,8 @@ ATTACKS = (
     Attack("commissionings", 50, "resumed to a map; every point once; nothing half written", commissioning_killed),
     Attack("fleets", 50, "each recording one row, none failed; no worker left", fleet_killed),
     Attack("clocks", 200, "the wall clock jumps by up to 400 years: same points, same exit codes", jumped),
+    Attack("tunings", 1000, "finite files that compile, or one line and nothing written", tuned),
+    Attack("discoveries", 200, "an answer, or one line and no law written", discovered),
     Attack("mutilations", 200, "a map that is called usable is within 1 % of the rated flux", mutilated),
     Attack("harmless", 60, "the map is right; at most 5 % are not called usable", harmless),
 )

@@ -17,6 +17,8 @@ SAMPLE = {"kills": 0, "inputs": 10, "disks": 0, "lies": 1, "noise": 6, "links": 
     "commissionings": 0,
     "fleets": 0,
     "clocks": 0,
+    "tunings": 0,
+    "discoveries": 0,
     "mutilations": 1,
     "harmless": 1,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from orchestrator.estimation import flux_dataset, load_flux_map, save_flux_map
 from protocols import Basis, FluxMap, RecordingError, StorageError
 from tests.orchestrator.analysis.test_checks import exact_map
+from tests.support.cases import few
 
 
 def test_a_map_survives_the_file(tmp_path: Path) -> None:
@@ -101,6 +103,21 @@ def test_map_files_that_are_cut_off_or_wrong_inside_are_named(tmp_path: Path) ->
     xr.Dataset({"psi_d": grid, "psi_q": words}, rising).to_netcdf(tmp_path / "words.nc", engine="h5netcdf")
     with pytest.raises(RecordingError, match="psi_q: expected numbers"):
         load_flux_map(tmp_path / "words.nc")
+
+
+@few("place", range(120, 2000, 40), fast=2)
+def test_a_damaged_head_of_a_map_file_is_named_and_nothing_else_is_printed(place: int, tmp_path: Path) -> None:
+    path = tmp_path / "map.nc"
+    save_flux_map(path, exact_map())
+    content = bytearray(path.read_bytes())
+    content[place : place + 8] = bytes(255 - b for b in content[place : place + 8])
+    path.write_bytes(content)
+    # What a destructor raises fails the test as well.
+    try:
+        load_flux_map(path)
+    except RecordingError as error:
+        assert str(error).startswith(str(path))
+    gc.collect()
 
 
 def test_a_folder_that_is_not_there_is_a_storage_error(tmp_path: Path) -> None:
