@@ -116,7 +116,7 @@ def load_flux_map(path: Path) -> FluxMap:
         raise RecordingError(str(path), "", "no such file")
     names = [name for quantity in _UNITS for name in (quantity, f"{quantity}_std")]
     try:
-        # Its constructor, where the attributes are damaged, leaves an object that prints a traceback when it is deleted.
+        # Where attributes are damaged, h5netcdf's constructor leaves an object that prints a traceback when deleted.
         with h5py.File(path, "r") as root:
             root.attrs.get("_nc3_strict")
         with h5netcdf.File(path, "r") as file:

@@ -105,19 +105,16 @@ def test_map_files_that_are_cut_off_or_wrong_inside_are_named(tmp_path: Path) ->
         load_flux_map(tmp_path / "words.nc")
 
 
-@few("place", range(120, 2000, 40), fast=2)
+@few("place", range(120, 360, 40), fast=2)
 def test_a_damaged_head_of_a_map_file_is_named_and_nothing_else_is_printed(place: int, tmp_path: Path) -> None:
     path = tmp_path / "map.nc"
     save_flux_map(path, exact_map())
     content = bytearray(path.read_bytes())
     content[place : place + 8] = bytes(255 - b for b in content[place : place + 8])
     path.write_bytes(content)
-    # What a destructor raises fails the test as well.
-    try:
+    with pytest.raises(RecordingError, match=r"map\.nc: not a readable NetCDF file"):
         load_flux_map(path)
-    except RecordingError as error:
-        assert str(error).startswith(str(path))
-    gc.collect()
+    gc.collect()  # what a destructor raises fails the test as well
 
 
 def test_a_folder_that_is_not_there_is_a_storage_error(tmp_path: Path) -> None:
