@@ -92,8 +92,6 @@ class VerdictRecord(Lenient):
     """Probability that chance makes so large an error there."""
     least_excitation_v: Number = None
     """rms voltage of the kind of stage that has the least [V]; null where nothing is excited."""
-    fine_map: bool = False
-    """Whether the map is finer or rougher than smooth iron needs."""
     shape_widths: Number = 0.0
     """Largest distance of a free shape parameter (2nd order) from its usual value [widths]."""
     shape_effect: str | None = None

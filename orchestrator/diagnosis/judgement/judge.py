@@ -90,13 +90,11 @@ def _without_effects(record: VerdictRecord, limits: VerdictLimits, chance: float
 
 def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     """The verdict with effects, from the ratio of the final error to the first."""
-    excess, largest_excess = _or_infinite(record.chi2_after) - 1.0, _largest_chi2(record) - 1.0
+    largest_excess = _largest_chi2(record) - 1.0
     fraction = residual_fraction(_or_infinite(record.chi2_before), _or_infinite(record.chi2_after), limits.noise_chi2)
     if fraction <= limits.mostly_explained_fraction and (in_other_forms := _in_other_forms(record, limits)):
         return "explained_in_another_form", in_other_forms
     broken = []
-    if record.fine_map and excess > limits.noise_accuracy_excess_chi2:
-        broken.append(_of_fine_map(record, limits))
     if fraction > limits.mostly_explained_fraction:
         broken.append(_of_fraction(fraction, limits.mostly_explained_fraction, "mostly_explained"))
     if largest_excess > limits.immaterial_excess_chi2:
@@ -273,16 +271,6 @@ def _of_voltage(record: VerdictRecord, limit: float) -> Reason:
     value, allowed = _as_texts(100.0 * part, 100.0 * limit)
     text = f"What is left is {value} % of the applied voltage (rms); up to {allowed} % does not matter."
     return _percentage("left_of_excitation", part, limit, text)
-
-
-def _of_fine_map(record: VerdictRecord, limits: VerdictLimits) -> Reason:
-    chi2, limit = _or_infinite(record.chi2_after), 1.0 + limits.noise_accuracy_excess_chi2
-    value, allowed = _as_texts(chi2, limit)
-    text = (
-        f"The map is finer than smooth iron needs, and chi2 per degree of freedom is still {value}, above {allowed}: "
-        "the effects may stand in for detail of the map."
-    )
-    return Reason(quantity="chi2_per_dof_on_fine_map", value=chi2, limit=limit, sentence=text)
 
 
 def _of_shape(record: VerdictRecord, limits: VerdictLimits) -> Reason:

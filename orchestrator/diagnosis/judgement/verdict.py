@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import has_fine_grid
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.contributions import excitation_v, gates_off_error, left_of_excitation
@@ -98,7 +97,6 @@ def _of_fitted_stages(before: Fit, after: Fit, effects: int) -> dict[str, Any]:
         "degrees_of_freedom": after.dof,
         "effects": effects,
         "left_of_excitation": left_of_excitation(after),
-        "fine_map": has_fine_grid(after),
         "shape_widths": max(strains.values(), default=0.0),
         "shape_effect": max(strains, key=lambda name: strains[name], default=None),
     }

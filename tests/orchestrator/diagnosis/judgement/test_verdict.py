@@ -146,13 +146,3 @@ def test_what_a_reading_without_current_denies_is_not_explained_however_few_its_
     fit: Fit, sigmas: float, of_material: float, verdict: str
 ) -> None:
     assert verdict_of(_with_chi2(fit, 500.0), _denied(fit, sigmas, of_material), 1) == verdict
-
-
-@pytest.mark.parametrize(("chi2", "verdict"), [(1.12, "explained"), (1.3, "unknown_remains")])
-def test_what_even_a_sharp_map_leaves_may_be_its_detail_and_is_not_forgiven(
-    fit: Fit, chi2: float, verdict: str
-) -> None:
-    space = replace(fit.model.space, roughness=3.0)
-    sharp = replace(_with_chi2(fit, chi2), model=replace(fit.model, space=space))
-    assert verdict_of(_with_chi2(fit, 1e5), _with_chi2(fit, chi2), 1) == "explained"
-    assert verdict_of(_with_chi2(fit, 1e5), sharp, 1) == verdict
