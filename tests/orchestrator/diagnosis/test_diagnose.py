@@ -176,6 +176,7 @@ def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
     assert last.current_rms_a == pytest.approx(0.0045, rel=0.15)
 
 
+@pytest.mark.slow
 def test_two_workers_come_to_the_same_report(diagnosed: Diagnosis, with_dead_time: Recording, tmp_path: Path) -> None:
     found = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, propose=next_experiment, workers=2)
     assert _without_times(found.report) == _without_times(diagnosed.report)

@@ -105,6 +105,7 @@ def test_anything_else_ends_the_diagnosis_and_leaves_nothing(
     assert not threads_left()
 
 
+@pytest.mark.slow
 def test_a_search_that_is_over_has_its_own_report(with_dead_time: Recording, tmp_path: Path) -> None:
     who = Impatient(KeyboardInterrupt, words="how sure")
     found = diagnose_recording(

@@ -12,6 +12,7 @@ from tests.orchestrator.diagnosis.fitting.test_baseline import setup, sharp
 __all__ = ["setup", "sharp"]
 
 
+@pytest.mark.slow
 def test_a_map_gets_the_detail_that_is_requested_when_nothing_else_is_missing(sharp: DiagnosisSetup) -> None:
     """A coarse one does while an effect is missing, and would keep its error when that is added."""
     coarse = sharp.fitter.fit(baseline_model(sharp, Saturated()))

@@ -31,6 +31,7 @@ def kept(with_dead_time: Recording, tmp_path_factory: pytest.TempPathFactory) ->
     return out
 
 
+@pytest.mark.slow
 def test_the_kept_model_holds_every_parameter_of_its_effects(kept: Path) -> None:
     (effect,) = read_model(kept).effects
     assert set(effect.parameters) == {p.name for p in DeviceDrop.Parameters.declared()}

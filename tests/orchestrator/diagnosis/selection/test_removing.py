@@ -121,6 +121,7 @@ def test_two_effects_of_one_kind_are_no_more_than_one_of_another_form(softness: 
     assert after.fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / after.fit.dof))
 
 
+@pytest.mark.slow
 def test_of_two_effects_of_one_kind_the_lesser_stays_where_it_alone_has_the_form() -> None:
     """A dead time that charges capacitances all along, begun as much of a drop and a little of itself."""
     recording = prepared(plan(), noise_a=5e-4)

@@ -41,6 +41,7 @@ def require_known_motor(run: Path) -> None:
     assert found["resistance"]["value_ohm"] == pytest.approx(RESISTANCE_OHM, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_run_on_the_firmware_finds_its_motor(tmp_path: Path) -> None:
     with host_board(build(tmp_path / "firmware", "host", PATIENT), tmp_path, 20.0) as board:
         result = run_tiny(tmp_path, drive=drive_at(board))
