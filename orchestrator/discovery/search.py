@@ -67,11 +67,14 @@ class LearnedLaw:
         The chosen one first, then those that do as well.
     near : tuple of Hypothesis
         Others whose flexible laws do as well.
+    table : FittedLaw, optional
+        The law as a table.
     """
 
     flexible_laws: Mapping[str, Score]
     forms: tuple[FittedLaw, ...]
     near: tuple[Hypothesis, ...]
+    table: FittedLaw | None = None
 
     @property
     def best(self) -> FittedLaw:
@@ -175,14 +178,13 @@ def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], 
     if finer is best.fit:
         return law
     others = finer.model.active[:-1]
-    forms = []
-    for form in law.forms:
+    fitted = []
+    table = [] if law.table is None or _is_table(best) else [law.table]
+    for form in (*law.forms, *table):
         term = finer.model.active[-1] if form is best else form.term
         refitted = replace(form, fit=setup.fitter.fit(finer.model.with_active([*others, term]), finer.linearisation))
-        forms.append(replace(refitted, law=with_fitted_constants(refitted)))
-    noise = max(1.0, min(form.chi2 for form in forms))
-    forms.sort(key=lambda form: -form.log_evidence(noise))
-    return replace(law, forms=tuple(form for form in forms if _does_as_well(form, forms[0], noise)))
+        fitted.append(replace(refitted, law=with_fitted_constants(refitted)))
+    return replace(law, forms=_chosen(fitted, max(1.0, min(one.chi2 for one in fitted))))
 
 
 def _without_laws(setup: DiagnosisSetup, laws: Sequence[LearnedLaw]) -> Fit:
@@ -228,19 +230,25 @@ def _learn(
     if not fitted:
         return None
     noise = max(1.0, min(f.chi2 for f in (*fitted, best)))
-    fitted.sort(key=lambda f: -f.log_evidence(noise))
-    # A table has no price for its many numbers: it is taken where no short form comes near.
-    forms = [f for f in fitted if not _is_table(f)]
-    tables = [f for f in fitted if _is_table(f)]
-    if forms and (not tables or forms[0].chi2 - 1.0 <= 1.5 * max(tables[0].chi2 - 1.0, 0.05)):
-        chosen = _simplest_first([f for f in forms if _does_as_well(f, forms[0], noise)])
-    else:
-        chosen = tables[:1]
+    chosen = _chosen(fitted, noise)
     of = next(f for f in flexible if f.hypothesis.key == chosen[0].hypothesis.key)
     rivals = [f for f in flexible if f is not of and best.chi2 <= CLOSE_CHI2 and _does_as_well(f, best, noise)]
     return LearnedLaw(
-        {f.hypothesis.key: score_of(f) for f in flexible}, tuple(chosen), tuple(f.hypothesis for f in rivals)
+        {f.hypothesis.key: score_of(f) for f in flexible},
+        chosen,
+        tuple(f.hypothesis for f in rivals),
+        next((f for f in fitted if _is_table(f) and f.hypothesis.key == chosen[0].hypothesis.key), None),
     )
+
+
+def _chosen(fitted: Sequence[FittedLaw], noise: float) -> tuple[FittedLaw, ...]:
+    """The form to keep, and those that do as well; the table where no short form comes near it."""
+    ordered = sorted(fitted, key=lambda f: -f.log_evidence(noise))
+    # A table has no price for its many numbers.
+    forms, tables = [f for f in ordered if not _is_table(f)], [f for f in ordered if _is_table(f)]
+    if forms and (not tables or forms[0].chi2 - 1.0 <= 1.5 * max(tables[0].chi2 - 1.0, 0.05)):
+        return tuple(_simplest_first([f for f in forms if _does_as_well(f, forms[0], noise)]))
+    return tuple(tables[:1])
 
 
 def _does_as_well(one: FittedLaw, best: FittedLaw, noise: float) -> bool:
