@@ -16,7 +16,7 @@ from plugins.drives.simulated._polynomial import COEFFICIENTS, nameplate_energy,
 from plugins.drives.simulated._sensing import BenchParameters, SensorParameters
 from plugins.drives.simulated._state import SQRT3, PlantParameters
 from plugins.drives.simulated.effects import Effects
-from plugins.drives.simulated.options import MapMagnetics, NameplateMagnetics, Plant, SimulatedOptions
+from plugins.drives.simulated.options import MAX_SUBSTEPS, MapMagnetics, NameplateMagnetics, Plant, SimulatedOptions
 from protocols import InputError, Motor
 
 
@@ -99,10 +99,6 @@ def bus_voltage(options: SimulatedOptions, nameplate: Nameplate) -> float:
     if nameplate.rated_voltage_v is None:
         raise InputError("drive", "dc_bus_voltage_v", "give it, or motor.rated_voltage_rms_v to derive it from")
     return 2.0 * SQRT3 * nameplate.rated_voltage_v
-
-
-MAX_SUBSTEPS = 10_000
-"""Integration steps a sample beyond which a simulation would not end; the stiffest plants in use need some dozens."""
 
 
 def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> TruePlant:

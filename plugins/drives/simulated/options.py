@@ -14,6 +14,8 @@ from plugins.drives.simulated.effects import Damper, Effects
 from plugins.drives.simulated.switching import PhaseSensors, Switching
 from protocols import NonNegative, Positive, Strict
 
+MAX_SUBSTEPS = 10_000
+"""Integration steps a sample beyond which a simulation would not end; the stiffest plants in use need some dozens."""
 Fall = Annotated[float, Field(ge=0, le=0.65)]
 """Relative fall of an inductance; the polynomial's form reaches about 0.8."""
 
@@ -118,7 +120,7 @@ class Plant(Strict):
     """Averaged: one voltage per sample (fast). Switched: every edge of the bridge."""
     switching: Switching = Switching()
     """Options of the switched inverter."""
-    substeps: Annotated[int, Field(ge=1)] | None = None
+    substeps: Annotated[int, Field(ge=1, le=MAX_SUBSTEPS)] | None = None
     """Integration steps per sample. None: as many as the fastest time constant requires."""
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from plugins.drives.simulated import _state as layout
@@ -14,6 +15,7 @@ from plugins.drives.simulated._derive import TruePlant, bus_voltage, derive, rea
 from plugins.drives.simulated._energy import current
 from plugins.drives.simulated._program import tune
 from plugins.drives.simulated._run import GIVEN, Piece, run
+from plugins.drives.simulated.options import SimulatedOptions
 from protocols import CurrentControl, InputError, Motor
 from tests.plugins.drives.simulated.conftest import MOTORS, PM400, options_of
 
@@ -155,6 +157,11 @@ def test_a_closed_flux_loop_costs_energy_with_hysteresis_only() -> None:
 
     assert loss({"hysteresis": {"half_width_a": 0.05}}) > 1e-3
     assert abs(loss({})) < 1e-5
+
+
+def test_more_steps_than_end_are_refused() -> None:
+    with pytest.raises(ValidationError, match="10000"):
+        SimulatedOptions.model_validate({"plant": {"substeps": 1_000_000_000}})
 
 
 def test_a_plant_too_stiff_to_simulate_is_refused() -> None:
