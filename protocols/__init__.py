@@ -13,6 +13,7 @@ from protocols._diagnosis import (
     DiagnosisStep,
     ExperimentProposed,
     FluxLoop,
+    LawLearned,
     ResistanceCourse,
 )
 from protocols._drive import (
@@ -278,6 +279,7 @@ __all__ = [
     "JointEntry",
     "JournalledMessage",
     "Judgement",
+    "LawLearned",
     "Lenient",
     "Limits",
     "LockChecked",

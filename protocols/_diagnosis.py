@@ -104,6 +104,24 @@ class Diagnosed(Strict):
     words: DiagnosisWords
 
 
+class LawLearned(ArrayModel):
+    """A law that no effect of the library has, over what it depends on."""
+
+    kind: Literal["law_learned"] = "law_learned"
+    sentence: str
+    formula: str
+    x_label: str
+    y_label: str
+    """With units."""
+    x: Curve
+    """Shape (m,)."""
+    y: Curve
+    """The flexible law."""
+    y_std: Curve
+    y_form: Curve | None
+    """By the formula; None of a table."""
+
+
 class ExperimentProposed(NextExperiment):
     """The experiment that would separate two effects, and whether this run performs it."""
 

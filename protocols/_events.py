@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from protocols._base import ArrayModel, Strict
-from protocols._diagnosis import Compared, Diagnosed, DiagnosisStep, ExperimentProposed
+from protocols._diagnosis import Compared, Diagnosed, DiagnosisStep, ExperimentProposed, LawLearned
 from protocols._drive import Limits
 from protocols._estimates import FluxMapEstimate, ResistanceEstimate
 from protocols._motor import Motor
@@ -196,4 +196,4 @@ _Journalled = (
 JournalledMessage = Annotated[_Journalled, Field(discriminator="kind")]
 """The messages without arrays, as stored in the journal."""
 
-Message = _Journalled | SamplesCaptured | MapEstimated | DiagnosisStep | UnderWay
+Message = _Journalled | SamplesCaptured | MapEstimated | DiagnosisStep | LawLearned | UnderWay

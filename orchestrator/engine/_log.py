@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from orchestrator.engine.streaming import Dispatcher
 from orchestrator.runs import Journal
-from protocols import DiagnosisStep, MapEstimated, Message, SamplesCaptured, UnderWay
+from protocols import DiagnosisStep, LawLearned, MapEstimated, Message, SamplesCaptured, UnderWay
 
 
 class RunLog:
@@ -28,7 +28,7 @@ class RunLog:
         message nevertheless.
         """
         self._dispatcher.publish(message)
-        if not isinstance(message, SamplesCaptured | MapEstimated | DiagnosisStep | UnderWay):
+        if not isinstance(message, SamplesCaptured | MapEstimated | DiagnosisStep | LawLearned | UnderWay):
             self._journal.append(message, durable=durable)
 
     def before_prompt(self) -> None:

@@ -14,6 +14,7 @@ from protocols import (
     Diagnosed,
     DiagnosisStep,
     ExperimentProposed,
+    LawLearned,
     LockChecked,
     MapEstimated,
     Message,
@@ -91,6 +92,8 @@ def describe(message: Message) -> EventText | None:
             verdict = VERDICTS[message.report.verdict]
             after = f", after experiment {message.round}" if message.round else ""
             return EventText("diagnosis", verdict.name.lower() + after, verdict.mood)
+        case LawLearned():
+            return EventText("law", f"y = {message.formula}: {message.sentence}")
         case ExperimentProposed():
             kind, first, second = map(plain, (str(message.stage.get("kind")), *message.separates))
             where = "the run continues with it" if message.accepted else "for another run"

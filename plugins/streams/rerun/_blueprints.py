@@ -126,6 +126,10 @@ def diagnosis(
     loops = [_chart(f"Flux loop {n + 1}", f"/loops/{n}") for n in range(contents.loops)]
     if loops or heat:
         tabs.append(rrb.Grid(*loops, *heat, grid_columns=2, name="Do the flux loops close?"))
+    if contents.laws:
+        laws = [_chart(f"Learned law {n + 1}", f"/law/{n}") for n in range(contents.laws)]
+        text = _text("What was learned", "/law/page")
+        tabs.append(rrb.Horizontal(rrb.Vertical(*laws), text, column_shares=[3, 2], name="Which law is missing?"))
     if not measured:
         return _layout(EFFECT_ADDED, *tabs)
     # The steps stand on the experiment's time too, a second each after its end: one timeline serves all tabs.

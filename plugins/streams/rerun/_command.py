@@ -28,7 +28,7 @@ TABS = (
     "What is it doing?", "Is every point reached?", "What does the ripple say?", "How does R_s move?",
     "What is the flux?", "How does it saturate?", "Can I trust the map?",
     "Which effect is missing?", "Where does the model fail?", "Does it predict the current?",
-    "Do the flux loops close?",
+    "Do the flux loops close?", "Which law is missing?",
 )  # fmt: skip
 """Names of the tabs of a commissioning, then of a diagnosis."""
 TAB_HELP = f"Tab that the picture shows: {', '.join(repr(tab) for tab in TABS)}."

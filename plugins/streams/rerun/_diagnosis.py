@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,6 +25,7 @@ from protocols import (
     DiagnosisStep,
     ExperimentProposed,
     FluxLoop,
+    LawLearned,
     Message,
     RealArray,
     ResistanceCourse,
@@ -39,6 +41,7 @@ class Contents:
     excerpts: int
     loops: int
     resistance: bool
+    laws: int = 0
 
     @classmethod
     def of(cls, step: DiagnosisStep) -> Contents:
@@ -67,6 +70,7 @@ class Diagnosis:
         self._rungs: list[DiagnosisStep] = []
         self._scales: _Scales | None = None
         self._page: dict[str, str] = {}
+        self._laws: list[LawLearned] = []
 
     def take(self, message: Message, after_s: float = 0.0) -> list[Entry]:
         """The entries that a message makes; none for what is not a diagnosis's.
@@ -78,11 +82,19 @@ class Diagnosis:
             return self._on(message)
         if isinstance(message, Diagnosed):
             return self._diagnosed(message)
+        if isinstance(message, LawLearned):
+            self._laws.append(message)
+            return [*_law(f"law/{self.laws - 1}", message), page("law/page", ALWAYS, _laws_page(self._laws))]
         if isinstance(message, ExperimentProposed):
             return self._proposed(message)
         if isinstance(message, Compared):
             return self._compared(message)
         return []
+
+    @property
+    def laws(self) -> int:
+        """Number of laws that were learned."""
+        return len(self._laws)
 
     def _on(self, step: DiagnosisStep) -> list[Entry]:
         out: list[Entry] = []
@@ -272,6 +284,28 @@ def _loop(when: When, path: str, loop: FluxLoop, span_wb: tuple[float, float]) -
         chart.line("measured", when, current, 1e3 * (apart - apart.mean()), MEASURED_ON_SCREEN, -1.4, 25.0),
         chart.legend(when, [("integrated voltage", MEASURED_ON_SCREEN), ("the model's map", MODEL)]),
     ]
+
+
+def _law(path: str, law: LawLearned) -> list[Entry]:
+    """A learned law with its 95 % band, and its formula."""
+    low, high = law.y - 1.96 * law.y_std, law.y + 1.96 * law.y_std
+    form = law.y if law.y_form is None else law.y_form
+    chart = Chart(path, _around(law.x), _around(np.concatenate([low, high, form])), law.x_label, law.y_label)
+    band = np.concatenate([law.x, law.x[::-1], law.x[:1]]), np.concatenate([low, high[::-1], low[:1]])
+    out = [
+        *chart.furniture(ALWAYS, f"y = {law.formula}"),
+        chart.line("band", ALWAYS, *band, GUIDE),
+        chart.line("curve", ALWAYS, law.x, law.y, MEASURED_ON_SCREEN, -1.6),
+    ]
+    names = [("95 % band", GUIDE), ("flexible law", MEASURED_ON_SCREEN)]
+    if law.y_form is not None:
+        out.append(chart.line("formula", ALWAYS, law.x, law.y_form, MODEL, -0.9, 25.0))
+        names.append(("formula", MODEL))
+    return [*out, chart.legend(ALWAYS, names)]
+
+
+def _laws_page(laws: Sequence[LawLearned]) -> str:
+    return "\n\n".join(f"{law.sentence}\n\n**y = {law.formula}**" for law in laws)
 
 
 def _openness(loop: FluxLoop) -> tuple[float, float]:

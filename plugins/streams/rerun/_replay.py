@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.diagnosis import load_diagnosis
+from orchestrator.discovery import form_values, load_discovery
 from orchestrator.estimation import estimate_of_map, has_estimates, load_estimates, load_flux_map
+from orchestrator.formatting.names import plain
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, RunDirectory, is_run
@@ -19,6 +21,7 @@ from protocols import (
     Diagnosed,
     EstimationReport,
     FluxbenchError,
+    LawLearned,
     Limits,
     MapEstimated,
     Message,
@@ -131,6 +134,30 @@ def _results(directory: Path) -> Iterator[Message]:
     if diagnosis is not None:
         yield from diagnosis.steps
         yield Diagnosed(round=0, report=diagnosis.report, words=diagnosis.words)
+    yield from _laws(directory)
+
+
+def _laws(directory: Path) -> Iterator[Message]:
+    """The laws that were found beyond the library, those with a curve; a warning where they cannot be read."""
+    try:
+        found = load_discovery(directory)
+    except FluxbenchError as error:
+        yield Note(level="warning", text=str(error))
+        return
+    for law in found.laws if found is not None else ():
+        if not law.curve:
+            continue
+        x, y, y_std = (np.array([getattr(point, of) for point in law.curve]) for of in ("x", "y", "std"))
+        yield LawLearned(
+            sentence=law.sentence,
+            formula=law.forms[0].formula,
+            x_label=f"{law.symbol} [{law.quantity_unit}]",
+            y_label=f"{plain(law.place)} [{law.unit}]",
+            x=x,
+            y=y,
+            y_std=y_std,
+            y_form=form_values(law.forms[0], x),
+        )
 
 
 def _maps(directory: Path) -> Iterator[Message]:

@@ -121,7 +121,10 @@ def _views_of(layout: dict[str, Any], path: str) -> set[str]:
     """Ids of the views below a container."""
     if path.startswith("view/"):
         return {path.removeprefix("view/")}
-    return {view for part in _containers(layout)[path]["contents"] for view in _views_of(layout, part)}
+    contents = _containers(layout)[path]["contents"]
+    # A single view is no list.
+    parts = [contents] if isinstance(contents, str) else contents
+    return {view for part in parts for view in _views_of(layout, part)}
 
 
 def _settled(viewer: ViewerClient, tab: str, views: set[str]) -> Shot:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal
 
 import rerun as rr
@@ -129,9 +130,8 @@ class RerunStream:
             whole = blueprints.commissioning(end_s, states=self._states, resistance_ohm=span)
             self._tape.keep(blueprint(self._layout, whole))
         elif self._contents is not None and self._measured:
-            whole = blueprints.diagnosis(
-                self._contents, measured=True, end_s=end_s, states=self._states, resistance_ohm=span
-            )
+            contents = replace(self._contents, laws=self._diagnosis.laws)
+            whole = blueprints.diagnosis(contents, measured=True, end_s=end_s, states=self._states, resistance_ohm=span)
             self._tape.keep(blueprint(self._layout, whole))
         self._tape.close()
         if self._server is not None:

@@ -26,7 +26,8 @@ from plugins.streams.rerun._live import HOST, free_port, wait_for_viewer
 from plugins.streams.rerun._making import comparison_view, whole_view
 from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._tape import is_whole
-from protocols import PointDone, RecordingError, RunEnded, RunStarted, SamplesCaptured, StorageError
+from protocols import LawLearned, Note, PointDone, RecordingError, RunEnded, RunStarted, SamplesCaptured, StorageError
+from tests.orchestrator.discovery.test_command import a_discovery
 from tests.plugins.streams.example_run import a_run_directory
 from tests.plugins.streams.rerun.reading import entities, rows
 from tests.plugins.streams.rerun.test_live import listening
@@ -62,6 +63,18 @@ def test_a_recording_that_no_run_made_is_replayed_too() -> None:
     longest = max((m.achieved_d_a**2 + m.achieved_q_a**2) ** 0.5 for m in done)
     assert messages[0].limits.current_a > longest
     assert {m.segment for m in messages if isinstance(m, SamplesCaptured)} == {m.id for m in done}
+
+
+def test_a_learned_law_is_replayed_with_its_curve_and_a_damaged_one_is_named(tmp_path: Path) -> None:
+    recording = copied(RECORDING, tmp_path / "recording")
+    file = recording / "results" / "discovery.json"
+    file.parent.mkdir(exist_ok=True)
+    file.write_text(a_discovery().model_dump_json(), encoding="utf-8")
+    (law,) = (m for m in replay(recording) if isinstance(m, LawLearned))
+    assert (law.formula, law.x_label, law.y_label) == ("a tanh(i / b)", "i [A]", "leg voltage [V]")
+    assert list(law.y) == pytest.approx([-0.1, 0.0, 0.1])
+    file.write_text("{", encoding="utf-8")
+    assert any(isinstance(m, Note) and "discovery.json" in m.text for m in replay(recording))
 
 
 def test_a_view_is_made_where_there_is_none_and_made_anew_where_it_is_torn(tmp_path: Path, example: Path) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import rerun as rr
 
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from plugins.streams.rerun import _diagnosis, _words
 from plugins.streams.rerun._tape import Entry, When, entry
-from protocols import Diagnosed, DiagnosisReport, Reason
+from protocols import Diagnosed, DiagnosisReport, LawLearned, Reason
 from tests.plugins.streams.report.example_diagnosis import WORDS
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis as reported
 
@@ -46,6 +47,19 @@ def test_an_older_diagnosis_has_its_slots_alone(pages: list[str]) -> None:
     (page,) = pages
     assert page.startswith("# The diagnosis\n\n## Where it fails")
     assert "search" not in page
+
+
+def test_a_learned_law_is_a_chart_with_its_band_and_formula_beside_its_sentence(pages: list[str]) -> None:
+    x = np.linspace(-1.0, 1.0, 9)
+    law = LawLearned(
+        sentence="A voltage.", formula="a i", x_label="i [A]", y_label="leg voltage [V]", x=x, y=0.1 * x,
+        y_std=np.full(9, 0.01), y_form=0.1 * x,
+    )  # fmt: skip
+    shown = _diagnosis.Diagnosis()
+    drawn = {one.path for k in range(2) for one in shown.take(law)}
+    assert {f"law/{k}/{part}" for k in range(2) for part in ("band", "curve", "formula")} < drawn
+    assert shown.laws == 2
+    assert pages[-1].count("**y = a i**") == 2
 
 
 def test_the_words_of_a_page_are_in_printed_characters(monkeypatch: pytest.MonkeyPatch) -> None:
