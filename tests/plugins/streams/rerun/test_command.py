@@ -193,7 +193,7 @@ def test_a_folder_of_runs_in_a_pipe_is_refused_with_the_runs_in_it(tmp_path: Pat
 
 
 def test_the_tabs_that_help_lists_are_those_of_the_layouts() -> None:
-    layout = diagnosis(Contents(excerpts=1, loops=1, resistance=True), measured=True)
+    layout = diagnosis(Contents(excerpts=1, loops=1, resistance=True, laws=1), measured=True)
     named = [str(tab.name) for tab in layout.root_container.contents]
     assert sorted(named) == sorted(TABS)
     page = (Path(__file__).parents[4] / "docs" / "viewer.md").read_text(encoding="utf-8")
