@@ -67,14 +67,14 @@ class LearnedLaw:
         The chosen one first, then those that do as well.
     near : tuple of Hypothesis
         Others whose flexible laws do as well.
-    table : FittedLaw, optional
-        The law as a table.
+    other : FittedLaw, optional
+        The table where a form was chosen, and the best form where the table was.
     """
 
     flexible_laws: Mapping[str, Score]
     forms: tuple[FittedLaw, ...]
     near: tuple[Hypothesis, ...]
-    table: FittedLaw | None = None
+    other: FittedLaw | None = None
 
     @property
     def best(self) -> FittedLaw:
@@ -179,8 +179,7 @@ def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], 
         return law
     others = finer.model.active[:-1]
     fitted = []
-    table = [] if law.table is None or _is_table(best) else [law.table]
-    for form in (*law.forms, *table):
+    for form in (*law.forms, *([law.other] if law.other is not None else [])):
         term = finer.model.active[-1] if form is best else form.term
         refitted = replace(form, fit=setup.fitter.fit(finer.model.with_active([*others, term]), finer.linearisation))
         fitted.append(replace(refitted, law=with_fitted_constants(refitted)))
@@ -237,8 +236,14 @@ def _learn(
         {f.hypothesis.key: score_of(f) for f in flexible},
         chosen,
         tuple(f.hypothesis for f in rivals),
-        next((f for f in fitted if _is_table(f) and f.hypothesis.key == chosen[0].hypothesis.key), None),
+        _of_other_kind(fitted, chosen[0], noise),
     )
+
+
+def _of_other_kind(fitted: Sequence[FittedLaw], chosen: FittedLaw, noise: float) -> FittedLaw | None:
+    """The table beside a form, or the best form beside a table, of the same hypothesis."""
+    others = [f for f in fitted if f.hypothesis.key == chosen.hypothesis.key and _is_table(f) != _is_table(chosen)]
+    return max(others, key=lambda f: f.log_evidence(noise), default=None)
 
 
 def _chosen(fitted: Sequence[FittedLaw], noise: float) -> tuple[FittedLaw, ...]:
