@@ -50,7 +50,13 @@ def map_moves(state: SearchState) -> Iterator[Move]:
         yield Move("finer_map", (), partial(_refine_map, state), is_once=True)
 
 
-def _refine_map(state: SearchState) -> SearchState | None:
+def first_map_moves(state: SearchState, min_gain: float) -> Iterator[Move]:
+    """Refine the map before an effect is added, where that lowers the objective by more than a minimum."""
+    if state.fit.model.space.is_free:
+        yield Move("finer_map", ("first",), partial(_refine_map, state, min_gain))
+
+
+def _refine_map(state: SearchState, min_gain: float = 0.0) -> SearchState | None:
     # There are many maps to try: those of a joint model are compared with the effects fixed.
     fit = (
         state.fitter.fit(with_fixed_effects(state.fit.model), state.fit.linearisation) if state.is_joint else state.fit
@@ -62,8 +68,8 @@ def _refine_map(state: SearchState) -> SearchState | None:
     if state.is_joint:
         finer = state.minimum(finer.model.with_active(state.fit.model.active), finer)
     gain = state.fit.objective - finer.objective
-    state.record("finer_map", (), finer, gain, 0.0, measure="objective", taken=gain > 0.0)
-    return state.after(finer) if gain > 0.0 else None
+    state.record("finer_map", (), finer, gain, min_gain, measure="objective", taken=gain > min_gain)
+    return state.after(finer) if gain > min_gain else None
 
 
 def coarser_map_moves(state: SearchState) -> Iterator[Move]:

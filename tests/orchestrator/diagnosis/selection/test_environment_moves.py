@@ -12,7 +12,12 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate
 from orchestrator.diagnosis.selection import environment_moves
-from orchestrator.diagnosis.selection.environment_moves import coarser_map_moves, map_moves, noise_moves
+from orchestrator.diagnosis.selection.environment_moves import (
+    coarser_map_moves,
+    first_map_moves,
+    map_moves,
+    noise_moves,
+)
 from orchestrator.diagnosis.selection.search_state import SearchState
 from plugins.effects.inverter import VoltageBias
 from protocols import SegmentStage
@@ -55,6 +60,20 @@ def test_a_fine_map_that_no_longer_gains_is_a_usual_one(
         assert not has_fine_grid(after.fit)
         assert after.fit.model.names == ("voltage_bias",)
     assert not list(coarser_map_moves(state))
+
+
+@pytest.mark.parametrize(("gain", "taken"), [(100.0, True), (40.0, False)])
+def test_before_an_effect_a_finer_map_has_to_gain_what_is_requested(
+    gain: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = _biased()
+
+    def with_finest_map(_: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+        return replace(fit, objective=fit.objective - gain)
+
+    monkeypatch.setattr(environment_moves, "with_finest_map", with_finest_map)
+    (move,) = first_map_moves(state, 50.0)
+    assert (move.make() is not None) == taken
 
 
 @pytest.mark.parametrize(("gain", "taken"), [(100.0, True), (-100.0, False)])

@@ -15,9 +15,10 @@ from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection import search as search_module
 from orchestrator.diagnosis.selection.adding import full_model
 from orchestrator.diagnosis.selection.interim import InterimRecorder
+from orchestrator.diagnosis.selection.scoring import linear_view
 from orchestrator.diagnosis.selection.search import best_first, result_of, search_effects
 from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.search_state import Move, SearchState
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
@@ -66,6 +67,19 @@ def test_noise_alone_is_given_no_name() -> None:
         assert event.score is not None
         assert event.threshold is not None
         assert event.score < event.threshold
+
+
+@pytest.mark.parametrize(("share", "first"), [(0.4, "finer_map"), (0.6, "add")])
+def test_a_finer_map_is_tried_first_where_no_effect_removes_half(
+    biased: Fitter, share: float, first: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = state_of(biased)
+    library = scaled_library([VoltageBias(), DeadTime()], biased.prepared.manifest)
+    state = replace(state, view=linear_view(biased, state.fit, library))
+    gain = share * (state.fit.chi2 - state.fit.dof)
+    monkeypatch.setattr(search_module, "add_moves", lambda *_: [Move("add", ("voltage_bias",), lambda: None, gain)])
+    monkeypatch.setattr(search_module, "gain_of_all", lambda _: gain)
+    assert next(iter(search_module._moves(state, library))).kind == first
 
 
 def test_every_refit_is_on_record_with_the_score_that_decided(biased: Fitter) -> None:
