@@ -67,14 +67,11 @@ class LearnedLaw:
         The chosen one first, then those that do as well.
     near : tuple of Hypothesis
         Others whose flexible laws do as well.
-    other : FittedLaw, optional
-        The table where a form was chosen, and the best form where the table was.
     """
 
     flexible_laws: Mapping[str, Score]
     forms: tuple[FittedLaw, ...]
     near: tuple[Hypothesis, ...]
-    other: FittedLaw | None = None
 
     @property
     def best(self) -> FittedLaw:
@@ -169,7 +166,7 @@ def learn_laws(
 
 
 def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], None]) -> LearnedLaw:
-    """The law on the map that the rest requires: a large misfit had kept the diagnosis from a finer one."""
+    """The law learned anew on the map that the rest requires; a large misfit had kept the diagnosis from it."""
     best = law.best
     if best.chi2 < best.fit.criteria.selection.detected_chi2:
         return law
@@ -177,13 +174,8 @@ def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], 
     finer = with_finest_map(setup, setup.fitter, best.fit)
     if finer is best.fit:
         return law
-    others = finer.model.active[:-1]
-    fitted = []
-    for form in (*law.forms, *([law.other] if law.other is not None else [])):
-        term = finer.model.active[-1] if form is best else form.term
-        refitted = replace(form, fit=setup.fitter.fit(finer.model.with_active([*others, term]), finer.linearisation))
-        fitted.append(replace(refitted, law=with_fitted_constants(refitted)))
-    return replace(law, forms=_chosen(fitted, max(1.0, min(one.chi2 for one in fitted))))
+    bare = setup.fitter.fit(finer.model.with_active(finer.model.active[:-1]), finer.linearisation)
+    return _formed(setup, bare, [law.flexible], best.term.name, tell) or law
 
 
 def _without_laws(setup: DiagnosisSetup, laws: Sequence[LearnedLaw]) -> Fit:
@@ -214,10 +206,17 @@ def _learn(
     near = [s for s in near if s.log_evidence > threshold and s.share > MIN_SHARE]
     if not near:
         return None
+    return _formed(setup, fit, [_refined(setup, start.part, score) for score in near], name, tell)
+
+
+def _formed(
+    setup: DiagnosisSetup, fit: Fit, scores: Sequence[Score], name: str, tell: Callable[[str], None]
+) -> LearnedLaw | None:
+    """The flexible laws fitted beside a model, and the short forms of the best; None where it has none."""
     flexible = []
-    for score in near:
+    for score in scores:
         tell(f"a curve: {score.hypothesis.key}")
-        flexible.append(fit_flexible(setup.fitter, fit, _refined(setup, start.part, score)))
+        flexible.append(fit_flexible(setup.fitter, fit, score))
     noise = max(1.0, min(f.chi2 for f in flexible))
     flexible.sort(key=lambda f: -f.log_evidence(noise))
     best = flexible[0]
@@ -236,14 +235,7 @@ def _learn(
         {f.hypothesis.key: score_of(f) for f in flexible},
         chosen,
         tuple(f.hypothesis for f in rivals),
-        _of_other_kind(fitted, chosen[0], noise),
     )
-
-
-def _of_other_kind(fitted: Sequence[FittedLaw], chosen: FittedLaw, noise: float) -> FittedLaw | None:
-    """The table beside a form, or the best form beside a table, of the same hypothesis."""
-    others = [f for f in fitted if f.hypothesis.key == chosen.hypothesis.key and _is_table(f) != _is_table(chosen)]
-    return max(others, key=lambda f: f.log_evidence(noise), default=None)
 
 
 def _chosen(fitted: Sequence[FittedLaw], noise: float) -> tuple[FittedLaw, ...]:
