@@ -1,8 +1,8 @@
 """Limits that a motor file leaves out, from its nameplate.
 
 The limits of an example motor do not suit another one. With I the rated current and V the rated voltage of a phase
-(peak): currents up to 2 I, as sweeps to 1.25 I with an injection's ripple need; voltages up to V; heat up to
-3/2 R_s I^2 over the allowed duration, which the winding bears.
+(peak): currents up to 2.2 I, as a grid to 1.25 I on both axes needs with an injection's ripple; voltages up to V;
+heat up to 3/2 R_s I^2 over the allowed duration, which the winding bears.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from orchestrator.validation.messages import KeyPath
 from orchestrator.validation.strict_yaml import Document
 from protocols import Positive, Strict
 
-_MAX_CURRENT_RATIO = 2.0
+_MAX_CURRENT_RATIO = 2.2
 """Longest current vector over the rated one."""
 
 RATED_FIELDS: dict[KeyPath, str] = {
@@ -29,7 +29,7 @@ class MotorLimits(Strict):
     """Limits in a motor file; those left out follow from the nameplate where the procedure's motor is an example."""
 
     current_a: Positive | None = None
-    """Longest current vector [A peak]. Left out: twice the rated current's peak."""
+    """Longest current vector [A peak]. Left out: 2.2 times the rated current's peak."""
     voltage_v: Positive | None = None
     """Longest voltage vector [V peak]. Left out: the rated voltage's peak in a phase."""
     energy_j: Positive | None = None
@@ -58,8 +58,9 @@ def add_rated_limits(document: Document, example: Mapping[str, Any]) -> list[str
     resistance = _positive(motor.get("stator_resistance_ohm"))
     duration = _positive(limits.get("duration_s"))
     heat_j = 3.0 * resistance * current_rms * current_rms * duration
+    current_a = _MAX_CURRENT_RATIO * math.sqrt(2.0) * current_rms
     derived = {
-        "current_a": (_MAX_CURRENT_RATIO * math.sqrt(2.0) * current_rms, "A, twice the rated peak"),
+        "current_a": (current_a, f"A, {_MAX_CURRENT_RATIO:g} times the rated peak"),
         "voltage_v": (math.sqrt(2.0 / 3.0) * voltage_rms, "V, the rated phase peak"),
         "energy_j": (heat_j, f"J, the rated copper loss for {duration:g} s"),
     }

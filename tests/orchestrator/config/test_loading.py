@@ -345,12 +345,12 @@ def test_limits_that_a_motor_file_leaves_out_follow_from_the_nameplate(write: Wr
     path = write(SERVO.partition("limits:")[0].rstrip() + RATED)
     loaded = read_procedure("demo", motor=path)
     limits = loaded.procedure.limits
-    assert limits.current_a == pytest.approx(2.0 * 10.0 * math.sqrt(2.0), rel=1e-3)
+    assert limits.current_a == pytest.approx(2.2 * 10.0 * math.sqrt(2.0), rel=1e-3)
     assert limits.voltage_v == pytest.approx(30.0 * math.sqrt(2.0 / 3.0), rel=1e-3)
     assert limits.duration_s == load_procedure("demo").limits.duration_s == 120.0
     assert limits.energy_j == pytest.approx(1.5 * 0.2 * (10.0 * math.sqrt(2.0)) ** 2 * 120.0, rel=1e-3)
     assert loaded.notes == (
-        "limits, as the motor file has none of these: current_a 28.28 A, twice the rated peak; "
+        "limits, as the motor file has none of these: current_a 31.11 A, 2.2 times the rated peak; "
         "voltage_v 24.49 V, the rated phase peak; energy_j 7200 J, the rated copper loss for 120 s",
     )
 
@@ -359,7 +359,7 @@ def test_a_given_limit_and_a_changed_nameplate_count_before_the_derived_limits(w
     path = write(SERVO.partition("limits:")[0].rstrip() + RATED + "limits:\n  voltage_v: 20 V\n")
     overrides = ["motor.rated_current_rms_a=1", "limits.energy_j=50"]
     limits = load_procedure("demo", motor=path, overrides=overrides).limits
-    assert (limits.current_a, limits.voltage_v, limits.energy_j) == (2.828, 20.0, 50.0)
+    assert (limits.current_a, limits.voltage_v, limits.energy_j) == (3.111, 20.0, 50.0)
 
 
 def test_a_motor_file_without_limits_keeps_those_of_an_own_procedure(write: Write, tmp_path: Path) -> None:
