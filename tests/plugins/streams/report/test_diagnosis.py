@@ -176,7 +176,7 @@ def test_tables_tell_values_with_their_intervals_and_twins() -> None:
 def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
     assert findings.alike_rows(saved()) == [
         ("dead time", "device drop", "does as well in its place"),
-        ("bus sag", "–", "z = −5.1 where all effects are fitted at once; adding it gains too little"),
+        ("bus sag", "–", "|z| to 5.1 where all effects are fitted at once; adding it gains too little"),
         ("skin effect", "–", "detected, but too small to be named"),
     ]
 
