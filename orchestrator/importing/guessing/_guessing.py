@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.importing._importing import import_files
-from orchestrator.importing._mapping import CsvLayout, ImportMapping
+from orchestrator.importing._mapping import CsvLayout, ImportedDrive, ImportMapping
 from orchestrator.importing._opening import check_file, open_columns, open_source
 from orchestrator.importing._rotation import turning
 from orchestrator.importing._source import Numbers, Wanted, whole
@@ -70,13 +70,15 @@ def _yaml(value: object) -> str:
     return str(text).strip().removesuffix("...").strip()
 
 
-def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
+def guess_mapping(path: Path, motor: dict[str, Any] | None = None, drive: ImportedDrive | None = None) -> Guess:
     """Write the mapping for one measurement file.
 
     Parameters
     ----------
     motor : dict, optional
         The section `motor` of the mapping, where the nameplate is known.
+    drive : ImportedDrive, optional
+        The section `drive`, where it is known.
 
     Raises
     ------
@@ -100,8 +102,9 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
             lines.say("csv", layout, columns.layout.why)
     raw = _read(path, columns, roles, current, voltage)
     _say_time(path, lines, columns, roles, raw)
-    _say_bus(path, lines, columns, roles, raw, voltage)
-    lines.doubts.append("drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too")
+    _say_drive(path, lines, columns, roles, raw, voltage, drive)
+    if drive is None or drive.pwm_frequency_hz is None:
+        lines.doubts.append("drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too")
     _say_signals(path, lines, columns, raw, current, voltage)
     _say_angle(path, lines, columns, roles, raw, current, voltage)
     _say_segments(path, lines, roles)
@@ -179,25 +182,35 @@ def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: di
     lines.say("time", {"column": name, "unit": fitting[0]}, why)
 
 
-def _say_bus(
-    path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers], voltage: Signal
+def _say_drive(
+    path: Path,
+    lines: _Lines,
+    columns: Columns,
+    roles: Roles,
+    raw: dict[str, Numbers],
+    voltage: Signal,
+    drive: ImportedDrive | None,
 ) -> None:
+    """The drive, as given or with a bus voltage from the file, and the column of the bus."""
     name = roles.one.get("bus")
-    if name is not None:
-        unit = columns.units.get(name, "V")
-        unit = unit if unit in ("V", "mV", "uV", "kV") else "V"
+    unit = columns.units.get(name or "", "V")
+    unit = unit if unit in ("V", "mV", "uV", "kV") else "V"
+    if drive is not None:
+        lines.say("drive", drive.model_dump(exclude_none=True), "as given")
+    elif name is not None:
         nominal = float(f"{float(np.nanmedian(raw[name])) * FACTORS[unit]:.3g}")
         lines.say("drive", _drive(nominal), f"the median of {name}")
-        lines.say("bus", {"column": name, "unit": unit}, f"the name{' and unit' if name in columns.units else ''}")
-        return
-    if voltage.is_duty:
+    elif voltage.is_duty:
         raise InputError(str(path), "", "duties without a column of the bus voltage: their volts are unknown")
-    unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
-    values = np.stack([raw[name] for name in voltage.columns.values()])
-    is_vector = voltage.frame in ("alpha_beta", "dq")
-    largest = float(np.nanmax(np.hypot(*values) if is_vector else np.abs(values))) * unit_v
-    why = "not in the file: twice the largest voltage stands here; give the true one"
-    lines.say("drive", _drive(float(f"{2.0 * largest:.2g}") or 1.0), why, doubt=True)
+    else:
+        unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
+        values = np.stack([raw[name] for name in voltage.columns.values()])
+        is_vector = voltage.frame in ("alpha_beta", "dq")
+        largest = float(np.nanmax(np.hypot(*values) if is_vector else np.abs(values))) * unit_v
+        why = "not in the file: twice the largest voltage stands here; give the true one"
+        lines.say("drive", _drive(float(f"{2.0 * largest:.2g}") or 1.0), why, doubt=True)
+    if name is not None:
+        lines.say("bus", {"column": name, "unit": unit}, f"the name{' and unit' if name in columns.units else ''}")
 
 
 def _drive(dc_bus_voltage_v: float) -> dict[str, Any]:
