@@ -28,6 +28,10 @@ from protocols import InputError, SegmentStage
 _RATES_HZ = (500.0, 2e6)
 """Usual sampling rates of drive measurements [Hz]."""
 _TIME_UNITS = ("s", "ms", "us", "ns")
+_MAX_CURRENT_A, _MAX_VOLTAGE_V = 2000.0, 5000.0
+"""Largest credible readings where neither nameplate nor bus is known; larger ones are in mA and mV."""
+_MAX_RATED_RATIO, _MAX_BUS_RATIO = 20.0, 5.0
+"""The same over the rated current and the bus voltage, as the import accepts them."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,12 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None, drive: Import
     _say_drive(path, lines, columns, roles, raw, voltage, drive)
     if drive is None or drive.pwm_frequency_hz is None:
         lines.doubts.append("drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too")
-    _say_signals(path, lines, columns, raw, current, voltage)
+    most_a, most_v = _MAX_CURRENT_A, _MAX_VOLTAGE_V
+    if motor is not None and "rated_current_rms_a" in motor:
+        most_a = _MAX_RATED_RATIO * motor["rated_current_rms_a"]
+    if drive is not None:
+        most_v = _MAX_BUS_RATIO * drive.dc_bus_voltage_v
+    _say_signals(path, lines, columns, raw, ("current", current, "A", most_a), ("voltage", voltage, "V", most_v))
     _say_angle(path, lines, columns, roles, raw, current, voltage)
     _say_segments(path, lines, roles)
     _try(path, lines)
@@ -218,9 +227,10 @@ def _drive(dc_bus_voltage_v: float) -> dict[str, Any]:
 
 
 def _say_signals(
-    path: Path, lines: _Lines, columns: Columns, raw: dict[str, Numbers], current: Signal, voltage: Signal
+    path: Path, lines: _Lines, columns: Columns, raw: dict[str, Numbers], *signals: tuple[str, Signal, str, float]
 ) -> None:
-    for key, signal, plain, largest in (("current", current, "A", 2000.0), ("voltage", voltage, "V", 5000.0)):
+    """Frame, columns and unit of each signal: its key, its columns, the plain unit and the largest credible value."""
+    for key, signal, plain, largest in signals:
         names = list(signal.columns.values())
         values = np.stack([raw[name] for name in names])
         size = float(np.nanmax(np.abs(values)))

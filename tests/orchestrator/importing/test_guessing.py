@@ -245,6 +245,22 @@ def test_the_drive_of_a_motor_file_is_the_mappings(tmp_path: Path, monkeypatch: 
     assert run_app(["import", "--guess", "log.csv", "--motor", "plate.yaml", "--out", "m.yaml"]) == 2
 
 
+def test_a_unit_that_is_not_in_the_file_follows_from_nameplate_and_bus(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text(
+        Path("log.csv"),
+        "t,ia,ib,ic,va,vb,vc\n",
+        [SOME.t, *columns(SOME, 1e3)[:3], *(1e3 * x for x in SOME.volts.values())],
+    )
+    Path("plate.yaml").write_text(PLATE)
+    assert run_app(["import", "--guess", "log.csv", "--motor", "plate.yaml"]) == 0
+    mapping = Path("log.yaml").read_text()
+    assert "unit: mA}" in mapping
+    assert "unit: mV}" in mapping
+
+
 def test_holds_and_injections_of_one_log_are_reported_by_their_currents(tmp_path: Path) -> None:
     levels = [(1.0, 0.0), (-1.0, 0.5), (2.0, 0.0), (0.0, 2.0)]
     held = np.repeat(np.array(levels), 2500, axis=0)
