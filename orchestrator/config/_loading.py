@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from orchestrator.config._rated_limits import RATED_FIELDS, MotorLimits, add_rated_limits
 from orchestrator.config._slips import nameplate_questions
-from orchestrator.registry.plugins import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.stages import parse_stages
 from orchestrator.validation.messages import KeyPath, first_problem, suggestion
 from orchestrator.validation.plausibility import implausible
@@ -50,7 +50,7 @@ class LoadedProcedure:
     procedure: Procedure
     document: Document
     notes: tuple[str, ...] = ()
-    """Conversions of quantities with a unit, and limits from the nameplate, a sentence each."""
+    """Conversions of quantities with a unit, and what follows from a motor file's nameplate, a sentence each."""
 
     @contextmanager
     def locating_errors(self) -> Iterator[None]:
@@ -91,8 +91,9 @@ def read_procedure(
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
         YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` replace the procedure's as a
-        whole. Limits that the file leaves out follow from its nameplate where the procedure's motor is an example.
-        Where it is not, the procedure's energy and duration stay, and all its limits where the file has none.
+        whole. Where the procedure's motor is an example, limits that the file leaves out follow from its nameplate,
+        and a simulated drive forgets the example's plant. Where it is none, the procedure's energy and duration stay,
+        and all its limits where the file has none.
 
     Raises
     ------
@@ -101,13 +102,17 @@ def read_procedure(
     """
     document = _read(source)
     example = None if motor is None else _example_limits(document)
+    notes: list[str] = []
     if motor is not None:
-        _lay_over(document, read_document(motor, ProcedureError), is_example=example is not None)
+        overlay = read_document(motor, ProcedureError)
+        _lay_over(document, overlay, is_example=example is not None)
+        if example is not None and "drive" not in overlay.data:
+            notes += _without_sealed_options(document)
     if drive is not None:
         _choose_drive(document, drive)
     for override in overrides:
         apply_override(document, override)
-    notes = read_quantities(document)
+    notes += read_quantities(document)
     if example is not None:
         notes += add_rated_limits(document, example)
     procedure = _validated(document, {} if example is None else RATED_FIELDS)
@@ -184,6 +189,20 @@ def _lay_over(document: Document, overlay: Document, *, is_example: bool) -> Non
         document.replace((key,), section, places)
     if is_example and "limits" not in overlay.data:
         document.replace(("limits",), {}, {("limits",): overlay.name})
+
+
+def _without_sealed_options(document: Document) -> list[str]:
+    """Drop what only a simulation knows of the example motor; says so."""
+    drive = document.data.get("drive")
+    if not isinstance(drive, dict) or drive.get("name") not in {info.name for info in installed(PluginKind.DRIVES)}:
+        return []
+    name = str(drive["name"])
+    sealed = sorted(load_plugin(PluginKind.DRIVES, name).sealed_options & drive.keys())
+    for option in sealed:
+        del drive[option]
+    return [
+        f"drive.{option} is the example motor's and left out: drive {name} follows the nameplate" for option in sealed
+    ]
 
 
 def _with_kept_limits(document: Document, section: Any, places: dict[KeyPath, str]) -> tuple[Any, dict[KeyPath, str]]:

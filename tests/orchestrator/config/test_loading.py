@@ -316,7 +316,17 @@ def test_a_motor_file_goes_over_the_nameplate_and_the_limits(write: Write) -> No
     procedure = load_procedure("demo", motor=write(SERVO), overrides=["motor.pole_pairs=5"])
     assert (procedure.motor.name, procedure.motor.pole_pairs) == ("servo", 5)
     assert procedure.motor.rated_current_rms_a is None
-    assert procedure.drive.options == load_procedure("demo").drive.options
+
+
+def test_a_simulated_drive_forgets_the_example_motor_once_there_is_another(write: Write, tmp_path: Path) -> None:
+    loaded = read_procedure("demo", motor=write(SERVO), overrides=["drive.plant.sensors.noise_a=0.1"])
+    assert loaded.procedure.drive.options == {"plant": {"sensors": {"noise_a": 0.1}}}
+    assert loaded.notes == ("drive.plant is the example motor's and left out: drive simulated follows the nameplate",)
+    own = write(SERVO + "drive: {name: simulated, plant: {inverter: switched}}\n")
+    assert load_procedure("demo", motor=own).drive.options == {"plant": {"inverter": "switched"}}
+    mine = tmp_path / "procedure.yaml"
+    mine.write_text(TEXT.replace("name: simulated", "name: simulated\n  plant: {inverter: switched}"))
+    assert load_procedure(str(mine), motor=write(SERVO)).drive.options == {"plant": {"inverter": "switched"}}
 
 
 def test_a_motor_is_read_from_whatever_names_its_file(write: Write) -> None:
@@ -349,7 +359,7 @@ def test_limits_that_a_motor_file_leaves_out_follow_from_the_nameplate(write: Wr
     assert limits.voltage_v == pytest.approx(30.0 * math.sqrt(2.0 / 3.0), rel=1e-3)
     assert limits.duration_s == load_procedure("demo").limits.duration_s == 120.0
     assert limits.energy_j == pytest.approx(1.5 * 0.2 * (10.0 * math.sqrt(2.0)) ** 2 * 120.0, rel=1e-3)
-    assert loaded.notes == (
+    assert loaded.notes[1:] == (
         "limits, as the motor file has none of these: current_a 31.11 A, 2.2 times the rated peak; "
         "voltage_v 24.49 V, the rated phase peak; energy_j 7200 J, the rated copper loss for 120 s",
     )
