@@ -50,6 +50,16 @@ def test_every_command_of_the_readme_works(added: str, tmp_path: Path) -> None:
         exec(compile(shown[0], "README.md", "exec"), {})
 
 
+def test_the_readme_s_motor_file_is_whole(tmp_path: Path) -> None:
+    (text,) = re.findall(
+        r"^```yaml\n(motor:\n.*?)^```", (ROOT / "README.md").read_text(), flags=re.DOTALL | re.MULTILINE
+    )
+    (tmp_path / "motor.yaml").write_text(text)
+    done = called("check", "demo", "--motor", tmp_path / "motor.yaml")
+    assert done.returncode == 0, done.stderr
+    assert "limits, as the motor file has none of these: current_a" in done.stdout
+
+
 @pytest.mark.slow
 def test_the_readme_s_mystery_is_found(tmp_path: Path) -> None:
     type_in([line for line in console_lines(ROOT / "README.md") if MYSTERY.search(line)], tmp_path)
@@ -58,7 +68,7 @@ def test_the_readme_s_mystery_is_found(tmp_path: Path) -> None:
 def type_in(lines: list[str], tmp_path: Path) -> None:
     for line in lines:
         command, _, target = line.partition(" > ")
-        name, *words = shlex.split(command)
+        name, *words = shlex.split(command, comments=True)
         assert name == "fluxbench"
         done = called(*words, cwd=tmp_path)
         assert done.returncode == 0, f"{line}: {done.stderr}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
@@ -12,8 +12,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from orchestrator.config._rated_limits import RATED_FIELDS, MotorLimits, add_rated_limits
 from orchestrator.config._slips import nameplate_questions
-from orchestrator.registry.plugins import PluginKind, installed
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.stages import parse_stages
 from orchestrator.validation.messages import KeyPath, first_problem, suggestion
 from orchestrator.validation.plausibility import implausible
@@ -38,7 +39,7 @@ class MotorFile(Strict):
     """A file for `--motor`: sections that replace the procedure's."""
 
     motor: ProcedureMotor
-    limits: Limits | None = None
+    limits: MotorLimits | None = None
     drive: DriveChoice | None = None
 
 
@@ -48,8 +49,8 @@ class LoadedProcedure:
 
     procedure: Procedure
     document: Document
-    conversions: tuple[str, ...] = ()
-    """Conversions of quantities with a unit, a sentence each."""
+    notes: tuple[str, ...] = ()
+    """Conversions of quantities with a unit, and what follows from a motor file's nameplate, a sentence each."""
 
     @contextmanager
     def locating_errors(self) -> Iterator[None]:
@@ -90,7 +91,9 @@ def read_procedure(
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
         YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` replace the procedure's as a
-        whole; optional limits of the procedure (energy, duration) stay where the file has none.
+        whole. Where the procedure's motor is an example, limits that the file leaves out follow from its nameplate,
+        and a simulated drive forgets the example's plant. Where it is none, the procedure's energy and duration stay,
+        and all its limits where the file has none.
 
     Raises
     ------
@@ -98,14 +101,21 @@ def read_procedure(
         One line: file and line, key path, what is wrong, the nearest valid name.
     """
     document = _read(source)
+    example = None if motor is None else _example_limits(document)
+    notes: list[str] = []
     if motor is not None:
-        _lay_over(document, read_document(motor, ProcedureError))
+        overlay = read_document(motor, ProcedureError)
+        _lay_over(document, overlay, is_example=example is not None)
+        if example is not None and "drive" not in overlay.data:
+            notes += _without_sealed_options(document)
     if drive is not None:
         _choose_drive(document, drive)
     for override in overrides:
         apply_override(document, override)
-    conversions = read_quantities(document)
-    procedure = _validated(document)
+    notes += read_quantities(document)
+    if example is not None:
+        notes += add_rated_limits(document, example)
+    procedure = _validated(document, {} if example is None else RATED_FIELDS)
     try:
         stages = parse_stages(procedure)
     except ProcedureError as error:
@@ -113,7 +123,7 @@ def read_procedure(
     _check_plugins(document, procedure.drive.name, stages)
     for path, problem in implausible(procedure, stages):
         raise ProcedureError(document.place(path), ".".join(map(str, path)), problem)
-    return LoadedProcedure(procedure, document, tuple(conversions))
+    return LoadedProcedure(procedure, document, tuple(notes))
 
 
 def load_motor(path: str | PathLike[str]) -> Motor:
@@ -157,17 +167,42 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _lay_over(document: Document, overlay: Document) -> None:
+def _example_limits(document: Document) -> dict[str, Any] | None:
+    """The limits of a procedure whose motor is an example; None for another."""
+    motor, limits = document.data.get("motor"), document.data.get("limits")
+    is_example = isinstance(motor, dict) and motor.get("example") is True and isinstance(limits, dict)
+    return limits if is_example else None
+
+
+def _lay_over(document: Document, overlay: Document, *, is_example: bool) -> None:
     if "motor" not in overlay.data:
-        raise ProcedureError(overlay.name, "motor", "missing")
+        is_bare = overlay.data.keys() & ProcedureMotor.model_fields.keys()
+        where_it_belongs = ": the nameplate's fields belong below a line `motor:`" if is_bare else ""
+        raise ProcedureError(overlay.name, "motor", f"missing{where_it_belongs}")
     for key, section in overlay.data.items():
         if key not in MotorFile.model_fields:
             problem = f"unknown section of a motor file; {suggestion(key, MotorFile.model_fields)}"
             raise ProcedureError(overlay.place((key,)), key, problem)
         places = {path: place for path, place in overlay.places.items() if path[0] == key}
-        if key == "limits":
+        if key == "limits" and not is_example:
             section, places = _with_kept_limits(document, section, places)
         document.replace((key,), section, places)
+    if is_example and "limits" not in overlay.data:
+        document.replace(("limits",), {}, {("limits",): overlay.name})
+
+
+def _without_sealed_options(document: Document) -> list[str]:
+    """Drop what only a simulation knows of the example motor; says so."""
+    drive = document.data.get("drive")
+    if not isinstance(drive, dict) or drive.get("name") not in {info.name for info in installed(PluginKind.DRIVES)}:
+        return []
+    name = str(drive["name"])
+    sealed = sorted(load_plugin(PluginKind.DRIVES, name).sealed_options & drive.keys())
+    for option in sealed:
+        del drive[option]
+    return [
+        f"drive.{option} is the example motor's and left out: drive {name} follows the nameplate" for option in sealed
+    ]
 
 
 def _with_kept_limits(document: Document, section: Any, places: dict[KeyPath, str]) -> tuple[Any, dict[KeyPath, str]]:
@@ -189,13 +224,16 @@ def _choose_drive(document: Document, name: str) -> None:
     document.replace(("drive",), {"name": name}, {("drive",): where, ("drive", "name"): where})
 
 
-def _validated(document: Document) -> Procedure:
+def _validated(document: Document, rated_fields: Mapping[KeyPath, str]) -> Procedure:
     try:
         # JSON mode is strict about types ("5" and true are no numbers) and still takes lists for tuples.
         return Procedure.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:
         problem = first_problem(error, Procedure, document.data)
-    raise ProcedureError(document.place(problem.path), problem.field, problem.text)
+    text = problem.text
+    if problem.is_missing and problem.path in rated_fields:
+        text += f": give it, or motor.{rated_fields[problem.path]}, from which it follows"
+    raise ProcedureError(document.place(problem.path), problem.field, text)
 
 
 def _check_plugins(document: Document, drive: str, stages: Sequence[Stage]) -> None:

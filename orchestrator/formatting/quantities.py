@@ -101,11 +101,11 @@ def measured(value: float | None, low: float | None, high: float | None, unit: s
 
 
 def value_and_error(value: float, error: float, unit: str) -> tuple[str, str]:
-    """A value with its unit and, on the same scale, its standard deviation."""
+    """A value and its standard deviation, on one scale, each with the unit."""
     if not error > 0.0:
         return quantity(value, unit, 5), UNKNOWN
     scale = Scale.of(value, value - error, value + error, unit)
-    return scale.quantity(value), scale.number(error)
+    return scale.quantity(value), scale.quantity(error)
 
 
 def with_error(value: float, error: float, power: int, max_decimals: int = 3) -> str:

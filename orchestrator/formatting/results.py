@@ -133,13 +133,14 @@ def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]
 def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
     """An effect's parameters and the derived values for the drive: name, value, 95 % interval.
 
-    Parameters of its form are counted, not listed.
+    Parameters of its form are counted, not listed. An interval that holds zero is marked.
     """
     sizes = {name: p for name, p in effect.parameters.items() if not p.bends_form}
-    rows = [
-        (parameter_words(name), *value_and_interval(p.value, p.low, p.high, p.unit))
-        for name, p in {**sizes, **effect.derived}.items()
-    ]
+    rows = []
+    for name, p in {**sizes, **effect.derived}.items():
+        value, interval = value_and_interval(p.value, p.low, p.high, p.unit)
+        holds_zero = p.low is not None and p.high is not None and p.low <= 0.0 <= p.high
+        rows.append((parameter_words(name), value, f"{interval}; zero fits too" if holds_zero else interval))
     of_form = len(effect.parameters) - len(sizes)
     return [*rows, ("its form", f"{plural(of_form, 'more parameter')} in model.json", "")] if of_form else rows
 

@@ -5,7 +5,7 @@ Implausible data are refused or noted with their place; the import repairs only 
 
 from orchestrator.importing._findings import Finding
 from orchestrator.importing._importing import ImportReport, import_files
-from orchestrator.importing._loading import MappingFile, read_mapping
+from orchestrator.importing._loading import MappingFile, read_drive, read_mapping
 from orchestrator.importing._mapping import CsvLayout, ImportMapping
 from orchestrator.importing._matlab import inflated_size
 from orchestrator.importing._merging import merge_recordings
@@ -30,6 +30,7 @@ __all__ = [
     "import_files",
     "inflated_size",
     "merge_recordings",
+    "read_drive",
     "read_mapping",
     "read_table",
 ]

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportMapping
+from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportedDrive, ImportMapping
 from orchestrator.validation.messages import KeyPath, first_problem
 from orchestrator.validation.quantities import read_quantities
 from orchestrator.validation.strict_yaml import Document, read_document
@@ -83,6 +83,26 @@ def read_mapping(path: Path) -> MappingFile:
         return MappingFile(_validated(document, ImportMapping, document.data), None, rules, tuple(readings))
     except InputError as error:
         return MappingFile(rules[0][1], error, rules, tuple(readings))
+
+
+def read_drive(path: Path) -> ImportedDrive | None:
+    """The drive of a motor file, without the options of its plugin; None where no bus voltage is stated.
+
+    Raises
+    ------
+    InputError
+        As `read_mapping`.
+    """
+    document = read_document(path)
+    try:
+        read_quantities(document, ("drive",))
+    except ProcedureError as error:
+        raise InputError(error.where, error.field, error.problem) from None
+    section = document.data.get("drive")
+    if not isinstance(section, dict) or "dc_bus_voltage_v" not in section:
+        return None
+    known = {key: value for key, value in section.items() if key in ImportedDrive.model_fields}
+    return _validated(document, ImportedDrive, {"name": "unknown", **known}, ("drive",))
 
 
 def _rule(document: Document, index: int, entry: Any) -> tuple[FileRule, ImportMapping]:

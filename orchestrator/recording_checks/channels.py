@@ -42,6 +42,8 @@ MIN_CLIPPED_TO_STRIP_RATIO = 0.2
 """Minimum ratio of repeats at the limit over readings in the strip below it; the tail of noise has next to none."""
 STRIP_WIDTH_FRACTION = 0.02
 """Width of that strip, relative to the limit."""
+MAX_REPEATED_SHARE = 0.5
+"""Share of commands equal to the one before, above which they are steps of an open loop: they repeat unclipped."""
 MIN_BUS_SPIKE_FRACTION = 0.5
 """Relative step of single bus readings that its capacitors exclude within a sample."""
 MAX_BUS_SPIKE_SHARE = 0.02
@@ -216,12 +218,18 @@ def _clipped_channels(survey: Survey, field: str) -> Iterator[tuple[str, float, 
 
 
 def _moving(survey: Survey, field: str) -> dict[str, Array]:
-    """alpha, beta and the phases of the injections, whose readings always move."""
-    seen = [getattr(s, field) for s in survey.injections]
+    """alpha, beta and the phases of the injections whose readings always move."""
+    seen = [getattr(s, field) for s in survey.injections if field == "i" or not _is_open_loop(s)]
     if not seen:
         return {}
     z = np.concatenate(seen)
     return {name: np.real(z * np.conj(axis)) for name, axis in zip(_CHANNELS, (1.0, 1j, *AXES), strict=True)}
+
+
+def _is_open_loop(segment: SegmentReadings) -> bool:
+    """Whether a voltage of no stated amplitude stands still between edges, as no current control makes it."""
+    repeated = float(np.mean(segment.v[1:] == segment.v[:-1]))
+    return segment.setting("amplitude_v") is None and repeated > MAX_REPEATED_SHARE
 
 
 def _amplitude_as_set(survey: Survey) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.importing._importing import import_files
-from orchestrator.importing._mapping import CsvLayout, ImportMapping
+from orchestrator.importing._mapping import CsvLayout, ImportedDrive, ImportMapping
 from orchestrator.importing._opening import check_file, open_columns, open_source
 from orchestrator.importing._rotation import turning
 from orchestrator.importing._source import Numbers, Wanted, whole
@@ -28,6 +28,10 @@ from protocols import InputError, SegmentStage
 _RATES_HZ = (500.0, 2e6)
 """Usual sampling rates of drive measurements [Hz]."""
 _TIME_UNITS = ("s", "ms", "us", "ns")
+_MAX_CURRENT_A, _MAX_VOLTAGE_V = 2000.0, 5000.0
+"""Largest credible readings where neither nameplate nor bus is known; larger ones are in mA and mV."""
+_MAX_RATED_RATIO, _MAX_BUS_RATIO = 20.0, 5.0
+"""The same over the rated current and the bus voltage, as the import accepts them."""
 
 
 @dataclass(frozen=True)
@@ -70,13 +74,15 @@ def _yaml(value: object) -> str:
     return str(text).strip().removesuffix("...").strip()
 
 
-def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
+def guess_mapping(path: Path, motor: dict[str, Any] | None = None, drive: ImportedDrive | None = None) -> Guess:
     """Write the mapping for one measurement file.
 
     Parameters
     ----------
     motor : dict, optional
         The section `motor` of the mapping, where the nameplate is known.
+    drive : ImportedDrive, optional
+        The section `drive`, where it is known.
 
     Raises
     ------
@@ -100,9 +106,15 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
             lines.say("csv", layout, columns.layout.why)
     raw = _read(path, columns, roles, current, voltage)
     _say_time(path, lines, columns, roles, raw)
-    _say_bus(path, lines, columns, roles, raw, voltage)
-    lines.doubts.append("drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too")
-    _say_signals(path, lines, columns, raw, current, voltage)
+    _say_drive(path, lines, columns, roles, raw, voltage, drive)
+    if drive is None or drive.pwm_frequency_hz is None:
+        lines.doubts.append("drive: pwm_frequency_hz: not in the file; state it, and a dead time comes in seconds too")
+    most_a, most_v = _MAX_CURRENT_A, _MAX_VOLTAGE_V
+    if motor is not None and "rated_current_rms_a" in motor:
+        most_a = _MAX_RATED_RATIO * motor["rated_current_rms_a"]
+    if drive is not None:
+        most_v = _MAX_BUS_RATIO * drive.dc_bus_voltage_v
+    _say_signals(path, lines, columns, raw, ("current", current, "A", most_a), ("voltage", voltage, "V", most_v))
     _say_angle(path, lines, columns, roles, raw, current, voltage)
     _say_segments(path, lines, roles)
     _try(path, lines)
@@ -179,25 +191,35 @@ def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: di
     lines.say("time", {"column": name, "unit": fitting[0]}, why)
 
 
-def _say_bus(
-    path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers], voltage: Signal
+def _say_drive(
+    path: Path,
+    lines: _Lines,
+    columns: Columns,
+    roles: Roles,
+    raw: dict[str, Numbers],
+    voltage: Signal,
+    drive: ImportedDrive | None,
 ) -> None:
+    """The drive, as given or with a bus voltage from the file, and the column of the bus."""
     name = roles.one.get("bus")
-    if name is not None:
-        unit = columns.units.get(name, "V")
-        unit = unit if unit in ("V", "mV", "uV", "kV") else "V"
+    unit = columns.units.get(name or "", "V")
+    unit = unit if unit in ("V", "mV", "uV", "kV") else "V"
+    if drive is not None:
+        lines.say("drive", drive.model_dump(exclude_none=True), "as given")
+    elif name is not None:
         nominal = float(f"{float(np.nanmedian(raw[name])) * FACTORS[unit]:.3g}")
         lines.say("drive", _drive(nominal), f"the median of {name}")
-        lines.say("bus", {"column": name, "unit": unit}, f"the name{' and unit' if name in columns.units else ''}")
-        return
-    if voltage.is_duty:
+    elif voltage.is_duty:
         raise InputError(str(path), "", "duties without a column of the bus voltage: their volts are unknown")
-    unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
-    values = np.stack([raw[name] for name in voltage.columns.values()])
-    is_vector = voltage.frame in ("alpha_beta", "dq")
-    largest = float(np.nanmax(np.hypot(*values) if is_vector else np.abs(values))) * unit_v
-    why = "not in the file: twice the largest voltage stands here; give the true one"
-    lines.say("drive", _drive(float(f"{2.0 * largest:.2g}") or 1.0), why, doubt=True)
+    else:
+        unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
+        values = np.stack([raw[name] for name in voltage.columns.values()])
+        is_vector = voltage.frame in ("alpha_beta", "dq")
+        largest = float(np.nanmax(np.hypot(*values) if is_vector else np.abs(values))) * unit_v
+        why = "not in the file: twice the largest voltage stands here; give the true one"
+        lines.say("drive", _drive(float(f"{2.0 * largest:.2g}") or 1.0), why, doubt=True)
+    if name is not None:
+        lines.say("bus", {"column": name, "unit": unit}, f"the name{' and unit' if name in columns.units else ''}")
 
 
 def _drive(dc_bus_voltage_v: float) -> dict[str, Any]:
@@ -205,9 +227,10 @@ def _drive(dc_bus_voltage_v: float) -> dict[str, Any]:
 
 
 def _say_signals(
-    path: Path, lines: _Lines, columns: Columns, raw: dict[str, Numbers], current: Signal, voltage: Signal
+    path: Path, lines: _Lines, columns: Columns, raw: dict[str, Numbers], *signals: tuple[str, Signal, str, float]
 ) -> None:
-    for key, signal, plain, largest in (("current", current, "A", 2000.0), ("voltage", voltage, "V", 5000.0)):
+    """Frame, columns and unit of each signal: its key, its columns, the plain unit and the largest credible value."""
+    for key, signal, plain, largest in signals:
         names = list(signal.columns.values())
         values = np.stack([raw[name] for name in names])
         size = float(np.nanmax(np.abs(values)))

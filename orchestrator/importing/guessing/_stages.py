@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.importing._source import Numbers
+from orchestrator.importing.guessing._square_waves import SquareWave, square_waves
 from protocols import SegmentStage
 
 Complex = NDArray[np.complex128]
@@ -42,15 +43,50 @@ def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[f
     period_s = float(np.median(np.diff(time_s)))
     samples = max(20, int(_WINDOW_S / period_s))
     gaps = np.flatnonzero(np.diff(time_s) > 1.5 * period_s) + 1
-    found: list[Stretch] = []
+    waves: list[Stretch] = []
+    groups: list[list[Stretch]] = [[]]  # of what lies between two square waves
     for begin, end in zip([0, *gaps.tolist()], [*gaps.tolist(), time_s.size], strict=True):
-        windows = []
-        for start in range(begin, max(end - samples, begin) + 1, samples):
-            stop = end if start + 2 * samples > end else start + samples
+        at = begin
+        for wave in square_waves(v[begin:end], largest[1], max(samples // 8, 1)):
+            rows = slice(begin + wave.start, begin + wave.end)
+            if _is_of_steps(i[rows], v[rows], wave, largest[0]):
+                continue
+            groups[-1] += _classified(time_s, i, v, slice(at, rows.start), largest)
+            groups.append([])
+            end_s = float(time_s[rows.stop - 1]) + period_s
+            hz = 0.5 / (wave.half_period * period_s)
+            waves.append(Stretch(SegmentStage.INJECTION, float(time_s[rows.start]), end_s, hz))
+            at = rows.stop
+        groups[-1] += _classified(time_s, i, v, slice(at, end), largest)
+    others = [
+        part
+        for group in groups
+        for run in _joined(group)
+        for part in _by_current(run, time_s, i, largest[0], time_s[gaps])
+    ]
+    # Beside a wave a short rest belongs to it.
+    kept = [part for part in others if not waves or part.end_s - part.start_s >= _MIN_STRETCH_S]
+    return sorted((*kept, *waves), key=lambda part: part.start_s)
+
+
+def _classified(time_s: Numbers, i: Complex, v: Complex, rows: slice, largest: tuple[float, float]) -> list[Stretch]:
+    """The stretches of uninterrupted rows, classified window by window."""
+    period_s = float(np.median(np.diff(time_s)))
+    samples = max(20, int(_WINDOW_S / period_s))
+    windows = []
+    for start in range(rows.start, max(rows.stop - samples, rows.start) + 1, samples):
+        stop = rows.stop if start + 2 * samples > rows.stop else start + samples
+        if stop > start:
             stage, hz = _stage(i[start:stop], v[start:stop], period_s, *largest)
             windows.append(Stretch(stage, float(time_s[start]), float(time_s[stop - 1]) + period_s, hz))
-        found += _without_short_dwells(_merged(windows))
-    return [part for run in _joined(found) for part in _by_current(run, time_s, i, largest[0], time_s[gaps])]
+    return _without_short_dwells(_merged(windows))
+
+
+def _is_of_steps(i: Complex, v: Complex, wave: SquareWave, largest_a: float) -> bool:
+    """Whether a square wave is about zero and swings the current as voltage steps do."""
+    settled = i[i.size // 2 :]  # free of the current before
+    about_zero = abs(v.mean()) < 0.1 * wave.step_v
+    return bool(about_zero and np.max(np.abs(settled - settled.mean())) > _SWING_SHARE * largest_a)
 
 
 def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float, resumed_s: Numbers) -> list[Stretch]:

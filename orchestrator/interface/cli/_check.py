@@ -35,7 +35,7 @@ def check(
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     procedure = loaded.procedure
     if not as_json:
-        say_notes(loaded.conversions)
+        say_notes(loaded.notes)
     UsedPlugins(parse_stages(procedure))
     with loaded.locating_errors(), connected_drive(procedure, private=None) as (connected, capabilities):
         plan = make_plan(procedure, capabilities)

@@ -84,7 +84,7 @@ def run(
     loaded = read_procedure(source, overrides=[*overrides, *as_overrides(about)], drive=drive, motor=motor)
     path = run_directory(loaded.procedure.name, out)
     if audience.console_mode == "auto":
-        say_notes(loaded.conversions)
+        say_notes(loaded.notes)
     with loaded.locating_errors():
         return _with_services(lambda services: start_run(loaded.procedure, path, services), audience)
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from orchestrator.config import load_motor
 from orchestrator.formatting.quantities import percent
-from orchestrator.importing import ImportReport, import_files, merge_recordings
+from orchestrator.importing import ImportReport, import_files, merge_recordings, read_drive
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import complain, say, say_document, say_notes
@@ -61,7 +61,7 @@ def guess_import(files: Sequence[Path], out: Path | None, motor: Path | None, as
     if target.exists():
         raise InputError(str(target), "", "exists already and is not overwritten: name another with --out")
     plate = None if motor is None else load_motor(motor).model_dump(exclude_defaults=True)
-    guess = guess_mapping(files[0], plate)
+    guess = guess_mapping(files[0], plate, None if motor is None else read_drive(motor))
     try:
         target.write_text(guess.text, encoding="utf-8")
     except OSError as error:

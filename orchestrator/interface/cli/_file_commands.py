@@ -98,7 +98,7 @@ def import_command(
     ] = None,
     guess: Annotated[bool, typer.Option("--guess", help="Write a mapping for FILE, each line with a reason.")] = False,
     merge: Annotated[bool, typer.Option("--merge", help="Merge several recordings into one.")] = False,
-    motor: Annotated[Path | None, typer.Option(help="With --guess: YAML file with the motor.")] = None,
+    motor: Annotated[Path | None, typer.Option(help="With --guess: YAML file with the motor (and drive).")] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Import measurements of other tools as a recording."""

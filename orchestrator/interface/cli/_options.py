@@ -43,8 +43,8 @@ AbsentOption = Annotated[
     str | None,
     typer.Option(
         "--unattended",
-        help='"I have made the bench safe": no operator is present, and the procedure answers its own questions, on a '
-        "real drive too.",
+        help="Let the procedure answer its own safety questions, on a real drive too, with nobody present. WORDS has "
+        'to be "I have made the bench safe".',
         metavar="WORDS",
     ),
 ]

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator.formatting.names import PAPER_CROSSINGS
-from orchestrator.formatting.quantities import UNKNOWN, axes_percent
+from orchestrator.formatting.quantities import UNKNOWN
 from orchestrator.formatting.results import (
     USABILITY_WORDS,
     check_rows,
@@ -51,10 +50,11 @@ def _print_report(report: EstimationReport, folder: Path) -> None:
         say(f"flux map by {report.method}: {in_capitals(report.usability)}")
     if report.usability is Usability.NOT_JUDGED:
         say(f"whether it is usable: fluxbench diagnose {folder.parent}")
-    papers = {"crossings": axes_percent(PAPER_CROSSINGS)}
-    say_table(("check", "here", "in the paper"), [(*row, papers.get(row[0], UNKNOWN)) for row in check_rows(report)])
+    known = [row for row in check_rows(report) if row[1] != UNKNOWN]
+    if known:
+        say_table(("agreement of the maps", "difference"), known)
     if report.checks:
-        say_table(("usable only if", "here", "limit", "outcome"), usability_rows(report))
+        say_table(("usable only if", "value", "limit", "outcome"), usability_rows(report))
     for method, map_report in report.maps.items():
         if map_report.form is not None:
             say(f"{method}: {map_report.form.formula}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -80,6 +81,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
     else:
         error = _run(number, path, quiet or as_json)
         if error is not None:
+            print(shown(f"`fluxbench resume {path}` continues at the first unmeasured point"), file=sys.stderr)
             raise error
     if as_json:
         _print_json(path)

@@ -56,7 +56,8 @@ def _procedures(folder: Path) -> Iterator[dict[str, str]]:
     for name, text in _files(folder):
         if _has_stages(text):
             yield _choice(name, str(folder / name), lambda word: load_procedure(word).summary)
-    for name in shipped_procedures():
+    # The page preselects the first.
+    for name in sorted(shipped_procedures(), key=lambda name: name != "demo"):
         yield _choice(name, name, lambda word: load_procedure(word).summary)
 
 

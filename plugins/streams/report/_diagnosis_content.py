@@ -73,21 +73,21 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
         for effect in diagnosis.report.effects
         if effect.twins
     ]
-    named = {effect.name for effect in diagnosis.report.effects}
-    ranking = {entry.name: entry for entry in diagnosis.report.joint}
-    for name, entry in ranking.items():
-        if name not in named | {effect.name for effect in diagnosis.report.minor} and abs(entry.z or 0.0) >= sure_z:
-            reason = f"z = {number(entry.z, 3)} where all effects are fitted at once; adding it gains too little"
-            rows.append((plain(name), "–", reason))
+    known = {effect.name for effect in (*diagnosis.report.effects, *diagnosis.report.minor)}
+    joint_only = {
+        e.name: abs(e.z or 0.0) for e in diagnosis.report.joint if e.name not in known and abs(e.z or 0.0) >= sure_z
+    }
+    if joint_only:
+        largest = number(max(joint_only.values()), 3)
+        reason = f"|z| to {largest} where all effects are fitted at once; adding it gains too little"
+        rows.append((", ".join(map(plain, joint_only)), "–", reason))
     for effect in diagnosis.report.minor:
         reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
         rows.append((plain(effect.name), "–", reason))
     minor = {effect.name for effect in diagnosis.report.minor}
-    for name in diagnosis.report.traces:
-        if name in minor:
-            continue
-        if name not in ranking or abs(ranking[name].z or 0.0) < sure_z:
-            rows.append((plain(name), "–", "detected, but too small to be named"))
+    traces = [plain(name) for name in diagnosis.report.traces if name not in minor | joint_only.keys()]
+    if traces:
+        rows.append((", ".join(traces), "–", "detected, but too small to be named"))
     return rows
 
 

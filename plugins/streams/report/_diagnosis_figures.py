@@ -5,7 +5,7 @@ Black is measured, vermilion is what the model with its effects says, grey is th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,13 +27,15 @@ from orchestrator.formatting.drawing import (
     uri,
 )
 from orchestrator.formatting.names import plain, rung_name
-from orchestrator.formatting.quantities import number
+from orchestrator.formatting.quantities import number, percent
 from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, JointEntry, RealArray, ResistanceCourse, Rung
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+SURE_Z = 4.0
+"""Size over standard deviation from which chance is no explanation."""
 _TIGHT: dict[str, Any] = {"handletextpad": 0.1, "columnspacing": 0.8, "markerscale": 1.4}
 
 
@@ -62,7 +64,8 @@ def ladder_figure(ladder: Sequence[Rung], floor_v: float) -> str:
     axes.set_yticks(places, [label(rung_name(rung.added, k)) for k, rung in enumerate(ladder)])
     axes.set_ylim(len(ladder) - 0.5, -0.5)
     name_axes(axes, "rms residual over noise", "")
-    legend_above(axes, 3)
+    # Beside long names the axes are narrower than the legend.
+    figure.legend(loc="outside upper center", ncols=3, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
     return uri(figure)
 
 
@@ -302,18 +305,37 @@ def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> st
     return uri(figure)
 
 
-def joint_figure(joint: Sequence[JointEntry]) -> str:
-    """The whole library fitted at once: sizes relative to typical, those that chance could have made hollow."""
+def joint_figure(joint: Sequence[JointEntry], shares: Mapping[str, float]) -> str:
+    """The whole library fitted at once, over the standard deviation; those that chance could have made hollow.
+
+    Parameters
+    ----------
+    joint : sequence of JointEntry
+    shares : mapping
+        Parts of the error by effect, of those that the model has.
+    """
     figure, axes = new_figure(STYLE.width_in, max(1.8, 0.9 + 0.32 * len(joint)))
-    for place, entry in enumerate(joint):
-        size, z = entry.relative_size or 0.0, entry.z or 0.0
-        sure = abs(z) >= 4.0
-        axes.barh(place, size, height=0.62, color=MODEL if sure else "none", edgecolor=MODEL if sure else GUIDE)
-        axes.text(size, place, f"  z = {number(z, 3)}", va="center", fontsize=STYLE.small_pt - 1)
+    sizes = [max(abs(entry.z or 0.0), 1.0) for entry in joint]
+    for place, (entry, size) in enumerate(zip(joint, sizes, strict=True)):
+        sure = size >= SURE_Z
+        axes.barh(
+            place,
+            size - 1.0,
+            left=1.0,
+            height=0.62,
+            color=MODEL if sure else "none",
+            edgecolor=MODEL if sure else GUIDE,
+        )
+        if entry.name in shares:
+            axes.text(size, place, f"  {percent(100.0 * shares[entry.name])}", va="center", fontsize=STYLE.small_pt - 1)
+    axes.axvline(SURE_Z, color=GUIDE, lw=1.2, ls="--")
+    axes.set_xscale("log")
+    axes.set_xlim(1.0, max(10.0, *sizes) ** 1.25)
+    axes.locator_params(axis="x", numticks=5)
+    axes.xaxis.set_major_formatter(lambda value, _: number(value))
+    axes.xaxis.set_minor_formatter("")
     axes.set_yticks(range(len(joint)), [label(plain(entry.name)) for entry in joint])
     axes.set_ylim(len(joint) - 0.4, -0.6)
-    largest = max((e.relative_size or 0.0 for e in joint), default=1.0) or 1.0
-    axes.set_xlim(0.0, 1.3 * largest)
-    name_axes(axes, "size relative to typical", "")
+    name_axes(axes, "size over its standard deviation", "")
     axes.grid(axis="y", visible=False)
     return uri(figure)

@@ -12,7 +12,7 @@ from orchestrator.formatting.quantities import number, quantity, vector
 from orchestrator.formatting.sentences import listed
 from plugins.streams.report import _diagnosis_figures as figures
 from plugins.streams.report._content import Picture
-from protocols import CurrentExcerpt, DiagnosisStep
+from protocols import CurrentExcerpt, DiagnosisReport, DiagnosisStep
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
@@ -27,16 +27,23 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
             f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {quantity(floor, 'V')}."
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
-    if entries := diagnosis.report.joint[:7]:
-        caption = (
-            "All effects at once. z: the fitted size over its standard deviation. Filled: beyond chance (|z| ≥ 4). "
-            "Hollow: nothing that the data ask for."
-        )
-        yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
+    if diagnosis.report.joint:
+        yield _library(diagnosis.report)
     if diagnosis.steps:
         before, after = diagnosis.steps[0], diagnosis.steps[-1]
         yield from _residuals(before, after)
         yield from _waveforms(before, after)
+
+
+def _library(report: DiagnosisReport, most: int = 7) -> Picture:
+    """The effects that the joint fit is surest of, those of the model first, by their part of the error."""
+    shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}
+    order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
+    caption = (
+        "All effects at once. Those of the model come first, with their part of the error. Filled: beyond chance "
+        f"(≥ {figures.SURE_Z:g}, dashed). Hollow: nothing that the data ask for."
+    )
+    return Picture("The whole library, fitted together", caption, figures.joint_figure(order[:most], shares))
 
 
 def learned_pictures(found: Discovery | None) -> Iterator[Picture]:

@@ -33,7 +33,8 @@ def _about_map(material: Material) -> str:
         return f"none yet: `fluxbench estimate {run}` makes it."
     if report.usable and "flux_map" in report.files:
         return (
-            f"use `results/{report.files['flux_map']}`; `fluxbench export {run}` writes it for a drive or a simulation."
+            f"use `results/{report.files['flux_map']}`; `fluxbench export {run}` writes it for other tools, "
+            f"`fluxbench tune {run}` computes a drive's references, gains and compensation."
         )
     if report.usability is Usability.NOT_JUDGED:
         return f"not judged: `fluxbench diagnose {run}` decides whether it is usable."

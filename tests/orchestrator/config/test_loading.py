@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -315,7 +316,17 @@ def test_a_motor_file_goes_over_the_nameplate_and_the_limits(write: Write) -> No
     procedure = load_procedure("demo", motor=write(SERVO), overrides=["motor.pole_pairs=5"])
     assert (procedure.motor.name, procedure.motor.pole_pairs) == ("servo", 5)
     assert procedure.motor.rated_current_rms_a is None
-    assert procedure.drive.options == load_procedure("demo").drive.options
+
+
+def test_a_simulated_drive_forgets_the_example_motor_once_there_is_another(write: Write, tmp_path: Path) -> None:
+    loaded = read_procedure("demo", motor=write(SERVO), overrides=["drive.plant.sensors.noise_a=0.1"])
+    assert loaded.procedure.drive.options == {"plant": {"sensors": {"noise_a": 0.1}}}
+    assert loaded.notes == ("drive.plant is the example motor's and left out: drive simulated follows the nameplate",)
+    own = write(SERVO + "drive: {name: simulated, plant: {inverter: switched}}\n")
+    assert load_procedure("demo", motor=own).drive.options == {"plant": {"inverter": "switched"}}
+    mine = tmp_path / "procedure.yaml"
+    mine.write_text(TEXT.replace("name: simulated", "name: simulated\n  plant: {inverter: switched}"))
+    assert load_procedure(str(mine), motor=write(SERVO)).drive.options == {"plant": {"inverter": "switched"}}
 
 
 def test_a_motor_is_read_from_whatever_names_its_file(write: Write) -> None:
@@ -333,16 +344,53 @@ def test_a_motor_file_s_limits_leave_those_that_it_does_not_give(write: Write) -
     assert kept.energy_j is not None
 
 
-def test_a_motor_file_without_limits_keeps_the_procedures(write: Write) -> None:
-    text = SERVO.partition("limits:")[0]
-    assert load_procedure("demo", motor=write(text)).limits == load_procedure("demo").limits
+RATED = """
+  rated_current_rms_a: 10.0
+  rated_voltage_rms_v: 30.0
+  stator_resistance_ohm: 0.2
+"""
+
+
+def test_limits_that_a_motor_file_leaves_out_follow_from_the_nameplate(write: Write) -> None:
+    path = write(SERVO.partition("limits:")[0].rstrip() + RATED)
+    loaded = read_procedure("demo", motor=path)
+    limits = loaded.procedure.limits
+    assert limits.current_a == pytest.approx(2.2 * 10.0 * math.sqrt(2.0), rel=1e-3)
+    assert limits.voltage_v == pytest.approx(30.0 * math.sqrt(2.0 / 3.0), rel=1e-3)
+    assert limits.duration_s == load_procedure("demo").limits.duration_s == 120.0
+    assert limits.energy_j == pytest.approx(1.5 * 0.2 * (10.0 * math.sqrt(2.0)) ** 2 * 120.0, rel=1e-3)
+    assert loaded.notes[1:] == (
+        "limits, as the motor file has none of these: current_a 31.11 A, 2.2 times the rated peak; "
+        "voltage_v 24.49 V, the rated phase peak; energy_j 7200 J, the rated copper loss for 120 s",
+    )
+
+
+def test_a_given_limit_and_a_changed_nameplate_count_before_the_derived_limits(write: Write) -> None:
+    path = write(SERVO.partition("limits:")[0].rstrip() + RATED + "limits:\n  voltage_v: 20 V\n")
+    overrides = ["motor.rated_current_rms_a=1", "limits.energy_j=50"]
+    limits = load_procedure("demo", motor=path, overrides=overrides).limits
+    assert (limits.current_a, limits.voltage_v, limits.energy_j) == (3.111, 20.0, 50.0)
+
+
+def test_a_motor_file_without_limits_keeps_those_of_an_own_procedure(write: Write, tmp_path: Path) -> None:
+    plate = tmp_path / "plate.yaml"
+    plate.write_text(SERVO.partition("limits:")[0].rstrip() + RATED)
+    own = write(TEXT)
+    loaded = read_procedure(str(own), motor=plate)
+    assert (loaded.procedure.limits, loaded.notes) == (load_procedure(str(own)).limits, ())
 
 
 @pytest.mark.parametrize(
     ("text", "line", "problem"),
     [
         (SERVO.replace("pole_pairs", "pole_pair"), 3, "did you mean 'pole_pairs'?"),
-        (SERVO.replace("  voltage_v: 24.0\n", ""), 4, "limits.voltage_v: missing"),
+        (
+            SERVO.replace("  voltage_v: 24.0\n", ""),
+            4,
+            "limits.voltage_v: missing: give it, or motor.rated_voltage_rms_v, from which it follows",
+        ),
+        (SERVO.partition("limits:")[0], None, "limits.current_a: missing: give it, or motor.rated_current_rms_a"),
+        ("name: servo\npole_pairs: 4\n", None, "motor: missing: the nameplate's fields belong below a line `motor:`"),
         (SERVO.replace("limits", "limit"), 4, "did you mean 'limits'?"),
         (SERVO.replace("motor", "drive"), None, "motor: missing"),
     ],
@@ -447,4 +495,4 @@ def test_a_motor_file_in_the_place_of_a_procedure_is_named_as_one(tmp_path: Path
 
 
 def test_a_value_in_the_field_s_own_unit_needs_no_comment() -> None:
-    assert read_procedure("demo", overrides=["limits.current_a=4.5 A"]).conversions == ()
+    assert read_procedure("demo", overrides=["limits.current_a=4.5 A"]).notes == ()

@@ -49,6 +49,16 @@ def test_sizes_and_what_they_mean_for_the_drive_are_listed_and_the_rest_is_count
     ]
 
 
+def test_an_interval_that_holds_zero_is_marked() -> None:
+    sure = ParameterValue(value=0.3, low=0.2, high=0.4, unit="ohm")
+    other = ParameterValue(value=0.105, low=-0.054, high=0.265, unit="ohm")
+    found = effect(parameters={"extra_a_ohm": sure, "extra_b_ohm": other}, derived={})
+    assert parameter_rows(found) == [
+        ("extra a", "300 mΩ", "200 to 400"),
+        ("extra b", "105 mΩ", "−54 to 265; zero fits too"),
+    ]
+
+
 def test_a_step_of_the_ladder_names_effects_that_have_no_step_of_their_own() -> None:
     def step(added: str | None, *effects: str) -> Rung:
         return Rung(added=added, chi2=1.0, rms_v=0.1, heldout_rms_v=None, current_rms_a=None, effects=effects)

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
+import scipy.signal
 
 from orchestrator.importing import import_files
 from orchestrator.importing.guessing import guess_mapping
@@ -209,6 +210,55 @@ def test_the_command_writes_a_mapping_that_imports(
     assert run_app(["import", "--guess", "plate.yaml", "--out", "x.yaml"]) == 2
     assert not Path("x.yaml").exists()
     assert run_app(["import", "log.yaml"]) == 2
+
+
+@pytest.mark.parametrize("hz", [4.0, 20.0, 100.0])
+def test_slow_square_waves_about_held_currents_are_injections(tmp_path: Path, hz: float) -> None:
+    ohm, henry, rate = 0.4, 1e-3, 1e4
+    points = [(2.0, 0.0), (0.0, 5.0), (0.0, 0.0)]
+    rows = int(8 * rate / hz)
+    sign = np.where(np.arange(rows) // int(0.5 * rate / hz) % 2 == 0, 0.5, -0.5)[:, None]
+    waves = [ohm * np.array(point) + sign * axis for point in points for axis in np.eye(2)]
+    v = np.concatenate([np.zeros((5000, 2)), *(np.tile(ohm * np.array(p), (6000, 1)) for p in points[:2]), *waves])
+    i = scipy.signal.lfilter(
+        [0.0, 1.0 / ohm * (1.0 - (decay := np.exp(-ohm / henry / rate)))], [1.0, -decay], v, axis=0
+    )
+    i += 3e-3 * np.random.default_rng(3).normal(size=i.shape)
+    names = [f"{x}_{axis}" for x in ("i", "u") for axis in ("alpha", "beta")]
+    path = text(tmp_path / "log.csv", "t," + ",".join(names) + "\n", [np.arange(len(i)) / rate, *i.T, *v.T])
+    (tmp_path / "m.yaml").write_text(guess_mapping(path).text)
+    import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
+    segments = open_recording(tmp_path / "out").segments()
+    assert [s.stage.value for s in segments] == ["gates_off", "resistance", "resistance", *["injection"] * 6]
+    starts = [0.0, 0.5, 1.1, *(1.7 + k * 8 / hz for k in range(6))]
+    assert [s.start_s for s in segments] == pytest.approx(starts, abs=1.5 / rate)
+
+
+def test_the_drive_of_a_motor_file_is_the_mappings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    plecs(Path("log.csv"))
+    Path("plate.yaml").write_text(PLATE.replace("voltage_delay_samples: 0", "port: COM3"))
+    assert run_app(["import", "--guess", "log.csv", "--motor", "plate.yaml"]) == 0
+    mapping = Path("log.yaml").read_text()
+    assert "drive: {name: bench, dc_bus_voltage_v: 540.0, pwm_frequency_hz: 10000.0}  # as given" in mapping
+    Path("plate.yaml").write_text(PLATE.replace("540", "plenty"))
+    assert run_app(["import", "--guess", "log.csv", "--motor", "plate.yaml", "--out", "m.yaml"]) == 2
+
+
+def test_a_unit_that_is_not_in_the_file_follows_from_nameplate_and_bus(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text(
+        Path("log.csv"),
+        "t,ia,ib,ic,va,vb,vc\n",
+        [SOME.t, *columns(SOME, 1e3)[:3], *(1e3 * x for x in SOME.volts.values())],
+    )
+    Path("plate.yaml").write_text(PLATE)
+    assert run_app(["import", "--guess", "log.csv", "--motor", "plate.yaml"]) == 0
+    mapping = Path("log.yaml").read_text()
+    assert "unit: mA}" in mapping
+    assert "unit: mV}" in mapping
 
 
 def test_holds_and_injections_of_one_log_are_reported_by_their_currents(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The page's files and the recording that its script asks for."""
     for name, text in snippets().items():
         (tmp_path / name).write_text(text, encoding="utf-8")
-    shutil.copytree(REDUCED, tmp_path / "pm400-reduced")
+    shutil.copytree(REDUCED, tmp_path / "tests" / "data" / "pm400-reduced")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

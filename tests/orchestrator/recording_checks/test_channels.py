@@ -14,6 +14,8 @@ from scipy.signal import lfilter
 from orchestrator.recording import open_recording
 from orchestrator.recording._recording_checks import SoundRecording
 from orchestrator.recording_checks import find_convention
+from orchestrator.recording_checks.channels import clipped
+from orchestrator.recording_checks.survey import survey
 from protocols import Capture, NotMeasuredError
 from tests.blind.campaign import record
 from tests.blind.hidden import draw_case
@@ -51,6 +53,20 @@ def test_clipped_readings_are_named_with_their_limit(right: Rewritten, field: Fi
     assert convention is not None
     assert convention.kind == f"clipped_{name}"
     assert f"{limit:g}" in convention.what
+
+
+def test_square_waves_of_an_open_loop_are_no_clipped_voltages(right: Rewritten) -> None:
+    """A log states no amplitude, and its commands stand still between the edges."""
+    log = right.without_settings("amplitude_v")
+
+    def squared(c: Capture) -> dict[str, Any]:
+        sign = np.where(np.arange(len(c)) // 10 % 2 == 0, 1.0, -1.0)
+        return {"v_ab": c.v_ab.mean(axis=0) + 20.0 * sign[:, None] * [1.0, 0.0]}
+
+    assert clipped(survey(log.captured(squared))) is None
+    found = clipped(survey(log.captured(lambda c: {"v_ab": np.clip(c.v_ab, -20.0, 20.0)})))
+    assert found is not None
+    assert found.kind == "clipped_voltages"
 
 
 @pytest.mark.parametrize(("spikes", "size"), [(1, 3.0), (5, -0.4), (5, 19.0)])

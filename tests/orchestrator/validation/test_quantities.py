@@ -18,8 +18,8 @@ def test_quantities_become_numbers_in_the_field_s_unit_and_are_stated() -> None:
     motor, stages = loaded.procedure.motor, loaded.procedure.stages
     assert (motor.d_inductance_h, motor.pm_flux_wb, loaded.procedure.limits.current_a) == (0.04325, 0.3, 4.5)
     assert (stages[6].settings["settle_s"], stages[4].settings["tolerance_rad"]) == (0.5, pytest.approx(math.pi / 180))
-    assert "motor.d_inductance_h: 43.25 mH is read as 0.04325 H" in loaded.conversions
-    assert len(loaded.conversions) == 5
+    assert "motor.d_inductance_h: 43.25 mH is read as 0.04325 H" in loaded.notes
+    assert len(loaded.notes) == 5
 
 
 def test_lists_and_motor_files_take_them_too(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_what_a_journal_holds_is_obeyed_by_no_terminal_and_comes_back_as_it_was(
 
 @pytest.mark.parametrize("name", [HOSTILE, r"$\frac{$", "x" * 100_000, "a\nb"])
 def test_a_name_in_a_picture_is_plain_text(name: str) -> None:
-    drawn = joint_figure([JointEntry(name=name, relative_size=1.0, z=9.0)])
+    drawn = joint_figure([JointEntry(name=name, relative_size=1.0, z=9.0)], {})
     picture = base64.b64decode(drawn.partition("base64,")[2]).decode()
     assert [char for char in picture if visible(char) != char] == []
     assert len(picture) < 100_000

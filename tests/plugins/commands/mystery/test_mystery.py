@@ -11,7 +11,7 @@ import pytest
 from orchestrator.recording import open_recording
 from plugins.commands.mystery import draw, sealed_effects
 from plugins.commands.mystery._command import command
-from protocols import InputError, RecordingError, SegmentStage
+from protocols import DriveFault, FaultCause, InputError, RecordingError, SegmentStage
 
 NUMBER = 7
 
@@ -81,6 +81,16 @@ def test_reveal_tells_too_what_the_run_itself_caused(
     monkeypatch.setattr("plugins.commands.mystery._guessing.caused_effects", lambda _: turned)
     reported = verdict_on(capsys, run, "--reveal")
     assert "rotor_misalignment: not hidden; the run itself caused it" in reported
+
+
+def test_a_run_that_a_fault_ended_says_how_to_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fault = DriveFault(FaultCause.OVERCURRENT, "9 A")
+    monkeypatch.setattr("plugins.commands.mystery._command._run", lambda *_: fault)
+    with pytest.raises(DriveFault):
+        command([str(NUMBER), "--out", str(tmp_path / "run")])
+    assert f"`fluxbench resume {tmp_path / 'run'}` continues" in capsys.readouterr().err
 
 
 def test_requested_again_it_is_not_measured_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from matplotlib.figure import Figure
 
 from orchestrator.diagnosis import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from plugins.streams.report import _diagnosis_content as findings
-from plugins.streams.report import write_report
-from plugins.streams.report._diagnosis_figures import _rising, plane_figures, with_zero_sequence
+from plugins.streams.report import _diagnosis_figures, write_report
+from plugins.streams.report._diagnosis_figures import _rising, ladder_figure, plane_figures, with_zero_sequence
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures
 from protocols import Reason
 from tests.orchestrator.discovery.test_command import a_discovery
@@ -125,6 +126,38 @@ def test_one_rung_is_drawn_without_a_before() -> None:
     assert not any(picture.beside for picture in pictures)
 
 
+def test_the_ladders_legend_is_whole_beside_long_names(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr(_diagnosis_figures, "uri", figures.append)
+    ladder = [rung.model_copy(update={"added": "phase_resistance_imbalance"}) for rung in a_diagnosis().ladder]
+    ladder_figure(ladder, 0.004)
+    (figure,) = figures
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["fitted", "held out", "noise floor"]
+    extent = legend.get_window_extent()
+    assert 0.0 <= extent.x0 < extent.x1 <= figure.bbox.width
+
+
+def test_the_library_is_in_the_order_of_the_error_that_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+    figures: list[Figure] = []
+    monkeypatch.setattr(_diagnosis_figures, "uri", figures.append)
+    shares = {"dead_time": 0.9, "winding_heating": 0.05}
+    found = a_diagnosis().effects[0]
+    effects = [found.model_copy(update={"name": name, "share": share}) for name, share in shares.items()]
+    joint = [
+        {"name": "bus_sag", "relative_size": 0.01, "z": -5.1},
+        {"name": "winding_heating", "relative_size": 1.6, "z": 79.0},
+        {"name": "hysteresis", "relative_size": 0.4, "z": 0.5},
+        {"name": "dead_time", "relative_size": 0.6, "z": 44962.0},
+    ]
+    list(diagnosis_pictures(SavedDiagnosis(a_diagnosis(effects=effects, joint=joint), WORDS, ())))
+    axes = figures[-1].axes[0]
+    names = [text.get_text() for text in axes.get_yticklabels()]
+    assert names == ["dead time", "winding heating", "bus sag", "hysteresis"]
+    assert [text.get_text().strip() for text in axes.texts] == ["90 %", "5 %"]
+
+
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
     assert findings.effect_rows(saved()) == [
         ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "5 %", "device drop"),
@@ -143,7 +176,7 @@ def test_tables_tell_values_with_their_intervals_and_twins() -> None:
 def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
     assert findings.alike_rows(saved()) == [
         ("dead time", "device drop", "does as well in its place"),
-        ("bus sag", "–", "z = −5.1 where all effects are fitted at once; adding it gains too little"),
+        ("bus sag", "–", "|z| to 5.1 where all effects are fitted at once; adding it gains too little"),
         ("skin effect", "–", "detected, but too small to be named"),
     ]
 

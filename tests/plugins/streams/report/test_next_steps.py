@@ -31,7 +31,11 @@ def an_estimate(**change: object) -> EstimationReport:
     ("estimates", "text"),
     [
         (None, "none yet: `fluxbench estimate runs/first` makes"),
-        (an_estimate(), "use `results/flux_map.nc`; `fluxbench export runs/first` writes"),
+        (
+            an_estimate(),
+            "use `results/flux_map.nc`; `fluxbench export runs/first` writes it for other tools, `fluxbench tune "
+            "runs/first` computes",
+        ),
         (an_estimate(usable=False, reasons=["the rotor turned"]), "do not rely on it: the rotor turned."),
     ],
 )
