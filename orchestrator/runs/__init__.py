@@ -1,6 +1,6 @@
 """Runs on disk: directory, lock, journal and provenance. The engine decides what happens in a run."""
 
-from orchestrator.runs._directory import RunDirectory, is_run, private_directory
+from orchestrator.runs._directory import RunDirectory, is_private, is_run, last_end, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
 from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows, without_private
 from orchestrator.runs._provenance import Provenance, provenance
@@ -13,7 +13,9 @@ __all__ = [
     "Provenance",
     "RunDirectory",
     "RunRecord",
+    "is_private",
     "is_run",
+    "last_end",
     "open_any",
     "private_directory",
     "provenance",

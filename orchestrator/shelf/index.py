@@ -1,0 +1,179 @@
+"""The index of a folder of runs in SQLite: derived from the runs' own files, and never the truth.
+
+A look at the folder finds the runs that are new, changed or gone, and reads those alone. An index that is damaged, of
+another version or cannot be written is replaced by one in memory or in a new file, without a word: only time is lost.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sqlite3
+import stat
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from orchestrator.shelf.facts import COLUMNS, NUMBERS, read_facts
+from orchestrator.shelf.labels import LABELS_NAME
+
+INDEX_NAME = ".index.sqlite"
+VERSION = 1
+"""To be raised where a column's meaning changes."""
+LOCK_TIMEOUT_S = 5.0
+RACY_NS = 2_000_000_000
+"""A file changed so shortly before it was read may change again without another time stamp."""
+RUNS_PER_COMMIT = 200
+
+Query = tuple[str, Sequence[str | float]]
+"""SQL, and the values of its ``?``."""
+Stamp = tuple[int, ...]
+"""Times of change of a run's folder, `run.json`, journal, results and labels [ns], and the journal's size."""
+
+_STAMP = ("folder_ns", "record_ns", "journal_ns", "results_ns", "labels_ns", "journal_bytes")
+_SCHEMA = "CREATE TABLE runs ({} TEXT PRIMARY KEY, {}, {}, words TEXT) WITHOUT ROWID".format(
+    COLUMNS[0],
+    ", ".join(f"{name} {'REAL' if name in NUMBERS else 'TEXT'}" for name in COLUMNS[1:]),
+    ", ".join(f"{name} INTEGER" for name in _STAMP),
+)
+_INSERT = f"INSERT OR REPLACE INTO runs VALUES ({', '.join('?' * (len(COLUMNS) + len(_STAMP) + 1))})"
+_SEALED = re.compile(r"\.sealed(\.\d+)?$")
+
+
+def select(
+    folder: Path,
+    queries: Sequence[Query],
+    tell: Callable[[int, int], None] = lambda done, of: None,
+) -> list[list[tuple[Any, ...]]]:
+    """Rows of each query on the up-to-date index of a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of runs, which are sought in its folders too.
+    queries : sequence of Query
+        They see the table ``runs`` with the columns of `RunFacts`, and ``words``: its texts in lower case.
+    tell : callable
+        Called with the number of runs read so far, and of those to be read.
+    """
+    file = folder / INDEX_NAME
+    keeps = file.exists() or next(_runs_below(str(folder), "", {}), None) is not None
+    for _ in range(2 if keeps else 0):
+        try:
+            with closing(sqlite3.connect(file, timeout=LOCK_TIMEOUT_S, isolation_level=None)) as connection:
+                return _selected(connection, folder, queries, tell)
+        except sqlite3.OperationalError:  # locked for long, or in a folder that cannot be written
+            break
+        except sqlite3.DatabaseError:  # damaged
+            for left in (file.with_name(f"{file.name}-journal"), file):
+                with suppress(OSError):
+                    left.unlink()
+    with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        _copy(file, connection)
+        return _selected(connection, folder, queries, tell)
+
+
+def _selected(
+    connection: sqlite3.Connection, folder: Path, queries: Sequence[Query], tell: Callable[[int, int], None]
+) -> list[list[tuple[Any, ...]]]:
+    _prepare(connection)
+    _refresh(connection, folder, tell)
+    return [connection.execute(sql, parameters).fetchall() for sql, parameters in queries]
+
+
+def _copy(file: Path, to: sqlite3.Connection) -> None:
+    """Copy an index that can be read and not written."""
+    if file.is_file():
+        with (
+            suppress(sqlite3.Error),
+            closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as source,
+        ):
+            source.backup(to)
+
+
+def _prepare(connection: sqlite3.Connection) -> None:
+    """Create the table, anew where it is of another version."""
+    version = zlib.crc32(f"{VERSION} {_SCHEMA}".encode()) >> 1  # it has to be a positive number of 32 bits
+    if connection.execute("PRAGMA user_version").fetchone()[0] == version:
+        return
+    with _transaction(connection):
+        connection.execute("DROP TABLE IF EXISTS runs")
+        connection.execute(_SCHEMA)
+        connection.execute(f"PRAGMA user_version = {version}")
+
+
+@contextmanager
+def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+    except BaseException:
+        connection.execute("ROLLBACK")
+        raise
+    connection.execute("COMMIT")
+
+
+def _refresh(connection: sqlite3.Connection, folder: Path, tell: Callable[[int, int], None]) -> None:
+    """Read the runs that are new or changed, and drop those that are gone."""
+    known = {row[0]: row[1:] for row in connection.execute(f"SELECT run, {', '.join(_STAMP)} FROM runs")}
+    now_ns = time.time_ns()
+    found = {_encodable(name): (name, stamp) for name, stamp in _runs_below(str(folder), "", known)}
+    gone = [(name,) for name in known.keys() - found.keys()]
+    stale = [(name, stamp) for key, (name, stamp) in found.items() if known.get(key) != stamp]
+    if gone:
+        with _transaction(connection):
+            connection.executemany("DELETE FROM runs WHERE run = ?", gone)
+    for begin in range(0, len(stale), RUNS_PER_COMMIT):
+        tell(begin, len(stale))
+        batch = [_row(folder, name, stamp, now_ns) for name, stamp in stale[begin : begin + RUNS_PER_COMMIT]]
+        with _transaction(connection):
+            connection.executemany(_INSERT, batch)
+
+
+def _row(folder: Path, name: str, stamp: Stamp, now_ns: int) -> tuple[object, ...]:
+    facts = read_facts(folder / name, name)
+    values = [getattr(facts, column) for column in COLUMNS]
+    values = [_encodable(value) if isinstance(value, str) else value for value in values]
+    words = " ".join(value for value in values if isinstance(value, str)).lower()
+    is_racy = max(stamp[:-1]) > now_ns - RACY_NS
+    return (*values, *((0,) * len(stamp) if is_racy else stamp), words)
+
+
+def _encodable(text: str) -> str:
+    """A text that SQLite takes: bytes of a file's name that are no UTF-8 are written out."""
+    return text.encode(errors="backslashreplace").decode()
+
+
+def _runs_below(folder: str, prefix: str, known: Mapping[str, Stamp]) -> Iterator[tuple[str, Stamp]]:
+    """Name and stamp of each run below a folder; runs have no runs in them."""
+    try:
+        with os.scandir(folder) as listing:
+            entries = [entry for entry in listing if entry.is_dir(follow_symlinks=False)]
+    except OSError:
+        return
+    names = {entry.name for entry in entries}
+    for entry in entries:
+        name, path = prefix + entry.name, entry.path
+        if _SEALED.search(name) and _SEALED.sub("", entry.name) in names:
+            continue
+        record, whole = _status(f"{path}/run.json"), _status(path)
+        if record is None or whole is None or not stat.S_ISREG(record.st_mode):
+            yield from _runs_below(path, f"{name}/", known)
+            continue
+        before = known.get(name)
+        journal, results = _status(f"{path}/journal.jsonl"), _status(f"{path}/results")
+        # Where there were no labels, the folder's time tells whether there are any now.
+        had_none = before is not None and before[0] == whole.st_mtime_ns and before[4] == 0
+        labels = None if had_none else _status(f"{path}/{LABELS_NAME}")
+        changed_ns = (0 if one is None else one.st_mtime_ns for one in (whole, record, journal, results, labels))
+        yield name, (*changed_ns, 0 if journal is None else journal.st_size)
+
+
+def _status(path: str) -> os.stat_result | None:
+    try:
+        return os.stat(path)  # noqa: PTH116  # a `Path` for each of 50,000 files takes longer than the query
+    except OSError:
+        return None
