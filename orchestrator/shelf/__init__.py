@@ -1,31 +1,35 @@
 """The shelf of runs: an index of their folders, tags and notes, and the limits by which a motor is accepted."""
 
 from orchestrator.shelf.acceptance import judge_acceptance
-from orchestrator.shelf.facts import COLUMNS, NUMBERS, RunFacts, read_facts
-from orchestrator.shelf.labels import relabel, save_labels
-from orchestrator.shelf.query import (
-    DEFAULT_COLUMNS,
-    Condition,
-    FoundRuns,
-    RunQuery,
-    cells,
-    find_runs,
-    known_column,
-)
+from orchestrator.shelf.facts import COLUMNS, NUMBERS, QUANTITIES, RunFacts, cells, is_text, read_facts, with_intervals
+from orchestrator.shelf.junit import write_junit
+from orchestrator.shelf.labels import load_labels, relabel, save_labels
+from orchestrator.shelf.query import DEFAULT_COLUMNS, Condition, FoundRuns, RunQuery, find_runs, known_column
+from orchestrator.shelf.station import NOT_ACCEPTED, JudgedRun, judge_run, run_folder_of, work_through
 
 __all__ = [
     "COLUMNS",
     "DEFAULT_COLUMNS",
+    "NOT_ACCEPTED",
     "NUMBERS",
+    "QUANTITIES",
     "Condition",
     "FoundRuns",
+    "JudgedRun",
     "RunFacts",
     "RunQuery",
     "cells",
     "find_runs",
+    "is_text",
     "judge_acceptance",
+    "judge_run",
     "known_column",
+    "load_labels",
     "read_facts",
     "relabel",
+    "run_folder_of",
     "save_labels",
+    "with_intervals",
+    "work_through",
+    "write_junit",
 ]

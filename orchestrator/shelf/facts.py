@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import UNKNOWN, duration, percent, quantity, value_and_interval
 from orchestrator.runs import JournalRecord, RunDirectory, last_end
-from orchestrator.shelf.acceptance import judge_acceptance
+from orchestrator.shelf.acceptance import UNITS, judge_acceptance
 from orchestrator.shelf.labels import load_labels
 from orchestrator.shelf.results import RunResults, load_results
 from protocols import FluxbenchError, RunLabels, RunStarted
@@ -90,6 +92,43 @@ def interval_columns(quantity: str) -> tuple[str, str]:
     return f"{name}_low_{unit}", f"{name}_high_{unit}"
 
 
+def with_intervals(columns: Iterable[str]) -> tuple[str, ...]:
+    """Columns, and after each quantity those of its interval."""
+    return tuple(
+        name
+        for column in columns
+        for name in ((column, *interval_columns(column)) if column in QUANTITIES else (column,))
+    )
+
+
+def is_text(column: str) -> bool:
+    """Whether a column holds texts."""
+    return column not in NUMBERS
+
+
+def cells(facts: RunFacts, columns: Sequence[str]) -> tuple[str, ...]:
+    """Values of a run in print, quantities with as many digits as their interval supports."""
+    return tuple(_cell(facts, column) for column in columns)
+
+
+def _cell(facts: RunFacts, column: str) -> str:
+    value = getattr(facts, column)
+    if column not in NUMBERS:
+        return str(value)
+    if value is None:
+        return UNKNOWN
+    if column in QUANTITIES:
+        low, high = (getattr(facts, name) for name in interval_columns(column))
+        return value_and_interval(value, low, high, UNITS[column])[0]
+    if column == "duration_s":
+        return duration(value)
+    return percent(value) if column == "map_error_percent" else quantity(value, _unit_of(column), 4)
+
+
+def _unit_of(column: str) -> str:
+    return {"ohm": "ohm", "h": "H", "wb": "Wb"}[column.rpartition("_")[2]]
+
+
 def read_facts(folder: Path, name: str) -> RunFacts:
     """The facts of the run in a folder, under a name; errors of its files are in them, and never raised."""
     try:
@@ -114,13 +153,12 @@ def read_facts(folder: Path, name: str) -> RunFacts:
     if procedure.accept is not None and outcome == "finished":
         judged = judge_acceptance(procedure.accept, results)
         accepted, objections = "pass" if judged.passed else "fail", "; ".join(judged.objections)
-    texts = dict(about.model_copy(update={"tags": labels.tags, "notes": labels.notes}).lines())
-    numbers: dict[str, float | None] = {"duration_s": _duration_s(journal)}
-    for quantity, interval in results.quantities.items():
-        numbers[quantity] = interval.value
-        if quantity in QUANTITIES:
-            low, high = interval_columns(quantity)
-            numbers |= {low: interval.low, high: interval.high}
+    others: dict[str, Any] = dict(about.model_copy(update={"tags": labels.tags, "notes": labels.notes}).lines())
+    for name_of, interval in results.quantities.items():
+        others[name_of] = interval.value
+        if name_of in QUANTITIES:
+            low, high = interval_columns(name_of)
+            others |= {low: interval.low, high: interval.high}
     return RunFacts(
         run=name,
         created=run.record.created,
@@ -133,9 +171,9 @@ def read_facts(folder: Path, name: str) -> RunFacts:
         accepted=accepted,
         objections=objections,
         usability="" if results.usability is None else results.usability.value,
+        duration_s=_duration_s(journal),
         problem="; ".join(problems),
-        **texts,
-        **numbers,
+        **others,
     )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import os
 import re
 import sqlite3
-import stat
 import time
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,6 +20,7 @@ from orchestrator.shelf.facts import COLUMNS, NUMBERS, read_facts
 from orchestrator.shelf.labels import LABELS_NAME
 
 INDEX_NAME = ".index.sqlite"
+JOURNAL_NAME = "journal.jsonl"
 VERSION = 1
 """To be raised where a column's meaning changes."""
 LOCK_TIMEOUT_S = 5.0
@@ -31,9 +31,12 @@ RUNS_PER_COMMIT = 200
 Query = tuple[str, Sequence[str | float]]
 """SQL, and the values of its ``?``."""
 Stamp = tuple[int, ...]
-"""Times of change of a run's folder, `run.json`, journal, results and labels [ns], and the journal's size."""
+"""Times of change of a run's folder, results, labels and journal [ns], and the journal's size [bytes].
 
-_STAMP = ("folder_ns", "record_ns", "journal_ns", "results_ns", "labels_ns", "journal_bytes")
+0: there is none; or the run has finished, and its journal grows no more before its folder changes too.
+"""
+
+_STAMP = ("folder_ns", "results_ns", "labels_ns", "journal_ns", "journal_bytes")
 _SCHEMA = "CREATE TABLE runs ({} TEXT PRIMARY KEY, {}, {}, words TEXT) WITHOUT ROWID".format(
     COLUMNS[0],
     ", ".join(f"{name} {'REAL' if name in NUMBERS else 'TEXT'}" for name in COLUMNS[1:]),
@@ -138,8 +141,11 @@ def _row(folder: Path, name: str, stamp: Stamp, now_ns: int) -> tuple[object, ..
     values = [getattr(facts, column) for column in COLUMNS]
     values = [_encodable(value) if isinstance(value, str) else value for value in values]
     words = " ".join(value for value in values if isinstance(value, str)).lower()
-    is_racy = max(stamp[:-1]) > now_ns - RACY_NS
-    return (*values, *((0,) * len(stamp) if is_racy else stamp), words)
+    if max(stamp[:-1]) > now_ns - RACY_NS:
+        stamp = (0,) * len(stamp)
+    elif facts.outcome == "finished":
+        stamp = (*stamp[:-2], 0, 0)
+    return (*values, *stamp, words)
 
 
 def _encodable(text: str) -> str:
@@ -157,19 +163,21 @@ def _runs_below(folder: str, prefix: str, known: Mapping[str, Stamp]) -> Iterato
     names = {entry.name for entry in entries}
     for entry in entries:
         name, path = prefix + entry.name, entry.path
-        if _SEALED.search(name) and _SEALED.sub("", entry.name) in names:
+        if ".sealed" in name and _SEALED.sub("", entry.name) in names:
             continue
-        record, whole = _status(f"{path}/run.json"), _status(path)
-        if record is None or whole is None or not stat.S_ISREG(record.st_mode):
+        before, whole = known.get(name), _status(path)
+        if whole is None or (before is None and not Path(path, "run.json").is_file()):
             yield from _runs_below(path, f"{name}/", known)
             continue
-        before = known.get(name)
-        journal, results = _status(f"{path}/journal.jsonl"), _status(f"{path}/results")
-        # Where there were no labels, the folder's time tells whether there are any now.
-        had_none = before is not None and before[0] == whole.st_mtime_ns and before[4] == 0
-        labels = None if had_none else _status(f"{path}/{LABELS_NAME}")
-        changed_ns = (0 if one is None else one.st_mtime_ns for one in (whole, record, journal, results, labels))
-        yield name, (*changed_ns, 0 if journal is None else journal.st_size)
+        results = _status(f"{path}/results")
+        stamp: Stamp = (whole.st_mtime_ns, 0 if results is None else results.st_mtime_ns)
+        # Labels where there were none, and a finished run that goes on, change the folder's time too.
+        is_same = before is not None and before[:2] == stamp
+        for k, file in enumerate((LABELS_NAME, JOURNAL_NAME), 2):
+            status = None if is_same and before is not None and before[k] == 0 else _status(f"{path}/{file}")
+            stamp += (0,) if status is None else (status.st_mtime_ns,)
+            size = 0 if status is None else status.st_size
+        yield name, (*stamp, size)
 
 
 def _status(path: str) -> os.stat_result | None:

@@ -1,16 +1,14 @@
-"""Questions to the index: words, conditions on columns, order; and its rows as text."""
+"""Questions to the index: words, conditions on columns, and an order."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orchestrator.formatting.quantities import UNKNOWN, duration, percent, quantity, value_and_interval
-from orchestrator.shelf.acceptance import UNITS
-from orchestrator.shelf.facts import COLUMNS, NUMBERS, QUANTITIES, RunFacts, interval_columns
+from orchestrator.shelf.facts import COLUMNS, NUMBERS
 from orchestrator.shelf.index import select
 from orchestrator.validation.messages import suggestion
 from protocols import InputError
@@ -139,40 +137,3 @@ def find_runs(
         tell,
     )  # fmt: skip
     return FoundRuns(rows, int(count), [problem for (problem,) in problems])
-
-
-def with_intervals(columns: Iterable[str]) -> tuple[str, ...]:
-    """Columns, and after each quantity those of its interval."""
-    return tuple(
-        name
-        for column in columns
-        for name in ((column, *interval_columns(column)) if column in QUANTITIES else (column,))
-    )
-
-
-def is_text(column: str) -> bool:
-    """Whether a column holds texts."""
-    return column not in NUMBERS
-
-
-def cells(facts: RunFacts, columns: Sequence[str]) -> tuple[str, ...]:
-    """Values of a run in print, quantities with as many digits as their interval supports."""
-    return tuple(_cell(facts, column) for column in columns)
-
-
-def _cell(facts: RunFacts, column: str) -> str:
-    value = getattr(facts, column)
-    if column not in NUMBERS:
-        return str(value)
-    if value is None:
-        return UNKNOWN
-    if column in QUANTITIES:
-        low, high = (getattr(facts, name) for name in interval_columns(column))
-        return value_and_interval(value, low, high, UNITS[column])[0]
-    if column == "duration_s":
-        return duration(value)
-    return percent(value) if column == "map_error_percent" else quantity(value, _unit_of(column), 4)
-
-
-def _unit_of(column: str) -> str:
-    return {"ohm": "ohm", "h": "H", "wb": "Wb"}[column.rpartition("_")[2]]

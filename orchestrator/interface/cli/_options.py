@@ -57,6 +57,10 @@ RemoteOption = Annotated[
         metavar="WORD",
     ),
 ]
+JunitOption = Annotated[
+    Path | None,
+    typer.Option("--junit", help="Write pass or fail by the procedure's `accept` as JUnit XML.", metavar="FILE"),
+]
 ModelOption = Annotated[
     str | None,
     typer.Option(help="linear (the nameplate), saturated (the free energy map), a flux map file, or a model.json."),

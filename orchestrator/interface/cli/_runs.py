@@ -7,11 +7,22 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from orchestrator.formatting.sentences import for_output, text_table
 from orchestrator.interface.cli._output import complain, say, say_document
-from orchestrator.shelf import COLUMNS, DEFAULT_COLUMNS, Condition, RunFacts, RunQuery, cells, find_runs, known_column
-from orchestrator.shelf.query import is_text, with_intervals
+from orchestrator.shelf import (
+    COLUMNS,
+    DEFAULT_COLUMNS,
+    Condition,
+    RunFacts,
+    RunQuery,
+    cells,
+    find_runs,
+    is_text,
+    known_column,
+    with_intervals,
+)
 from protocols import InputError
 
 MIN_ANNOUNCED_RUNS = 500
@@ -70,17 +81,17 @@ def _with_path(folder: Path, row: dict[str, object]) -> dict[str, object]:
 
 
 def _in_print(
-    folder: Path, head: Sequence[str], shown: Sequence[str], rows: Sequence[tuple[object, ...]]
+    folder: Path, head: Sequence[str], shown: Sequence[str], rows: Sequence[tuple[Any, ...]]
 ) -> list[tuple[str, ...]]:
+    texts: list[tuple[str, ...]]
     if all(map(is_text, head)):
-        texts = [tuple(map(str, row)) for row in rows]
+        texts = [*rows]
     else:
-        blank = dict.fromkeys(["run"], "")
-        texts = [cells(RunFacts(**blank | dict(zip(shown, row, strict=True))), head) for row in rows]
-    if "run" not in head:
+        texts = [cells(RunFacts(**{"run": "", **dict(zip(shown, row, strict=True))}), head) for row in rows]
+    if "run" not in head or folder == Path():
         return texts
-    at, above = list(head).index("run"), "" if folder == Path() else f"{folder}/"
-    return [(*row[:at], above + row[at], *row[at + 1 :]) for row in texts]
+    at = head.index("run")
+    return [(*row[:at], f"{folder}/{row[at]}", *row[at + 1 :]) for row in texts]
 
 
 def _none_found(folder: Path, options: RunsOptions) -> str:
