@@ -5,7 +5,7 @@ from orchestrator.shelf.facts import COLUMNS, NUMBERS, QUANTITIES, RunFacts, cel
 from orchestrator.shelf.junit import write_junit
 from orchestrator.shelf.labels import load_labels, relabel, save_labels
 from orchestrator.shelf.query import DEFAULT_COLUMNS, Condition, FoundRuns, RunQuery, find_runs, known_column
-from orchestrator.shelf.station import NOT_ACCEPTED, JudgedRun, judge_run, run_folder_of, work_through
+from orchestrator.shelf.station import NOT_ACCEPTED, JudgedRun, ask_serial, judge_run, run_folder_of, work_through
 
 __all__ = [
     "COLUMNS",
@@ -18,6 +18,7 @@ __all__ = [
     "JudgedRun",
     "RunFacts",
     "RunQuery",
+    "ask_serial",
     "cells",
     "find_runs",
     "is_text",

@@ -5,7 +5,6 @@ from __future__ import annotations
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import measured, quantity
 from orchestrator.formatting.results import USABILITY_WORDS
-from orchestrator.formatting.sentences import listed
 from orchestrator.shelf.results import RunResults
 from protocols import Acceptance, AcceptanceReason, AcceptanceResult, Interval, Usability
 
@@ -63,7 +62,7 @@ def _limit_words(name: str, low: float | None, high: float | None) -> str:
 
 def _of_verdict(limits: Acceptance, results: RunResults) -> AcceptanceReason:
     passed = results.verdict in limits.verdicts
-    text = "not diagnosed: does not pass" if results.verdict is None else plain(results.verdict)
-    wanted = listed([plain(verdict) for verdict in limits.verdicts]).replace(" and ", " or ")
-    sentence = f"verdict {text}{'' if results.verdict is None else ': passes' if passed else ': does not pass'}"
-    return AcceptanceReason(quantity="verdict", passed=passed, value=None, sentence=f"{sentence}, limit {wanted}")
+    expected = " or ".join(plain(verdict) for verdict in limits.verdicts)
+    text = "not diagnosed" if results.verdict is None else plain(results.verdict)
+    sentence = f"verdict {text}: {'passes' if passed else 'does not pass'}, limit {expected}"
+    return AcceptanceReason(quantity="verdict", passed=passed, value=None, sentence=sentence)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -61,6 +62,15 @@ def run_folder_of(procedure: str, serial: str) -> Path:
     """A new folder below ``runs/`` for a motor, with its serial number in the name."""
     name = re.sub(r"[^A-Za-z0-9._]+", "-", serial).strip("-.")[:MAX_NAME_LENGTH]
     return Path("runs") / "-".join(part for part in (procedure, name, time.strftime("%Y%m%d-%H%M%S")) if part)
+
+
+def ask_serial() -> str:
+    """The next motor's serial number, from a terminal or scanner on standard input; empty at the end."""
+    print("serial number of the next motor (empty: end): ", end="", flush=True)
+    line = sys.stdin.readline()
+    if not line.endswith("\n"):
+        print()
+    return " ".join(line.split())
 
 
 def work_through(ask: Callable[[], str], run_motor: Callable[[str], int], complain: Callable[[str], None]) -> int:

@@ -26,7 +26,7 @@ from orchestrator.engine import (
 )
 from orchestrator.interface.api import as_overrides, run_directory
 from orchestrator.interface.cli._output import complain, give_up_broken_output, say_document, say_notes
-from orchestrator.shelf import JudgedRun, judge_run, run_folder_of, work_through, write_junit
+from orchestrator.shelf import JudgedRun, ask_serial, judge_run, run_folder_of, work_through, write_junit
 from protocols import DriveFault, FaultCause, FluxbenchError
 
 
@@ -111,12 +111,6 @@ def run_queue(
         return run(source, drive, motor, overrides, path, audience, {**about, "serial": serial}, judged)
 
     return work_through(ask_serial, run_motor, _warn)
-
-
-def ask_serial() -> str:
-    """The next motor's serial number, from the terminal or a scanner; empty at the end."""
-    print("serial number of the next motor (empty: end): ", end="", flush=True)
-    return " ".join(sys.stdin.readline().split())
 
 
 def run_further(source: Path, rounds: int, audience: Audience) -> int:
