@@ -1,7 +1,18 @@
 """The shelf of runs: an index of their folders, tags and notes, and the limits by which a motor is accepted."""
 
 from orchestrator.shelf.acceptance import judge_acceptance
-from orchestrator.shelf.facts import COLUMNS, NUMBERS, QUANTITIES, RunFacts, cells, is_text, read_facts, with_intervals
+from orchestrator.shelf.facts import (
+    COLUMNS,
+    NUMBERS,
+    QUANTITIES,
+    RunFacts,
+    cells,
+    interval_columns,
+    is_text,
+    read_facts,
+    with_intervals,
+)
+from orchestrator.shelf.index import count_stale
 from orchestrator.shelf.junit import write_junit
 from orchestrator.shelf.labels import load_labels, relabel, save_labels
 from orchestrator.shelf.query import DEFAULT_COLUMNS, Condition, FoundRuns, RunQuery, find_runs, known_column
@@ -20,7 +31,9 @@ __all__ = [
     "RunQuery",
     "ask_serial",
     "cells",
+    "count_stale",
     "find_runs",
+    "interval_columns",
     "is_text",
     "judge_acceptance",
     "judge_run",

@@ -50,8 +50,10 @@ def select(
     folder: Path,
     queries: Sequence[Query],
     tell: Callable[[int, int], None] = lambda done, of: None,
+    *,
+    refreshed: bool = True,
 ) -> list[list[tuple[Any, ...]]]:
-    """Rows of each query on the up-to-date index of a folder.
+    """Rows of each query on the index of a folder.
 
     Parameters
     ----------
@@ -61,13 +63,15 @@ def select(
         They see the table ``runs`` with the columns of `RunFacts`, and ``words``: its texts in lower case.
     tell : callable
         Called with the number of runs read so far, and of those to be read.
+    refreshed : bool
+        Whether runs that are new or changed are read first.
     """
     file = folder / INDEX_NAME
     keeps = file.exists() or next(_runs_below(str(folder), "", {}), None) is not None
     for _ in range(2 if keeps else 0):
         try:
             with closing(sqlite3.connect(file, timeout=LOCK_TIMEOUT_S, isolation_level=None)) as connection:
-                return _selected(connection, folder, queries, tell)
+                return _selected(connection, folder, queries, tell if refreshed else None)
         except sqlite3.OperationalError:  # locked for long, or in a folder that cannot be written
             break
         except sqlite3.DatabaseError:  # damaged
@@ -76,14 +80,26 @@ def select(
                     left.unlink()
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
         _copy(file, connection)
-        return _selected(connection, folder, queries, tell)
+        return _selected(connection, folder, queries, tell if refreshed else None)
+
+
+def count_stale(folder: Path) -> int:
+    """Number of runs by which the index of a folder differs from what is there: new, changed and gone ones."""
+    with suppress(sqlite3.Error), closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        _copy(folder / INDEX_NAME, connection)
+        _prepare(connection)
+        known = _known(connection)
+        found = {_encodable(name): stamp for name, stamp in _runs_below(str(folder), "", known)}
+        return sum(known.get(name) != found.get(name) for name in known.keys() | found.keys())
+    return 1
 
 
 def _selected(
-    connection: sqlite3.Connection, folder: Path, queries: Sequence[Query], tell: Callable[[int, int], None]
+    connection: sqlite3.Connection, folder: Path, queries: Sequence[Query], tell: Callable[[int, int], None] | None
 ) -> list[list[tuple[Any, ...]]]:
     _prepare(connection)
-    _refresh(connection, folder, tell)
+    if tell is not None:
+        _refresh(connection, folder, tell)
     return [connection.execute(sql, parameters).fetchall() for sql, parameters in queries]
 
 
@@ -119,9 +135,13 @@ def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
     connection.execute("COMMIT")
 
 
+def _known(connection: sqlite3.Connection) -> dict[str, Stamp]:
+    return {row[0]: row[1:] for row in connection.execute(f"SELECT run, {', '.join(_STAMP)} FROM runs")}
+
+
 def _refresh(connection: sqlite3.Connection, folder: Path, tell: Callable[[int, int], None]) -> None:
     """Read the runs that are new or changed, and drop those that are gone."""
-    known = {row[0]: row[1:] for row in connection.execute(f"SELECT run, {', '.join(_STAMP)} FROM runs")}
+    known = _known(connection)
     now_ns = time.time_ns()
     found = {_encodable(name): (name, stamp) for name, stamp in _runs_below(str(folder), "", known)}
     gone = [(name,) for name in known.keys() - found.keys()]

@@ -16,12 +16,12 @@ from protocols import InputError
 DEFAULT_COLUMNS = (
     "run", "created", "motor", "serial", "operator", "outcome", "verdict", "accepted", "tags", "notes"
 )  # fmt: skip
-_CONDITION = re.compile(r"\s*(\w+)\s*(<=|>=|!=|=|<|>|~)\s*(.*)", re.DOTALL)
+_CONDITION = re.compile(r"\s*(\w+)\s*(<=|>=|!=|!~|=|<|>|~)\s*(.*)", re.DOTALL)
 
 
 @dataclass(frozen=True)
 class Condition:
-    """A comparison of one column: ``r > 4.3``; ``~`` is true where a text contains another, in any case."""
+    """A comparison of one column with a value; ``~`` is true where its text contains the value, in any case."""
 
     column: str
     operator: str
@@ -32,7 +32,7 @@ class Condition:
         """The condition in a text as ``resistance_ohm>4.3``; raises `InputError`."""
         match = _CONDITION.fullmatch(text)
         if match is None:
-            raise InputError("--where", "", f"{text!r}; expected COLUMN=VALUE, with = != < > <= >= or ~ (contains)")
+            raise InputError("--where", "", f"{text!r}; expected COLUMN=VALUE, with = != < > <= >= ~ (contains) or !~")
         column, operator, value = known_column(match[1], "--where"), match[2], match[3].strip()
         if column not in NUMBERS:
             return cls(column, operator, value)
@@ -44,8 +44,8 @@ class Condition:
     @property
     def sql(self) -> str:
         """With a ``?`` for the value."""
-        if self.operator == "~":
-            return f"instr(lower({self.column}), lower(?)) > 0"
+        if "~" in self.operator:
+            return f"instr(lower({self.column}), lower(?)) {'=' if self.operator == '!~' else '>'} 0"
         collation = "" if self.column in NUMBERS else " COLLATE NOCASE"
         return f"{self.column} {self.operator} ?{collation}"
 
@@ -63,6 +63,8 @@ class RunQuery:
         A column, or ``-column`` for the largest first; runs without a value come last.
     limit, skip : int
         The number of runs at most, negative for all of them; and of the first ones that are left out.
+    above : str
+        A path before each run's that words may match too.
     """
 
     words: Sequence[str] = ()
@@ -70,6 +72,7 @@ class RunQuery:
     sort: str = "created"
     limit: int = -1
     skip: int = 0
+    above: str = ""
 
     @property
     def where(self) -> str:
@@ -85,10 +88,10 @@ class RunQuery:
         is_missing = f"{column} IS NULL OR {column} = ''"
         return f"ORDER BY {is_missing}, {column} {direction}, created {direction}, run"
 
-    def parameters(self, folder: Path) -> list[str | float]:
+    @property
+    def parameters(self) -> list[str | float]:
         """Values of the ``?`` in `where`."""
-        prefix = f"{folder}/".lower()
-        words = [part for word in self.words for part in (prefix, word.lower())]
+        words = [part for word in self.words for part in (self.above.lower(), word.lower())]
         return [*words, *(condition.value for condition in self.conditions)]
 
 
@@ -123,9 +126,11 @@ def find_runs(
     wanted: RunQuery,
     columns: Sequence[str] = COLUMNS,
     tell: Callable[[int, int], None] = lambda done, of: None,
+    *,
+    refreshed: bool = True,
 ) -> FoundRuns:
-    """The runs of a folder that are wanted; the columns are names of `COLUMNS`."""
-    selection, parameters = f"FROM runs WHERE {wanted.where}", wanted.parameters(folder)
+    """The runs of a folder that are wanted; the columns are names of `COLUMNS`, the rest as `select` has it."""
+    selection, parameters = f"FROM runs WHERE {wanted.where}", wanted.parameters
     rows, ((count,),), problems = select(
         folder,
         [
@@ -135,5 +140,6 @@ def find_runs(
             ("SELECT problem FROM runs WHERE problem != '' ORDER BY run", ()),
         ],
         tell,
+        refreshed=refreshed,
     )  # fmt: skip
     return FoundRuns(rows, int(count), [problem for (problem,) in problems])

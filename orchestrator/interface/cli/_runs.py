@@ -48,7 +48,13 @@ def list_runs(folder: Path, options: RunsOptions) -> int:
     if not folder.is_dir():
         raise InputError(str(folder), "", "no such folder")
     columns = [known_column(name, "--columns") for name in options.columns]
-    wanted = RunQuery(options.words, [*map(Condition.parse, options.conditions)], options.sort, options.limit)
+    wanted = RunQuery(
+        words=options.words,
+        conditions=[*map(Condition.parse, options.conditions)],
+        sort=options.sort,
+        limit=options.limit,
+        above=f"{folder}/",
+    )
     shown = with_intervals(columns or (COLUMNS if options.as_json else DEFAULT_COLUMNS))
     found = find_runs(folder, wanted, shown, _announce)
     if options.as_json:
