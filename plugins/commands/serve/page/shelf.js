@@ -2,9 +2,9 @@
 // The runs of the folder: searched, sorted, compared, followed over time, labelled.
 
 const COLUMNS = [ // heading, column that it sorts by
-  ["Run", "run"], ["Date", "created"], ["Serial", "serial"], ["Outcome", "outcome"], ["Verdict", "verdict"],
-  ["Accepted", "accepted"], ["R_s", "resistance_ohm"], ["L_dd", "l_dd_h"], ["L_qq", "l_qq_h"],
-  ["Flux", "rated_flux_wb"], ["Map error", "map_error_percent"], ["Tags and notes", "tags"],
+  ["Run", "run"], ["Date", "created"], ["Serial", "serial"], ["Tags and notes", "tags"], ["Outcome", "outcome"],
+  ["Verdict", "verdict"], ["Accepted", "accepted"], ["R_s", "resistance_ohm"], ["L_dd", "l_dd_h"], ["L_qq", "l_qq_h"],
+  ["Flux", "rated_flux_wb"], ["Map error", "map_error_percent"],
 ];
 const MAX_COMPARED = 8;
 const MOODS = { finished: "good", pass: "good", faulted: "bad", fail: "bad", "": "", "not ended": "warning", aborted: "warning" };
@@ -55,20 +55,20 @@ function drawHead() {
     cell.append(button);
     return cell;
   });
-  $("head").replaceChildren(element("th"), ...cells, element("th"));
+  $("head").replaceChildren(element("th"), ...cells);
 }
 
 function runRow(row) {
-  const line = element("tr"), tick = element("input"), first = element("td"), what = element("td"), does = element("td");
+  const line = element("tr"), tick = element("input"), first = element("td"), what = element("td", "", "name"), does = element("div", "", "does");
   Object.assign(tick, { type: "checkbox", checked: ticked.has(row.run), ariaLabel: `compare ${row.run}` });
   tick.onchange = () => { if (tick.checked) ticked.add(row.run); else ticked.delete(row.run); drawTicked(); };
   first.append(tick);
   what.append(element("div", row.run), element("div", row.motor, "under"));
-  const causes = element("td");
+  const causes = element("td", "", "text");
   causes.append(element("div", row.verdict.replaceAll("_", " ")), element("div", row.causes, "under"));
-  const accepted = element("td");
+  const accepted = element("td", "", "text");
   accepted.append(element("div", row.accepted, MOODS[row.accepted]), element("div", row.objections, "under"));
-  const notes = element("td");
+  const notes = element("td", "", "text");
   notes.append(element("div", row.tags), element("div", row.notes, "under"));
   if (row.has_report) {
     const link = element("a", "Report", "button");
@@ -81,10 +81,11 @@ function runRow(row) {
     button.onclick = () => attempt(work);
     does.append(button);
   }
+  what.append(does);
   const numbers = ["resistance_ohm", "l_dd_h", "l_qq_h", "rated_flux_wb", "map_error_percent"].map((name) => element("td", row[name], "number"));
   line.append(
-    first, what, element("td", row.created.slice(0, 16).replace("T", " ")), element("td", row.serial),
-    element("td", row.outcome, MOODS[row.outcome]), causes, accepted, ...numbers, notes, does,
+    first, what, element("td", row.created.slice(0, 16).replace("T", " "), "date"), element("td", row.serial), notes,
+    element("td", row.outcome, MOODS[row.outcome]), causes, accepted, ...numbers,
   );
   return line;
 }
@@ -107,7 +108,7 @@ function drawCurves(svg, curves, axis) {
   const own = curves.filter((curve) => curve.axis === axis && curve.current_a.length > 1);
   if (own.length === 0) return svg.replaceChildren();
   const milli = own.map((curve) => curve.flux_wb.map((flux) => 1000 * flux));
-  const a = axes(svg, span(own.flatMap((curve) => curve.current_a), 0.01), span(milli.flat(), 0.01), `i_${axis} [A]`, `ψ_${axis} [mWb]`);
+  const a = axes(svg, span(own.flatMap((curve) => curve.current_a), 0.01), span(milli.flat(), 0.01), `i_${axis} [A]`, "");
   own.forEach((curve, k) => {
     const path = curve.current_a.map((current, n) => `${n ? "L" : "M"}${a.x(current).toFixed(1)} ${a.y(milli[k][n]).toFixed(1)}`).join("");
     a.parts.push(drawn("path", { d: path, class: `series s${curve.run}` }));
@@ -132,12 +133,12 @@ async function compare() {
   } finally { drawTicked(); }
 }
 
-function drawTrend(svg, points, name, label, factor) {
+function drawTrend(svg, points, name, factor) {
   const own = points.filter((point) => point[name] !== null);
   if (own.length === 0) return svg.replaceChildren();
   const days = own.map((point) => Date.parse(point.created) / 86400000), last = days[days.length - 1];
   const values = own.map((point) => point[name].map((value) => factor * value));
-  const a = axes(svg, span(days.map((day) => day - last), 0.02), span(values.flat(), 1e-9), `days before ${own[own.length - 1].created.slice(0, 10)}`, label);
+  const a = axes(svg, span(days.map((day) => day - last), 0.02), span(values.flat(), 1e-9), `days before ${own[own.length - 1].created.slice(0, 10)}`, "");
   own.forEach((point, k) => {
     const x = a.x(days[k] - last), [value, low, high] = values[k];
     const dot = drawn("circle", { cx: x, cy: a.y(value), r: 3, class: "dot" });
@@ -150,8 +151,8 @@ function drawTrend(svg, points, name, label, factor) {
 async function trend(row) {
   const found = await answered(`/trend?${new URLSearchParams({ motor: row.motor, serial: row.serial })}`);
   set("trendof", [found.motor, found.serial || "no serial number", `${found.points.length} runs`].join(" · "));
-  drawTrend($("trend_r"), found.points, "resistance_ohm", "R_s [Ω]", 1);
-  drawTrend($("trend_flux"), found.points, "rated_flux_wb", "flux [mWb]", 1000);
+  drawTrend($("trend_r"), found.points, "resistance_ohm", 1);
+  drawTrend($("trend_flux"), found.points, "rated_flux_wb", 1000);
   $("trend").hidden = false;
   $("trend").scrollIntoView({ block: "start" });
 }
