@@ -21,7 +21,7 @@ from orchestrator.shelf.labels import LABELS_NAME
 
 INDEX_NAME = ".index.sqlite"
 JOURNAL_NAME = "journal.jsonl"
-VERSION = 1
+REVISION = 1
 """To be raised where a column's meaning changes."""
 LOCK_TIMEOUT_S = 5.0
 RACY_NS = 2_000_000_000
@@ -37,11 +37,14 @@ Stamp = tuple[int, ...]
 """
 
 _STAMP = ("folder_ns", "results_ns", "labels_ns", "journal_ns", "journal_bytes")
+_STAMPS = f"SELECT run, {', '.join(_STAMP)} FROM runs"
 _SCHEMA = "CREATE TABLE runs ({} TEXT PRIMARY KEY, {}, {}, words TEXT) WITHOUT ROWID".format(
     COLUMNS[0],
     ", ".join(f"{name} {'REAL' if name in NUMBERS else 'TEXT'}" for name in COLUMNS[1:]),
     ", ".join(f"{name} INTEGER" for name in _STAMP),
 )
+VERSION = zlib.crc32(f"{REVISION} {_SCHEMA}".encode()) >> 1
+"""Of the index, as SQLite keeps it: a positive number of 32 bits."""
 _INSERT = f"INSERT OR REPLACE INTO runs VALUES ({', '.join('?' * (len(COLUMNS) + len(_STAMP) + 1))})"
 _SEALED = re.compile(r"\.sealed(\.\d+)?$")
 
@@ -85,13 +88,9 @@ def select(
 
 def count_stale(folder: Path) -> int:
     """Number of runs by which the index of a folder differs from what is there: new, changed and gone ones."""
-    with suppress(sqlite3.Error), closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
-        _copy(folder / INDEX_NAME, connection)
-        _prepare(connection)
-        known = _known(connection)
-        found = {_encodable(name): stamp for name, stamp in _runs_below(str(folder), "", known)}
-        return sum(known.get(name) != found.get(name) for name in known.keys() | found.keys())
-    return 1
+    known = {row[0]: row[1:] for row in _read(folder / INDEX_NAME, _STAMPS)}
+    found = {_encodable(name): stamp for name, stamp in _runs_below(str(folder), "", known)}
+    return sum(known.get(name) != found.get(name) for name in known.keys() | found.keys())
 
 
 def _selected(
@@ -105,23 +104,33 @@ def _selected(
 
 def _copy(file: Path, to: sqlite3.Connection) -> None:
     """Copy an index that can be read and not written."""
-    if file.is_file():
-        with (
-            suppress(sqlite3.Error),
-            closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as source,
-        ):
-            source.backup(to)
+    _prepare(to)
+    # `Connection.backup` would wait for ever for an index that another process has locked.
+    to.executemany(_INSERT, _read(file, "SELECT * FROM runs"))
+
+
+def _read(file: Path, query: str) -> list[tuple[Any, ...]]:
+    """Rows of an index as it is; none where it is missing, damaged, locked or of another version."""
+    try:
+        address = f"{file.resolve().as_uri()}?mode=ro"
+        with closing(sqlite3.connect(address, uri=True, timeout=LOCK_TIMEOUT_S)) as connection:
+            return connection.execute(query).fetchall() if _version_of(connection) == VERSION else []
+    except sqlite3.Error:
+        return []
 
 
 def _prepare(connection: sqlite3.Connection) -> None:
     """Create the table, anew where it is of another version."""
-    version = zlib.crc32(f"{VERSION} {_SCHEMA}".encode()) >> 1  # it has to be a positive number of 32 bits
-    if connection.execute("PRAGMA user_version").fetchone()[0] == version:
+    if _version_of(connection) == VERSION:
         return
     with _transaction(connection):
         connection.execute("DROP TABLE IF EXISTS runs")
         connection.execute(_SCHEMA)
-        connection.execute(f"PRAGMA user_version = {version}")
+        connection.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def _version_of(connection: sqlite3.Connection) -> int:
+    return int(connection.execute("PRAGMA user_version").fetchone()[0])
 
 
 @contextmanager
@@ -135,13 +144,9 @@ def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
     connection.execute("COMMIT")
 
 
-def _known(connection: sqlite3.Connection) -> dict[str, Stamp]:
-    return {row[0]: row[1:] for row in connection.execute(f"SELECT run, {', '.join(_STAMP)} FROM runs")}
-
-
 def _refresh(connection: sqlite3.Connection, folder: Path, tell: Callable[[int, int], None]) -> None:
     """Read the runs that are new or changed, and drop those that are gone."""
-    known = _known(connection)
+    known = {row[0]: row[1:] for row in connection.execute(_STAMPS)}
     now_ns = time.time_ns()
     found = {_encodable(name): (name, stamp) for name, stamp in _runs_below(str(folder), "", known)}
     gone = [(name,) for name in known.keys() - found.keys()]
@@ -185,7 +190,7 @@ def _runs_below(folder: str, prefix: str, known: Mapping[str, Stamp]) -> Iterato
         name, path = prefix + entry.name, entry.path
         if ".sealed" in name and _SEALED.sub("", entry.name) in names:
             continue
-        before, whole = known.get(name), _status(path)
+        before, whole = known.get(_encodable(name)), _status(path)
         if whole is None or (before is None and not Path(path, "run.json").is_file()):
             yield from _runs_below(path, f"{name}/", known)
             continue
