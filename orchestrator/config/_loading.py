@@ -20,6 +20,7 @@ from orchestrator.validation.plausibility import implausible
 from orchestrator.validation.quantities import read_quantities
 from orchestrator.validation.strict_yaml import Document, apply_override, parse_document, read_document
 from protocols import (
+    Acceptance,
     DriveChoice,
     InputError,
     Limits,
@@ -40,6 +41,7 @@ class MotorFile(Strict):
     motor: ProcedureMotor
     limits: Limits | None = None
     drive: DriveChoice | None = None
+    accept: Acceptance | None = None
 
 
 @dataclass(frozen=True)
@@ -89,8 +91,8 @@ def read_procedure(
     drive : str, optional
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
-        YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` replace the procedure's as a
-        whole; optional limits of the procedure (energy, duration) stay where the file has none.
+        YAML file whose sections ``motor`` and, where given, ``limits``, ``drive`` and ``accept`` replace the procedure's
+        as a whole; optional limits of the procedure (energy, duration) stay where the file has none.
 
     Raises
     ------

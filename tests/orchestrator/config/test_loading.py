@@ -333,6 +333,13 @@ def test_a_motor_file_s_limits_leave_those_that_it_does_not_give(write: Write) -
     assert kept.energy_j is not None
 
 
+def test_a_motor_file_has_the_limits_by_which_its_motor_is_accepted(write: Write) -> None:
+    text = SERVO + "accept:\n  max_resistance_ohm: 20 mOhm\n"
+    accept = load_procedure("demo", motor=write(text)).accept
+    assert accept is not None
+    assert accept.max_resistance_ohm == 0.02
+
+
 def test_a_motor_file_without_limits_keeps_the_procedures(write: Write) -> None:
     text = SERVO.partition("limits:")[0]
     assert load_procedure("demo", motor=write(text)).limits == load_procedure("demo").limits
