@@ -124,9 +124,10 @@ def _prepare(connection: sqlite3.Connection) -> None:
     if _version_of(connection) == VERSION:
         return
     with _transaction(connection):
-        connection.execute("DROP TABLE IF EXISTS runs")
-        connection.execute(_SCHEMA)
-        connection.execute(f"PRAGMA user_version = {VERSION}")
+        if _version_of(connection) != VERSION:  # unless another process was first
+            connection.execute("DROP TABLE IF EXISTS runs")
+            connection.execute(_SCHEMA)
+            connection.execute(f"PRAGMA user_version = {VERSION}")
 
 
 def _version_of(connection: sqlite3.Connection) -> int:
