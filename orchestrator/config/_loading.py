@@ -91,7 +91,7 @@ def read_procedure(
     drive : str, optional
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
-        YAML file whose sections ``motor`` and, where given, ``limits``, ``drive`` and ``accept`` replace the procedure's
+        YAML file whose section ``motor`` and, where given, ``limits``, ``drive`` and ``accept`` replace the procedure's
         as a whole; optional limits of the procedure (energy, duration) stay where the file has none.
 
     Raises

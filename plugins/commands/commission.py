@@ -25,7 +25,9 @@ def commission(
         str, typer.Option(help="Half of the map's 95 % band, in percent of the rated flux.", metavar="P%")
     ] = "0.2%",
     drive: Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.")] = None,
-    motor: Annotated[Path | None, typer.Option(help="YAML file with another motor (and limits, drive, accept).")] = None,
+    motor: Annotated[
+        Path | None, typer.Option(help="YAML file with another motor (and limits, drive, accept).")
+    ] = None,
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="Change one setting of the procedure.", metavar="K=V")
     ] = None,
