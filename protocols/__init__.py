@@ -5,6 +5,7 @@ procedure is what a person writes, drive, stage, estimator, effect and stream ar
 events are what the engine says while it works.
 """
 
+from protocols._acceptance import Acceptance, AcceptanceReason, AcceptanceResult
 from protocols._base import ArrayModel, Lenient, Phases, RealArray, Samples, Shape, Strict, Vectors
 from protocols._diagnosis import (
     Compared,
@@ -123,6 +124,7 @@ from protocols._excitations import (
     VoltageSteps,
     Waveform,
 )
+from protocols._labels import RunLabels
 from protocols._model import (
     Baseline,
     CoEnergySpline,
@@ -206,6 +208,9 @@ __all__ = [
     "PLAIN_UNITS",
     "SCALED_UNITS",
     "About",
+    "Acceptance",
+    "AcceptanceReason",
+    "AcceptanceResult",
     "AddReport",
     "ArrayModel",
     "AxisD",
@@ -342,6 +347,7 @@ __all__ = [
     "RunAborted",
     "RunEnded",
     "RunInterrupted",
+    "RunLabels",
     "RunStarted",
     "Rung",
     "Samples",

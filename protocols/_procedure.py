@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, model_validator
 
+from protocols._acceptance import Acceptance
 from protocols._base import Strict
 from protocols._drive import Limits
 from protocols._excitations import CurrentControl
@@ -112,6 +113,8 @@ class Procedure(Strict):
     """Interlock inputs that the drive must have; the engine reads all inputs before arming and between points."""
     accept_no_watchdog: NoWatchdogSentence | None = None
     """A drive without a dead man is refused unless this sentence is written out."""
+    accept: Acceptance | None = None
+    """Limits that the motor has to keep; the run ends with exit code 4 where it does not."""
     stages: Annotated[tuple[StageEntry, ...], Field(min_length=1)]
 
 

@@ -5,7 +5,14 @@ where they use them.
 """
 
 from orchestrator.analysis._between import steep_steps
-from orchestrator.analysis._checks import check_map, difference_percent, flux_at, rated_flux_wb, reference_flux_wb
+from orchestrator.analysis._checks import (
+    check_map,
+    difference_percent,
+    flux_at,
+    rated_flux_wb,
+    reference_flux_wb,
+    values_at,
+)
 from orchestrator.analysis._crossings import Network, crossings_of, join_paths
 from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
@@ -119,4 +126,5 @@ __all__ = [
     "temperature_rise",
     "trace_steps",
     "trace_sweep",
+    "values_at",
 ]

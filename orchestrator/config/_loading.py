@@ -21,6 +21,7 @@ from orchestrator.validation.plausibility import implausible
 from orchestrator.validation.quantities import read_quantities
 from orchestrator.validation.strict_yaml import Document, apply_override, parse_document, read_document
 from protocols import (
+    Acceptance,
     DriveChoice,
     InputError,
     Limits,
@@ -41,6 +42,7 @@ class MotorFile(Strict):
     motor: ProcedureMotor
     limits: MotorLimits | None = None
     drive: DriveChoice | None = None
+    accept: Acceptance | None = None
 
 
 @dataclass(frozen=True)
@@ -90,8 +92,8 @@ def read_procedure(
     drive : str, optional
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
-        YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` replace the procedure's as a
-        whole. Where the procedure's motor is an example, limits that the file leaves out follow from its nameplate,
+        YAML file whose sections ``motor`` and, where given, ``limits``, ``drive`` and ``accept`` replace the
+        procedure's as a whole. Where the procedure's motor is an example, limits that the file leaves out follow from its nameplate,
         and a simulated drive forgets the example's plant. Where it is none, the procedure's energy and duration stay,
         and all its limits where the file has none.
 

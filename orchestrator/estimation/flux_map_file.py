@@ -98,6 +98,33 @@ def _attributes(flux_map: FluxMap, motor: str, recording: str) -> dict[str, str]
     }
 
 
+def load_own_flux_map(path: Path) -> FluxMap:
+    """Read a map that `save_flux_map` wrote, in a millisecond or two; raises `RecordingError`."""
+    import h5py
+
+    names = [*_AXES, *(name for quantity in _UNITS for name in (quantity, f"{quantity}_std"))]
+    try:
+        with h5py.File(path, "r") as file:
+            basis = str(file.attrs["basis"])
+            require_memory(path, 8 * len(names) * int(np.prod(file["psi_d"].shape)), "its tables")
+            tables = {name: _read_table(file, name) for name in names}
+            return FluxMap(method=str(file.attrs["method"]), basis=Basis(basis) if basis else None, **tables)
+    # The HDF5 library raises RuntimeError for a truncated file, and other errors for other formats.
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError, EOFError) as error:
+        problem = f"not a flux map of this program: {str(error).splitlines()[0] if str(error) else error!r}"
+        raise RecordingError(str(path), "", problem) from None
+
+
+def _read_table(file: Any, name: str) -> Array:
+    """A table by h5py's low-level functions, which are several times as fast as its objects."""
+    from h5py import h5d, h5s
+
+    dataset = h5d.open(file.id, name.encode())
+    table = np.empty(dataset.shape)
+    dataset.read(h5s.ALL, h5s.ALL, table)
+    return table
+
+
 def load_flux_map(path: Path) -> FluxMap:
     """Read a map written by `save_flux_map`, or by other software with these names.
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestrator.analysis._checks import values_at
+from orchestrator.analysis import values_at
 from orchestrator.numerics.saliency import Saliency, principal
 from protocols import Basis, FluxMap, FluxMapEstimate, IncrementalInductances, SeenByInjection
 

@@ -91,19 +91,14 @@ def for_output(text: str, output: TextIO) -> str:
 def columns(lines: Sequence[Sequence[str]], numbers: bool = False) -> list[str]:
     """Rows in columns of minimal width; with `numbers`, all but the first align right."""
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return [
-        "  ".join(
-            cell.rjust(width) if numbers and k else cell.ljust(width)
-            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    ]
+    line = "  ".join(f"{{:{'>' if numbers and k else '<'}{width}}}" for k, width in enumerate(widths))
+    return [line.format(*cells).rstrip() for cells in lines]
 
 
 def text_table(head: Sequence[str], rows: Sequence[Sequence[str]], numbers: bool = True) -> str:
     """A table for a terminal, its head underlined."""
     lines = columns([head, *rows], numbers)
-    widths = [max(len(line[k]) for line in (head, *rows)) for k in range(len(head))]
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
     return "\n".join([lines[0], "  ".join("-" * width for width in widths), *lines[1:]])
 
 

@@ -1,8 +1,8 @@
 """Runs on disk: directory, lock, journal and provenance. The engine decides what happens in a run."""
 
-from orchestrator.runs._directory import RunDirectory, is_run, private_directory
+from orchestrator.runs._directory import RunDirectory, is_run, last_end, private_directory
 from orchestrator.runs._journal import Journal, JournalRecord
-from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, run_rows, without_private
+from orchestrator.runs._opening import open_any, refuse_file, refuse_folder_of_runs, without_private
 from orchestrator.runs._provenance import Provenance, provenance
 from orchestrator.runs._record import RunRecord
 from orchestrator.runs._staging import remove_stale_staging
@@ -14,12 +14,12 @@ __all__ = [
     "RunDirectory",
     "RunRecord",
     "is_run",
+    "last_end",
     "open_any",
     "private_directory",
     "provenance",
     "refuse_file",
     "refuse_folder_of_runs",
     "remove_stale_staging",
-    "run_rows",
     "without_private",
 ]

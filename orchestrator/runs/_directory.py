@@ -12,7 +12,7 @@ import fcntl
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -30,7 +30,7 @@ from orchestrator.recording import (
     write_manifest,
 )
 from orchestrator.registry.plugins import PluginInfo, PluginKind, installed
-from orchestrator.runs._journal import Journal
+from orchestrator.runs._journal import Journal, JournalRecord
 from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, unsealed
 from orchestrator.runs._staging import remove_stale_staging
@@ -248,13 +248,7 @@ class RunDirectory:
 
     def ended(self) -> RunEnded | None:
         """The end of the run; None for an unfinished run, and after a kill."""
-        last: RunEnded | None = None
-        for entry in self.journal.read():
-            if isinstance(entry.message, RunEnded):
-                last = entry.message
-            elif isinstance(entry.message, RunStarted | StagesAppended):
-                last = None
-        return last
+        return last_end(self.journal.read())
 
     def end_s(self) -> float:
         """Time of the experiment's clock: the end of the last capture [s]; 0 before the first one."""
@@ -287,6 +281,16 @@ class RunDirectory:
         manifest = self.manifest()
         write_manifest(self.path, manifest)
         return manifest
+
+
+def last_end(journal: Sequence[JournalRecord]) -> RunEnded | None:
+    """The end of a run by its journal; None for an unfinished run, and after a kill."""
+    for record in reversed(journal):
+        if isinstance(record.message, RunEnded):
+            return record.message
+        if isinstance(record.message, RunStarted | StagesAppended):
+            return None
+    return None
 
 
 @contextmanager

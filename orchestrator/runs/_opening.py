@@ -1,15 +1,15 @@
-"""Opening and listing of runs and recordings, and checks of directories for results."""
+"""Opening of runs and recordings, and checks of directories for results."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.recording import MANIFEST_NAME, Recording, open_recording
 from orchestrator.runs._directory import RunDirectory, is_private, is_run
 from orchestrator.runs._staging import remove_stale_staging
-from protocols import FluxbenchError, InputError, RecordingError
+from protocols import InputError, RecordingError
 
 
 def open_any(path: Path, *, keep: bool = False) -> Recording:
@@ -45,26 +45,3 @@ def refuse_file(path: Path) -> None:
     for place in (path, *path.parents):
         if os.path.lexists(place) and not place.is_dir():
             raise InputError(str(place), "", "is not a directory and is not overwritten: name another place")
-
-
-def run_rows(folder: Path, report_error: Callable[[str], None]) -> Iterator[dict[str, str]]:
-    """A row for each run; `report_error` is called with the error of an unreadable one."""
-    for place in sorted(path.parent for path in folder.rglob("run.json")):
-        if not is_run(place):
-            continue
-        try:
-            run = RunDirectory.open(place)
-            ended = run.ended()
-        except FluxbenchError as error:
-            report_error(str(error))
-            continue
-        procedure = run.record.procedure
-        yield {
-            "run": str(place),
-            "created": run.record.created,
-            "procedure": procedure.name,
-            "motor": procedure.motor.name,
-            "outcome": "not ended" if ended is None else ended.outcome,
-            **dict.fromkeys(("serial", "operator", "tags", "notes"), ""),
-            **dict(procedure.about.lines()),
-        }

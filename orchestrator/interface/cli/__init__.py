@@ -9,7 +9,7 @@ OBJECTS_PER_COLLECTION = 50_000
 
 
 def main() -> None:
-    """Entry point of `fluxbench`: exit 0 done, 2 bad input, 3 the run ended in a fault, 130 interrupted."""
+    """Entry point of `fluxbench`: exit 0 done, 2 bad input, 3 fault, 4 motor not accepted, 130 interrupted."""
     try:
         from orchestrator.interface.cli._early_signals import EarlySignals
 

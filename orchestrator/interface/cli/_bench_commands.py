@@ -12,6 +12,7 @@ from orchestrator.interface.cli._options import (
     DriveOption,
     EffectsOption,
     JsonOption,
+    JunitOption,
     LogOption,
     MotorOption,
     NoiseOption,
@@ -61,6 +62,10 @@ def run_command(
     rounds: Annotated[
         int | None, typer.Option(min=1, max=10, help="With --from: maximum number of experiments.", show_default="1")
     ] = None,
+    queue: Annotated[
+        bool, typer.Option("--queue", help="Run motor after motor; ask for each one's serial number.")
+    ] = False,
+    junit: JunitOption = None,
     view: ViewOption = False,
     streams: StreamOption = None,
     log: LogOption = "text",
@@ -73,19 +78,25 @@ def run_command(
 
     Align, check the rotor lock, measure, estimate. The default procedure is the demo.
 
+    Limits in the procedure's section `accept` decide whether the motor passes; exit code 4 where it does not.
+
     With --from: measure the experiment that the diagnosis of a finished run proposes, into the same recording, and
     diagnose again.
     """
     _check_options(log, remote, unattended)
     if source is None or (source / "run.json").is_file():  # of a foreign recording a stage is printed, and no more
         _announce(str(source or procedure or "demo"), log=log, remote=remote, quiet=quiet, as_json=as_json)
-    from orchestrator.interface.cli._commission import Audience, run, run_further
+    from orchestrator.interface.cli._commission import Audience, run, run_further, run_queue
 
-    audience = Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote)
+    audience = Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote, junit)
+    if queue and any(option not in (None, False) for option in (source, out, serial, remote, as_json)):
+        raise typer.BadParameter("excludes --from, --out, --serial, --remote and --json", param_hint="--queue")
     if source is None:
         if rounds is not None:
             raise typer.BadParameter("requires --from", param_hint="--rounds")
         about = {"serial": serial, "operator": operator, "ambient_c": ambient, "tags": tags, "notes": notes}
+        if queue:
+            return run_queue(procedure or "demo", drive, motor, settings or [], audience, about)
         return run(procedure or "demo", drive, motor, settings or [], out, audience, about)
     own = (procedure, drive, motor, settings or None, out, serial, operator, ambient, tags or None, notes or None)
     if any(option is not None for option in own):
@@ -96,6 +107,7 @@ def run_command(
 @commands.command("resume")
 def resume_command(
     path: RunArgument,
+    junit: JunitOption = None,
     view: ViewOption = False,
     streams: StreamOption = None,
     log: LogOption = "text",
@@ -112,7 +124,7 @@ def resume_command(
     _announce(str(path), log=log, remote=remote, quiet=quiet, as_json=as_json)
     from orchestrator.interface.cli._commission import Audience, resume
 
-    return resume(path, Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote))
+    return resume(path, Audience(unattended, quiet, as_json, log, view, tuple(streams or ()), remote, junit))
 
 
 def _check_options(log: str, remote: str | None, unattended: str | None) -> None:

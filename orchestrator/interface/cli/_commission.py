@@ -26,6 +26,7 @@ from orchestrator.engine import (
 )
 from orchestrator.interface.api import as_overrides, run_directory
 from orchestrator.interface.cli._output import complain, give_up_broken_output, say_document, say_notes
+from orchestrator.shelf import JudgedRun, ask_serial, judge_run, run_folder_of, work_through, write_junit
 from protocols import DriveFault, FaultCause, FluxbenchError
 
 
@@ -45,6 +46,8 @@ class Audience:
     """Names of additional streams."""
     remote: str | None = None
     """Name of the program through which the operator answers."""
+    junit: Path | None = None
+    """File to which the judgement by the procedure's limits is written."""
 
     @property
     def console_mode(self) -> str:
@@ -75,10 +78,12 @@ def run(
     out: Path | None,
     audience: Audience,
     about: Mapping[str, Any] | None = None,
+    judged: list[JudgedRun] | None = None,
 ) -> int:
     """Commission into a new directory; returns the exit code.
 
-    The values of `about` override those of the procedure's own section of that name.
+    The values of `about` override those of the procedure's own section of that name. `judged` has the runs before this
+    one of the same station, which is added.
     """
     about = {f"about.{name}": value for name, value in (about or {}).items() if value not in (None, [])}
     loaded = read_procedure(source, overrides=[*overrides, *as_overrides(about)], drive=drive, motor=motor)
@@ -86,7 +91,26 @@ def run(
     if audience.console_mode == "auto":
         say_notes(loaded.notes)
     with loaded.locating_errors():
-        return _with_services(lambda services: start_run(loaded.procedure, path, services), audience)
+        return _with_services(lambda services: start_run(loaded.procedure, path, services), audience, judged)
+
+
+def run_queue(
+    source: str,
+    drive: str | None,
+    motor: Path | None,
+    overrides: Sequence[str],
+    audience: Audience,
+    about: Mapping[str, Any],
+) -> int:
+    """Commission motor after motor, each after a question for its serial number; returns the worst exit code."""
+    name = read_procedure(source, overrides=overrides, drive=drive, motor=motor).procedure.name
+    judged: list[JudgedRun] = []
+
+    def run_motor(serial: str) -> int:
+        path = run_folder_of(name, serial)
+        return run(source, drive, motor, overrides, path, audience, {**about, "serial": serial}, judged)
+
+    return work_through(ask_serial, run_motor, _warn)
 
 
 def run_further(source: Path, rounds: int, audience: Audience) -> int:
@@ -102,7 +126,9 @@ def resume(path: Path, audience: Audience) -> int:
     return _with_services(lambda services: resume_run(path, services), audience)
 
 
-def _with_services(commission: Callable[[RunServices], RunResult], audience: Audience) -> int:
+def _with_services(
+    commission: Callable[[RunServices], RunResult], audience: Audience, judged: list[JudgedRun] | None = None
+) -> int:
     # A viewer's library would write its own words to the terminal; what matters of them is in the streams' tally.
     os.environ.setdefault("RUST_LOG", "off")
     operator = _operator(audience)
@@ -117,7 +143,12 @@ def _with_services(commission: Callable[[RunServices], RunResult], audience: Aud
     report = result.path / "report.html"
     if audience.console_mode == "auto" and report.is_file():
         _print(f"report: {report}")
-    code = _exit_code(result, troubles, audience.as_json)
+    judgement = judge_run(result.path) if result.outcome.error is None or audience.junit is not None else None
+    if audience.junit is not None and judgement is not None:
+        runs = [] if judged is None else judged
+        runs.append(judgement)
+        write_junit(audience.junit, runs)
+    code = _exit_code(result, troubles, audience, judgement)
     give_up_broken_output()
     return code
 
@@ -129,8 +160,9 @@ def _operator(audience: Audience) -> Operator:
     return AbsentOperator(audience.unattended) if alone else TerminalOperator()
 
 
-def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int:
-    outcome = result.outcome
+def _exit_code(result: RunResult, troubles: Sequence[str], audience: Audience, judgement: JudgedRun | None) -> int:
+    outcome, as_json = result.outcome, audience.as_json
+    acceptance = None if judgement is None else judgement.acceptance
     if as_json:
         import json
 
@@ -140,12 +172,19 @@ def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int
             "outcome": outcome.ending,
             "reason": outcome.reason,
             "estimates": estimates,
+            "acceptance": None if acceptance is None else acceptance.model_dump(mode="json"),
         }
         _print(json.dumps(document, indent=2))
     if outcome.error is None:
         if outcome.reason == NOTHING_LEFT and not as_json:
             _print(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute again")
-        return 0
+        if judgement is None or acceptance is None:
+            return 0
+        if audience.console_mode == "auto":
+            _print(judgement.label)
+        if not acceptance.passed:
+            _warn(f"not accepted: {'; '.join(acceptance.objections)}")
+        return judgement.exit_code
     resume_hint = f"`fluxbench resume {result.path}` continues at the first unmeasured point"
     from orchestrator.interface.cli._defects import describe_defect, keep_traceback, place_of
 

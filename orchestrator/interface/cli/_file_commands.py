@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.interface.cli._options import EffectsOption, JsonOption
+from orchestrator.interface.cli._options import EffectsOption, JsonOption, RunArgument
 
 commands = typer.Typer()
 
@@ -119,18 +119,49 @@ def runs_command(
         list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
     ] = None,
     folder: Annotated[Path, typer.Option(help="Folder to search.")] = Path("runs"),
+    where: Annotated[
+        list[str] | None,
+        typer.Option(help="Only runs with 'COLUMN=VALUE'; also != < > <= >= and ~ (contains).", metavar="CONDITION"),
+    ] = None,
+    columns: Annotated[
+        str | None, typer.Option(help="Columns to print, separated by commas; --json names all.", metavar="NAMES")
+    ] = None,
+    sort: Annotated[
+        str, typer.Option(help="Column to sort by; -COLUMN: the largest first.", metavar="COLUMN")
+    ] = "created",
+    limit: Annotated[int | None, typer.Option(min=1, help="Number of runs at most.")] = None,
     skip_damaged: Annotated[
         bool, typer.Option("--skip-damaged", help="Exit with 0, not 3, although some runs cannot be read.")
     ] = False,
     as_json: JsonOption = False,
 ) -> int:
-    """List the runs below a folder, filtered by words.
+    """List the runs below a folder, filtered by words and by what was found.
 
-    Motor, serial number, operator, tags, notes, time and outcome of each. A run that cannot be read is named.
+    Motor, serial number, operator, time, outcome, verdict, acceptance, tags and notes of each; with --columns R_s,
+    inductances, flux and more. A run that cannot be read is named.
     """
-    from orchestrator.interface.cli._inspect import runs
+    from orchestrator.interface.cli._runs import RunsOptions, list_runs
 
-    return runs(folder, words or [], skip_damaged, as_json)
+    names = [] if columns is None else [name.strip() for name in columns.split(",")]
+    options = RunsOptions(words or [], where or [], names, sort, limit or -1, skip_damaged, as_json)
+    return list_runs(folder, options)
+
+
+@commands.command("note")
+def note_command(
+    path: RunArgument,
+    notes: Annotated[list[str] | None, typer.Argument(help="Notes to add.", metavar="NOTE")] = None,
+    tags: Annotated[list[str] | None, typer.Option("--tag", help="Tag to add (may be repeated).")] = None,
+    untag: Annotated[list[str] | None, typer.Option(help="Tag to remove (may be repeated).", metavar="TAG")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Add notes and tags to a run, remove tags, and print them all.
+
+    They are kept in labels.json of the run's folder, and replace those with which it was started.
+    """
+    from orchestrator.interface.cli._runs import note
+
+    return note(path, notes or [], tags or [], untag or [], as_json)
 
 
 @commands.command("new")

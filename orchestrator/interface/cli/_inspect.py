@@ -1,16 +1,14 @@
-"""`fluxbench plugins`, `procedures`, `effects`, `runs` and `schema`: lists and file formats."""
+"""`fluxbench plugins`, `procedures`, `effects` and `schema`: lists and file formats."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel
 
-from orchestrator.formatting.sentences import text_table
-from orchestrator.interface.cli._output import complain, say, say_document
+from orchestrator.interface.cli._output import say, say_document
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from protocols import (
     InputError,
@@ -76,31 +74,6 @@ def _list(summaries: Mapping[str, str], as_json: bool) -> None:
     widest = max(map(len, summaries), default=0)
     for name, text in summaries.items():
         say(f"{name:<{widest}}  {text}")
-
-
-def runs(folder: Path, words: Sequence[str], skip_damaged: bool, as_json: bool) -> int:
-    """List the runs that contain all words, the newest last; 3 where a run cannot be read, unless that is skipped."""
-    from orchestrator.runs import run_rows
-
-    if not folder.is_dir():
-        raise InputError(str(folder), "", "no such folder")
-    lower = [word.lower() for word in words]
-    damaged: list[str] = []
-    listed = list(run_rows(folder, damaged.append))
-    found = [row for row in listed if all(word in " ".join(row.values()).lower() for word in lower)]
-    rows = sorted(found, key=lambda row: row["created"])
-    if as_json:
-        say_document(json.dumps(rows, indent=2))
-    elif rows:
-        columns = ("run", "created", "motor", "serial", "operator", "outcome", "tags", "notes")
-        say(text_table(columns, [tuple(row[name] for name in columns) for row in rows], numbers=False))
-    else:
-        place = next((word for word in words if Path(word).is_dir()), None)
-        hint = "" if place is None else f"; `fluxbench runs --folder {place}` lists those below {place}"
-        say(f"no run below {folder}" + (f" has the words {' '.join(words)}" if words else "") + hint)
-    for problem in damaged:
-        complain(problem)
-    return 3 if damaged and not skip_damaged else 0
 
 
 def schema(name: str, plugin: str | None, as_table: bool) -> int:

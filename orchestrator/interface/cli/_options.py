@@ -15,7 +15,7 @@ DiagnosedArgument = Annotated[
 RunArgument = Annotated[Path, typer.Argument(help="A run directory.", metavar="RUN")]
 DriveOption = Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.")]
 MotorOption = Annotated[
-    Path | None, typer.Option(help="YAML file with a motor (and limits, drive) that replaces the procedure's.")
+    Path | None, typer.Option(help="YAML file with a motor (and limits, drive, accept) that replaces the procedure's.")
 ]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", help="Change one setting of the procedure: key.path=value.", metavar="K=V")
@@ -56,6 +56,10 @@ RemoteOption = Annotated[
         "are read from standard input (docs/serve.md).",
         metavar="WORD",
     ),
+]
+JunitOption = Annotated[
+    Path | None,
+    typer.Option("--junit", help="Write pass or fail by the procedure's `accept` as JUnit XML.", metavar="FILE"),
 ]
 ModelOption = Annotated[
     str | None,

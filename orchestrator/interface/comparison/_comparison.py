@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from protocols import InputError, Interval, Number, Remark, Strict, Usability
 
 COPPER_PER_K = 0.00393
 """Relative rise of copper's resistance, at 20 C (IEC 60028)."""
+POINTS_PER_CURVE = 61
 MIN_MAP_CHANGE_SIGMAS = 2.0
 """Multiple of its own error that a map's change has to exceed: errors of neighbouring points are correlated."""
 
@@ -66,6 +68,16 @@ class MapChange(Strict):
     """rms of the change that shift and gain do not explain."""
 
 
+class FluxCurve(Strict):
+    """Flux linkage of a run along one axis, with no current along the other and relative to zero current."""
+
+    run: int
+    axis: Literal["d", "q"]
+    current_a: tuple[float, ...]
+    flux_wb: tuple[float, ...]
+    """Along the same axis as the current."""
+
+
 class RunsComparison(Strict):
     """A comparison of runs; the JSON contract of `fluxbench compare RUN RUN... --json`."""
 
@@ -75,6 +87,8 @@ class RunsComparison(Strict):
     """Sizes of the diagnoses' effects, named effect: parameter; null where a run has none. Effects that a run cannot
     distinguish are one."""
     maps: tuple[MapChange, ...]
+    curves: tuple[FluxCurve, ...]
+    """For drawing the maps over each other; those of runs without a map are missing."""
     remarks: tuple[Remark, ...]
     """Changes beyond noise, or their absence; and reasons that leave a change undecided."""
 
@@ -118,6 +132,7 @@ def compare_runs(paths: Sequence[Path]) -> ComparedRuns:
         quantities=quantities,
         effects=effects,
         maps=maps,
+        curves=tuple(_curves(runs)),
         remarks=tuple(_remarks(runs, names, quantities, effects, maps)),
     )
     return ComparedRuns(comparison, runs)
@@ -226,6 +241,18 @@ def _map_change(first: RunSummary, other: RunSummary, k: int) -> MapChange:
         gain_percent=100.0 * gain,
         left_percent=100.0 * rest / rated_wb,
     )
+
+
+def _curves(runs: Sequence[RunSummary]) -> Iterator[FluxCurve]:
+    for number, run in enumerate(runs):
+        if run.surface is None:
+            continue
+        for k, (axis, reach) in enumerate((("d", run.surface.i_d), ("q", run.surface.i_q))):
+            at = np.zeros((POINTS_PER_CURVE, 2))
+            at[:, k] = np.linspace(reach[0], reach[-1], POINTS_PER_CURVE)
+            at = at[run.surface.inside(at)]
+            flux = run.surface.psi(at)[:, k] - run.surface.psi(np.zeros((1, 2)))[0, k]
+            yield FluxCurve(run=number, axis=axis, current_a=tuple(at[:, k]), flux_wb=tuple(flux))
 
 
 def _no_map(k: int) -> MapChange:

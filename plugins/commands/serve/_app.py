@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Awaitable, Callable
+import re
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_origin
 
 from pydantic import ValidationError
 from starlette.applications import Starlette
@@ -20,7 +22,9 @@ from orchestrator.validation.messages import first_problem
 from plugins.commands.serve._choices import REPORT, choices, run_folder
 from plugins.commands.serve._guard import Guard
 from plugins.commands.serve._run import Checks, NotNowError, RunOfThePage
-from plugins.commands.serve._wanted import Answer, RunNamed, Wanted
+from plugins.commands.serve._shelf import Shelf
+from plugins.commands.serve._view_pages import ViewPages
+from plugins.commands.serve._wanted import Answer, ComparedRuns, RunLabelled, RunNamed, RunsWanted, Trend, Wanted
 from protocols import FluxbenchError, InputError, Strict
 
 T = TypeVar("T", bound=Strict)
@@ -30,6 +34,9 @@ ASSETS = {
     "": ("index.html", "text/html"),
     "page.css": ("page.css", "text/css"),
     "page.js": ("page.js", "text/javascript"),
+    "drawing.js": ("drawing.js", "text/javascript"),
+    "shelf": ("shelf.html", "text/html"),
+    "shelf.js": ("shelf.js", "text/javascript"),
 }
 MAX_BODY_BYTES = 1 << 16
 REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
@@ -39,14 +46,28 @@ REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src
 def page_app(run: RunOfThePage, folder: Path, token: str) -> Starlette:
     """The application for one folder, protected by `Guard`."""
     page = _Page(run, folder)
-    read = {"choices": page.choices, "events": page.events, "report/{run}": page.report}
-    changing = (page.check, page.start, page.resume, page.answer, page.stop)
+    read = {
+        "choices": page.choices,
+        "events": page.events,
+        "report/{run}": page.report,
+        "listed": page.listed,
+        "trend": page.trend,
+        "labels": page.labels,
+        "compared": page.compared,
+    }
+    changing = (page.check, page.start, page.resume, page.answer, page.stop, page.label, page.view)
     routes = [
         *(Route(f"/{path}", _asset(*asset), methods=["GET"]) for path, asset in ASSETS.items()),
         *(Route(f"/{path}", _with_errors(call), methods=["GET"]) for path, call in read.items()),
         *(Route(f"/{call.__name__}", _with_errors(call), methods=["POST"]) for call in changing),
     ]
-    return Starlette(routes=routes, middleware=[Middleware(Guard, token=token)])
+
+    @asynccontextmanager
+    async def closing_views(app: Starlette) -> AsyncIterator[None]:
+        yield
+        page.views.close()
+
+    return Starlette(routes=routes, middleware=[Middleware(Guard, token=token)], lifespan=closing_views)
 
 
 class _Page:
@@ -54,9 +75,19 @@ class _Page:
 
     def __init__(self, run: RunOfThePage, folder: Path) -> None:
         self._run, self._folder, self._checks = run, folder, Checks(folder)
+        self._shelf, self.views = Shelf(folder, self._checks), ViewPages()
 
     async def choices(self, request: Request) -> Response:
-        return JSONResponse(await run_in_threadpool(choices, self._folder))
+        return JSONResponse(await run_in_threadpool(choices, self._folder) | await self._shelf.newest())
+
+    async def listed(self, request: Request) -> Response:
+        return JSONResponse(await self._shelf.listed(_query(request, RunsWanted)))
+
+    async def trend(self, request: Request) -> Response:
+        return JSONResponse(await self._shelf.trend(_query(request, Trend)))
+
+    async def compared(self, request: Request) -> Response:
+        return JSONResponse(await self._shelf.compared(_query(request, ComparedRuns)))
 
     async def events(self, request: Request) -> Response:
         return StreamingResponse(self._run.viewers.events(), media_type="text/event-stream")
@@ -87,6 +118,19 @@ class _Page:
         given = await _body(request, Answer)
         self._run.answer(given.question, given.answer)
         return JSONResponse({})
+
+    async def labels(self, request: Request) -> Response:
+        return JSONResponse(await run_in_threadpool(self._shelf.labels, _query(request, RunNamed)))
+
+    async def label(self, request: Request) -> Response:
+        wanted = await _body(request, RunLabelled)
+        await run_in_threadpool(self._shelf.label, wanted)
+        return JSONResponse({})
+
+    async def view(self, request: Request) -> Response:
+        named = await _body(request, RunNamed)
+        place = run_folder(self._folder, named.run)
+        return JSONResponse({"address": await self.views.address_of(place)})
 
     async def stop(self, request: Request) -> Response:
         self._run.stop("stopped by a person at the page")
@@ -120,6 +164,19 @@ def _problem(message: str, status: int) -> Response:
     return JSONResponse({"problem": message}, status)
 
 
+def _query(request: Request, model: type[T]) -> T:
+    """A request's parameters as `model`, whose lists have one for each item; raises `InputError`."""
+    given: dict[str, Any] = {}
+    for name, value in request.query_params.multi_items():
+        field = model.model_fields.get(name)
+        if field is not None and get_origin(field.annotation) is tuple:
+            given.setdefault(name, []).append(value)
+        else:
+            is_number = field is not None and field.annotation is int and re.fullmatch(r"\d{1,15}", value)
+            given[name] = int(value) if is_number else value
+    return _validated(json.dumps(given).encode(), model)
+
+
 async def _body(request: Request, model: type[T]) -> T:
     """A request's body as `model`; raises `InputError`."""
     raw = b""
@@ -127,6 +184,10 @@ async def _body(request: Request, model: type[T]) -> T:
         raw += part
         if len(raw) > MAX_BODY_BYTES:
             raise InputError("request", "", f"longer than {MAX_BODY_BYTES} bytes")
+    return _validated(raw, model)
+
+
+def _validated(raw: bytes, model: type[T]) -> T:
     try:
         return model.model_validate_json(raw, strict=True)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""The page's choices: procedures, motors, drives and runs."""
+"""The page's choices: procedures, motors and drives; and the folder of a run."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typing import Any
 from orchestrator.config import load_motor, load_procedure
 from orchestrator.formatting.sentences import shown
 from orchestrator.registry.plugins import PluginKind, installed
-from orchestrator.runs import run_rows
 from orchestrator.validation.plain_files import read_text
 from protocols import FluxbenchError, InputError, shipped_procedures
 
@@ -19,13 +18,12 @@ REPORT = "report.html"
 
 
 def choices(folder: Path) -> dict[str, Any]:
-    """All choices for the page, with each file's error beside its name."""
+    """All choices for the page but the runs, with each file's error beside its name."""
     return {
         "folder": shown(str(folder)),
         "procedures": [*_procedures(folder)],
         "motors": [*_motors(folder)],
         "drives": sorted(info.name for info in installed(PluginKind.DRIVES)),
-        **_runs(folder),
     }
 
 
@@ -72,18 +70,6 @@ def _choice(name: str, word: str, summary: Callable[[str], str | None]) -> dict[
         return {"name": name, "summary": shown(summary(word) or ""), "problem": ""}
     except FluxbenchError as error:
         return {"name": name, "summary": "", "problem": shown(str(error))}
-
-
-def _runs(folder: Path, max_runs: int = 30) -> dict[str, Any]:
-    """Up to `max_runs` runs, the newest first, and the errors of those that cannot be read."""
-    problems: list[str] = []
-    rows = list(run_rows(folder / RUNS, problems.append)) if (folder / RUNS).is_dir() else []
-    rows.sort(key=lambda row: row["created"], reverse=True)
-    below = [row | {"run": Path(row["run"]).name} for row in rows if Path(row["run"]).parent == folder / RUNS]
-    shortened: list[dict[str, Any]] = [{key: shown(value) for key, value in row.items()} for row in below[:max_runs]]
-    for row in shortened:
-        row["has_report"] = (folder / RUNS / row["run"] / REPORT).is_file()
-    return {"runs": shortened, "unreadable": [shown(problem) for problem in problems[:max_runs]]}
 
 
 def _files(folder: Path, max_bytes: int = 1 << 20) -> Iterator[tuple[str, str]]:

@@ -171,7 +171,7 @@ class RunOfThePage:
         self, process: subprocess.Popen[bytes], output: asyncio.StreamReader, errors: asyncio.StreamReader
     ) -> str:
         shown = asyncio.ensure_future(self._read_pictures(output))
-        errors_read = asyncio.ensure_future(_end_of(errors))
+        errors_read = asyncio.ensure_future(end_of(errors))
         looks = 0
         while process.poll() is None:
             if looks % round(self._pace.keepalive_period_s / self._pace.poll_period_s) == 0:
@@ -200,7 +200,7 @@ class RunOfThePage:
         task.add_done_callback(self._tasks.discard)
 
 
-async def _end_of(output: asyncio.StreamReader) -> bytes:
+async def end_of(output: asyncio.StreamReader) -> bytes:
     """The last bytes of an output."""
     end = b""
     while data := await output.read(MAX_ERROR_BYTES):

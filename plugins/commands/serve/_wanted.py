@@ -69,3 +69,35 @@ class RunNamed(Strict):
     """One of the folder's runs."""
 
     run: Line
+
+
+Text = Annotated[Line, Field(min_length=1)]
+
+
+class RunLabelled(Strict):
+    """The tags and notes that a person gives a run."""
+
+    run: Line
+    tags: tuple[Text, ...] = Field((), max_length=100)
+    notes: tuple[Text, ...] = Field((), max_length=100)
+
+
+class RunsWanted(Strict):
+    """Runs to be listed."""
+
+    words: Line = ""
+    sort: Line = "-created"
+    skip: int = Field(0, ge=0, le=1 << 40)
+
+
+class ComparedRuns(Strict):
+    """Runs to be compared with the first of them."""
+
+    runs: tuple[Line, ...] = Field(min_length=2, max_length=8)
+
+
+class Trend(Strict):
+    """The motor whose results are followed over its runs."""
+
+    motor: Line
+    serial: Line = ""

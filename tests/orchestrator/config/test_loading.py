@@ -380,6 +380,13 @@ def test_a_motor_file_without_limits_keeps_those_of_an_own_procedure(write: Writ
     assert (loaded.procedure.limits, loaded.notes) == (load_procedure(str(own)).limits, ())
 
 
+def test_a_motor_file_has_the_limits_by_which_its_motor_is_accepted(write: Write) -> None:
+    text = SERVO + "accept:\n  max_resistance_ohm: 20 mOhm\n"
+    accept = load_procedure("demo", motor=write(text)).accept
+    assert accept is not None
+    assert accept.max_resistance_ohm == 0.02
+
+
 @pytest.mark.parametrize(
     ("text", "line", "problem"),
     [

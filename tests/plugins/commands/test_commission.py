@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from plugins.commands.commission import percent
-from protocols import InputError
+from protocols import InputError, Procedure
+from tests.orchestrator.shelf.example_runs import a_run
 from tests.support.processes import called
 
 
@@ -27,3 +30,34 @@ def test_bad_words_end_with_2_and_leave_nothing_behind(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "run").exists()
+
+
+def test_a_queue_names_its_motors_and_their_folders_itself() -> None:
+    done = called("commission", "--queue", "--serial", "PM-1")
+    assert done.returncode == 2
+    assert done.stderr == "fluxbench: fluxbench commission: --queue: excludes --serial and --out\n"
+
+
+@pytest.mark.parametrize("passes", [True, False])
+def test_the_motor_s_limits_decide_about_the_exit_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, passes: bool
+) -> None:
+    """The measurement itself, of a minute, is replaced by its results."""
+    procedures = []
+
+    def measured(procedure: Procedure, *, out: Path, **options: object) -> SimpleNamespace:
+        procedures.append(procedure)
+        accept = procedure.accept
+        assert accept is not None
+        about = procedure.about.model_dump()
+        return SimpleNamespace(path=a_run(out, about=about, accept=accept.model_dump(exclude_defaults=True)))
+
+    monkeypatch.setattr("orchestrator.interface.api.run", measured)
+    limit = f"accept.max_resistance_ohm={4.5 if passes else 4.2}"
+    words = ("--set", limit, "--serial", "PM-7", "--out", tmp_path / "run", "--junit", tmp_path / "out.xml")
+    done = called("commission", *words)
+    assert done.returncode == (0 if passes else 4)
+    assert done.stdout.startswith(f"PM-7  {'PASS' if passes else 'FAIL'}  ")
+    assert ("not accepted: R_s 4.250 Ω" in done.stderr) is not passes
+    assert ET.parse(tmp_path / "out.xml").find(".//testsuite[@name='PM-7']") is not None
+    assert [procedure.about.serial for procedure in procedures] == ["PM-7"]

@@ -83,3 +83,55 @@ def test_a_run_that_cannot_be_read_is_named_and_the_exit_code_says_so(folder: Pa
     finally:
         (broken / "run.json").unlink()
         broken.rmdir()
+
+
+def test_runs_are_filtered_by_columns_and_printed_in_those_that_are_wanted(folder: Path) -> None:
+    listed = called("runs", "--where", "serial=pm-0042", "--columns", "run,drive,outcome,resistance_ohm", cwd=folder)
+    head, _, row = listed.stdout.splitlines()
+    assert head.split() == ["run", "drive", "outcome", "resistance_ohm"]
+    assert row.split() == ["runs/one", "simulated", "finished", "–"]
+    found = json.loads(
+        called("runs", "--sort=-run", "--limit", "1", "--columns", "run,l_dd_h", "--json", cwd=folder).stdout
+    )
+    assert found == [{"run": "runs/two", "l_dd_h": None, "l_dd_low_h": None, "l_dd_high_h": None}]
+    assert "has resistance_ohm>1" in called("runs", "--where", "resistance_ohm>1", cwd=folder).stdout
+    for option, value in (("--where", "serial"), ("--columns", "run,serail"), ("--sort", "colour")):
+        refused = called("runs", option, value, cwd=folder)
+        assert refused.returncode == 2
+        assert refused.stderr.startswith(f"fluxbench: {option}: ")
+        assert refused.stderr.count("\n") == 1
+
+
+def test_all_texts_of_the_former_list_are_still_there_as_json(folder: Path) -> None:
+    (row,) = json.loads(called("runs", "pm-0042", "--json", cwd=folder).stdout)
+    expected = {
+        "run": "runs/one",
+        "procedure": "tiny",
+        "motor": "400 W test PMSM",
+        "outcome": "finished",
+        "serial": "PM-0042",
+        "operator": "M. Faraday",
+        "ambient": "0 °C",
+        "tags": "cold",
+        "notes": "before rewinding",
+    }
+    assert {name: row[name] for name in expected} == expected
+    assert row["duration_s"] > 0.0
+
+
+def test_notes_and_tags_are_added_later_and_found(folder: Path) -> None:
+    given = called("note", "runs/two", "magnet lost", "--tag", "returned", cwd=folder)
+    assert given.stdout == "tags: returned\nnote: magnet lost\n"
+    assert "runs/two" in called("runs", "magnet", "returned", cwd=folder).stdout
+    removed = called("note", "runs/two", "--untag", "returned", "--json", cwd=folder)
+    assert json.loads(removed.stdout) == {"tags": [], "notes": ["magnet lost"]}
+    refused = called("note", "runs/three", "x", cwd=folder)
+    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    (folder / "runs" / "two" / "labels.json").unlink()
+
+
+def test_a_damaged_index_is_replaced_without_a_word(folder: Path) -> None:
+    before = called("runs", cwd=folder)
+    (folder / "runs" / ".index.sqlite").write_text("damaged")
+    after = called("runs", cwd=folder)
+    assert (after.returncode, after.stdout, after.stderr) == (0, before.stdout, "")

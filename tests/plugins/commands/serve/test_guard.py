@@ -5,14 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import quote
 
 import psutil
 import pytest
 
 from tests.plugins.commands.serve.served import Served, serving
 
-READ = ("/", "/page.js", "/choices", "/events", "/report/some")
-CHANGING = ("/check", "/start", "/resume", "/answer", "/stop")
+READ = (
+    "/", "/page.js", "/choices", "/events", "/report/some",
+    "/shelf", "/shelf.js", "/drawing.js", "/listed", "/trend", "/compared", "/labels",
+)  # fmt: skip
+CHANGING = ("/check", "/start", "/resume", "/answer", "/stop", "/label", "/view")
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +152,25 @@ def test_a_text_that_no_command_line_holds_is_refused(field: str, text: str, pat
 
 @pytest.mark.parametrize("name", ["a\0b", "x" * 300, "x" * 1900])
 def test_a_run_that_no_file_system_holds_is_none(name: str, served: Served) -> None:
-    assert served.post("/resume", {"run": name}).status == 400
+    for path in ("/resume", "/label", "/view"):
+        assert served.post(path, {"run": name}).status == 400
+    assert served.get(f"/labels?run={quote(name)}").status == 400
+    assert served.get(f"/compared?runs={quote(name)}&runs={quote(name)}").status == 400
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/listed?words=%00", "/listed?sort=colour", "/listed?sort=run;DROP", "/listed?skip=x", "/listed?skip=-1",
+        "/listed?skip=" + "9" * 5000, "/listed?colour=red", "/listed?words=" + "x" * 3000, "/trend", "/trend?motor=%00",
+        "/compared", "/compared?runs=a", "/compared?runs=a&runs=b", "/compared" + "?" + "&".join(["runs=a"] * 9),
+        "/labels", "/labels?run=..", "/labels?run=a&run=b",
+    ],
+)  # fmt: skip
+def test_a_question_that_is_wrong_is_one_line(path: str, served: Served) -> None:
+    reply = served.get(path)
+    assert reply.status == 400
+    assert "\n" not in reply.content["problem"]
 
 
 def test_a_port_that_is_taken_is_stated_in_one_line(served: Served, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from protocols import OperatorAnswered, RunEnded
+from tests.orchestrator.shelf.example_runs import a_run
 from tests.pictures.report import browser
 from tests.plugins.commands.serve.served import serving
 from tests.plugins.commands.serve.test_floods import LONG
@@ -149,3 +150,44 @@ def test_a_stop_arrives_although_streams_hold_all_connections_of_the_browser(
         wait_until(lambda: isinstance(messages_of(run)[-1], RunEnded), 15.0)
         assert ended_safely(run).reason == "stopped by a person at the page"
         chromium.complaints.clear()  # of tabs that were closed while they loaded
+
+
+def test_runs_are_found_compared_followed_and_labelled_on_their_page(tmp_path: Path, chromium: Chromium) -> None:
+    for k in range(3):
+        a_run(tmp_path / "runs" / f"line-{k}", r_s=4.2 + 0.1 * k, about={"serial": "PM-7", "notes": ["<b>a; b</b>"]})
+    rows = "[...document.querySelectorAll('#rows tr')]"
+    with serving(tmp_path) as served:
+        desk, phone = chromium.open(served.address), chromium.open(served.address)
+        phone.resize(360, 740, phone=True)
+        for tab in (desk, phone):
+            tab.until("document.querySelector('a[href=\"/shelf\"]') !== null")
+            tab.call("Page.navigate", url=f"{served.origin}/shelf")
+            tab.until(f"{rows}.length === 3")
+        assert fits_its_width(phone)
+        assert desk.value("document.querySelector('#rows b') === null")
+
+        desk.value("[...document.querySelectorAll('.heading')].find((one) => one.textContent === 'R_s').click()")
+        desk.until(f"{rows}[0].textContent.includes('line-0')")
+        desk.value("document.querySelector('[name=words]').value = 'LINE-2'")
+        desk.value("document.querySelector('[name=words]').dispatchEvent(new Event('input'))")
+        desk.until(f"{rows}.length === 1")
+        desk.value("document.querySelector('[name=words]').value = ''; search.requestSubmit()")
+        desk.until(f"{rows}.length === 3")
+
+        desk.value("[...document.querySelectorAll('#rows input')].slice(0, 2).forEach((box) => box.click())")
+        press(desk, "compare")
+        desk.until(is_seen("comparison"))
+        assert "changed beyond noise: R_s" in desk.value("document.getElementById('remarks').textContent")
+        assert desk.value("document.querySelectorAll('#curve_d path.series').length") == 2
+        press(desk, "closecomparison")
+
+        desk.value(f"[...{rows}[0].querySelectorAll('button')].find((one) => one.textContent === 'Trend').click()")
+        desk.until(is_seen("trend"))
+        assert desk.value("document.querySelectorAll('#trend_r circle').length") == 3
+
+        desk.value(f"[...{rows}[0].querySelectorAll('button')].find((one) => one.textContent === 'Notes').click()")
+        desk.until(is_seen("labels"))
+        assert desk.value("labels.notes.value") == "<b>a; b</b>"
+        desk.value("labels.tags.value = 'returned, cold'; labels.requestSubmit()")
+        desk.until(f"{rows}[0].textContent.includes('returned, cold')")
+        assert fits_its_width(desk)
