@@ -93,9 +93,9 @@ def read_procedure(
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
         YAML file whose sections ``motor`` and, where given, ``limits``, ``drive`` and ``accept`` replace the
-        procedure's as a whole. Where the procedure's motor is an example, limits that the file leaves out follow from its nameplate,
-        and a simulated drive forgets the example's plant. Where it is none, the procedure's energy and duration stay,
-        and all its limits where the file has none.
+        procedure's as a whole. Where the procedure's motor is an example, limits that the file leaves out follow from
+        its nameplate, and a simulated drive forgets the example's plant. Where it is none, the procedure's energy and
+        duration stay, and all its limits where the file has none.
 
     Raises
     ------
