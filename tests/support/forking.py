@@ -21,6 +21,7 @@ import socket
 import struct
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -58,6 +59,7 @@ class ForkedCommand:
         self._outputs = [os.memfd_create(name) for name in ("stdout", "stderr")]
         self._printed = ("", "")
         self._reported, telling = os.pipe()
+        self._hearing = threading.Lock()
         around = {**os.environ, **(environment or {})}
         request = json.dumps({"words": list(words), "cwd": str(cwd or Path.cwd()), "environment": around})
         socket.send_fds(_server(preload), [request.encode()], [*self._outputs, telling])
@@ -96,11 +98,16 @@ class ForkedCommand:
         self.send_signal(signal.SIGKILL)
 
     def _look(self, timeout: float | None) -> int | None:
-        if self.returncode is None and select.select([self._reported], [], [], timeout)[0]:
-            self.returncode = self._hear()
-            os.close(self._reported)
-            out, err = (_all_of(output) for output in self._outputs)
-            self._printed = out, err
+        # Several threads may wait for one command: one of them hears of its end, and closes the way.
+        with suppress(OSError, ValueError):
+            if self.returncode is None:
+                select.select([self._reported], [], [], timeout)
+        with self._hearing:
+            if self.returncode is None and select.select([self._reported], [], [], 0.0)[0]:
+                code = self._hear()
+                os.close(self._reported)
+                out, err = (_all_of(output) for output in self._outputs)
+                self._printed, self.returncode = (out, err), code
         return self.returncode
 
     def _hear(self) -> int:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from tests.support.forking import ForkedCommand
 from tests.support.processes import called, start_afresh, start_fluxbench, wait_until
 
 
@@ -29,3 +31,9 @@ def test_signals_reach_it_alone_and_its_end_is_reported(tmp_path: Path) -> None:
     assert stopped.poll() is None
     stopped.send_signal(signal.SIGTERM)
     assert stopped.wait(timeout=20) == 0
+
+
+def test_several_threads_may_wait_for_its_end() -> None:
+    command = ForkedCommand(["--version"])
+    with ThreadPoolExecutor(8) as threads:
+        assert set(threads.map(lambda _: command.wait(60.0), range(8))) == {0}
