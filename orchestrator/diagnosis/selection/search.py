@@ -42,8 +42,8 @@ FEW_EFFECTS: int = 2
 MIN_SHARE_OF_ALL: float = 0.5
 """Part of the gain of all absent effects that the best one has to bring; else many are missing."""
 MIN_SHARE_OF_MAP: float = 0.9
-"""Part of the misfit that a finer map removes, where no effect removes half, to come before effects. On sharp iron it
-removed 0.90 to 0.999, beside a hysteresis of another form 0.8."""
+"""Part of the misfit that a finer map removes, where no effect removes half, to come before the first two effects. On
+sharp iron it removed 0.90 to 0.999, beside a hysteresis of another form 0.8."""
 MAX_CHI2_RATIO_WITH_QUANTISER: float = 1.2
 """Largest ratio of chi2 with a detected timer's rounding to that without; a false detection had a ratio of 3.2."""
 
@@ -123,7 +123,7 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     few = len(state.fit.model.active) < FEW_EFFECTS
     waiting = [m for m in cheap if is_open and m.kind == "add" and (not few or m.gain < MIN_SHARE_OF_ALL * everything)]
     excess = state.fit.chi2 - state.fit.dof
-    if is_open and state.is_part and all(m.gain < MIN_SHARE_OF_ALL * excess for m in cheap):
+    if is_open and few and state.is_part and all(m.gain < MIN_SHARE_OF_ALL * excess for m in cheap):
         yield from first_map_moves(state, MIN_SHARE_OF_MAP * excess)
     yield from (m for m in cheap if m not in waiting)
     if not state.is_explained:
