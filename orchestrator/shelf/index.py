@@ -196,14 +196,19 @@ def _runs_below(folder: str, prefix: str, known: Mapping[str, Stamp]) -> Iterato
             yield from _runs_below(path, f"{name}/", known)
             continue
         results = _status(f"{path}/results")
-        stamp: Stamp = (whole.st_mtime_ns, 0 if results is None else results.st_mtime_ns)
+        stamp: Stamp = (_changed_ns(whole), _changed_ns(results))
         # Labels where there were none, and a finished run that goes on, change the folder's time too.
         is_same = before is not None and before[:2] == stamp
         for k, file in enumerate((LABELS_NAME, JOURNAL_NAME), 2):
             status = None if is_same and before is not None and before[k] == 0 else _status(f"{path}/{file}")
-            stamp += (0,) if status is None else (status.st_mtime_ns,)
+            stamp += (_changed_ns(status),)
             size = 0 if status is None else status.st_size
         yield name, (*stamp, size)
+
+
+def _changed_ns(status: os.stat_result | None) -> int:
+    """Time of change, as far as SQLite's integers reach (to the year 2262, and then from 1970 on again)."""
+    return 0 if status is None else status.st_mtime_ns % (1 << 63)
 
 
 def _status(path: str) -> os.stat_result | None:

@@ -86,7 +86,7 @@ class RunQuery:
         column = known_column(self.sort.removeprefix("-"), "--sort")
         direction = "DESC" if self.sort.startswith("-") else "ASC"
         is_missing = f"{column} IS NULL OR {column} = ''"
-        return f"ORDER BY {is_missing}, {column} {direction}, created {direction}, run"
+        return f"ORDER BY {is_missing}, {column} {direction}, created {direction}, run {direction}"
 
     @property
     def parameters(self) -> list[str | float]:

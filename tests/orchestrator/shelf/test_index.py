@@ -119,6 +119,13 @@ def test_a_file_that_changed_just_now_is_read_again(folder: Path) -> None:
     assert number_read(folder) == 1
 
 
+def test_a_run_from_a_far_future_is_listed(folder: Path) -> None:
+    far = 13_500_000_000_000_000_000  # in the year 2397, and beyond 64 bits
+    os.utime(folder / "a", ns=(far, far))
+    assert rows(folder) == BOTH
+    assert rows(folder) == BOTH
+
+
 def test_a_private_folder_beside_a_run_is_no_run(folder: Path) -> None:
     (folder / "a.sealed" / "run.json").write_text("{}")
     assert rows(folder) == BOTH
