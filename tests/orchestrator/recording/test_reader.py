@@ -15,8 +15,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from orchestrator.operating_system.memory import spare_memory
 from orchestrator.recording import capture_path, open_recording
-from orchestrator.validation.memory import spare_memory
 from protocols import Capture, RecordingError, RecordingReader, SegmentStage
 
 REDUCED = Path(__file__).parents[2] / "data" / "pm400-reduced"
