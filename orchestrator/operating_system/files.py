@@ -10,6 +10,7 @@ BINARY: int = getattr(os, "O_BINARY", 0)
 """Flag for `os.open`: Windows would translate line ends otherwise."""
 NON_BLOCKING: int = getattr(os, "O_NONBLOCK", 0)
 """Flag for `os.open`: a pipe without a writer opens at once."""
+IS_WINDOWS = os.name == "nt"
 MAX_REPLACE_WAIT_S = 2.0
 """Time in which a file on Windows is replaced although a reader, such as a virus scanner, has it open for a moment."""
 
@@ -38,6 +39,6 @@ def replace(source: Path, target: Path) -> None:
             source.replace(target)
             return
         except PermissionError:
-            if os.name != "nt" or time.monotonic() > deadline:
+            if not IS_WINDOWS or time.monotonic() > deadline:
                 raise
             time.sleep(0.02)

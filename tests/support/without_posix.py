@@ -1,6 +1,7 @@
 """Takes from the project what Windows lacks: POSIX's modules, and attributes of `os`, `signal`, `select`, `socket`.
 
-The project's own modules alone lack them, since libraries that were built for this system need them. In the place of Windows' own modules stand models: `msvcrt.locking` locks one byte as there, without waiting, and
+The project's own modules alone lack them, since libraries that were built for this system need them. In the place of
+Windows' own modules stand models: `msvcrt.locking` locks one byte as there, without waiting, and
 `_winapi.PeekNamedPipe` counts the bytes in a pipe. A plugin of pytest: ``pytest -p tests.support.without_posix``.
 """
 
@@ -54,7 +55,7 @@ def remove_posix() -> None:
     """Take it all away, for the rest of the process."""
     for name in ("asyncio", "getpass", "multiprocessing.pool", "subprocess"):  # they look for msvcrt as they load
         importlib.import_module(name)
-    sys.modules["msvcrt"], sys.modules["_winapi"] = _msvcrt(), _winapi()
+    sys.modules["msvcrt"], sys.modules["_winapi"] = msvcrt_model(), winapi_model()
     lacking = {module.__name__: _Lacking(module, names) for module, names in ATTRIBUTES.items()}
     plain_import = builtins.__import__
 
@@ -76,7 +77,8 @@ def own_modules(root: Path) -> list[str]:
     return [".".join(file.parts).removesuffix(".__init__") for file in kept if file.name != "__main__"]
 
 
-def _msvcrt() -> ModuleType:
+def msvcrt_model() -> ModuleType:
+    """Windows' locks of bytes, and handles of descriptors."""
     module: Any = ModuleType("msvcrt")
 
     def locking(descriptor: int, mode: int, byte_count: int) -> None:
@@ -94,7 +96,8 @@ def _msvcrt() -> ModuleType:
     return module
 
 
-def _winapi() -> ModuleType:
+def winapi_model() -> ModuleType:
+    """Windows' look into a pipe."""
     module: Any = ModuleType("_winapi")
 
     def peek(handle: int, size: int) -> tuple[int, int]:
@@ -108,5 +111,6 @@ def _winapi() -> ModuleType:
     return module
 
 
-if "pytest" in sys.modules:
+def pytest_load_initial_conftests() -> None:
+    """As a plugin: before any module of the project is imported."""
     remove_posix()
