@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/pytest -q -n 3 --dist worksteal
 STAMP := $(VENV)/.installed
 
-# What runs; tests and lint need more, and `make demo` does not wait for it. Modules are compiled as they are imported:
+# What runs, the viewer, the report and the page included; tests and lint need more, and `make demo` does not wait for it. Modules are compiled as they are imported:
 # to compile all of them takes as long as to unpack them, and another 0.2 GB.
 RUNS := $(VENV)/.runs
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable
@@ -21,10 +21,13 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Kernels that have changed are compiled once: workers that begin together would all do it.
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
+DIAGNOSIS := $(VENV)/.diagnosis-compiled
 
 .PHONY: help demo test suite test-all test-socketcan test-firmware bench torture blind pictures motor-time docs lint lock release audit clean
 
+# The first time, the other core compiles the diagnosis' kernels meanwhile.
 demo: $(RUNS)  ## install what runs, commission a simulated motor, diagnose it
+	@test -e $(DIAGNOSIS) || (nice $(BIN)/python -m tests.support.kernels --diagnosis && touch $(DIAGNOSIS)) >/dev/null 2>&1 &
 	$(BIN)/fluxbench run demo
 
 # Lint beside the tests: it has one core, and the workers wait now and then.
@@ -121,7 +124,7 @@ $(RUNS): pyproject.toml constraints.txt
 	@echo "Installing fluxbench into $(VENV): 55 packages, 1.3 GB on disk, 0.5 of them the viewer (docs/installing.md)."
 	@echo "pip says nothing meanwhile; the first time it downloads about 0.4 GB, a minute or more."
 	@$(PYTHON) -m venv $(VENV)
-	@$(INSTALL) .
+	@$(INSTALL) ".[viewer,report,serve]"
 	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt
