@@ -97,10 +97,12 @@ lint: $(STAMP)  ## ruff, import-linter and mypy
 lock: $(STAMP)  ## write constraints.txt anew from the environment
 	$(BIN)/pip freeze --exclude-editable --exclude fluxbench > constraints.txt
 
-# The wheel, the same bytes from the same sources, and what an installation of it consists of (CycloneDX).
-release: $(STAMP)  ## wheel, requirements and SBOM in dist/
+# Wheel and sdist, the same bytes from the same sources, the notes of the version, and what an installation consists of
+# (CycloneDX). The version is that of a tag such as v1.2.3 at the commit, else the newest in CHANGELOG.md.
+release: $(STAMP)  ## wheel, sdist, notes, requirements and SBOM in dist/
 	rm -rf dist
 	$(BIN)/python -m hatchling build -d dist
+	$(PYTHON) packaging/release_notes.py > dist/notes.md
 	$(PYTHON) -m venv dist/.installed
 	dist/.installed/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
 	dist/.installed/bin/pip freeze --exclude fluxbench > dist/requirements.txt
