@@ -87,7 +87,7 @@ def test_a_wheel_measures_a_motor_without_the_sources_beside_it(wheel: Path, tmp
     # The packages that it asks for are those of the tests' own environment.
     Path(ours, "others.pth").write_text(sysconfig.get_path("purelib") + "\n")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    command = [python.with_name("fluxbench"), "run", "demo", "--out", "run"]
+    command = [str(python.with_name("fluxbench")), "run", "demo", "--out", "run"]
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     record = json.loads((tmp_path / "run" / "run.json").read_text())

@@ -79,10 +79,10 @@ def own_modules(root: Path) -> list[str]:
 
 def msvcrt_model() -> ModuleType:
     """Windows' locks of bytes, and handles of descriptors."""
-    module: Any = ModuleType("msvcrt")
+    no_waiting = 2
 
     def locking(descriptor: int, mode: int, byte_count: int) -> None:
-        assert mode == module.LK_NBLCK
+        assert mode == no_waiting
         where = os.lseek(descriptor, 0, os.SEEK_CUR)
         can_write = fcntl.fcntl(descriptor, fcntl.F_GETFL) & (os.O_WRONLY | os.O_RDWR)
         kind = fcntl.F_WRLCK if can_write else fcntl.F_RDLCK  # of a file that is open to be read, the nearest there is
@@ -91,14 +91,15 @@ def msvcrt_model() -> ModuleType:
         except OSError:
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES)) from None
 
-    module.LK_NBLCK, module.locking = 2, locking
-    module.get_osfhandle, module.kbhit = int, lambda: bool(select.select([0], [], [], 0.0)[0])
+    module = ModuleType("msvcrt")
+    vars(module).update(
+        LK_NBLCK=no_waiting, locking=locking, get_osfhandle=int, kbhit=lambda: bool(select.select([0], [], [], 0.0)[0])
+    )
     return module
 
 
 def winapi_model() -> ModuleType:
     """Windows' look into a pipe."""
-    module: Any = ModuleType("_winapi")
 
     def peek(handle: int, size: int) -> tuple[int, int]:
         assert size == 0
@@ -107,7 +108,8 @@ def winapi_model() -> ModuleType:
             raise BrokenPipeError
         return present, 0
 
-    module.PeekNamedPipe = peek
+    module = ModuleType("_winapi")
+    vars(module).update(PeekNamedPipe=peek)
     return module
 
 
