@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -42,3 +43,12 @@ def replace(source: Path, target: Path) -> None:
             if not IS_WINDOWS or time.monotonic() > deadline:
                 raise
             time.sleep(0.02)
+
+
+def free_bytes(folder: Path) -> int | None:
+    """Free space where a folder is, or will be made; None where the system does not report it."""
+    present = next(place for place in (folder, *folder.parents) if place.exists())
+    try:
+        return shutil.disk_usage(present).free
+    except OSError:
+        return None
