@@ -51,8 +51,9 @@ class _Lacking(ModuleType):
         return sorted(set(dir(self.__module)) - self.__lacking)
 
 
-def remove_posix() -> None:
-    """Take it all away, for the rest of the process."""
+def remove_posix(*others: str) -> None:
+    """Take it all away, for the rest of the process, from the project and from these packages."""
+    packages = (*PACKAGES, *others)
     for name in ("asyncio", "getpass", "multiprocessing.pool", "subprocess"):  # they look for msvcrt as they load
         importlib.import_module(name)
     sys.modules["msvcrt"], sys.modules["_winapi"] = msvcrt_model(), winapi_model()
@@ -61,7 +62,7 @@ def remove_posix() -> None:
 
     def guarded(name: str, globals: Any = None, locals: Any = None, fromlist: Any = (), level: int = 0) -> Any:
         importer = str((globals or {}).get("__name__", ""))
-        if level or importer.partition(".")[0] not in PACKAGES:
+        if level or importer.partition(".")[0] not in packages:
             return plain_import(name, globals, locals, fromlist, level)
         if name in MODULES:
             raise ImportError(f"{importer} imports {name}, which is not of Windows")
@@ -114,5 +115,5 @@ def winapi_model() -> ModuleType:
 
 
 def pytest_load_initial_conftests() -> None:
-    """As a plugin: before any module of the project is imported."""
-    remove_posix()
+    """As a plugin: before any module of the project is imported; the tests lack it too."""
+    remove_posix("tests")

@@ -336,11 +336,6 @@ def test_more_rows_than_the_machine_holds_are_refused_before_any_is_read(
     assert "100 rows need some 0.0 GB of memory, and 0.0 GB are free" in message
 
 
-def test_a_limit_on_the_address_space_counts_as_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("orchestrator.validation.memory.resource.getrlimit", lambda _: (1 << 20, 1 << 20))
-    assert spare_memory() == 0
-
-
 @pytest.mark.parametrize("value", [True, False, "1.0"])
 @pytest.mark.parametrize(
     ("field", "kind"), [("start_s", "number"), ("samples", "whole number"), ("rotor_angle_rad", "number")]
