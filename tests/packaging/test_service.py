@@ -34,9 +34,12 @@ def service() -> ElementTree.Element:
 def started(words: Sequence[str], monkeypatch: pytest.MonkeyPatch, folder: Path) -> tuple[Path, int]:
     """Folder and port with which these words start the page."""
     calls: list[tuple[Path, int]] = []
-    monkeypatch.setattr(
-        "plugins.commands.serve._server.serve_page", lambda folder, host, port: calls.append((folder, port)) or 0
-    )
+
+    def serve_page(folder: Path, host: str, port: int) -> int:
+        calls.append((folder, port))
+        return 0
+
+    monkeypatch.setattr("plugins.commands.serve._server.serve_page", serve_page)
     assert words[0] == "serve"
     assert _command.command([str(folder), *words[2:]]) == 0
     (call,) = calls
