@@ -81,7 +81,7 @@ def test_a_motor_is_measured_estimated_diagnosed_and_exported_without_extras(tmp
         (["report", "tests/data/pm400-reduced"], "report"),
         (["view", "tests/data/pm400-reduced"], "viewer"),
         (["serve"], "serve"),
-        (["run", "demo", "--view"], "viewer"),
+        pytest.param(["run", "demo", "--view"], "viewer", marks=pytest.mark.slow),
     ],
 )
 def test_a_command_that_needs_an_extra_says_in_one_line_how_to_have_it(

@@ -52,3 +52,8 @@ def test_a_list_of_changes_without_a_version_is_refused(tmp_path: Path) -> None:
     (tmp_path / "CHANGELOG.md").write_text("## [Unreleased]\n")
     with pytest.raises(ValueError, match=r"expected a heading"):
         version(tmp_path)
+
+
+def test_this_checkout_has_the_newest_version_or_that_of_its_tag() -> None:
+    names = runpy.run_path(str(ROOT / "packaging" / "version.py"))
+    assert version(ROOT) == names["newest"](ROOT), "a tag at this commit has another version than the list of changes"
