@@ -13,7 +13,7 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/pytest -q -n 3 --dist worksteal
 STAMP := $(VENV)/.installed
 
-# What runs; tests and lint need more, and `make demo` does not wait for it. Modules are compiled as they are imported:
+# What runs, the viewer, the report and the page included; tests and lint need more, and `make demo` does not wait for it. Modules are compiled as they are imported:
 # to compile all of them takes as long as to unpack them, and another 0.2 GB.
 RUNS := $(VENV)/.runs
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable
@@ -21,10 +21,13 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 # Kernels that have changed are compiled once, and tests are read once: workers that begin together would all do it.
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
+DIAGNOSIS := $(VENV)/.diagnosis-compiled
 
 .PHONY: help demo test suite test-all test-socketcan test-firmware bench torture blind pictures motor-time docs lint lock release audit clean
 
+# The first time, the other core compiles the diagnosis' kernels meanwhile.
 demo: $(RUNS)  ## install what runs, commission a simulated motor, diagnose it
+	@test -e $(DIAGNOSIS) || (nice $(BIN)/python -m tests.support.kernels --diagnosis && touch $(DIAGNOSIS)) >/dev/null 2>&1 &
 	$(BIN)/fluxbench run demo
 
 # Lint beside the tests: it has one core, and the workers wait now and then.
@@ -95,10 +98,12 @@ lint: $(STAMP)  ## ruff, import-linter and mypy
 lock: $(STAMP)  ## write constraints.txt anew from the environment
 	$(BIN)/pip freeze --exclude-editable --exclude fluxbench > constraints.txt
 
-# The wheel, the same bytes from the same sources, and what an installation of it consists of (CycloneDX).
-release: $(STAMP)  ## wheel, requirements and SBOM in dist/
+# Wheel and sdist, the same bytes from the same sources, the notes of the version, and what an installation consists of
+# (CycloneDX). The version is that of a tag such as v1.2.3 at the commit, else the newest in CHANGELOG.md.
+release: $(STAMP)  ## wheel, sdist, notes, requirements and SBOM in dist/
 	rm -rf dist
 	$(BIN)/python -m hatchling build -d dist
+	$(PYTHON) packaging/release_notes.py > dist/notes.md
 	$(PYTHON) -m venv dist/.installed
 	dist/.installed/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
 	dist/.installed/bin/pip freeze --exclude fluxbench > dist/requirements.txt
@@ -122,7 +127,7 @@ $(RUNS): pyproject.toml constraints.txt
 	@echo "Installing fluxbench into $(VENV): 55 packages, 1.3 GB on disk, 0.5 of them the viewer (docs/installing.md)."
 	@echo "pip says nothing meanwhile; the first time it downloads about 0.4 GB, a minute or more."
 	@$(PYTHON) -m venv $(VENV)
-	@$(INSTALL) .
+	@$(INSTALL) ".[viewer,report,serve]"
 	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt

@@ -121,7 +121,7 @@ class FleetRow(Lenient):
     seconds: float = 0.0
     """Duration of the last attempt on its worker."""
     peak_mb: float = 0.0
-    """Largest memory of the worker's process so far."""
+    """Largest memory of the worker's process so far; 0 where the system does not report it."""
     versions: FleetVersions | None = None
 
     condition: str | None = None

@@ -26,7 +26,7 @@ def pytest_configure(config: pytest.Config) -> None:
     With the slow tests, more examples are tried too.
     """
     config.pluginmanager.register(Budget())
-    if hasattr(config, "workerinput"):
+    if hasattr(config, "workerinput") and hasattr(os, "setsid"):
         os.setsid()  # Linux shares the processors among sessions first: no other worker's work delays this one's links
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if config.getoption("markexpr") != "not slow":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-import tomllib
+import runpy
 from datetime import date
 from pathlib import Path
 
@@ -22,8 +22,8 @@ def test_unreleased_stands_above_dated_versions_and_the_newest_is_the_package_s(
     assert len(versions) == len(HEADINGS) - 1
     assert versions == sorted(set(versions), reverse=True)
     assert dates == sorted(dates, reverse=True)
-    package = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
-    assert ".".join(str(part) for part in versions[0]) == package
+    newest = runpy.run_path(str(ROOT / "packaging" / "version.py"))["newest"]
+    assert ".".join(str(part) for part in versions[0]) == newest(ROOT)
 
 
 def test_each_version_has_known_kinds_of_changes_once_and_in_order() -> None:

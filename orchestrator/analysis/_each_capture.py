@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from orchestrator.operating_system.processes import available_cores
 from protocols import Capture, RecordingReader, Segment
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ def each_capture(
     def evaluate_segment(segment: Segment) -> T:
         return evaluate(segment, recording.load(segment))
 
-    threads = min(at_once, len(segments), len(os.sched_getaffinity(0)))
+    threads = min(at_once, len(segments), available_cores())
     if threads < 2:
         return [evaluate_segment(segment) for segment in segments]
     with ThreadPoolExecutor(threads, thread_name_prefix="pass") as pool:

@@ -20,6 +20,7 @@ from types import TracebackType
 from typing import ClassVar, Self
 
 from orchestrator.engine._beater import BEAT_HEADER, worst_gap
+from orchestrator.operating_system.processes import own_group
 from protocols import Drive, RelayedDrive
 
 LEASE_S = 5.0
@@ -108,7 +109,7 @@ class _Relay:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             pass_fds=(heartbeat_fd,),
-            start_new_session=True,  # a terminal's Ctrl-C and Ctrl-Z are for the run
+            **own_group(),  # a terminal's Ctrl-C and Ctrl-Z are for the run
             bufsize=0,
         )
 

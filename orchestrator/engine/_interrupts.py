@@ -6,16 +6,21 @@ Handlers are installed by `handling_signals` alone, for as long as a run lasts.
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from orchestrator.operating_system.signals import (
+    ALARM_SIGNAL,
+    PAUSE_SIGNALS,
+    STOP_SIGNALS,
+    Alarm,
+    handlers,
+    suspend_process,
+)
 from protocols import DriveFault, FaultCause, RunInterrupted
-
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 class Interrupts:
@@ -63,11 +68,12 @@ class Interrupts:
         if not self._has_alarm:
             yield
             return
-        signal.setitimer(signal.ITIMER_REAL, seconds)
+        alarm = Alarm()
+        alarm.start(seconds)
         try:
             yield
         finally:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            alarm.cancel()
 
     @property
     def pause_wanted(self) -> bool:
@@ -87,11 +93,11 @@ class Interrupts:
 def handling_signals() -> Iterator[Interrupts]:
     """Context that turns signals into requests; restores the previous handlers.
 
-    SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the run; SIGALRM ends a `deadline`; SIGTSTP (Ctrl-Z)
-    pauses: the drive is disarmed first, then the process really stops, and SIGCONT (``fg``) lets
+    `STOP_SIGNALS` stop the run; `ALARM_SIGNAL` ends a `deadline`; SIGTSTP (Ctrl-Z) pauses:
+    the drive is disarmed first, then the process really stops, and SIGCONT (``fg``) lets
     it go on. A second stop signal has no effect: the shutdown is already running.
     """
-    interrupts = Interrupts(suspend=lambda: os.kill(os.getpid(), signal.SIGSTOP))
+    interrupts = Interrupts(suspend=suspend_process)
 
     def stop(number: int, frame: FrameType | None) -> None:
         interrupts.stop(f"signal {signal.Signals(number).name}")
@@ -102,11 +108,6 @@ def handling_signals() -> Iterator[Interrupts]:
     def overdue(number: int, frame: FrameType | None) -> None:
         raise DriveFault(FaultCause.NO_ANSWER, "the drive neither sends samples nor returns")
 
-    handlers = dict.fromkeys(STOP_SIGNALS, stop) | {signal.SIGTSTP: pause, signal.SIGALRM: overdue}
-    previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     interrupts._has_alarm = True
-    try:
+    with handlers(dict.fromkeys(STOP_SIGNALS, stop) | dict.fromkeys(PAUSE_SIGNALS, pause) | {ALARM_SIGNAL: overdue}):
         yield interrupts
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

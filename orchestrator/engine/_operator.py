@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import sys
 from typing import Protocol
 
@@ -10,6 +9,7 @@ from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._remote import RemoteOperator
 from orchestrator.formatting.sentences import cut, visible
+from orchestrator.operating_system.inputs import wait_for_input
 from protocols import InputError, OperatorAnswered, OperatorAsked, RunAborted
 
 SAFE_BENCH_WORDS = "I have made the bench safe"
@@ -54,8 +54,7 @@ class TerminalOperator:
         print(f"{visible(cut(prompt))} [yes/no] ", end="", flush=True)
         while True:
             interrupts.check()
-            ready, _, _ = select.select([sys.stdin], [], [], 0.2)
-            if not ready:
+            if not wait_for_input(sys.stdin.fileno(), 0.2):
                 continue
             line = sys.stdin.readline()
             answer = line.strip().lower()

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import os
 import queue
-import select
 import threading
 import time
 from collections.abc import Iterator
@@ -19,6 +18,7 @@ from typing import Any
 
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.formatting.sentences import shown
+from orchestrator.operating_system.inputs import wait_for_input
 
 MAX_LINE_BYTES = 1 << 16
 POLL_PERIOD_S = 0.2
@@ -68,7 +68,7 @@ class RemoteOperator:
     def _listen(self, interrupts: Interrupts) -> None:
         received_s, rest = time.monotonic(), b""
         while not self._done.is_set():
-            if not select.select([self._descriptor], [], [], POLL_PERIOD_S)[0]:
+            if not wait_for_input(self._descriptor, POLL_PERIOD_S):
                 if time.monotonic() - received_s > self._silence_s:
                     return interrupts.stop(f"the operator's {self.through} has been silent for {self._silence_s:g} s")
                 continue

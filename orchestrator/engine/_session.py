@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from orchestrator.config import Plan, check_plan, make_plan
+from orchestrator.config import Plan, PlanSummary, check_plan, make_plan
 from orchestrator.engine._commissioning import Commissioning, Outcome
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
@@ -23,6 +23,7 @@ from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import as_drive_errors
 from orchestrator.engine._thermometer import Thermometer, open_thermometer
 from orchestrator.engine.streaming import Dispatcher, StreamTally
+from orchestrator.operating_system.files import free_bytes
 from orchestrator.registry.plugins import PluginKind, load_plugin, make_options
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.stages import parse_stages, spelled_out
@@ -44,6 +45,8 @@ from protocols import (
 
 STREAM_START_TIMEOUT_S = 5.0
 """Longest wait for the streams to start before a run begins."""
+SPACE_PER_RECORDING = 3
+"""Space of a run over that of its waveforms: results, report and view take as much again, and some is left."""
 ON_MISSING_OPTION = "`--set drive.{option}={example}` gives it, and `fluxbench probe` lists the drives on this machine"
 """Advice where an option of the drive is missing."""
 NOTHING_LEFT = "the run is finished: there is nothing left to do"
@@ -98,7 +101,7 @@ def start_run(procedure: Procedure, path: Path, services: RunServices) -> RunRes
         try:
             with connected_drive(procedure, private_directory(path)) as (drive, capabilities):
                 plan = make_plan(procedure, capabilities)
-                check_plan(plan, capabilities)
+                require_space(path, check_plan(plan, capabilities))
                 with open_thermometer(procedure.thermometer) as thermometer:
                     run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
                     with run.at_work():
@@ -168,6 +171,14 @@ def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[
         setup = StreamSetup(run=path, options=make_options(plugin, dict(options), f"stream {name}"))
         makers[name] = partial(plugin, setup)
     return makers
+
+
+def require_space(path: Path, summary: PlanSummary) -> None:
+    """Raise `StorageError` where the disk has too little space for a plan's recording and its results."""
+    needed, free = SPACE_PER_RECORDING * (summary.bytes or 0), free_bytes(path)
+    if free is not None and free < needed:
+        sizes = f"the run needs some {1e-6 * needed:.0f} MB, and {1e-6 * free:.0f} MB are free"
+        raise StorageError(f"{path}: {sizes}; nothing was energised")
 
 
 @contextmanager

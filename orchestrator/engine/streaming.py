@@ -6,7 +6,6 @@ are counted and reported at the end. A failing viewer never affects the run.
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 import time
@@ -19,11 +18,11 @@ from types import FrameType
 from typing import TypeVar
 
 from orchestrator.formatting.sentences import cut, visible
+from orchestrator.operating_system.signals import STOP_SIGNALS, handlers
 from protocols import Message, SamplesCaptured, Stream
 
 T = TypeVar("T")
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _THREAD_PREFIX = "stream "
 """Prefix of the streams' thread names."""
 
@@ -121,12 +120,8 @@ def _stop_signals() -> Iterator[Callable[[], bool]]:
     if threading.current_thread() is not threading.main_thread():
         yield stop_event.is_set  # signals are the main thread's alone
         return
-    previous = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
-    try:
+    with handlers(dict.fromkeys(STOP_SIGNALS, stop)):
         yield stop_event.is_set
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def _tell(line: str) -> None:

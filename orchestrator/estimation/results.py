@@ -76,7 +76,7 @@ def write_results(
             (folder / REPORT_NAME).unlink(missing_ok=True)
             for old in folder.glob("flux_map*.nc"):
                 old.unlink()
-            for new in staging.iterdir():
+            for new in staging.glob("flux_map*.nc"):
                 new.replace(folder / new.name)
     except OSError as error:
         raise StorageError(f"{folder}: cannot be written: {error.strerror or error}") from error

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import fcntl
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+
+from orchestrator.operating_system.locks import LOCK_NAME, locked_file
 
 
 @contextmanager
@@ -17,13 +17,12 @@ def staging_folder(folder: Path, prefix: str) -> Iterator[Path]:
     A kill leaves it without its lock; `orchestrator.runs.remove_stale_staging` knows the prefixes.
     """
     while True:
-        with TemporaryDirectory(prefix=prefix, dir=folder, ignore_cleanup_errors=True) as name:
-            descriptor = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        with TemporaryDirectory(prefix=prefix, dir=folder, ignore_cleanup_errors=True) as name, ExitStack() as lock:
+            file = Path(name) / LOCK_NAME
             try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
-                if not Path(name).is_dir():  # removed by another process before it was locked
-                    continue
+                lock.enter_context(locked_file(file))
+            except (FileNotFoundError, BlockingIOError):
+                continue  # another process removes it, which was new and not locked yet
+            if file.exists():
                 yield Path(name)
                 return
-            finally:
-                os.close(descriptor)

@@ -5,18 +5,17 @@ Each key has one row. A kill loses the rows since the last file, which the next 
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import io
-import os
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field
 
+from orchestrator.operating_system.locks import LOCK_NAME, locked_file
 from orchestrator.recording import remove_partial_files, replace_file
 from protocols import InputError, StorageError, Strict
 from protocols.fleet import FleetRow, arrow_schema
@@ -176,17 +175,14 @@ def _lock(folder: Path) -> Iterator[None]:
     present = [file.name for file in folder.iterdir() if not file.name.startswith(".")] if folder.is_dir() else []
     if present and not parts_of(folder):
         raise InputError(str(folder), present[0], "is no part of a table: name a new folder or a table's")
+    lock = ExitStack()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        lock.enter_context(locked_file(folder / LOCK_NAME))
+    except BlockingIOError:
+        raise InputError(str(folder), "", "another fluxbench process writes this table") from None
     except OSError as error:
         raise StorageError(f"{folder}: cannot be created: {error.strerror or error}") from error
-    try:
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(str(folder), "", "another fluxbench process writes this table") from None
+    with lock:
         remove_partial_files(folder)
         yield
-    finally:
-        os.close(descriptor)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import resource
 import tempfile
 import time
 from functools import partial
@@ -16,6 +15,7 @@ from pydantic import Field
 from orchestrator.fleet._content import content_sha256, local_copy
 from orchestrator.fleet._engine import error_line
 from orchestrator.fleet._sources import Source
+from orchestrator.operating_system.memory import peak_memory
 from protocols import FluxbenchError, RecordingError, Strict
 from protocols.fleet import FleetRow, FleetStep, FleetVersions
 
@@ -78,7 +78,7 @@ def work_on(order: Order, _: Identified | None = None) -> dict[str, Any]:
             **bare_fields(order),
             **fields,
             "seconds": time.perf_counter() - began,
-            "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            "peak_mb": 1e-6 * (peak_memory() or 0),
         }
     )
     return row.model_dump()

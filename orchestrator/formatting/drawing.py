@@ -11,6 +11,7 @@ import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.extras import require
 from orchestrator.formatting.sentences import visible
 from protocols import Basis
 
@@ -57,7 +58,8 @@ def new_figure(width: float = STYLE.width_in, height: float = STYLE.height_in) -
 
 
 def empty_figure(width: float = STYLE.width_in, height: float = STYLE.height_in) -> Figure:
-    """A figure without axes."""
+    """A figure without axes; raises `MissingExtraError` where matplotlib is not installed."""
+    require("report", "a picture")
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")

@@ -1,6 +1,6 @@
 """Recordings on disk, format version 1: read strictly, written durably."""
 
-from orchestrator.recording._files import capture_path, remove_partial_files, replace_file, storage_error, sync_folder
+from orchestrator.recording._files import capture_path, remove_partial_files, replace_file, storage_error
 from orchestrator.recording._json import (
     MANIFEST_NAME,
     MODEL_NAME,
@@ -30,7 +30,6 @@ __all__ = [
     "remove_partial_files",
     "replace_file",
     "storage_error",
-    "sync_folder",
     "write_json",
     "write_manifest",
     "write_model",

@@ -7,6 +7,7 @@ import threading
 from contextlib import suppress
 from pathlib import Path
 
+from orchestrator.operating_system.files import replace, sync_folder
 from protocols import StorageError
 
 PARTIAL_SUFFIX = ".partial"
@@ -29,7 +30,7 @@ def replace_file(path: Path, content: bytes) -> None:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        partial.replace(path)
+        replace(partial, path)
         sync_folder(path.parent)
     except OSError as error:
         with suppress(OSError):  # where nothing can be written, nothing can be removed either
@@ -52,15 +53,6 @@ def remove_partial_files(folder: Path) -> None:
 def partial_path(path: Path) -> Path:
     """The hidden temporary name beside `path`."""
     return path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
-
-
-def sync_folder(folder: Path) -> None:
-    """Make a rename in `folder` survive a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def storage_error(path: Path, error: OSError) -> StorageError:

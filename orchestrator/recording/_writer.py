@@ -14,8 +14,9 @@ from typing import Any, Self
 
 import numpy as np
 
+from orchestrator.operating_system.files import replace, sync_folder
 from orchestrator.recording._columns import columns_of, first_non_finite
-from orchestrator.recording._files import capture_path, partial_path, storage_error, sync_folder
+from orchestrator.recording._files import capture_path, partial_path, storage_error
 from protocols import Capture, DriveFault, FaultCause, RealArray
 
 ROWS_PER_GROUP = 1 << 16
@@ -99,7 +100,7 @@ class SegmentWriter:
             self._parquet.close()
             self._file.sync()
             self._file.close()
-            self._partial.replace(self._path)
+            replace(self._partial, self._path)
             sync_folder(self._path.parent)
         except OSError as error:
             raise storage_error(self._path, error) from error

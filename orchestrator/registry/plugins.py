@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Literal, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from orchestrator.extras import how_to_install, missing_extra
 from orchestrator.registry.entry_points import entries_of
 from orchestrator.registry.plugin_methods import hook_problem, method_problem
 from orchestrator.validation.messages import first_problem, suggestion
@@ -226,7 +227,9 @@ def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
         plugin = entry.load()
     except (Exception, SystemExit) as error:
         # An import runs foreign code: it may raise anything, and the error names it.
-        raise PluginError(info.kind.value, str(info), f"does not load: {_reason(error)}") from error
+        extra = missing_extra(error)
+        problem = f"does not load: {_reason(error)}" if extra is None else how_to_install(extra)
+        raise PluginError(info.kind.value, str(info), problem) from error
     if not isinstance(plugin, type):
         raise PluginError(info.kind.value, str(info), f"expected a class, got {type(plugin).__name__}")
     return plugin

@@ -8,7 +8,6 @@ The engine decides what is measured, and in which order.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
@@ -20,6 +19,7 @@ from typing import Any, Self
 
 from pydantic import ValidationError
 
+from orchestrator.operating_system.locks import LOCK_NAME, locked_file
 from orchestrator.recording import (
     MANIFEST_NAME,
     capture_path,
@@ -52,7 +52,7 @@ from protocols import (
     StorageError,
 )
 
-_RECORD, _JOURNAL, _LOCK, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", ".lock", "captures", "options.json"
+_RECORD, _JOURNAL, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", "captures", "options.json"
 
 
 def private_directory(path: Path) -> Path:
@@ -136,7 +136,7 @@ class RunDirectory:
     @staticmethod
     def refuse_occupied(path: Path) -> None:
         """Raise `RecordingError` unless `path` is missing, or empty except for its lock: nothing is overwritten."""
-        if path.exists() and (not path.is_dir() or any(file.name != _LOCK for file in path.iterdir())):
+        if path.exists() and (not path.is_dir() or any(file.name != LOCK_NAME for file in path.iterdir())):
             raise RecordingError(str(path), "", "exists and is not empty; nothing is overwritten: choose another")
 
     @staticmethod
@@ -151,7 +151,7 @@ class RunDirectory:
         StorageError
             Where it cannot be locked; a newly created directory is then removed again.
         """
-        if (path / _LOCK).exists():  # possibly a running one: its lock decides
+        if (path / LOCK_NAME).exists():  # possibly a running one: its lock decides
             with _flock(path):
                 RunDirectory.refuse_occupied(path)
         RunDirectory.refuse_occupied(path)  # before writing into a foreign folder
@@ -295,24 +295,21 @@ def last_end(journal: Sequence[JournalRecord]) -> RunEnded | None:
 
 @contextmanager
 def _flock(path: Path) -> Iterator[None]:
-    try:
-        descriptor = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    except OSError as error:
-        raise StorageError(f"{path / _LOCK}: cannot be opened: {error.strerror or error}") from error
-    try:
+    file = path / LOCK_NAME
+    with ExitStack() as lock:
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            descriptor = lock.enter_context(locked_file(file))
         except BlockingIOError:
-            holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip()
+            holder = file.read_text(encoding="ascii", errors="replace")[:32].strip()
             raise RecordingError(
                 str(path), "", f"another fluxbench process ({holder}) is at work on this run"
             ) from None
+        except OSError as error:
+            raise StorageError(f"{file}: cannot be opened: {error.strerror or error}") from error
         with suppress(OSError):  # the holder's number is only information
             os.ftruncate(descriptor, 0)
-            os.pwrite(descriptor, f"pid {os.getpid()}\n".encode(), 0)
+            os.write(descriptor, f"pid {os.getpid()}\n".encode())
         yield
-    finally:
-        os.close(descriptor)
 
 
 def _rename_leftover(private: Path) -> None:

@@ -19,7 +19,8 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator.formatting.sentences import visible
-from orchestrator.recording import storage_error, sync_folder
+from orchestrator.operating_system.files import BINARY, sync_content, sync_folder
+from orchestrator.recording import storage_error
 from orchestrator.validation.json_text import parse_json
 from orchestrator.validation.messages import first_problem
 from orchestrator.validation.plain_files import read_bytes
@@ -67,7 +68,7 @@ class Journal:
         records, self._size = self._read()
         self._next, self._synced, self._failure = len(records), self._size, None
         try:
-            self._descriptor = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            self._descriptor = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | BINARY, 0o644)
             os.ftruncate(self._descriptor, self._size)
             os.fsync(self._descriptor)
             sync_folder(self.path.parent)
@@ -109,7 +110,7 @@ class Journal:
 
     def _sync(self, descriptor: int) -> None:
         try:
-            os.fdatasync(descriptor)
+            sync_content(descriptor)
         except OSError as error:
             self._size = self._synced
             self._failure = self._cut(descriptor, error)

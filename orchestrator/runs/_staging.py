@@ -5,11 +5,11 @@ Whoever makes one locks it for as long as its process lives (`orchestrator.estim
 
 from __future__ import annotations
 
-import fcntl
-import os
 import shutil
 from contextlib import suppress
 from pathlib import Path
+
+from orchestrator.operating_system.locks import LOCK_NAME, locked_file
 
 STAGING = (".estimating-", ".view-")
 """Beginnings of their names."""
@@ -19,10 +19,15 @@ def remove_stale_staging(folder: Path) -> None:
     """Remove the staging folders that no process has locked; what cannot be removed stays."""
     for prefix in STAGING:
         for left in folder.glob(f"{prefix}*"):
-            with suppress(OSError):
-                descriptor = os.open(left, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
-                try:
-                    fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    shutil.rmtree(left, ignore_errors=True)
-                finally:
-                    os.close(descriptor)
+            if left.is_dir() and not left.is_symlink():
+                with suppress(OSError):
+                    _remove(left)
+
+
+def _remove(left: Path) -> None:
+    """Remove a folder; raises `OSError` where another process has locked it."""
+    with locked_file(left / LOCK_NAME):
+        shutil.rmtree(left, ignore_errors=True)
+    if left.is_dir():  # Windows removes no file that is open, such as the lock
+        (left / LOCK_NAME).unlink()
+        left.rmdir()

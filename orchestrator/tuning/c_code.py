@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.extras import require
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl
@@ -180,6 +181,7 @@ def _require_even(name: str, nodes: Array) -> None:
 
 
 def _rendered(template: str, values: Mapping[str, Any]) -> bytes:
+    require("report", "C code")
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(

@@ -11,6 +11,8 @@ import stat
 from dataclasses import dataclass
 from pathlib import Path
 
+from orchestrator.operating_system.files import BINARY, NON_BLOCKING
+
 
 @dataclass(frozen=True)
 class MaxFileSizes:
@@ -34,7 +36,7 @@ MAX_FILE_SIZES = MaxFileSizes()
 def read_bytes(path: Path, max_bytes: int = MAX_FILE_SIZES.generated_bytes) -> bytes:
     """The content of a plain file; raises `OSError` for an unreadable, special or larger file."""
     # Opening a pipe without a writer would block.
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, os.O_RDONLY | NON_BLOCKING | BINARY)
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -19,7 +18,7 @@ def link_errors(where: str, hint: str = "") -> Iterator[None]:
     """Convert errors of a link's library to `DriveFault` (link_lost) with the link's name, and a hint.
 
     pyserial's errors are `OSError`, except for those of `termios`; python-can has a
-    base class of its own, which is known only after its import.
+    base class of its own. Both are known only after their import.
     """
     try:
         yield
@@ -36,4 +35,6 @@ def _reason(error: Exception) -> str:
 
 def _raised_by_libraries() -> tuple[type[Exception], ...]:
     can: Any = sys.modules.get("can")
-    return (OSError, termios.error, *(() if can is None else (can.CanError,)))
+    termios: Any = sys.modules.get("termios")  # not of Windows
+    known = (getattr(can, "CanError", None), getattr(termios, "error", None))
+    return (OSError, *(error for error in known if error is not None))

@@ -1,20 +1,15 @@
-"""A byte line: a device, a pseudo-terminal or a TCP socket, read and written by its descriptor."""
+"""A byte line: a device, a pseudo-terminal or a TCP socket, read and written without blocking."""
 
 from __future__ import annotations
 
-import os
 import select
 import socket
 import time
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
+from plugins.link._transports import DescriptorTransport, PortTransport, SocketTransport, Transport
 from protocols import InputError
-
-
-class _Handle(Protocol):
-    def fileno(self) -> int: ...
-    def close(self) -> None: ...
 
 
 class Line:
@@ -42,27 +37,23 @@ class Line:
 
     def __init__(self, port: str, baud_rate: int, *, dtr: bool = True) -> None:
         is_line = not port.startswith("socket://")
-        self._handle: _Handle = _open_line(port, baud_rate, dtr) if is_line else _open_socket(port)
+        self._transport = _open_line(port, baud_rate, dtr) if is_line else _open_socket(port)
         self.is_device = is_line and not _is_pseudo_terminal(port)
         """Whether the line has a baud rate."""
-        self._fd = self._handle.fileno()
-        os.set_blocking(self._fd, False)
-        self._readable, self._writable = select.poll(), select.poll()
-        self._readable.register(self._fd, select.POLLIN)
-        self._writable.register(self._fd, select.POLLOUT)
 
-    def fileno(self) -> int:
-        return self._fd
+    def fileno(self) -> int | None:
+        """Descriptor that another process may write to; None where the system has none."""
+        return self._transport.fileno()
 
     def write(self, data: bytes, timeout_s: float) -> bool:
         """Whether the line accepted all data in time."""
         deadline = time.monotonic() + timeout_s
         while data:
             try:
-                data = data[os.write(self._fd, data) :]
+                data = data[self._transport.write(data) :]
             except BlockingIOError:
                 remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0.0 or not self._writable.poll(1e3 * remaining_s):
+                if remaining_s <= 0.0 or not self._transport.is_writable(remaining_s):
                     break
         return not data
 
@@ -71,10 +62,10 @@ class Line:
 
         Raises `ConnectionResetError` where the other end has closed it.
         """
-        if not self._readable.poll(1e3 * timeout_s):
+        if not self._transport.is_readable(timeout_s):
             return b""
         try:
-            data = os.read(self._fd, Line.read_bytes)
+            data = self._transport.read(Line.read_bytes)
         except BlockingIOError:
             return b""
         if not data:
@@ -82,10 +73,10 @@ class Line:
         return data
 
     def close(self) -> None:
-        self._handle.close()
+        self._transport.close()
 
 
-def _open_line(port: str, baud_rate: int, dtr: bool) -> _Handle:
+def _open_line(port: str, baud_rate: int, dtr: bool) -> Transport:
     import serial
 
     try:
@@ -95,17 +86,16 @@ def _open_line(port: str, baud_rate: int, dtr: bool) -> _Handle:
         line.open()
     except ValueError as error:
         raise InputError("the drive's line", port, str(error)) from error
-    handle: _Handle = line
-    return handle
+    return DescriptorTransport(line) if hasattr(select, "poll") else PortTransport(line)
 
 
-def _open_socket(url: str) -> _Handle:
+def _open_socket(url: str) -> Transport:
     host, _, port = url.removeprefix("socket://").rpartition(":")
     if not port.isdecimal():
         raise InputError("the drive's line", url, "expected socket://host:port")
     connection = socket.create_connection((host, int(port)), timeout=Line.connect_s)
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return connection
+    return SocketTransport(connection)
 
 
 def _is_pseudo_terminal(port: str) -> bool:

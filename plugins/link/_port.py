@@ -46,8 +46,8 @@ class Port(Protocol):
 class SharedPort(Protocol):
     """A link that another process may write to as well; a frame that this splits is dropped."""
 
-    def fileno(self) -> int:
-        """Descriptor of the link."""
+    def fileno(self) -> int | None:
+        """Descriptor of the link; None where the system has none."""
         ...
 
     def as_written(self, frames: Sequence[Frame]) -> bytes:

@@ -5,11 +5,12 @@ Batches are independent and combined in order, so that the result does not depen
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
+
+from orchestrator.operating_system.processes import available_cores
 
 MAX_WORKERS = 4
 """Number of threads beyond which the interpreter's lock prevents any gain."""
@@ -56,8 +57,7 @@ class ThreadExecutor:
 
 def workers_here() -> int:
     """Number of cores that this process may use, up to `MAX_WORKERS`."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min(cores, MAX_WORKERS)
+    return min(available_cores(), MAX_WORKERS)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.extras import is_installed
 from orchestrator.interface.api.measurements import Measurements, open
 from orchestrator.interface.api.threads import one_thread
 from orchestrator.runs import refuse_file
@@ -30,7 +31,7 @@ def run(
     out: str | PathLike[str] | None = None,
     operator: Operator | None = None,
     unattended: str | None = None,
-    streams: Sequence[str] = ("report",),
+    streams: Sequence[str] | None = None,
 ) -> Measurements:
     """Commission a motor into a new run directory.
 
@@ -47,8 +48,9 @@ def run(
         Answers the procedure's questions; without one, the procedure's own answers count where the drive is simulated.
     unattended : str, optional
         ``"I have made the bench safe"``: without an operator, the procedure's answers count on a real drive as well.
-    streams : sequence of str
-        Outputs: ``report`` writes report.html, ``console`` prints the progress, ``rerun`` writes view.rrd.
+    streams : sequence of str, optional
+        Outputs; by default ``report``, where its extra is installed. ``report`` writes report.html, ``console``
+        prints the progress, ``rerun`` writes view.rrd.
 
     Raises
     ------
@@ -69,7 +71,8 @@ def run(
     with ExitStack() as stack:
         on_main = threading.current_thread() is threading.main_thread()  # no other thread may handle signals
         interrupts = stack.enter_context(handling_signals()) if on_main else Interrupts()
-        services = RunServices(operator or AbsentOperator(unattended), interrupts, {name: {} for name in streams})
+        named = streams if streams is not None else ["report"] if is_installed("report") else []
+        services = RunServices(operator or AbsentOperator(unattended), interrupts, {name: {} for name in named})
         error = start_run(procedure, path, services).outcome.error
     if error is not None:
         error.add_note(f"the run is kept in {path}")

@@ -24,6 +24,7 @@ from orchestrator.engine import (
     resume_run,
     start_run,
 )
+from orchestrator.extras import how_to_install, is_installed
 from orchestrator.interface.api import as_overrides, run_directory
 from orchestrator.interface.cli._output import complain, give_up_broken_output, say_document, say_notes
 from orchestrator.shelf import JudgedRun, ask_serial, judge_run, run_folder_of, work_through, write_junit
@@ -64,8 +65,8 @@ class Audience:
         console = {"console": {"mode": self.console_mode, "output": output}}
         return {
             **(console if self.remote is None else {"remote": {}}),
-            "report": {},
-            "rerun": {"view": "auto" if self.view else "none"},
+            **({"report": {}} if is_installed("report") else {}),
+            **({"rerun": {"view": "auto" if self.view else "none"}} if self.view or is_installed("viewer") else {}),
             **{name: {} for name in self.streams},
         }
 
@@ -141,8 +142,12 @@ def _with_services(
     if troubles and result.outcome.error is None:
         _warn("; ".join(troubles))
     report = result.path / "report.html"
-    if audience.console_mode == "auto" and report.is_file():
-        _print(f"report: {report}")
+    if audience.console_mode == "auto":
+        if report.is_file():
+            _print(f"report: {report}")
+        for extra, output in (("report", report.name), ("viewer", "view.rrd")):
+            if not is_installed(extra):
+                _print(f"no {output}: {how_to_install(extra)}")
     judgement = judge_run(result.path) if result.outcome.error is None or audience.junit is not None else None
     if audience.junit is not None and judgement is not None:
         runs = [] if judged is None else judged

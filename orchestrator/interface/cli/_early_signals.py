@@ -9,7 +9,7 @@ import signal
 from contextlib import suppress
 from types import FrameType
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+from orchestrator.operating_system.signals import PAUSE_SIGNALS, STOP_SIGNALS, suspend_process
 
 
 class EarlySignals:
@@ -20,7 +20,7 @@ class EarlySignals:
     """
 
     def __init__(self) -> None:
-        handlers = dict.fromkeys(STOP_SIGNALS, _exit) | {signal.SIGTSTP: _suspend}
+        handlers = dict.fromkeys(STOP_SIGNALS, _exit) | dict.fromkeys(PAUSE_SIGNALS, _suspend)
         self._before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
 
     def settle(self, energises: bool) -> None:
@@ -37,4 +37,4 @@ def _exit(number: int, frame: FrameType | None) -> None:
 
 
 def _suspend(number: int, frame: FrameType | None) -> None:
-    os.kill(os.getpid(), signal.SIGSTOP)
+    suspend_process()

@@ -77,13 +77,15 @@ def _source_of(module: str) -> Path | None:
 
 def _command(entry: EntryPoint) -> Callable[[typer.Context], int]:
     def call(context: typer.Context) -> int:
+        from orchestrator.extras import how_to_install, missing_extra
         from protocols import PluginError
 
         try:
             command = entry.load()
         except Exception as error:
             # An import runs foreign code, which may raise anything; the error is reported, not hidden.
-            problem = f"does not load: {type(error).__name__}: {error}"
+            extra = missing_extra(error)
+            problem = f"does not load: {type(error).__name__}: {error}" if extra is None else how_to_install(extra)
             raise PluginError("commands", entry.name, problem) from error
         settle = context.find_root().obj
         if callable(settle):

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any, NoReturn
 
+from orchestrator.operating_system.signals import ALARM_SIGNAL, Alarm, handlers
 from protocols import RunInterrupted
 
 
@@ -42,7 +43,7 @@ def prompt_interrupt(interruption: Interruption | None = None, grace_s: float = 
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
-    state = interruption or Interruption()
+    state, alarm = interruption or Interruption(), Alarm()
 
     def stop(number: int, frame: FrameType | None) -> None:
         if state.requested:
@@ -51,25 +52,24 @@ def prompt_interrupt(interruption: Interruption | None = None, grace_s: float = 
         if state.has_result:
             os.write(2, b"fluxbench: ending early with the result so far (Ctrl-C again ends at once)\n")
         else:
-            signal.setitimer(signal.ITIMER_REAL, grace_s)
+            alarm.start(grace_s)
         raise KeyboardInterrupt
 
     def overdue(number: int, frame: FrameType | None) -> None:
         _exit()
 
-    before = signal.signal(signal.SIGALRM, overdue)
-    signal.signal(signal.SIGINT, stop)
     after: Any = signal.default_int_handler
-    try:
-        yield
-    except KeyboardInterrupt:
-        # On the way out there is nothing more to interrupt: a second Ctrl-C gives the same line and code.
-        after = signal.SIG_IGN
-        raise RunInterrupted("interrupted") from None
-    finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGINT, after)
-        signal.signal(signal.SIGALRM, before)
+    with handlers({ALARM_SIGNAL: overdue}):
+        signal.signal(signal.SIGINT, stop)
+        try:
+            yield
+        except KeyboardInterrupt:
+            # On the way out there is nothing more to interrupt: a second Ctrl-C gives the same line and code.
+            after = signal.SIG_IGN
+            raise RunInterrupted("interrupted") from None
+        finally:
+            alarm.cancel()
+            signal.signal(signal.SIGINT, after)
 
 
 def _exit() -> NoReturn:

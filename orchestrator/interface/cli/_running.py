@@ -66,6 +66,11 @@ def _explain(error: Exception, arguments: Sequence[str]) -> int:
     from protocols import FluxbenchError  # a late import: it takes most of the time of --help
 
     if not isinstance(error, FluxbenchError):
+        from orchestrator.extras import how_to_install, missing_extra
+
+        extra = missing_extra(error)
+        if extra is not None:
+            return _fail(how_to_install(extra), 2)
         from orchestrator.interface.cli._defects import describe_defect, keep_traceback, run_among
 
         line, is_plugins = describe_defect(error)

@@ -198,7 +198,7 @@ def _readable(bus: Any) -> select.poll | None:
         fd = bus.fileno()
     except NotImplementedError:
         return None
-    if fd < 0:
+    if fd < 0 or not hasattr(select, "poll"):
         return None
     readable = select.poll()
     readable.register(fd, select.POLLIN)

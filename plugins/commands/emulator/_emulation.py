@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
+from orchestrator.operating_system.signals import handlers
 from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._device import Device
 from plugins.commands.emulator._line import NO_LOSSES, Losses, Lossy, Outbox
@@ -110,9 +111,5 @@ def _ending_signals() -> Iterator[Callable[[], bool]]:
     def record(number: int, frame: FrameType | None) -> None:
         caught.append(number)
 
-    before = {number: signal.signal(number, record) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
+    with handlers(dict.fromkeys((signal.SIGINT, signal.SIGTERM), record)):
         yield lambda: bool(caught)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import random
 import select
-import termios
 import time
-import tty
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
@@ -67,6 +65,10 @@ class PtyPort:
     """
 
     def __init__(self, path: Path) -> None:
+        try:
+            import tty
+        except ImportError:
+            raise InputError(str(path), "", "this system has no pseudo-terminals; --can joins a bus") from None
         self._path = path
         self._master, slave = os.openpty()
         tty.setraw(slave)
@@ -144,6 +146,8 @@ class PtyPort:
         return self._decoder.feed(data)
 
     def _lost(self) -> None:
+        import termios
+
         if self._connected:
             # As on a real line, the next host must not receive unread data of the previous one.
             with suppress(OSError, termios.error):

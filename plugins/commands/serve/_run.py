@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import signal
 import subprocess
 import sys
 from collections.abc import Coroutine, Sequence
@@ -18,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from orchestrator.operating_system.processes import interrupt, open_process, own_group
 from plugins.commands.serve._viewers import Viewers
 from protocols import FluxbenchError
 
@@ -79,14 +79,13 @@ class RunOfThePage:
         if self.is_going or self._is_closing:
             raise NotNowError("a run is already active; only one is possible at a time")
         try:
-            process = subprocess.Popen(
+            process = open_process(
                 [*PROGRAM, *words, "--remote=page"],
                 cwd=self._folder,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                bufsize=0,
-                start_new_session=True,  # the terminal's Ctrl-C and Ctrl-Z must reach the server only
+                **own_group(),  # the terminal's Ctrl-C and Ctrl-Z must reach the server only
             )
         except OSError as error:
             raise NotNowError(f"the run's process cannot be started: {error.strerror or error}") from None
@@ -133,7 +132,7 @@ class RunOfThePage:
         """Signal a run that ignores messages because it is starting or hangs."""
         await asyncio.sleep(self._pace.stop_timeout_s)
         if process.poll() is None and (self._view["picture"] or {}).get("state") not in ENDING_STATES:
-            process.send_signal(signal.SIGINT)
+            interrupt(process)
 
     async def _follow(self, process: subprocess.Popen[bytes]) -> None:
         """Monitor a process from its first line to its exit code."""
@@ -229,7 +228,7 @@ async def _checked(words: Sequence[str], folder: Path) -> tuple[int, str, str]:
     pipe, nothing = asyncio.subprocess.PIPE, asyncio.subprocess.DEVNULL
     try:
         process = await asyncio.create_subprocess_exec(
-            *PROGRAM, *words, cwd=folder, stdin=nothing, stdout=pipe, stderr=pipe, start_new_session=True
+            *PROGRAM, *words, cwd=folder, stdin=nothing, stdout=pipe, stderr=pipe, **own_group()
         )
     except OSError as error:
         raise NotNowError(f"the check's process cannot be started: {error.strerror or error}") from None

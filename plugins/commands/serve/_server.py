@@ -16,6 +16,7 @@ from types import FrameType
 import uvicorn
 
 from orchestrator.formatting.sentences import shown
+from orchestrator.operating_system.signals import STOP_SIGNALS
 from plugins.commands.serve._app import page_app
 from plugins.commands.serve._connections import Connection
 from plugins.commands.serve._guard import new_token
@@ -108,7 +109,7 @@ def _end_by_signals(server: uvicorn.Server, run: RunOfThePage) -> None:
             _print_message("stopping the run; another signal ends the server without waiting")
         loop.call_soon_threadsafe(lambda: ending.append(loop.create_task(end(names[0]))))
 
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for number in STOP_SIGNALS:
         signal.signal(number, handle)
 
 

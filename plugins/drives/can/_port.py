@@ -194,8 +194,10 @@ def _widen_buffer(bus: can.BusABC) -> int | None:
     return granted // CanPort.socket_frame_bytes
 
 
-def _poll_of(bus: can.BusABC) -> select.poll:
-    """Poll object for an interface whose `recv` ignores its timeout."""
+def _poll_of(bus: can.BusABC) -> select.poll | None:
+    """Poll object for an interface whose `recv` ignores its timeout; None on Windows, where it does not."""
+    if not hasattr(select, "poll"):
+        return None
     readable = select.poll()
     readable.register(bus.fileno(), select.POLLIN)
     return readable

@@ -95,7 +95,7 @@ class SlcanPort:
         self._before = b"" if taken else b"\r"
         return taken
 
-    def fileno(self) -> int:
+    def fileno(self) -> int | None:
         return self._line.fileno()
 
     def as_written(self, frames: Sequence[Frame]) -> bytes:

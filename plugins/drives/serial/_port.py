@@ -50,7 +50,7 @@ class SerialPort:
         self._before = b"" if taken else b"\0"  # the receiver drops a truncated frame as damaged
         return taken
 
-    def fileno(self) -> int:
+    def fileno(self) -> int | None:
         return self._line.fileno()
 
     def as_written(self, frames: Sequence[Frame]) -> bytes:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orchestrator.extras import require
 from orchestrator.flux_maps.exporting import Trajectory, mtpa, mtpv
 from orchestrator.formatting.drawing import BASIS_LINES
 from orchestrator.formatting.explaining import accuracy_sentences, search_rows
@@ -111,6 +112,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
 
 def filled(template: str, **values: Any) -> str:
     """A page of this folder with its values in it, in the style of all."""
+    require("report", "a report")
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup
 

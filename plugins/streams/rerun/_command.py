@@ -151,25 +151,25 @@ def _serve(source: Path | str, port: int | None, later: Later | None = None) -> 
     """A page for the browser, until it is interrupted: of a file, or of the catalogue at an address."""
     from plugins.streams.rerun._handing import handed_out
     from plugins.streams.rerun._live import free_port, wait_for_viewer
-    from plugins.streams.rerun._viewer import has_ended, page_origin, page_url, start, stop, tied, viewer_words
+    from plugins.streams.rerun._viewer import page_origin, page_url, start, tied, viewer_words
 
     data_port, web_port = free_port(), port or free_port()
     server = start(tied(viewer_words(data_port, MEMORY_LIMIT, web_port=web_port)))
     try:
-        if not wait_for_viewer(web_port, 30.0, lambda: has_ended(server)):
+        if not wait_for_viewer(web_port, 30.0, lambda: server.has_ended):
             raise RecordingError(str(source), "", f"the page's server does not start; is port {web_port} taken?")
         found = handed_out(source, page_origin(web_port)) if isinstance(source, Path) else nullcontext(source)
         with found as address:
             print(page_url(data_port, web_port, address), flush=True)
             _tell("open this address in a browser on this machine; Ctrl-C ends it")
-            while not has_ended(server):
+            while not server.has_ended:
                 time.sleep(0.2)
                 if later is not None and later.is_due():
                     later = _made_anew(later)
     except KeyboardInterrupt:
         return 0
     finally:
-        stop(server)
+        server.stop()
     return 0
 
 
@@ -200,7 +200,7 @@ def _browse(runs: Sequence[Path], web: bool, port: int | None) -> int:
 def _show_catalogue(files: Sequence[Path], web: bool, port: int | None) -> int:
     from plugins.streams.rerun._catalogue import served
     from plugins.streams.rerun._tape import is_whole
-    from plugins.streams.rerun._viewer import has_display, has_ended, start, viewer_words
+    from plugins.streams.rerun._viewer import has_display, start, viewer_words
 
     with served([file for file in files if is_whole(file)]) as url:
         if web or not has_display():
@@ -208,7 +208,7 @@ def _show_catalogue(files: Sequence[Path], web: bool, port: int | None) -> int:
         _tell("the viewer opens the catalogue; Ctrl-C ends it")
         window = start(viewer_words(port or 9876, MEMORY_LIMIT, files=[url]))
         try:
-            while not has_ended(window):
+            while not window.has_ended:
                 time.sleep(0.2)
         except KeyboardInterrupt:
             return 0

@@ -152,7 +152,8 @@ def _dial(port: int) -> socket.socket | None:
 
 def sever(port: int) -> None:
     """Break this process's connections to a port of this machine, whoever holds them."""
-    for name in Path("/dev/fd").iterdir():
+    descriptors = Path("/dev/fd")
+    for name in descriptors.iterdir() if descriptors.is_dir() else ():  # Windows has no such list
         try:
             copy = os.dup(int(name.name))
         except OSError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import tempfile
@@ -13,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from orchestrator.estimation import staging_folder
+from orchestrator.operating_system.locks import LOCK_NAME, is_locked
 from orchestrator.runs import is_run
 from plugins.streams.rerun._stream import RerunOptions, RerunStream
 from plugins.streams.rerun._tape import FILE_NAME, is_whole, refuse_foreign
@@ -20,8 +20,6 @@ from protocols import RecordingError, StorageError, StreamSetup
 
 if TYPE_CHECKING:
     from protocols.fleet_report import FleetReport
-
-_RUN_LOCK = ".lock"
 
 
 @dataclass(frozen=True)
@@ -144,14 +142,4 @@ def _replayed(directory: Path, folder: Path) -> Path:
 
 def _is_at_work(directory: Path) -> bool:
     """Whether a process holds the run."""
-    try:
-        descriptor = os.open(directory / _RUN_LOCK, os.O_RDONLY)
-    except OSError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False
+    return is_locked(directory / LOCK_NAME)

@@ -18,7 +18,7 @@ from typing import Any
 from rerun.experimental import View, ViewerClient
 
 from plugins.streams.rerun._live import address, free_port, wait_for_viewer
-from plugins.streams.rerun._viewer import has_ended, start, stop, viewer_words
+from plugins.streams.rerun._viewer import start, viewer_words
 from protocols import PluginError, RecordingError
 
 START_TIMEOUT_S = 60.0
@@ -59,13 +59,13 @@ def headless_viewer(size: tuple[int, int] = (1600, 1000)) -> Iterator[ViewerClie
     port = free_port()
     words = [*viewer_words(port, "2GB", headless=True), "--window-size", f"{size[0]}x{size[1]}"]
     with tempfile.TemporaryDirectory() as runtime:
-        pid = start(words, {"XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR") or runtime})
+        process = start(words, {"XDG_RUNTIME_DIR": os.environ.get("XDG_RUNTIME_DIR") or runtime})
         try:
-            if not wait_for_viewer(port, START_TIMEOUT_S, lambda: has_ended(pid)):
+            if not wait_for_viewer(port, START_TIMEOUT_S, lambda: process.has_ended):
                 raise PluginError("stream rerun", "viewer", NO_DRIVER)
             yield ViewerClient.connect(address(port))
         finally:
-            stop(pid)
+            process.stop()
 
 
 def shoot(viewer: ViewerClient, file: Path, wanted: str | None = None, most: int | None = None) -> list[Shot]:

@@ -16,6 +16,19 @@ from orchestrator.recording import storage_error
 _CHUNK = 1 << 16
 
 
+class DirectFile:
+    """As `Spool` where the system has no paths of pipes (Windows): the library itself writes the file."""
+
+    def __init__(self, file: Path) -> None:
+        self.entrance = str(file)
+
+    def opened(self) -> None:
+        """As `Spool` has it."""
+
+    def close(self) -> None:
+        """As `Spool` has it; an error of the disk is not noticed."""
+
+
 class Spool:
     """Owner of the thread that writes `file`.
 
@@ -33,7 +46,7 @@ class Spool:
         self._file = file
         self._failure: OSError | None = None
         try:
-            self._target = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+            self._target = os.open(file, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
         except OSError as error:
             raise storage_error(file, error) from error
         self._source, self._entrance = os.pipe()
@@ -78,3 +91,8 @@ class Spool:
                 rest = rest[os.write(self._target, rest) :]
         except OSError as error:
             self._failure = error
+
+
+def spool_of(file: Path) -> Spool | DirectFile:
+    """What brings a library's bytes into a file on this system."""
+    return Spool(file) if Path("/dev/fd").is_dir() else DirectFile(file)

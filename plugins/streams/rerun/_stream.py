@@ -13,13 +13,14 @@ import rerun.blueprint as rrb
 from pydantic import BaseModel, Field
 
 from orchestrator.formatting.sentences import shown
+from orchestrator.operating_system.processes import LastingProcess
 from plugins.streams.rerun import _blueprints as blueprints
 from plugins.streams.rerun import _diagnosis as diagnosis
 from plugins.streams.rerun._commissioning import Commissioning
 from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._live import LiveFeed
 from plugins.streams.rerun._tape import FILE_NAME, Tape, blueprint, entry
-from plugins.streams.rerun._viewer import best_view, page_url, start, stop, viewer_words
+from plugins.streams.rerun._viewer import best_view, page_url, start, viewer_words
 from protocols import (
     DiagnosisStep,
     Message,
@@ -66,7 +67,7 @@ class RerunStream:
         wall_s: Callable[[], float] = time.monotonic,
     ) -> None:
         options = setup.options if isinstance(setup.options, RerunOptions) else RerunOptions()
-        self._server: int | None = None
+        self._server: LastingProcess | None = None
         self._live: LiveFeed | None = None
         self._tape = Tape(setup.run / FILE_NAME, name=name)
         if options.view != "none":
@@ -135,7 +136,7 @@ class RerunStream:
             self._tape.keep(blueprint(self._layout, whole))
         self._tape.close()
         if self._server is not None:
-            stop(self._server)
+            self._server.stop()
             self._server = None
 
     def _open_viewer(self, options: RerunOptions) -> None:

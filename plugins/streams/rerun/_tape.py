@@ -16,7 +16,7 @@ import rerun_bindings
 from rerun.chunk import RrdReader
 
 from orchestrator.formatting.sentences import shown
-from plugins.streams.rerun._spool import Spool
+from plugins.streams.rerun._spool import DirectFile, Spool, spool_of
 from protocols import PluginError, RealArray, RecordingError
 
 APPLICATION = "fluxbench"
@@ -126,7 +126,7 @@ class Tape:
     """Of the recording; by default that of the file's folder."""
     recording_id: str = field(init=False)
     _stream: rr.RecordingStream = field(init=False)
-    _spool: Spool = field(init=False)
+    _spool: Spool | DirectFile = field(init=False)
 
     def __post_init__(self) -> None:
         self.recording_id = f"{self.name or self.file.resolve().parent.name}-{uuid.uuid4().hex[:8]}"
@@ -134,7 +134,7 @@ class Tape:
         if self.file.is_file():
             self.file.replace(before)
         self._stream = new_stream(self.recording_id)
-        self._spool = Spool(self.file)
+        self._spool = spool_of(self.file)
         self._stream.save(self._spool.entrance)
         self._spool.opened()
         if before.is_file():

@@ -7,7 +7,6 @@ import shutil
 import signal
 import sys
 import threading
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,8 @@ from types import FrameType
 from typing import Literal
 from urllib.parse import quote
 
+from orchestrator.operating_system.processes import LastingProcess
+from orchestrator.operating_system.signals import STOP_SIGNALS, handlers
 from plugins.streams.rerun._live import HOST, address
 from plugins.streams.rerun._tape import executable
 
@@ -56,18 +57,14 @@ def viewer_words(
     return words + [str(file) for file in files]
 
 
-def start(words: Sequence[str], extra: Mapping[str, str] | None = None) -> int:
-    """Start a process that outlives this one, silent, in a session of its own; its id."""
-    nothing = [
-        (os.POSIX_SPAWN_OPEN, descriptor, os.devnull, os.O_RDWR, 0o600) for descriptor in (0, 1, 2)
-    ]  # a viewer has nothing to say that belongs into the run's terminal
-    surroundings = {**os.environ, "RERUN_APP_ONLY": "true", **(extra or {})}
-    return os.posix_spawn(words[0], list(words), surroundings, file_actions=nothing, setsid=True)
+def start(words: Sequence[str], extra: Mapping[str, str] | None = None) -> LastingProcess:
+    """Start a viewer: it outlives this process, and has nothing to say that belongs into the run's terminal."""
+    return LastingProcess(words, {"RERUN_APP_ONLY": "true", **(extra or {})})
 
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """SIGTERM and SIGHUP end the block as Ctrl-C does: by `KeyboardInterrupt`, so that what it started is stopped."""
+    """Stop signals end the block as Ctrl-C does: by `KeyboardInterrupt`, so that what it started is stopped."""
 
     def interrupt(number: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
@@ -75,39 +72,11 @@ def interruptible() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield  # signals are the main thread's alone
         return
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    try:
+    with handlers(dict.fromkeys((number for number in STOP_SIGNALS if number != signal.SIGINT), interrupt)):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def tied(words: Sequence[str]) -> list[str]:
     """The command line that ends with the process that starts it, even a killed one, where the system can do that."""
     setpriv = shutil.which("setpriv") if sys.platform == "linux" else None
     return [setpriv, "--pdeathsig", "TERM", "--", *words] if setpriv else list(words)
-
-
-def has_ended(pid: int) -> bool:
-    """Whether a process that `start` began is no more."""
-    try:
-        return os.waitpid(pid, os.WNOHANG) != (0, 0)
-    except ChildProcessError:
-        return True
-
-
-def stop(pid: int, timeout_s: float = 3.0) -> None:
-    """End a process that `start` began."""
-    deadline = time.monotonic() + timeout_s
-    sent = signal.SIGTERM
-    try:
-        os.kill(pid, sent)
-        while os.waitpid(pid, os.WNOHANG) == (0, 0):
-            if time.monotonic() > deadline:
-                os.kill(pid, signal.SIGKILL)
-                os.waitpid(pid, 0)
-                return
-            time.sleep(0.02)
-    except (ProcessLookupError, ChildProcessError):
-        return  # it had ended by itself

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from plugins.drives.simulated import SimulatedDrive
+from protocols import StorageError
+from tests.support.tiny import run_tiny
 
 ROOT = Path(__file__).parents[3]
 WATCHED = """
@@ -53,3 +58,26 @@ def test_nothing_is_loaded_while_the_drive_is_armed(stream: str, tmp_path: Path)
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == []
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of a hundred kilobytes."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=100k", "tmpfs", str(disk)], capture_output=True)
+    if made.returncode:
+        pytest.skip("no disk can be mounted here")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_run_that_the_disk_has_no_room_for_is_refused_before_anything_is_energised(
+    small_disk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    armed: list[object] = []
+    monkeypatch.setattr(SimulatedDrive, "arm", lambda self, limits: armed.append(limits))
+    with pytest.raises(StorageError, match=r"needs some \d+ MB, and 0 MB are free; nothing was energised"):
+        run_tiny(small_disk)
+    assert not armed
+    assert [left.name for left in small_disk.iterdir()] == ["tiny.yaml"]

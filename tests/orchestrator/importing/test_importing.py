@@ -269,6 +269,7 @@ def test_memory_holds_one_segment_not_the_file(bench: Bench) -> None:
     assert peak < 25e6
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 def test_ten_million_rows_of_text_take_twenty_seconds_and_a_gigabyte(bench: Bench) -> None:
     """As one segment, the worst that can come."""

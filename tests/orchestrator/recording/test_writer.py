@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import json
 import os
-import resource
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -47,6 +46,8 @@ def write(directory: Path, segment_id: str, *blocks: Capture) -> WrittenSegment:
 @pytest.fixture
 def small_disk() -> Iterator[None]:
     """No file may grow past 100 kB: the operating system refuses like a full disk."""
+    import resource
+
     old_limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     old_handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, old_limit[1]))
@@ -190,6 +191,7 @@ def test_a_segment_without_samples_is_the_drives_fault(tmp_path: Path, make_capt
         write(tmp_path, "b")
 
 
+@pytest.mark.posix
 @pytest.mark.usefixtures("small_disk")
 def test_a_full_disk_is_a_storage_error_and_leaves_nothing(tmp_path: Path, make_capture: Make) -> None:
     with pytest.raises(StorageError, match="cannot be written") as caught:
@@ -199,6 +201,7 @@ def test_a_full_disk_is_a_storage_error_and_leaves_nothing(tmp_path: Path, make_
     assert files_in(tmp_path) == []
 
 
+@pytest.mark.posix
 @pytest.mark.usefixtures("small_disk")
 def test_a_full_disk_does_not_harm_the_file_from_before(tmp_path: Path) -> None:
     replace_file(tmp_path / "x", b"old")
@@ -216,6 +219,7 @@ def test_a_folder_that_is_gone_is_a_storage_error(tmp_path: Path, make_capture: 
         replace_file(tmp_path / "nowhere" / "x", b"")
 
 
+@pytest.mark.posix
 def test_a_segment_is_synced_before_it_gets_its_name(
     tmp_path: Path, make_capture: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -168,6 +168,7 @@ def test_one_worker_is_the_callers_own_thread() -> None:
         assert not threads_here()
 
 
+@pytest.mark.posix
 def test_there_are_no_more_workers_than_cores_and_no_more_than_gain_anything(monkeypatch: pytest.MonkeyPatch) -> None:
     for cores, workers in ((1, 1), (2, 2), (64, MAX_WORKERS)):
         monkeypatch.setattr(os, "sched_getaffinity", lambda _, cores=cores: set(range(cores)), raising=False)

@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.interface.cli._early_signals import STOP_SIGNALS, EarlySignals
+from orchestrator.interface.cli._early_signals import EarlySignals
 from orchestrator.interface.cli._running import run_app
+from orchestrator.operating_system.signals import STOP_SIGNALS
 from tests.support.cases import few
 from tests.support.processes import FLUXBENCH, wait_until
 from tests.support.tiny import tiny_file

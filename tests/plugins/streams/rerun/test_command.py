@@ -252,7 +252,7 @@ def test_a_killed_page_takes_its_server_with_it(tmp_path: Path, example: Path) -
     code = """
 import sys, time
 from plugins.streams.rerun._viewer import start, tied
-print(start(tied([sys.executable, "-c", "import time; time.sleep(60)"])), flush=True)
+print(start(tied([sys.executable, "-c", "import time; time.sleep(60)"])).pid, flush=True)
 time.sleep(60)
 """
     root = Path(__file__).parents[4]

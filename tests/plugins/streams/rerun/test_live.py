@@ -15,7 +15,7 @@ import pytest
 from plugins.streams.rerun import RerunOptions, RerunStream
 from plugins.streams.rerun._live import LiveFeed, free_port, wait_for_viewer
 from plugins.streams.rerun._tape import Entry, is_whole, scalars
-from plugins.streams.rerun._viewer import has_ended, start, stop, viewer_words
+from plugins.streams.rerun._viewer import start, viewer_words
 from protocols import StreamSetup
 from tests.plugins.streams.rerun.reading import arrived, entities, receiver, rows
 from tests.plugins.streams.rerun.test_stream import POINTS, a_commissioning
@@ -163,14 +163,14 @@ def test_a_viewer_that_is_killed_leaves_the_file_whole_and_the_loss_reported(tmp
 
 def test_the_page_and_its_data_are_served_to_this_machine_alone() -> None:
     port, web_port = free_port(), free_port()
-    pid = start(viewer_words(port, "500MB", web_port=web_port))
+    process = start(viewer_words(port, "500MB", web_port=web_port))
     try:
-        assert wait_for_viewer(web_port, 20.0, lambda: has_ended(pid))
-        assert wait_for_viewer(port, 20.0, lambda: has_ended(pid))
-        assert listening(pid) == {"127.0.0.1"}
+        assert wait_for_viewer(web_port, 20.0, lambda: process.has_ended)
+        assert wait_for_viewer(port, 20.0, lambda: process.has_ended)
+        assert listening(process.pid) == {"127.0.0.1"}
     finally:
-        stop(pid)
-    assert not psutil.pid_exists(pid)
+        process.stop()
+    assert not psutil.pid_exists(process.pid)
 
 
 @pytest.mark.parametrize("web_port", [None, 9090])
