@@ -114,8 +114,11 @@ def _tables(references: CurrentReferences, control: CurrentControl, compensation
             limit | {"SHARE": references.share},
             references.i_dq_a,
         ),
-        "lost_table": _Table("voltage lost in a leg [V] over |i| [A]", {"PHASE": phase}, lost),
-        "lost_per_bus_table": _Table("the part per volt of the bus [1] over |i| [A]", {"PHASE": phase}, per_bus),
+        "lost_table": _Table(
+            "voltage lost in a leg [V] and its part per volt of the bus [1] over |i| [A]",
+            {"PHASE": phase},
+            np.stack([lost, per_bus], axis=-1),
+        ),
     }
     for name, table in tables.items():
         _require_finite(name, table.values)

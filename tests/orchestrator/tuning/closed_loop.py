@@ -138,9 +138,9 @@ def library_of(
     return ctypes.CDLL(str(folder / "drive.so"))
 
 
-def run(*words: str, folder: Path) -> str:
+def run(*words: str, folder: Path, environment: Mapping[str, str] | None = None) -> str:
     """A program's output; fails with its errors."""
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

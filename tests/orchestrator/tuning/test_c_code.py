@@ -1,10 +1,8 @@
 from __future__ import annotations
 
-import ctypes
 import dataclasses
 import math
 import re
-import subprocess
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,66 +15,23 @@ from scipy.interpolate import RegularGridInterpolator
 
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.references import VOLTAGE_RESERVE, flux_limit
-from plugins.wire._firmware import write_firmware
 from protocols import InputError
 from tests.orchestrator.tuning.closed_loop import STRICT, Plant, compiler, library_of, run
+from tests.orchestrator.tuning.cortex_m4 import CortexM4
+from tests.orchestrator.tuning.functions import Functions, HostFunctions, words
 from tests.orchestrator.tuning.tables import LIMITS, Tables, tables_of
 from tests.plugins.wire.firmware.built import tool
 
 OK, LIMITED, INVALID = 0, 1, -1
 MOST_FLASH = 16 * 1024
-MOST_INSTRUCTIONS = 1500
-"""Of a Cortex-M4 in a period; at 168 MHz they take 9 us."""
 PLANT = Plant(dead_time=1.5e-6, drop_v=0.8, drop_ohm=0.02, gain_a=1.02, gain_b=0.99, offset_a=0.1, offset_b=-0.05,
               angle_error=0.02)  # fmt: skip
 PUBLIC = {
     *("psi_wb", "inductance_h", "torque_limit_nm", "current_reference_a", "current_control_init"),
     *("current_control_v", "leg_voltage_v", "corrected_current_a", "add_bias_v", "angle_rad", "angle_ahead_rad"),
 }
-M4 = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-Os", "-ffreestanding")
-CALLS = Path(__file__).with_name("calls.c")
 RELATIVE = 1e-3
 """Of the largest value: float32 against float64."""
-
-
-class State(ctypes.Structure):
-    _fields_ = (
-        ("lost_v", ctypes.c_float * 2),
-        ("given_v", ctypes.c_float * 2),
-        ("psi_expected_wb", ctypes.c_float * 2),
-        ("samples", ctypes.c_int),
-    )
-
-
-class Drive:
-    """The compiled functions, with lists in place of arrays."""
-
-    def __init__(self, library: ctypes.CDLL) -> None:
-        self.library = library
-        for name in ("torque_limit_nm", "leg_voltage_v", "angle_rad", "angle_ahead_rad"):
-            getattr(library, f"motor_{name}").restype = ctypes.c_float
-
-    def number(self, name: str, *values: float) -> float:
-        return float(getattr(self.library, f"motor_{name}")(*(ctypes.c_float(v) for v in values)))
-
-    def vector(self, name: str, size: int, *values: float) -> tuple[int, Array]:
-        out = (ctypes.c_float * size)()
-        report = getattr(self.library, f"motor_{name}")(*(ctypes.c_float(v) for v in values), out)
-        return int(report), np.array(out[:])
-
-    def state(self) -> State:
-        state = State()
-        self.library.motor_current_control_init(ctypes.byref(state))
-        return state
-
-    def control(
-        self, state: State, i_ref: Sequence[float] | Array, i: Sequence[float] | Array, omega: float, v_dc: float
-    ) -> tuple[int, Array]:
-        pair = ctypes.c_float * 2
-        out = pair()
-        numbers = (ctypes.c_float(omega), ctypes.c_float(v_dc))
-        report = self.library.motor_current_control_v(ctypes.byref(state), pair(*i_ref), pair(*i), *numbers, out)
-        return int(report), np.array(out[:])
 
 
 @pytest.fixture(scope="module")
@@ -84,19 +39,19 @@ def tables() -> Tables:
     return tables_of(PLANT)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("drive")
+@pytest.fixture(scope="module", params=["host", pytest.param("cortex-m4", marks=pytest.mark.slow)])
+def drive(request: pytest.FixtureRequest, tables: Tables, tmp_path_factory: pytest.TempPathFactory) -> Functions:
+    folder = tmp_path_factory.mktemp(request.param)
+    return host(tables, folder) if request.param == "host" else CortexM4(tables.files(), folder)
 
 
-@pytest.fixture(scope="module")
-def drive(tables: Tables, folder: Path) -> Drive:
-    return Drive(library_of(tables.files(), folder))
+def host(tables: Tables, folder: Path, options: Sequence[str] = ("-O2",)) -> HostFunctions:
+    return HostFunctions(library_of(tables.files(), folder, options=options))
 
 
 def test_a_lag_of_the_readings_turns_their_frame_back_and_not_the_voltage_s(tables: Tables, tmp_path: Path) -> None:
     late = replace(tables, compensation=replace(tables.compensation, current_delay_s=5e-5))
-    plain, lagging = (Drive(library_of(one.files(), tmp_path / name)) for name, one in (("a", tables), ("b", late)))
+    plain, lagging = (host(one, tmp_path / name) for name, one in (("a", tables), ("b", late)))
     for drive, lag in ((plain, 0.0), (lagging, 5e-5)):
         assert drive.number("angle_rad", 1.0, 1000.0) == pytest.approx(1.0 + PLANT.angle_error - 1000.0 * lag, rel=1e-6)
     assert plain.number("angle_ahead_rad", 1.0, 1000.0) - lagging.number(
@@ -108,7 +63,7 @@ def assert_near(actual: Array, expected: Array) -> None:
     assert np.abs(actual - expected).max() <= RELATIVE * np.abs(expected).max()
 
 
-def test_flux_is_the_table_linear_between_and_beyond_its_nodes(tables: Tables, drive: Drive) -> None:
+def test_flux_is_the_table_linear_between_and_beyond_its_nodes(tables: Tables, drive: Functions) -> None:
     control = tables.control
     at = np.random.default_rng(1).uniform(-40.0, 40.0, (500, 2))
     lookup = RegularGridInterpolator(
@@ -117,7 +72,7 @@ def test_flux_is_the_table_linear_between_and_beyond_its_nodes(tables: Tables, d
     assert_near(np.array([drive.vector("psi_wb", 2, *i)[1] for i in at]), lookup(at))
 
 
-def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Drive) -> None:
+def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Functions) -> None:
     control = tables.control
     at = np.random.default_rng(2).uniform(-40.0, 40.0, (500, 2))
     lookup = RegularGridInterpolator((control.gain_i_d_a, control.gain_i_q_a), control.inductance_h)
@@ -125,7 +80,7 @@ def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Drive) 
     assert_near(np.array([drive.vector("inductance_h", 3, *i)[1] for i in at]), lookup(held))
 
 
-def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tables: Tables, drive: Drive) -> None:
+def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tables: Tables, drive: Functions) -> None:
     rng = np.random.default_rng(3)
     torque, speed, bus = (
         rng.uniform(-12.0, 12.0, 500),
@@ -154,26 +109,25 @@ def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tab
     assert np.array_equal(reports[clear], np.where(np.abs(torque) > most, LIMITED, OK)[clear])
 
 
-def test_torque_ends_where_the_voltage_is_too_low_for_the_speed(drive: Drive) -> None:
+def test_torque_ends_where_the_voltage_is_too_low_for_the_speed(drive: Functions) -> None:
     full = drive.number("torque_limit_nm", 3000.0, 300.0)
     assert 0.0 < drive.number("torque_limit_nm", 3000.0, 292.0) < full
     assert drive.number("torque_limit_nm", 3000.0, 250.0) == 0.0
     assert drive.number("torque_limit_nm", 0.0, 300.0) > full
 
 
-def test_compensation_is_the_tables_and_matrices(tables: Tables, drive: Drive) -> None:
+def test_compensation_is_the_tables_and_matrices(tables: Tables, drive: Functions) -> None:
     compensation = tables.compensation
     current = np.random.default_rng(4).uniform(-30.0, 30.0, 300)
     for bus in (250.0, 350.0):
         losses = compensation.lost_v + bus * compensation.lost_per_bus_v
         expected = np.interp(current, compensation.current_a, losses)
         assert_near(np.array([drive.number("leg_voltage_v", i, bus) for i in current]), expected)
-    pair = ctypes.c_float * 2
-    read, out = pair(3.0, -4.0), pair()
-    drive.library.motor_corrected_current_a(read, out)
-    assert_near(np.array(out[:]), compensation.current_gain @ [3.0, -4.0] + compensation.current_offset_a)
-    drive.library.motor_corrected_current_a(read, read)
-    assert read[:] == out[:]
+    read, out = np.array([3.0, -4.0], dtype=np.float32), words(2)
+    drive.call("corrected_current_a", read, out)
+    assert_near(out.astype(np.float64), compensation.current_gain @ [3.0, -4.0] + compensation.current_offset_a)
+    drive.call("corrected_current_a", read, read)
+    assert np.array_equal(read, out)
     lag = tables.compensation.current_delay_s
     behind, ahead = 1.0 - 2000.0 * lag, 1.0 + 2000.0 * (tables.control.delay_s - lag)
     behind, ahead = behind + PLANT.angle_error, ahead + PLANT.angle_error
@@ -183,10 +137,9 @@ def test_compensation_is_the_tables_and_matrices(tables: Tables, drive: Drive) -
 
 def test_bias_is_added_to_the_voltage(tables: Tables, tmp_path: Path) -> None:
     compensation = dataclasses.replace(tables.compensation, bias_ab_v=np.array([0.5, -0.25]))
-    library = library_of(dataclasses.replace(tables, compensation=compensation).files(), tmp_path)
-    v = (ctypes.c_float * 2)(1.0, 2.0)
-    library.motor_add_bias_v(v)
-    assert v[:] == [1.5, 1.75]
+    v = np.array([1.0, 2.0], dtype=np.float32)
+    host(dataclasses.replace(tables, compensation=compensation), tmp_path).call("add_bias_v", v)
+    assert np.array_equal(v, [1.5, 1.75])
 
 
 def reference_control(tables: Tables) -> Callable[[complex, complex, float, float], complex]:
@@ -240,7 +193,7 @@ def reference_control(tables: Tables) -> Callable[[complex, complex, float, floa
 
 
 @pytest.mark.parametrize("size", [2.0, 20.0])
-def test_current_control_is_its_formula_within_and_at_the_limit(tables: Tables, drive: Drive, size: float) -> None:
+def test_current_control_is_its_formula_within_and_at_the_limit(tables: Tables, drive: Functions, size: float) -> None:
     rng, limited = np.random.default_rng(5), 0
     for _ in range(20):
         state, formula = drive.state(), reference_control(tables)
@@ -268,11 +221,11 @@ def usable(*values: float) -> bool:
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, st.one_of(ANY, st.just(300.0))), min_size=1, max_size=5))
 def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
-    drive: Drive, calls: list[tuple[float, float, float, float, float, float]]
+    drive: Functions, calls: list[tuple[float, float, float, float, float, float]]
 ) -> None:
     state = drive.state()
     for *currents, omega, v_dc in calls:
-        lost = state.lost_v[:]
+        lost = state[:2].copy()
         report, v = drive.control(state, currents[:2], currents[2:], omega, v_dc)
         if usable(*currents, omega, v_dc) and v_dc > 0.0:
             assert report in (OK, LIMITED)
@@ -280,8 +233,8 @@ def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
         else:
             assert report == INVALID
             assert np.array_equal(v, [0.0, 0.0])
-            assert state.lost_v[:] == lost
-        assert np.isfinite([*state.lost_v, *state.given_v, *state.psi_expected_wb]).all()
+            assert np.array_equal(state[:2], lost)
+        assert np.isfinite(state[:6]).all()
     for _ in range(3):
         report, v = drive.control(state, [0.0, 1.0], [0.0, 1.0], 10.0, 300.0)
         assert report in (OK, LIMITED)
@@ -290,7 +243,7 @@ def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(ANY, ANY, ANY)
-def test_whatever_comes_references_and_lookups_are_finite(drive: Drive, a: float, b: float, c: float) -> None:
+def test_whatever_comes_references_and_lookups_are_finite(drive: Functions, a: float, b: float, c: float) -> None:
     report, i_ref = drive.vector("current_reference_a", 2, a, b, c)
     limit = drive.number("torque_limit_nm", b, c)
     assert np.hypot(*i_ref) <= LIMITS.current_a * 1.001
@@ -307,14 +260,14 @@ def test_whatever_comes_references_and_lookups_are_finite(drive: Drive, a: float
 
 
 def test_invalid_numbers_are_refused_with_fast_arithmetic_too(tables: Tables, tmp_path: Path) -> None:
-    fast = Drive(library_of(tables.files(), tmp_path, options=("-O3", "-ffast-math")))
+    fast = host(tables, tmp_path, ("-O3", "-ffast-math"))
     for bad in (math.nan, math.inf):
         assert fast.control(fast.state(), [0.0, 1.0], [bad, 0.0], 10.0, 300.0)[0] == INVALID
         report, v = fast.vector("current_reference_a", 2, bad, 10.0, 300.0)
         assert (report, v[1]) == (INVALID, 0.0)
 
 
-def test_one_bad_sample_does_not_change_the_current_for_long(drive: Drive) -> None:
+def test_one_bad_sample_does_not_change_the_current_for_long(drive: Functions) -> None:
     """The integral part stays: after a NaN the next voltage is the one before it."""
     state = drive.state()
     for k in range(50):
@@ -325,7 +278,10 @@ def test_one_bad_sample_does_not_change_the_current_for_long(drive: Drive) -> No
     assert after == pytest.approx(before, abs=0.1)
 
 
-def test_the_source_has_the_declared_symbols_alone_and_no_mutable_data(drive: Drive, folder: Path) -> None:
+def test_the_source_has_the_declared_symbols_alone_and_no_mutable_data(tables: Tables, tmp_path: Path) -> None:
+    for name, content in tables.files().items():
+        (tmp_path / name).write_bytes(content)
+    folder = tmp_path
     run(compiler(), *STRICT, "-Wshadow", "-Os", "-fno-asynchronous-unwind-tables", "-c", "motor_drive.c", folder=folder)
     symbols = [line.split()[-2:] for line in run(tool("nm"), "motor_drive.o", folder=folder).splitlines()]
     assert {name for kind, name in symbols if kind == "T"} == {f"motor_{name}" for name in PUBLIC}
@@ -389,39 +345,3 @@ def test_names_and_effects_stand_in_the_comment_and_do_not_end_it(tables: Tables
     assert "of plant * / Mot?r, written" in header
     assert "corrected for: dead_time." in header
     assert header.count("*/") == header.count("/*")
-
-
-def answers(lines: list[str]) -> tuple[Array, Array]:
-    """Reports, shape (n,), and numbers, shape (n, 5), of the lines of calls.c."""
-    words = np.array([[int(word, 16) for word in line.split()] for line in lines], dtype=np.uint32)
-    return words[:, 0].astype(np.float64), words[:, 1:].copy().view(np.float32).astype(np.float64)
-
-
-@pytest.mark.slow
-def test_a_cortex_m4_answers_as_the_host_does_in_few_instructions(tables: Tables, tmp_path: Path) -> None:
-    for name, content in (tables.files() | {"calls.c": CALLS.read_bytes()}).items():
-        (tmp_path / name).write_bytes(content)
-    run(compiler(), *STRICT, "-O2", "calls.c", "motor_drive.c", "-lm", "-o", "calls", folder=tmp_path)
-    *expected, _ = run("./calls", folder=tmp_path).splitlines()
-    assert len(expected) == 200
-    arm, qemu = tool("arm-none-eabi-gcc"), tool("qemu-system-arm")
-    write_firmware(tmp_path / "firmware")
-    linking = ("-nostartfiles", "--specs=nano.specs", "-T", "firmware/boards/mps2_an386/memory.ld")
-    sources = ("calls.c", "motor_drive.c", "-lm")
-    run(arm, "-std=c99", "-Wall", "-Wextra", "-Werror", *M4, *linking, *sources, "-o", "calls.elf", folder=tmp_path)
-    machine = [qemu, "-M", "mps2-an386", "-icount", "shift=5", "-nographic", "-monitor", "none", "-serial", "stdio"]
-    with subprocess.Popen(
-        [*machine, "-kernel", "calls.elf"], cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        lines = []
-        for line in process.stdout:
-            lines.append(line)
-            if line.startswith("end"):
-                break
-        process.kill()
-    reports, numbers = answers(lines[:-1])
-    host_reports, host_numbers = answers(expected)
-    assert np.array_equal(reports, host_reports)
-    assert_near(numbers, host_numbers)
-    assert int(lines[-1].split()[1], 16) <= MOST_INSTRUCTIONS
