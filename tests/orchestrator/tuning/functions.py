@@ -41,7 +41,12 @@ class Functions(ABC):
         return state
 
     def control(
-        self, state: Words, i_ref: Sequence[float] | Array, i: Sequence[float] | Array, omega: float, v_dc: float
+        self,
+        state: Words,
+        i_ref: Sequence[float] | Array | Words,
+        i: Sequence[float] | Array,
+        omega: float,
+        v_dc: float,
     ) -> tuple[int, Array]:
         out = words(2)
         pair = (np.array(x, dtype=np.float32) for x in (i_ref, i))
