@@ -12,6 +12,8 @@ from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap, InputError, Motor
 
 WHERE = "flux map"
+ROOM_C = 20.0
+"""Temperature to which data sheets state resistances, for a winding of unknown temperature [°C]."""
 MIN_MOTORING_SHARE = 1e-6
 """Part of the largest current that i_q has to reach in the map: only rounding stays below it."""
 
@@ -28,12 +30,15 @@ class Machine:
     flux_map : FluxMap
     r_s_ohm, r_s_std_ohm : float
         Resistance of a phase and its standard deviation [ohm].
+    winding_c : float
+        Temperature of the winding at which the resistance holds [°C].
     """
 
     motor: Motor
     flux_map: FluxMap
     r_s_ohm: float
     r_s_std_ohm: float
+    winding_c: float = ROOM_C
 
     def __post_init__(self) -> None:
         if not self.r_s_ohm > 0.0:

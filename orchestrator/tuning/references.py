@@ -28,6 +28,8 @@ RADII = 49
 """Magnitudes of the current at which the torque is maximised, for each flux limit."""
 ANGLES = 181
 """Directions of the first scan over half a circle."""
+NEAR_ANGLES = 41
+"""Directions of a scan around a point that is near: 20 degrees to either side."""
 ZOOMS = 9
 """Rounds that each divide the step of the direction by four: 1 degree becomes 4e-6."""
 RADIUS_STEPS = 8
@@ -154,11 +156,19 @@ class _Circles:
         radii = np.stack([r + (self.current_a - r) * np.linspace(0.0, 1.0, RADII) ** 2 for r in first])
         return radii, *self.at(radii, np.broadcast_to(self.levels[:, None], radii.shape))
 
-    def at(self, radii: Array, levels: Array) -> tuple[Array, Array, Array]:
-        """Currents, fluxes (..., 2) and torques (...) of greatest torque on circles, by a scan and zooms."""
+    def at(self, radii: Array, levels: Array, near: Array | None = None) -> tuple[Array, Array, Array]:
+        """Currents, fluxes (..., 2) and torques (...) of greatest torque on circles, by a scan and zooms.
+
+        The scan goes over half the circle, or where there are currents `near` (..., 2) around their directions.
+        """
         r, limit = radii.reshape(-1), levels.reshape(-1) * (1.0 + 1e-9)
         rows, step = np.arange(len(r)), math.pi / (ANGLES - 1)
-        angles = np.tile(np.linspace(0.0, math.pi, ANGLES), (len(r), 1))
+        if near is None:
+            angles = np.tile(np.linspace(0.0, math.pi, ANGLES), (len(r), 1))
+        else:
+            i_d, i_q = near.reshape(-1, 2).T
+            around = np.arctan2(i_q, i_d)[:, None] + step * (np.arange(NEAR_ANGLES) - NEAR_ANGLES // 2)
+            angles = np.clip(around, 0.0, math.pi)
         for zoom in range(ZOOMS + 1):
             i_dq = r[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
             flat = i_dq.reshape(-1, 2)
@@ -181,7 +191,7 @@ class _Circles:
         r_old, r = start_a, np.clip(start_a * (1.0 + 1e-4) + 1e-9, low_a, high_a)
         i_dq, _, old = self.at(r_old, levels)
         for _ in range(RADIUS_STEPS):
-            i_new, _, new = self.at(r, levels)
+            i_new, _, new = self.at(r, levels, near=i_dq)
             closer = np.abs(new - torque_nm) <= np.abs(np.where(np.isfinite(old), old, np.inf) - torque_nm)
             i_dq = np.where(closer[..., None] & np.isfinite(i_new), i_new, i_dq)
             slope = new - old

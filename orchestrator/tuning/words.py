@@ -27,6 +27,8 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
             f"{number(report.bandwidth_hz)} Hz, phase margin {report.phase_margin_deg:.0f}° at standstill",
         ),
         ("... over the map's errors", f"at least {report.least_phase_margin_deg:.0f}°"),
+        ("... at the largest speed", f"at least {report.margins_deg[-1]:.0f}°"),
+        ("... its integral part", f"{number(report.integral_hz)} Hz, up to {quantity(report.integral_limit_v, 'V')}"),
         ("compensated", listed([plain(name) for name in report.compensated]) or "nothing"),
         ("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg"),
         *_sensorless_rows(report),

@@ -62,6 +62,7 @@ class Plant:
     injected_v: float = 0.0
     injected_rad_per_sample: float = 0.0
     injected_axis: float = 0.0
+    winding_c: float = 20.0
 
     def psi(self, i_dq: Array) -> Array:
         """Flux linkage [Wb], shape (n, 2), at currents of shape (n, 2)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
@@ -14,7 +15,7 @@ from orchestrator.numerics.types import Array
 Words = NDArray[np.float32]
 """An array of the C code; a struct is one, too."""
 
-RESULT_IS_FLOAT = ("torque_limit_nm", "leg_voltage_v", "angle_rad", "angle_ahead_rad")
+RESULT_IS_FLOAT = ("r_s_ohm", "torque_limit_nm", "leg_voltage_v", "angle_rad", "angle_ahead_rad")
 STATE_WORDS = 7
 """Of motor_current_control: lost_v, given_v and psi_expected_wb, two each, and samples, an integer."""
 
@@ -47,10 +48,12 @@ class Functions(ABC):
         i: Sequence[float] | Array,
         omega: float,
         v_dc: float,
+        r_s: float = math.nan,
     ) -> tuple[int, Array]:
+        """Voltage [V]; by default with the resistance of the tables, which takes the place of an invalid one."""
         out = words(2)
         pair = (np.array(x, dtype=np.float32) for x in (i_ref, i))
-        report = self.call("current_control_v", state, *pair, omega, v_dc, out)
+        report = self.call("current_control_v", state, *pair, omega, v_dc, r_s, out)
         return int(report), out.astype(np.float64)
 
 

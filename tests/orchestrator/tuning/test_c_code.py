@@ -27,7 +27,7 @@ MOST_FLASH = 16 * 1024
 PLANT = Plant(dead_time=1.5e-6, drop_v=0.8, drop_ohm=0.02, gain_a=1.02, gain_b=0.99, offset_a=0.1, offset_b=-0.05,
               angle_error=0.02)  # fmt: skip
 PUBLIC = {
-    *("psi_wb", "inductance_h", "torque_limit_nm", "current_reference_a", "current_control_init"),
+    *("psi_wb", "inductance_h", "r_s_ohm", "torque_limit_nm", "current_reference_a", "current_control_init"),
     *("current_control_v", "leg_voltage_v", "corrected_current_a", "add_bias_v", "angle_rad", "angle_ahead_rad"),
 }
 RELATIVE = 1e-3
@@ -82,13 +82,14 @@ def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Functio
 
 def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tables: Tables, drive: Functions) -> None:
     rng = np.random.default_rng(3)
-    torque, speed, bus = (
+    torque, speed, bus, ohm = (
         rng.uniform(-12.0, 12.0, 500),
         rng.uniform(-3000.0, 3000.0, 500),
         rng.uniform(290.0, 400.0, 500),
+        rng.uniform(0.8, 1.5, 500) * tables.control.r_s_ohm,
     )
-    references, r_s, expected, most = tables.references, tables.control.r_s_ohm, [], []
-    for t, w, v in zip(torque, speed, bus, strict=True):
+    references, expected, most = tables.references, [], []
+    for t, w, v, r_s in zip(torque, speed, bus, ohm, strict=True):
         limits = dataclasses.replace(LIMITS, bus_v=float(v))
         largest = flux_limit(limits, r_s, LIMITS.current_a, w)
         most.append(float(np.interp(largest, references.psi_limit_wb, references.torque_limit_nm)))
@@ -99,10 +100,10 @@ def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tab
             i = references.at(wanted, np.atleast_1d(flux_limit(limits, r_s, current, w)))[0]
             current = float(np.hypot(*i))
         expected.append(i)
-    found = [drive.vector("current_reference_a", 2, *x) for x in zip(torque, speed, bus, strict=True)]
+    found = [drive.vector("current_reference_a", 2, *x) for x in zip(torque, speed, bus, ohm, strict=True)]
     assert_near(np.array([i for _, i in found]), np.array(expected))
     assert_near(
-        np.array([drive.number("torque_limit_nm", w, v) for w, v in zip(speed, bus, strict=True)]), np.array(most)
+        np.array([drive.number("torque_limit_nm", *x) for x in zip(speed, bus, ohm, strict=True)]), np.array(most)
     )
     reports = np.array([report for report, _ in found])
     clear = np.abs(np.abs(torque) - most) > 1e-3
@@ -110,10 +111,10 @@ def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tab
 
 
 def test_torque_ends_where_the_voltage_is_too_low_for_the_speed(drive: Functions) -> None:
-    full = drive.number("torque_limit_nm", 3000.0, 300.0)
-    assert 0.0 < drive.number("torque_limit_nm", 3000.0, 292.0) < full
-    assert drive.number("torque_limit_nm", 3000.0, 250.0) == 0.0
-    assert drive.number("torque_limit_nm", 0.0, 300.0) > full
+    full = drive.number("torque_limit_nm", 3000.0, 300.0, PLANT.r_s)
+    assert 0.0 < drive.number("torque_limit_nm", 3000.0, 292.0, PLANT.r_s) < full
+    assert drive.number("torque_limit_nm", 3000.0, 250.0, PLANT.r_s) == 0.0
+    assert drive.number("torque_limit_nm", 0.0, 300.0, PLANT.r_s) > full
 
 
 def test_compensation_is_the_tables_and_matrices(tables: Tables, drive: Functions) -> None:
@@ -142,11 +143,30 @@ def test_bias_is_added_to_the_voltage(tables: Tables, tmp_path: Path) -> None:
     assert np.array_equal(v, [1.5, 1.75])
 
 
-def reference_control(tables: Tables) -> Callable[[complex, complex, float, float], complex]:
+def test_resistance_is_that_of_copper_at_the_winding_s_temperature(tables: Tables, tmp_path: Path) -> None:
+    """R(T) = R(20 C) (1 + 0.00393 (T - 20 C)), from wherever R_s is known."""
+    warm = replace(tables, control=replace(tables.control, winding_c=60.0))
+    at_60_c = host(warm, tmp_path)
+    for winding_c in (20.0, 60.0, 140.0):
+        expected = PLANT.r_s * (1.0 + 0.00393 * (winding_c - 20.0)) / (1.0 + 0.00393 * 40.0)
+        assert at_60_c.number("r_s_ohm", winding_c) == pytest.approx(expected, rel=1e-6)
+    assert at_60_c.number("r_s_ohm", math.nan) == pytest.approx(PLANT.r_s)
+    assert at_60_c.number("r_s_ohm", -1e5) == pytest.approx(0.5 * PLANT.r_s)
+
+
+def test_an_invalid_resistance_counts_as_the_known_one(drive: Functions) -> None:
+    known = drive.vector("current_reference_a", 2, 8.0, 2500.0, 300.0, PLANT.r_s)[1]
+    warm = drive.vector("current_reference_a", 2, 8.0, 2500.0, 300.0, 1.5 * PLANT.r_s)[1]
+    assert warm != pytest.approx(known, abs=1e-3)
+    for bad in (math.nan, math.inf, 0.0, -1.0):
+        assert np.array_equal(drive.vector("current_reference_a", 2, 8.0, 2500.0, 300.0, bad)[1], known)
+
+
+def reference_control(tables: Tables) -> Callable[[complex, complex, float, float, float], complex]:
     """The same controller in complex numbers, with its state."""
     control, period = tables.control, 1.0 / LIMITS.sampling_hz
     lookup = RegularGridInterpolator((control.i_d_a, control.i_q_a), control.psi_wb)
-    r_s, alpha, corner = control.r_s_ohm, control.bandwidth_rad_s, control.integral_rad_s
+    alpha, corner = control.bandwidth_rad_s, control.integral_rad_s
     # K + B = alpha (1 + B T), K B = alpha alpha_i (1 + B T)
     roots = np.roots([alpha * period - 1.0, alpha * (1.0 - corner * period), -alpha * corner])
     observer = float(roots.real.min())
@@ -171,7 +191,7 @@ def reference_control(tables: Tables) -> Callable[[complex, complex, float, floa
             low, high = (middle, high) if abs(x + middle * step) <= most else (low, middle)
         return x + low * step
 
-    def step(i_ref: complex, i: complex, omega: float, v_dc: float) -> complex:
+    def step(i_ref: complex, i: complex, omega: float, v_dc: float, r_s: float) -> complex:
         nonlocal lost, given, expected, count
         most = v_dc / math.sqrt(3.0)
         psi, psi_ref = psi_of(i), psi_of(i_ref)
@@ -197,12 +217,13 @@ def test_current_control_is_its_formula_within_and_at_the_limit(tables: Tables, 
     rng, limited = np.random.default_rng(5), 0
     for _ in range(20):
         state, formula = drive.state(), reference_control(tables)
+        r_s = rng.uniform(0.8, 1.5) * PLANT.r_s
         omega = rng.uniform(-2500.0, 2500.0) if size > 10.0 else rng.uniform(-500.0, 500.0)
         for _ in range(6):
             i_ref = rng.uniform(-1.0, 1.0, 2) * size / math.sqrt(2.0) - [5.0, 0.0]
             i = i_ref + rng.normal(0.0, 0.1 * size, 2)
-            report, v = drive.control(state, i_ref, i, omega, 300.0)
-            expected = formula(complex(*i_ref), complex(*i), omega, 300.0)
+            report, v = drive.control(state, i_ref, i, omega, 300.0, r_s)
+            expected = formula(complex(*i_ref), complex(*i), omega, 300.0, r_s)
             assert abs(complex(*v) - expected) < RELATIVE * 300.0
             assert report in (OK, LIMITED)
             limited += report == LIMITED
@@ -219,14 +240,14 @@ def usable(*values: float) -> bool:
 
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, st.one_of(ANY, st.just(300.0))), min_size=1, max_size=5))
+@given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, ANY, st.one_of(ANY, st.just(300.0))), min_size=1, max_size=5))
 def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
-    drive: Functions, calls: list[tuple[float, float, float, float, float, float]]
+    drive: Functions, calls: list[tuple[float, float, float, float, float, float, float]]
 ) -> None:
     state = drive.state()
-    for *currents, omega, v_dc in calls:
+    for *currents, omega, r_s, v_dc in calls:
         lost = state[:2].copy()
-        report, v = drive.control(state, currents[:2], currents[2:], omega, v_dc)
+        report, v = drive.control(state, currents[:2], currents[2:], omega, v_dc, r_s)
         if usable(*currents, omega, v_dc) and v_dc > 0.0:
             assert report in (OK, LIMITED)
             assert np.hypot(*v) <= v_dc / math.sqrt(3.0) * (1.0 + 1e-5)
@@ -242,10 +263,12 @@ def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
 
 
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(ANY, ANY, ANY)
-def test_whatever_comes_references_and_lookups_are_finite(drive: Functions, a: float, b: float, c: float) -> None:
-    report, i_ref = drive.vector("current_reference_a", 2, a, b, c)
-    limit = drive.number("torque_limit_nm", b, c)
+@given(ANY, ANY, ANY, ANY)
+def test_whatever_comes_references_and_lookups_are_finite(
+    drive: Functions, a: float, b: float, c: float, d: float
+) -> None:
+    report, i_ref = drive.vector("current_reference_a", 2, a, b, c, d)
+    limit = drive.number("torque_limit_nm", b, c, d)
     assert np.hypot(*i_ref) <= LIMITS.current_a * 1.001
     assert 0.0 <= limit < 12.0
     assert (report == INVALID) == (not usable(a, b, c) or c <= 0.0)
@@ -263,7 +286,7 @@ def test_invalid_numbers_are_refused_with_fast_arithmetic_too(tables: Tables, tm
     fast = host(tables, tmp_path, ("-O3", "-ffast-math"))
     for bad in (math.nan, math.inf):
         assert fast.control(fast.state(), [0.0, 1.0], [bad, 0.0], 10.0, 300.0)[0] == INVALID
-        report, v = fast.vector("current_reference_a", 2, bad, 10.0, 300.0)
+        report, v = fast.vector("current_reference_a", 2, bad, 10.0, 300.0, PLANT.r_s)
         assert (report, v[1]) == (INVALID, 0.0)
 
 

@@ -42,8 +42,8 @@ def test_a_control_period_takes_few_cycles(core: CortexM4) -> None:
         i, i_ref, v = rng.uniform(-14.0, 14.0, 2).astype(np.float32), words(2), words(2)
         cycles = {
             "readings": core.cycles("corrected_current_a", i, i) + core.cycles("angle_rad", 1.0, omega),
-            "references": core.cycles("current_reference_a", torque, omega, v_dc, i_ref),
-            "control": core.cycles("current_control_v", state, i_ref, i, omega, v_dc, v)
+            "references": core.cycles("current_reference_a", torque, omega, v_dc, PLANT.r_s, i_ref),
+            "control": core.cycles("current_control_v", state, i_ref, i, omega, v_dc, PLANT.r_s, v)
             + core.cycles("angle_ahead_rad", 1.0, omega),
             "compensation": core.cycles("add_bias_v", v)
             + sum(core.cycles("leg_voltage_v", x, v_dc) for x in (float(i[0]), float(i[1]), -float(i[0] + i[1]))),

@@ -125,13 +125,13 @@ class Controller:
         i = complex((2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0))
         i *= np.exp(-1j * self.functions.number("angle_rad", theta, omega))
         torque, i_ref = self.torque_nm(drive.t0, speed), words(2)
-        report = self.functions.call("current_reference_a", torque, omega, v_dc, i_ref)
+        report = self.functions.call("current_reference_a", torque, omega, v_dc, math.nan, i_ref)
         control_report, v_dq = self.functions.control(self.state, i_ref, _pair(i), omega, v_dc)
         assert min(report, control_report) >= 0
         v = complex(*v_dq) * np.exp(1j * self.functions.number("angle_ahead_rad", theta, omega))
         legs = np.array([(v * np.exp(-2j * math.pi * k / 3.0)).real for k in range(3)])
         duty = np.clip(0.5 + (legs - 0.5 * (legs.max() + legs.min())) / v_dc, 0.0, 1.0)
-        most = self.functions.number("torque_limit_nm", omega, v_dc)
+        most = self.functions.number("torque_limit_nm", omega, v_dc, math.nan)
         self.rows.append((drive.t0, torque, most, float(drive.machine.tau_M), abs(i), speed))
         return PERIOD_S, duty
 
@@ -183,8 +183,10 @@ def run(
 def test_torque_steps_are_followed_below_and_within_field_weakening(
     model: ModuleType, machine: Rotating, functions: HostFunctions
 ) -> None:
-    largest = functions.number("torque_limit_nm", 0.0, machine.limits.bus_v)
-    assert functions.number("torque_limit_nm", machine.limits.speed_rad_s, machine.limits.bus_v) < 0.9 * largest
+    largest = functions.number("torque_limit_nm", 0.0, machine.limits.bus_v, math.nan)
+    assert (
+        functions.number("torque_limit_nm", machine.limits.speed_rad_s, machine.limits.bus_v, math.nan) < 0.9 * largest
+    )
     shares, hold_s, ramp_s = (0.4, -0.4, 0.9, -0.9, 1.2), 0.02, 0.02
     errors = []
     for part in (0.1, 0.5, 0.8, 1.0):
@@ -214,14 +216,18 @@ def test_load_steps_are_carried_from_standstill_into_field_weakening(
 ) -> None:
     """A speed control asks for torque; what it asks for in the end is the load."""
     target = 0.75 * machine.limits.speed_rad_s / machine.pole_pairs
-    load_nm = 0.4 * functions.number("torque_limit_nm", 0.75 * machine.limits.speed_rad_s, machine.limits.bus_v)
-    rise_s = 1.3 * machine.inertia_kg_m2 * target / functions.number("torque_limit_nm", 0.0, machine.limits.bus_v)
+    load_nm = 0.4 * functions.number(
+        "torque_limit_nm", 0.75 * machine.limits.speed_rad_s, machine.limits.bus_v, math.nan
+    )
+    rise_s = (
+        1.3 * machine.inertia_kg_m2 * target / functions.number("torque_limit_nm", 0.0, machine.limits.bus_v, math.nan)
+    )
     step_s, until_s, bandwidth = rise_s + 0.08, rise_s + 0.22, 80.0
     integral = 0.0
 
     def torque(_t: float, speed: float) -> float:
         nonlocal integral
-        most = functions.number("torque_limit_nm", machine.pole_pairs * speed, machine.limits.bus_v)
+        most = functions.number("torque_limit_nm", machine.pole_pairs * speed, machine.limits.bus_v, math.nan)
         gain = 2.0 * bandwidth * machine.inertia_kg_m2
         wanted = gain * (target - speed) + integral
         if abs(wanted) < most:
