@@ -65,6 +65,14 @@ class TuningReport(Strict):
     """Effects of the model that it does not, with the reason."""
     lost_v: float
     """Voltage of a leg that the inverter loses at the largest current, at this bus voltage [V]."""
+    constant_inductance_error_percent: float
+    """Torque error of references from constant inductances, rms over the largest torque."""
+    low_speed_rpm: float
+    """Speed at which the harmonics are simulated."""
+    harmonics_percent: float
+    """5th and 7th harmonic of the phase current over the fundamental, with the compensation at its 95 % edge."""
+    harmonics_without_percent: float
+    """The same without compensation."""
     injection_works_percent: Number
     """Part of the measured plane within the current limit where a tracking by injection works."""
     injection_error_deg: Number
@@ -117,6 +125,10 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         compensated=compensation.sources,
         left_out={one.name: one.reason for one in compensation.left_out},
         lost_v=float(lost.max(initial=0.0)),
+        constant_inductance_error_percent=tuning.benefits.torque_error_percent,
+        low_speed_rpm=tuning.rpm(tuning.benefits.speed_rad_s),
+        harmonics_percent=tuning.benefits.harmonics_percent,
+        harmonics_without_percent=tuning.benefits.harmonics_without_percent,
         injection_works_percent=100.0 * float(works.sum()) / float(inside.sum()) if inside.any() else None,
         injection_error_deg=math.degrees(float(error.max())) if error.size else None,
         injection_left_by_map_deg=_finite(math.degrees(sensorless.left_by_map_rad)),
