@@ -13,8 +13,8 @@ from orchestrator.analysis import COPPER_PER_K
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, loop_gains
-from orchestrator.tuning.limits import DriveLimits
-from orchestrator.tuning.references import VOLTAGE_RESERVE, CurrentReferences
+from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
+from orchestrator.tuning.references import CurrentReferences
 from protocols import InputError, Motor
 
 WHERE = "C code"

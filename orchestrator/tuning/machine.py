@@ -102,10 +102,12 @@ class Machine:
 
     @cached_property
     def _filled(self) -> dict[str, Array]:
-        """Tables of standard deviations without holes."""
+        """Tables of standard deviations without holes; raises `InputError` where one is infinite."""
         found = {}
         for name in ("psi_d_std", "psi_q_std", "l_dd_std", "l_dq_std", "l_qq_std"):
             table = np.asarray(getattr(self.flux_map, name), dtype=np.float64)
+            if np.isinf(table).any():
+                raise InputError(WHERE, name, "a standard deviation is infinite: nothing is known there")
             if np.isfinite(table).sum() >= 3:
                 filled = fill_smoothly(self.surface.i_d, self.surface.i_q, table, name)
                 found[name] = np.clip(filled, 0.0, float(np.nanmax(table)))

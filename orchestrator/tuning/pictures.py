@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orchestrator.formatting.colours import MODEL, Q_AXIS, VERMILION
+from orchestrator.formatting.colours import BLUE, MODEL, Q_AXIS, VERMILION
 from orchestrator.formatting.drawing import CURRENT_LABELS, STYLE, bare, empty_figure, name_axes
 from orchestrator.tuning.drive_tuning import DriveTuning
 
@@ -91,7 +91,7 @@ def _injection(figure: Figure, axes: Axes, tuning: DriveTuning) -> None:
 
 def _torque_error(axes: Axes, tuning: DriveTuning) -> None:
     held = tuning.benefits
-    axes.plot(held.wanted_nm, held.by_constants_nm, ":", color=VERMILION, lw=1.4, label="constant inductances")
+    axes.plot(held.wanted_nm, held.by_constants_nm, ":", color=BLUE, lw=1.4, label="constant inductances")
     axes.plot(held.wanted_nm, held.by_map_nm, color=MODEL, lw=1.6, label="flux map")
     axes.set_title("torque by its references", fontsize=STYLE.normal_pt)
     name_axes(axes, "wanted [Nm]", "reached [Nm]")
@@ -101,8 +101,8 @@ def _torque_error(axes: Axes, tuning: DriveTuning) -> None:
 def _wave(axes: Axes, tuning: DriveTuning) -> None:
     held = tuning.benefits
     turn = np.degrees(held.angle_rad)
-    axes.plot(turn, held.wave_without_a, ":", color=VERMILION, lw=1.4, label="without compensation")
+    axes.plot(turn, held.wave_without_a, ":", color=BLUE, lw=1.4, label="without compensation")
     axes.plot(turn, held.wave_a, color=MODEL, lw=1.6, label="with compensation")
     axes.set_title(f"phase current at {tuning.rpm(held.speed_rad_s):.0f}/min, simulated", fontsize=STYLE.normal_pt)
     name_axes(axes, "electrical angle [°]", "[A]")
-    axes.legend(fontsize=0.8 * STYLE.small_pt, loc="lower left")
+    axes.legend(fontsize=0.8 * STYLE.small_pt, loc="upper left")

@@ -16,12 +16,12 @@ import numpy as np
 
 from orchestrator.formatting.quantities import quantity
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.limits import DriveLimits
+from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from orchestrator.tuning.machine import Machine
 from protocols import InputError
 
-VOLTAGE_RESERVE: float = 0.05
-"""Part of the voltage that the references leave to the current control and to errors of the map."""
+MIN_TORQUE_RATIO = 1e-4
+"""Largest torque over that of the largest flux across the largest current, below which a machine gives none."""
 FLUX_NODES = 17
 TORQUE_NODES = 33
 RADII = 49
@@ -91,12 +91,13 @@ def current_references(machine: Machine, limits: DriveLimits) -> CurrentReferenc
     Raises
     ------
     InputError
-        Where no point of the map within the current limit gives torque.
+        Where no point of the map within the current limit gives torque, or the map has holes there.
     """
     free = _Circles(machine, np.array([np.inf]), limits.current_a)
     _, _, psi_free, torque = free.best()
-    if not np.nanmax(torque) > 0.0:
-        text = f"no measured point within {quantity(limits.current_a, 'A')} peak gives torque"
+    full = 1.5 * machine.pole_pairs * float(np.abs(machine.surface.fluxes).max()) * limits.current_a
+    if not np.where(np.isfinite(torque), torque, 0.0).max() > MIN_TORQUE_RATIO * full:
+        text = f"no measured point within {quantity(limits.current_a, 'A')} peak gives torque, by magnet or saliency"
         raise InputError("flux map", "i_q", text)
     largest = float(np.linalg.norm(psi_free[0, : int(np.nanargmax(torque[0])) + 1], axis=-1).max())
     least = free.least_flux()
@@ -104,7 +105,13 @@ def current_references(machine: Machine, limits: DriveLimits) -> CurrentReferenc
     reaches = wanted >= least
     first = min(max(wanted, least), (1.0 - VOLTAGE_RESERVE) * largest)
     levels = np.linspace(first, largest, FLUX_NODES)
-    return _tables(_Circles(machine, levels, limits.current_a), levels, reaches)
+    references = _tables(_Circles(machine, levels, limits.current_a), levels, reaches)
+    holes = int((~np.isfinite(references.i_dq_a).all(axis=-1)).sum())
+    if holes:
+        points = references.i_dq_a.size // 2
+        text = f"{holes} of {points} references have no measured point: the map has holes, or lacks currents near zero"
+        raise InputError("flux map", "i_d, i_q", text)
+    return references
 
 
 def _tables(circles: _Circles, levels: Array, reaches: bool) -> CurrentReferences:

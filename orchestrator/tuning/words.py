@@ -7,7 +7,7 @@ from orchestrator.formatting.quantities import number, quantity
 from orchestrator.formatting.sentences import listed
 from orchestrator.tuning.tuning_report import TuningReport
 
-LEAST_HARMONICS_PERCENT = 0.1
+LEAST_HARMONICS_PERCENT = 0.01
 """Harmonics over the fundamental that are worth a line."""
 
 

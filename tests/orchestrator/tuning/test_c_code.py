@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.references import VOLTAGE_RESERVE, flux_limit
+from orchestrator.tuning.limits import VOLTAGE_RESERVE
+from orchestrator.tuning.references import flux_limit
 from protocols import InputError
 from tests.orchestrator.tuning.closed_loop import STRICT, Plant, compiler, library_of, run
 from tests.orchestrator.tuning.cortex_m4 import CortexM4

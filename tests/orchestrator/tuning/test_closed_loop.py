@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.current_control import open_loop_at, phase_margin, phase_margin_at
-from orchestrator.tuning.limits import DriveLimits
-from orchestrator.tuning.references import VOLTAGE_RESERVE
+from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from tests.orchestrator.tuning.closed_loop import Loop, Plant
 from tests.orchestrator.tuning.functions import HostFunctions
 from tests.orchestrator.tuning.tables import LIMITS, Tables, exact_compensation, tables_of
