@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
@@ -10,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.analysis import COPPER_PER_K
 from orchestrator.extras import require
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.compensation import Compensation
-from orchestrator.tuning.current_control import CurrentControl
-from orchestrator.tuning.limits import DriveLimits
-from orchestrator.tuning.references import VOLTAGE_RESERVE, CurrentReferences
+from orchestrator.tuning.current_control import CurrentControl, loop_gains
+from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
+from orchestrator.tuning.references import CurrentReferences
 from protocols import InputError, Motor
 
 WHERE = "C code"
@@ -67,12 +67,14 @@ def _values(
     compensation: Compensation,
     limits: DriveLimits,
 ) -> dict[str, Any]:
-    gain, observer = _gains(control, 1.0 / limits.sampling_hz)
+    gain, observer = loop_gains(control.bandwidth_rad_s, control.integral_rad_s, control.period_s)
     scalars = {
         "pole_pairs": motor.pole_pairs,
         "r_s_ohm": control.r_s_ohm,
+        "r_s_at_c": control.winding_c,
+        "r_s_per_k": 1.0 / (1.0 / COPPER_PER_K + control.winding_c - 20.0),
         "current_a": limits.current_a,
-        "period_s": 1.0 / limits.sampling_hz,
+        "period_s": control.period_s,
         "delay_s": control.delay_s,
         "current_delay_s": compensation.current_delay_s,
         "bandwidth_rad_s": control.bandwidth_rad_s,
@@ -115,35 +117,17 @@ def _tables(references: CurrentReferences, control: CurrentControl, compensation
             limit | {"SHARE": references.share},
             references.i_dq_a,
         ),
-        "lost_table": _Table("voltage lost in a leg [V] over |i| [A]", {"PHASE": phase}, lost),
-        "lost_per_bus_table": _Table("the part per volt of the bus [1] over |i| [A]", {"PHASE": phase}, per_bus),
+        "lost_table": _Table(
+            "voltage lost in a leg [V] and its part per volt of the bus [1] over |i| [A]",
+            {"PHASE": phase},
+            np.stack([lost, per_bus], axis=-1),
+        ),
     }
     for name, table in tables.items():
         _require_finite(name, table.values)
         for axis, nodes in table.axes.items():
             _require_even(axis.lower(), nodes)
     return tables
-
-
-def _gains(control: CurrentControl, period_s: float) -> tuple[float, float]:
-    """Gain K and bandwidth B of the observer [rad/s].
-
-    They solve K + B = bandwidth (1 + B period) and K B = bandwidth x integral (1 + B period): the observer learns a
-    voltage one period late, which takes the loop's gain by the factor in brackets.
-
-    Raises
-    ------
-    InputError
-        Where the integral part is too fast for the bandwidth, so that no real ones exist.
-    """
-    bandwidth, integral = control.bandwidth_rad_s, control.integral_rad_s
-    linear, product = bandwidth * (1.0 - integral * period_s), bandwidth * integral
-    square = linear**2 - 4.0 * (1.0 - bandwidth * period_s) * product
-    if not (square >= 0.0 and linear > 0.0):
-        text = f"{integral:g} rad/s is too fast for a bandwidth of {bandwidth:g} rad/s; a quarter of it is the most"
-        raise InputError(WHERE, "integral_rad_s", text)
-    observer = 2.0 * product / (linear + math.sqrt(square))
-    return bandwidth * (1.0 + observer * period_s) - observer, observer
 
 
 def _positive_half(compensation: Compensation) -> tuple[Array, Array, Array]:

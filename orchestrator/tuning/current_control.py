@@ -8,6 +8,7 @@ integrator, and with R_s i and j omega psi fed forward the open loop is
 
 T_d the delay from sampling to the mean of the voltage. Its phase margin is pi/2 - alpha T_d where the map is right; a
 map that is wrong by a factor moves the crossover by that factor (L. Harnefors, H.-P. Nee, doi:10.1109/28.658735).
+At a speed j omega psi is fed back through the same delay, which takes from the margin (`phase_margin_at`).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.limits import DriveLimits
@@ -25,7 +27,7 @@ from protocols import InputError
 PHASE_MARGIN_RAD: float = math.radians(60.0)
 """Phase margin over the whole 95 % band; 60 degrees keep the overshoot of a step below 5 %."""
 MIN_PHASE_MARGIN_RAD: float = math.radians(30.0)
-"""Phase margin below which no controller is written."""
+"""Phase margin at the largest speed below which there is a remark: a step then overshoots by more than a third."""
 DELAY_SAMPLES: float = 1.5
 """One period for computing, half of one for the mean of the voltage (a zero-order hold)."""
 INTEGRAL_RATIO: float = 0.1
@@ -34,9 +36,11 @@ leaves within ten time constants."""
 STANDARD_DEVIATIONS: float = 1.96
 """Half a 95 % interval."""
 FLUX_NODES = 25
-INDUCTANCE_NODES = 13
+INDUCTANCE_NODES = 11
 PLANE_NODES = 41
 """Currents along each axis at which the margin is examined."""
+FREQUENCIES = 2000
+"""Frequencies of either sign at which the loop's gain is searched for crossings of one, a third of a per cent apart."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,13 @@ class CurrentControl:
     integral_rad_s : float
         Bandwidth of the integral part.
     phase_margin_deg, least_phase_margin_deg : float
-        With the map as it is, and least over its 95 % band.
-    r_s_ohm : float
+        At standstill with the map as it is, and least over its 95 % band.
+    model_factor : float
+        Largest factor of the loop's gain over that band.
+    period_s : float
+        Of sampling.
+    r_s_ohm, winding_c : float
+        Resistance of a phase, and the temperature of the winding at which it holds [°C].
     """
 
     i_d_a: Array
@@ -74,7 +83,10 @@ class CurrentControl:
     integral_rad_s: float
     phase_margin_deg: float
     least_phase_margin_deg: float
+    model_factor: float
+    period_s: float
     r_s_ohm: float
+    winding_c: float
 
 
 def current_control(machine: Machine, limits: DriveLimits, extra_delay_s: float = 0.0) -> CurrentControl:
@@ -112,7 +124,10 @@ def current_control(machine: Machine, limits: DriveLimits, extra_delay_s: float 
         integral_rad_s=INTEGRAL_RATIO * alpha,
         phase_margin_deg=math.degrees(phase_margin(alpha, delay)),
         least_phase_margin_deg=math.degrees(phase_margin(alpha, delay, factor)),
+        model_factor=factor,
+        period_s=1.0 / limits.sampling_hz,
         r_s_ohm=machine.r_s_ohm,
+        winding_c=machine.winding_c,
     )
 
 
@@ -132,6 +147,62 @@ def phase_margin(bandwidth_rad_s: float, delay_s: float, factor: float = 1.0) ->
     # |F| = gain sqrt(w^2 + corner^2) / w^2 = 1.
     crossover = math.sqrt(0.5 * (gain**2 + math.sqrt(gain**4 + 4.0 * (gain * corner) ** 2)))
     return 0.5 * math.pi - math.atan(corner / crossover) - crossover * delay_s
+
+
+def loop_gains(bandwidth_rad_s: float, integral_rad_s: float, period_s: float) -> tuple[float, float]:
+    """Gain K of the flux error and bandwidth B of the observer that is the integral part [rad/s].
+
+    They solve K + B = bandwidth (1 + B period) and K B = bandwidth x integral (1 + B period): the observer learns a
+    voltage one period late, which takes the loop's gain by the factor in brackets.
+
+    Raises
+    ------
+    InputError
+        Where the integral part is too fast for the bandwidth, so that no real ones exist.
+    """
+    linear, product = bandwidth_rad_s * (1.0 - integral_rad_s * period_s), bandwidth_rad_s * integral_rad_s
+    square = linear**2 - 4.0 * (1.0 - bandwidth_rad_s * period_s) * product
+    if not (square >= 0.0 and linear > 0.0):
+        text = f"{integral_rad_s:g} rad/s is too fast for a bandwidth of {bandwidth_rad_s:g} rad/s; at most a quarter"
+        raise InputError("current control", "integral_rad_s", text)
+    observer = 2.0 * product / (linear + math.sqrt(square))
+    return bandwidth_rad_s * (1.0 + observer * period_s) - observer, observer
+
+
+def open_loop_at(control: CurrentControl, frequency_rad_s: Array, speed_rad_s: float) -> NDArray[np.complex128]:
+    """Response of the sampled loop at an electrical speed, for frequencies of either sign in the rotor's frame.
+
+    With w the speed, T the period and the resistance neglected, the machine is psi[k+1] = exp(-j w T) psi[k] +
+    T exp(-j w T / 2) v[k-1]. The controller is v = -C psi with its observer's equations put in, of which the C code's
+    comments have the terms. A delay beyond 1.5 T is a factor.
+    """
+    period, turn = control.period_s, 0.5j * speed_rad_s * control.period_s
+    gain, observer = loop_gains(control.bandwidth_rad_s, control.integral_rad_s, period)
+    z = np.exp(1j * frequency_rad_s * period)
+    share, c, g = observer / (1.0 - 1.0 / z), (1.0 - turn) / (1.0 + turn), period / (1.0 + turn)
+    scale = 1.0 + g * share / z
+    expected_of_psi, expected_of_v = (c + g * share) / scale, g / z / scale
+    lost_of_psi, lost_of_v = share * (expected_of_psi / z - 1.0), share * expected_of_v / z
+    proportional = gain * (1.0 + 1j * speed_rad_s * (control.delay_s - period))
+    controller = (proportional - 1j * speed_rad_s * expected_of_psi - lost_of_psi) / (
+        1.0 - 1j * speed_rad_s * expected_of_v - lost_of_v
+    )
+    further = np.exp(-1j * frequency_rad_s * (control.delay_s - DELAY_SAMPLES * period))
+    response: NDArray[np.complex128] = controller * period * np.exp(-turn) / z / (z - np.exp(-2.0 * turn)) * further
+    return response
+
+
+def phase_margin_at(control: CurrentControl, speed_rad_s: float) -> float:
+    """Least phase margin at an electrical speed over the map's 95 % band [rad]; of all crossings, of either sign."""
+    highest = math.pi / control.period_s
+    positive = np.geomspace(1e-3 * highest, 0.999 * highest, FREQUENCIES)
+    margins = []
+    for frequency in (positive, -positive):
+        response = open_loop_at(control, frequency, speed_rad_s)
+        for factor in (1.0, control.model_factor):
+            above = factor * np.abs(response) > 1.0
+            margins.append(np.abs(np.angle(-response[1:]))[above[1:] != above[:-1]])
+    return float(np.concatenate(margins).min())
 
 
 def _bandwidth(delay_s: float, factor: float) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 
 from orchestrator.flux_maps import USES, audit_map
 from orchestrator.numerics.types import Array
+from orchestrator.tuning.benefits import Benefits, benefits_of
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, current_control
 from orchestrator.tuning.limits import DriveLimits
@@ -47,6 +48,10 @@ class DriveTuning:
         torque = np.interp(psi, self.references.psi_limit_wb, self.references.torque_limit_nm)
         reachable = psi >= self.references.psi_limit_wb[0] * (1.0 - 1e-9)
         return np.where(reachable, torque, 0.0)
+
+    @cached_property
+    def benefits(self) -> Benefits:
+        return benefits_of(self.machine, self.limits, self.references, self.control, self.compensation)
 
     @property
     def largest_torque_nm(self) -> float:

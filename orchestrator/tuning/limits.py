@@ -13,8 +13,8 @@ WHERE = "limits"
 MIN_SAMPLES_PER_TURN: float = 10.0
 """Samples in an electrical turn at the largest speed, below which a current control per period is not designed: its
 delay of 1.5 samples would turn the voltage by 54 degrees."""
-
-
+VOLTAGE_RESERVE: float = 0.05
+"""Part of the voltage that the references leave to the current control and to errors of the map."""
 PLAUSIBLE: dict[str, tuple[float, float]] = {
     "bus_v": (1.0, 1e5),
     "speed_rpm": (1.0, 1e6),
@@ -102,8 +102,9 @@ def limits_of(
     sampling = sampling_hz or (drive.pwm_frequency_hz if drive is not None else None)
     if sampling is None:
         raise InputError(WHERE, "sampling_hz", "unknown; give the frequency of the current control (--sampling-hz)")
-    if machine.r_s_ohm * current >= bus / math.sqrt(3.0):
-        drop, most = quantity(machine.r_s_ohm * current, "V"), quantity(bus / math.sqrt(3.0), "V")
+    usable = (1.0 - VOLTAGE_RESERVE) * bus / math.sqrt(3.0)
+    if machine.r_s_ohm * current >= usable:
+        drop, most = quantity(machine.r_s_ohm * current, "V"), quantity(usable, "V")
         raise InputError(WHERE, "bus_v", f"R_s alone takes {drop} of the {most} that the bus allows")
     speed = _largest_speed(machine, speed_rpm, bus)
     fastest = 2.0 * math.pi * sampling / MIN_SAMPLES_PER_TURN

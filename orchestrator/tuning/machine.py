@@ -12,6 +12,8 @@ from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap, InputError, Motor
 
 WHERE = "flux map"
+ROOM_C = 20.0
+"""Temperature to which data sheets state resistances, for a winding of unknown temperature [°C]."""
 MIN_MOTORING_SHARE = 1e-6
 """Part of the largest current that i_q has to reach in the map: only rounding stays below it."""
 
@@ -28,12 +30,15 @@ class Machine:
     flux_map : FluxMap
     r_s_ohm, r_s_std_ohm : float
         Resistance of a phase and its standard deviation [ohm].
+    winding_c : float
+        Temperature of the winding at which the resistance holds [°C].
     """
 
     motor: Motor
     flux_map: FluxMap
     r_s_ohm: float
     r_s_std_ohm: float
+    winding_c: float = ROOM_C
 
     def __post_init__(self) -> None:
         if not self.r_s_ohm > 0.0:
@@ -97,10 +102,12 @@ class Machine:
 
     @cached_property
     def _filled(self) -> dict[str, Array]:
-        """Tables of standard deviations without holes."""
+        """Tables of standard deviations without holes; raises `InputError` where one is infinite."""
         found = {}
         for name in ("psi_d_std", "psi_q_std", "l_dd_std", "l_dq_std", "l_qq_std"):
             table = np.asarray(getattr(self.flux_map, name), dtype=np.float64)
+            if np.isinf(table).any():
+                raise InputError(WHERE, name, "a standard deviation is infinite: nothing is known there")
             if np.isfinite(table).sum() >= 3:
                 filled = fill_smoothly(self.surface.i_d, self.surface.i_q, table, name)
                 found[name] = np.clip(filled, 0.0, float(np.nanmax(table)))

@@ -1,4 +1,5 @@
-"""The picture of a tuning: torque over speed, references in the current plane, inverter's loss, injection's error."""
+"""The picture of a tuning: torque over speed, references in the current plane, inverter's loss, injection's error,
+and what the tuning changes."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orchestrator.formatting.colours import MODEL, Q_AXIS, VERMILION
+from orchestrator.formatting.colours import BLUE, MODEL, Q_AXIS, VERMILION
 from orchestrator.formatting.drawing import CURRENT_LABELS, STYLE, bare, empty_figure, name_axes
 from orchestrator.tuning.drive_tuning import DriveTuning
 
@@ -25,13 +26,15 @@ def tuning_picture(tuning: DriveTuning) -> bytes:
 
 
 def figure_of(tuning: DriveTuning) -> Figure:
-    """The figure, four axes."""
-    figure = empty_figure(2.0 * STYLE.width_in, 2.0 * STYLE.height_in)
-    axes = figure.subplots(2, 2)
+    """The figure, six axes."""
+    figure = empty_figure(2.0 * STYLE.width_in, 3.0 * STYLE.height_in)
+    axes = figure.subplots(3, 2)
     _torque(bare(axes[0, 0]), tuning)
     _references(bare(axes[0, 1]), tuning)
     _loss(bare(axes[1, 0]), tuning)
     _injection(figure, bare(axes[1, 1]), tuning)
+    _torque_error(bare(axes[2, 0]), tuning)
+    _wave(bare(axes[2, 1]), tuning)
     return figure
 
 
@@ -84,3 +87,22 @@ def _injection(figure: Figure, axes: Axes, tuning: DriveTuning) -> None:
         axes.legend(fontsize=0.8 * STYLE.small_pt, loc="lower right")
     axes.set_title("position error of injection [°]", fontsize=STYLE.normal_pt)
     name_axes(axes, CURRENT_LABELS["d"], CURRENT_LABELS["q"])
+
+
+def _torque_error(axes: Axes, tuning: DriveTuning) -> None:
+    held = tuning.benefits
+    axes.plot(held.wanted_nm, held.by_constants_nm, ":", color=BLUE, lw=1.4, label="constant inductances")
+    axes.plot(held.wanted_nm, held.by_map_nm, color=MODEL, lw=1.6, label="flux map")
+    axes.set_title("torque by its references", fontsize=STYLE.normal_pt)
+    name_axes(axes, "wanted [Nm]", "reached [Nm]")
+    axes.legend(fontsize=0.8 * STYLE.small_pt, loc="upper left")
+
+
+def _wave(axes: Axes, tuning: DriveTuning) -> None:
+    held = tuning.benefits
+    turn = np.degrees(held.angle_rad)
+    axes.plot(turn, held.wave_without_a, ":", color=BLUE, lw=1.4, label="without compensation")
+    axes.plot(turn, held.wave_a, color=MODEL, lw=1.6, label="with compensation")
+    axes.set_title(f"phase current at {tuning.rpm(held.speed_rad_s):.0f}/min, simulated", fontsize=STYLE.normal_pt)
+    name_axes(axes, "electrical angle [°]", "[A]")
+    axes.legend(fontsize=0.8 * STYLE.small_pt, loc="upper left")

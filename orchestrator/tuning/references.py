@@ -16,18 +16,20 @@ import numpy as np
 
 from orchestrator.formatting.quantities import quantity
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.limits import DriveLimits
+from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from orchestrator.tuning.machine import Machine
 from protocols import InputError
 
-VOLTAGE_RESERVE: float = 0.05
-"""Part of the voltage that the references leave to the current control and to errors of the map."""
+MIN_TORQUE_RATIO = 1e-4
+"""Largest torque over that of the largest flux across the largest current, below which a machine gives none."""
 FLUX_NODES = 17
 TORQUE_NODES = 33
 RADII = 49
 """Magnitudes of the current at which the torque is maximised, for each flux limit."""
 ANGLES = 181
 """Directions of the first scan over half a circle."""
+NEAR_ANGLES = 41
+"""Directions of a scan around a point that is near: 20 degrees to either side."""
 ZOOMS = 9
 """Rounds that each divide the step of the direction by four: 1 degree becomes 4e-6."""
 RADIUS_STEPS = 8
@@ -89,12 +91,13 @@ def current_references(machine: Machine, limits: DriveLimits) -> CurrentReferenc
     Raises
     ------
     InputError
-        Where no point of the map within the current limit gives torque.
+        Where no point of the map within the current limit gives torque, or the map has holes there.
     """
     free = _Circles(machine, np.array([np.inf]), limits.current_a)
     _, _, psi_free, torque = free.best()
-    if not np.nanmax(torque) > 0.0:
-        text = f"no measured point within {quantity(limits.current_a, 'A')} peak gives torque"
+    full = 1.5 * machine.pole_pairs * float(np.abs(machine.surface.fluxes).max()) * limits.current_a
+    if not np.where(np.isfinite(torque), torque, 0.0).max() > MIN_TORQUE_RATIO * full:
+        text = f"no measured point within {quantity(limits.current_a, 'A')} peak gives torque, by magnet or saliency"
         raise InputError("flux map", "i_q", text)
     largest = float(np.linalg.norm(psi_free[0, : int(np.nanargmax(torque[0])) + 1], axis=-1).max())
     least = free.least_flux()
@@ -102,7 +105,13 @@ def current_references(machine: Machine, limits: DriveLimits) -> CurrentReferenc
     reaches = wanted >= least
     first = min(max(wanted, least), (1.0 - VOLTAGE_RESERVE) * largest)
     levels = np.linspace(first, largest, FLUX_NODES)
-    return _tables(_Circles(machine, levels, limits.current_a), levels, reaches)
+    references = _tables(_Circles(machine, levels, limits.current_a), levels, reaches)
+    holes = int((~np.isfinite(references.i_dq_a).all(axis=-1)).sum())
+    if holes:
+        points = references.i_dq_a.size // 2
+        text = f"{holes} of {points} references have no measured point: the map has holes, or lacks currents near zero"
+        raise InputError("flux map", "i_d, i_q", text)
+    return references
 
 
 def _tables(circles: _Circles, levels: Array, reaches: bool) -> CurrentReferences:
@@ -154,11 +163,19 @@ class _Circles:
         radii = np.stack([r + (self.current_a - r) * np.linspace(0.0, 1.0, RADII) ** 2 for r in first])
         return radii, *self.at(radii, np.broadcast_to(self.levels[:, None], radii.shape))
 
-    def at(self, radii: Array, levels: Array) -> tuple[Array, Array, Array]:
-        """Currents, fluxes (..., 2) and torques (...) of greatest torque on circles, by a scan and zooms."""
+    def at(self, radii: Array, levels: Array, near: Array | None = None) -> tuple[Array, Array, Array]:
+        """Currents, fluxes (..., 2) and torques (...) of greatest torque on circles, by a scan and zooms.
+
+        The scan goes over half the circle, or where there are currents `near` (..., 2) around their directions.
+        """
         r, limit = radii.reshape(-1), levels.reshape(-1) * (1.0 + 1e-9)
         rows, step = np.arange(len(r)), math.pi / (ANGLES - 1)
-        angles = np.tile(np.linspace(0.0, math.pi, ANGLES), (len(r), 1))
+        if near is None:
+            angles = np.tile(np.linspace(0.0, math.pi, ANGLES), (len(r), 1))
+        else:
+            i_d, i_q = near.reshape(-1, 2).T
+            around = np.arctan2(i_q, i_d)[:, None] + step * (np.arange(NEAR_ANGLES) - NEAR_ANGLES // 2)
+            angles = np.clip(around, 0.0, math.pi)
         for zoom in range(ZOOMS + 1):
             i_dq = r[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
             flat = i_dq.reshape(-1, 2)
@@ -181,7 +198,7 @@ class _Circles:
         r_old, r = start_a, np.clip(start_a * (1.0 + 1e-4) + 1e-9, low_a, high_a)
         i_dq, _, old = self.at(r_old, levels)
         for _ in range(RADIUS_STEPS):
-            i_new, _, new = self.at(r, levels)
+            i_new, _, new = self.at(r, levels, near=i_dq)
             closer = np.abs(new - torque_nm) <= np.abs(np.where(np.isfinite(old), old, np.inf) - torque_nm)
             i_dq = np.where(closer[..., None] & np.isfinite(i_new), i_new, i_dq)
             slope = new - old

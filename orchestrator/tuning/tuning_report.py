@@ -15,10 +15,14 @@ from orchestrator.formatting.names import code_identifier
 from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
 from orchestrator.tuning.c_code import c_files
+from orchestrator.tuning.current_control import MIN_PHASE_MARGIN_RAD, phase_margin_at
 from orchestrator.tuning.drive_tuning import DriveTuning
 from orchestrator.tuning.firmware_settings import settings_for_firmware
 from orchestrator.tuning.pictures import tuning_picture
 from protocols import Number, RecordingError, Remark, StorageError, Strict
+
+MARGIN_SPEEDS = 11
+"""Speeds at which the phase margin is stated."""
 
 
 class TuningReport(Strict):
@@ -42,6 +46,17 @@ class TuningReport(Strict):
     """At standstill; the fed-back j omega psi takes from it with speed."""
     least_phase_margin_deg: float
     """The same over the map's 95 % band."""
+    margin_speeds_rpm: tuple[float, ...]
+    """Speeds from standstill to the largest one."""
+    margins_deg: tuple[float, ...]
+    """Least phase margin over the map's 95 % band at each of them."""
+    integral_hz: float
+    """Bandwidth of the integral part."""
+    integral_limit_v: float
+    """Length to which the integral part is limited; it observes the voltage that was given, and does not wind up."""
+    r_s_ohm: float
+    r_s_at_c: float
+    """Resistance of a phase, and the winding's temperature at which it holds; 20 °C where that is not known."""
     delay_s: float
     """From sampling to the mean of the voltage."""
     compensated: tuple[str, ...]
@@ -50,6 +65,14 @@ class TuningReport(Strict):
     """Effects of the model that it does not, with the reason."""
     lost_v: float
     """Voltage of a leg that the inverter loses at the largest current, at this bus voltage [V]."""
+    constant_inductance_error_percent: float
+    """Torque error of references from constant inductances, rms over the largest torque."""
+    low_speed_rpm: float
+    """Speed at which the harmonics are simulated."""
+    harmonics_percent: float
+    """5th and 7th harmonic of the phase current over the fundamental, with the compensation at its 95 % edge."""
+    harmonics_without_percent: float
+    """The same without compensation."""
     injection_works_percent: Number
     """Part of the measured plane within the current limit where a tracking by injection works."""
     injection_error_deg: Number
@@ -74,6 +97,7 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
     inside &= np.linalg.norm(plane, axis=-1) <= limits.current_a
     works = sensorless.works & inside
     error = np.abs(sensorless.injection_error_rad[works])
+    speeds = np.linspace(0.0, tuning.largest_speed_rad_s, MARGIN_SPEEDS).tolist()
     lost = np.abs(compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v)
     return TuningReport(
         motor=tuning.machine.motor.name,
@@ -91,10 +115,20 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         bandwidth_hz=control.bandwidth_rad_s / (2.0 * math.pi),
         phase_margin_deg=control.phase_margin_deg,
         least_phase_margin_deg=control.least_phase_margin_deg,
+        margin_speeds_rpm=tuple(tuning.rpm(speed) for speed in speeds),
+        margins_deg=tuple(math.degrees(phase_margin_at(control, speed)) for speed in speeds),
+        integral_hz=control.integral_rad_s / (2.0 * math.pi),
+        integral_limit_v=limits.voltage_v,
+        r_s_ohm=control.r_s_ohm,
+        r_s_at_c=control.winding_c,
         delay_s=control.delay_s,
         compensated=compensation.sources,
         left_out={one.name: one.reason for one in compensation.left_out},
         lost_v=float(lost.max(initial=0.0)),
+        constant_inductance_error_percent=tuning.benefits.torque_error_percent,
+        low_speed_rpm=tuning.rpm(tuning.benefits.speed_rad_s),
+        harmonics_percent=tuning.benefits.harmonics_percent,
+        harmonics_without_percent=tuning.benefits.harmonics_without_percent,
         injection_works_percent=100.0 * float(works.sum()) / float(inside.sum()) if inside.any() else None,
         injection_error_deg=math.degrees(float(error.max())) if error.size else None,
         injection_left_by_map_deg=_finite(math.degrees(sensorless.left_by_map_rad)),
@@ -172,6 +206,11 @@ def _remarks(tuning: DriveTuning) -> Iterator[Remark]:
             reached=tuning.rpm(tuning.largest_speed_rad_s),
             wanted=tuning.rpm(limits.speed_rad_s),
         )
+    if phase_margin_at(tuning.control, tuning.largest_speed_rad_s) < MIN_PHASE_MARGIN_RAD:
+        text = (
+            "the phase margin falls below {least:.0f}° with speed; a higher control frequency raises it (--sampling-hz)"
+        )
+        yield Remark.of("small_phase_margin", text, least=math.degrees(MIN_PHASE_MARGIN_RAD))
     rated = machine.motor.rated_current_a
     if rated is not None and limits.current_a < rated * (1.0 - 1e-6):
         text = "the map ends at {current}, below the rated {rated}: the references end there"

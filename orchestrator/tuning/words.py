@@ -7,6 +7,9 @@ from orchestrator.formatting.quantities import number, quantity
 from orchestrator.formatting.sentences import listed
 from orchestrator.tuning.tuning_report import TuningReport
 
+LEAST_HARMONICS_PERCENT = 0.01
+"""Harmonics over the fundamental that are worth a line."""
+
 
 def headline(report: TuningReport) -> str:
     """The motor and the limits."""
@@ -27,8 +30,12 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
             f"{number(report.bandwidth_hz)} Hz, phase margin {report.phase_margin_deg:.0f}° at standstill",
         ),
         ("... over the map's errors", f"at least {report.least_phase_margin_deg:.0f}°"),
+        ("... at the largest speed", f"at least {report.margins_deg[-1]:.0f}°"),
+        ("... its integral part", f"{number(report.integral_hz)} Hz, up to {quantity(report.integral_limit_v, 'V')}"),
         ("compensated", listed([plain(name) for name in report.compensated]) or "nothing"),
         ("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg"),
+        *_harmonics_rows(report),
+        ("constant inductances", f"would give torque off by {number(report.constant_inductance_error_percent)} % rms"),
         *_sensorless_rows(report),
     ]
 
@@ -37,6 +44,15 @@ def notes(report: TuningReport) -> list[str]:
     """The remarks, and the effects that are not compensated with their reasons."""
     left_out = [f"not compensated: {plain(name)}, {reason}" for name, reason in report.left_out.items()]
     return [*(remark.text for remark in report.remarks), *left_out]
+
+
+def _harmonics_rows(report: TuningReport) -> list[tuple[str, str]]:
+    """None where there is nothing to compensate, and little where it is small."""
+    without = report.harmonics_without_percent
+    if without < LEAST_HARMONICS_PERCENT:
+        return []
+    name = f"... 5th and 7th harmonic at {report.low_speed_rpm:.0f}/min"
+    return [(name, f"{number(without)} %, compensated {number(report.harmonics_percent)} %")]
 
 
 def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:

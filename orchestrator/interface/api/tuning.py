@@ -73,9 +73,8 @@ def tune(
         raise InputError(
             str(path), "stator_resistance_ohm", "R_s is unknown: estimate it, or give a motor with it (--motor)"
         )
-    machine = Machine(
-        chosen, flux_map, ohm, std or chosen.stator_resistance_std_ohm or DEFAULT_RESISTANCE_ERROR_RATIO * ohm
-    )
+    std = std or chosen.stator_resistance_std_ohm or DEFAULT_RESISTANCE_ERROR_RATIO * ohm
+    machine = Machine(chosen, flux_map, ohm, std, _winding_c(path))
     drive = None if manifest is None else manifest.drive
     limits = limits_of(machine, drive, current_a=current_a, bus_v=bus_v, speed_rpm=speed_rpm, sampling_hz=sampling_hz)
     compensation = no_compensation(limits.current_a)
@@ -91,6 +90,15 @@ def tune(
     tuning = tune_drive(machine, limits, compensation, _injection_map(path))
     folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "tuning"
     return write_tuning(tuning, folder, recording, remarks)
+
+
+def _winding_c(path: Path) -> float:
+    """Temperature of the winding when a run began [°C]: that of the room; without one, that of data sheets."""
+    from orchestrator.runs import RunDirectory, is_run
+    from orchestrator.tuning.machine import ROOM_C
+
+    ambient = RunDirectory.open(path).record.procedure.about.ambient_c if is_run(path) else None
+    return ROOM_C if ambient is None else ambient
 
 
 def _injection_map(path: Path) -> FluxMap | None:

@@ -23,7 +23,9 @@ def drive_section(material: Material, *, draws: bool) -> dict[str, Any] | None:
     pictures = []
     if draws and image.is_file():
         encoded = base64.b64encode(image.read_bytes()).decode("ascii")
-        caption = "Largest torque over speed; references; the voltage to add to a leg; what injection is off."
+        caption = (
+            "Torque over speed; references; voltage to add to a leg; what injection is off; what the tuning changes."
+        )
         pictures.append(Picture("The drive in pictures", caption, f"data:image/svg+xml;base64,{encoded}"))
     files = [f"tuning/{name}" for name in tuning.files]
     return {

@@ -62,6 +62,7 @@ class Plant:
     injected_v: float = 0.0
     injected_rad_per_sample: float = 0.0
     injected_axis: float = 0.0
+    winding_c: float = 20.0
 
     def psi(self, i_dq: Array) -> Array:
         """Flux linkage [Wb], shape (n, 2), at currents of shape (n, 2)."""
@@ -138,9 +139,9 @@ def library_of(
     return ctypes.CDLL(str(folder / "drive.so"))
 
 
-def run(*words: str, folder: Path) -> str:
+def run(*words: str, folder: Path, environment: Mapping[str, str] | None = None) -> str:
     """A program's output; fails with its errors."""
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -20,6 +20,7 @@ typedef struct {
     double angle_error;             /* believed angle = true - angle_error */
     double inertia, load_nm;        /* no inertia: the speed is imposed */
     double is_compensated, injected_v, injected_rad_per_sample, injected_axis;
+    double winding_c;               /* what the code is told */
 } plant;
 
 enum { I_D, I_Q, TORQUE, OMEGA, V_D, V_Q, REF_D, REF_Q, REPORT, PHASE_A, INJECTED, LENGTH_V, COLUMNS };
@@ -145,7 +146,7 @@ void simulate(const plant *given, int count, const double (*command)[6], double 
         current_of(p, psi, i);
         turn(i, y[2], ab);
         phases_of(ab, abc);
-        const float omega = (float)y[3], v_dc = (float)p->v_dc;
+        const float omega = (float)y[3], v_dc = (float)p->v_dc, r_s = motor_r_s_ohm((float)p->winding_c);
         const double believed = y[2] - p->angle_error;
         const double a = p->gain_a * abc[0] + p->offset_a + p->noise_a * noise(&seed);
         const double b = p->gain_b * abc[1] + p->offset_b + p->noise_a * noise(&seed);
@@ -162,8 +163,8 @@ void simulate(const plant *given, int count, const double (*command)[6], double 
         i_ref[0] = (float)command[n][2];
         i_ref[1] = (float)command[n][3];
         if (command[n][5] > 0.0)
-            report = motor_current_reference_a((float)command[n][0], omega, v_dc, i_ref);
-        const int control_report = motor_current_control_v(&control, i_ref, i_dq, omega, v_dc, v_ref);
+            report = motor_current_reference_a((float)command[n][0], omega, v_dc, r_s, i_ref);
+        const int control_report = motor_current_control_v(&control, i_ref, i_dq, omega, v_dc, r_s, v_ref);
         out[n][I_D] = i[0];
         out[n][I_Q] = i[1];
         out[n][TORQUE] = 1.5 * p->pole_pairs * (psi[0] * i[1] - psi[1] * i[0]);

@@ -11,10 +11,10 @@ import pytest
 from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.current_control import CurrentControl, phase_margin
-from orchestrator.tuning.limits import DriveLimits
-from orchestrator.tuning.references import VOLTAGE_RESERVE
+from orchestrator.tuning.current_control import open_loop_at, phase_margin, phase_margin_at
+from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from tests.orchestrator.tuning.closed_loop import Loop, Plant
+from tests.orchestrator.tuning.functions import HostFunctions
 from tests.orchestrator.tuning.tables import LIMITS, Tables, exact_compensation, tables_of
 
 PLANT = Plant()
@@ -66,8 +66,7 @@ def uncertain() -> Tables:
 
 
 def reached_torque_nm(loop: Loop, speed: float, v_dc: float = PLANT.v_dc) -> float:
-    loop.library.motor_torque_limit_nm.restype = ctypes.c_float
-    return float(loop.library.motor_torque_limit_nm(ctypes.c_float(speed), ctypes.c_float(v_dc)))
+    return HostFunctions(loop.library).number("torque_limit_nm", speed, v_dc, math.nan)
 
 
 def ramp(speed: float, torque_nm: Array) -> Array:
@@ -116,6 +115,22 @@ def test_torque_is_the_one_commanded_over_torque_and_speed(loop: Loop, tables: T
         print(f"{name}: torque {100 * errors[name]:.3f} % rms")
     assert errors["flux map"] <= 0.005
     assert errors["constant L"] > 4.0 * errors["flux map"]
+
+
+def test_a_warm_winding_whose_temperature_is_known_costs_torque_and_keeps_the_voltage_s_reserve(
+    tables: Tables, make: Make
+) -> None:
+    """In field weakening R_s takes from the voltage: references for a cold winding use up the reserve."""
+    cold_ohm, winding_c, speed = 2.0, 140.0, 1500.0
+    loop = make(tables_of(dataclasses.replace(PLANT, r_s=cold_ohm)))
+    warm = dataclasses.replace(PLANT, r_s=cold_ohm * (1.0 + 0.00393 * (winding_c - 20.0)))
+    length = {}
+    for known_c in (20.0, winding_c):
+        end = settled(loop, dataclasses.replace(warm, winding_c=known_c), 9.0, speed)
+        length[known_c] = float(end["length_v"].mean()) / LIMITS.voltage_v
+    print(f"voltage of a warm winding: {length[20.0]:.4f} of the largest, with its temperature {length[winding_c]:.4f}")
+    assert length[20.0] > 1.0 - 0.4 * VOLTAGE_RESERVE
+    assert length[winding_c] == pytest.approx(1.0 - VOLTAGE_RESERVE, abs=0.01)
 
 
 def test_more_torque_than_there_is_gives_the_largest(loop: Loop) -> None:
@@ -215,41 +230,19 @@ def test_phase_margin_at_the_band_s_edge_is_the_one_promised(uncertain: Tables, 
     assert found > least_deg - 2.0
 
 
-def formula_at_speed(control: CurrentControl, frequency: Array, speed: float) -> Complex:
-    """The open loop of the sampled machine without resistance, at frequencies of either sign [rad/s].
-
-    Machine: psi[k+1] = exp(-j w T) psi[k] + T exp(-j w T / 2) v[k-1], w the speed. Controller, with the observer's
-    equations put in: v = -C psi.
-    """
-    period, turn = PLANT.period, 0.5j * speed * PLANT.period
-    observer = control.integral_rad_s / (1.0 - control.integral_rad_s / control.bandwidth_rad_s)
-    for _ in range(20):  # K = bandwidth (1 + B T) - B, K B = bandwidth x integral (1 + B T)
-        more = 1.0 + observer * period
-        gain = control.bandwidth_rad_s * more - observer
-        observer = control.bandwidth_rad_s * control.integral_rad_s * more / gain
-    z = np.exp(1j * frequency * period)
-    share, c, g = observer / (1.0 - 1.0 / z), (1.0 - turn) / (1.0 + turn), period / (1.0 + turn)
-    scale = 1.0 + g * share / z
-    expected_of_psi, expected_of_v = (c + g * share) / scale, g / z / scale
-    lost_of_psi, lost_of_v = share * (expected_of_psi / z - 1.0), share * expected_of_v / z
-    proportional = gain * (1.0 + 1j * speed * (control.delay_s - period))
-    controller = (proportional - 1j * speed * expected_of_psi - lost_of_psi) / (
-        1.0 - 1j * speed * expected_of_v - lost_of_v
-    )
-    response: Complex = controller * period * np.exp(-turn) / z / (z - np.exp(-2.0 * turn))
-    return response
-
-
 @pytest.mark.parametrize("speed", [0.0, 700.0, 1400.0])
 def test_phase_margin_at_speed_is_that_of_its_formula(loop: Loop, tables: Tables, speed: float) -> None:
     frequency, response = open_loop(loop, PLANT, np.array([-5.0, 8.0]), speed, range(15, 85, 10))
+    least = []
     for sign, column in zip((1.0, -1.0), response.T, strict=True):
-        formula = formula_at_speed(tables.control, sign * frequency, speed)
+        formula = open_loop_at(tables.control, sign * frequency, speed)
         expected = margin_deg(frequency, formula if sign > 0.0 else np.conj(formula))
         found = margin_deg(frequency, column)
         print(f"{sign * speed:.0f} rad/s: {found:.1f} degrees, formula {expected:.1f}")
         assert found == pytest.approx(expected, abs=2.0)
-        assert found > 45.0
+        least.append(found)
+    assert min(least) > 45.0
+    assert math.degrees(phase_margin_at(tables.control, speed)) == pytest.approx(min(least), abs=2.0)
 
 
 def compensated(tables: Tables, plant: Plant) -> Tables:

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from orchestrator.tuning.current_control import INTEGRAL_RATIO, PHASE_MARGIN_RAD, current_control, phase_margin
+from orchestrator.tuning.current_control import (
+    INTEGRAL_RATIO,
+    PHASE_MARGIN_RAD,
+    current_control,
+    phase_margin,
+    phase_margin_at,
+)
 from orchestrator.tuning.limits import DriveLimits
 from protocols import InputError
 from tests.orchestrator.tuning.machines import linear, machine, saturated
@@ -36,6 +43,24 @@ def test_a_delay_costs_bandwidth_in_proportion() -> None:
     plain, late = current_control(made, LIMITS), current_control(made, LIMITS, 1.5e-4)
     assert plain.delay_s == pytest.approx(1.5e-4)
     assert late.bandwidth_rad_s == pytest.approx(0.5 * plain.bandwidth_rad_s)
+
+
+def test_the_margin_at_speed_is_that_of_standstill_there_and_falls_with_speed_and_errors() -> None:
+    sure, unsure = (current_control(machine(saturated(), std=std), LIMITS) for std in (0.0, 0.05))
+    for made in (sure, unsure):
+        margins = [math.degrees(phase_margin_at(made, speed)) for speed in (0.0, 500.0, 1500.0, 3000.0)]
+        assert margins[0] == pytest.approx(made.least_phase_margin_deg, abs=1.0)
+        assert margins == sorted(margins, reverse=True)
+        assert margins[-1] < margins[0] - 10.0
+    same_gains = dataclasses.replace(sure, model_factor=1.1)
+    assert phase_margin_at(same_gains, 1500.0) < phase_margin_at(sure, 1500.0)
+
+
+def test_a_filter_s_delay_takes_from_the_margin_at_speed_in_proportion_to_the_crossover() -> None:
+    control = current_control(machine(saturated()), LIMITS)
+    later = dataclasses.replace(control, delay_s=control.delay_s + 2e-5)
+    lost = phase_margin_at(control, 0.0) - phase_margin_at(later, 0.0)
+    assert lost == pytest.approx(2e-5 * control.bandwidth_rad_s, rel=0.03)
 
 
 def test_flux_and_inductance_tables_are_the_map_s() -> None:

@@ -32,6 +32,7 @@ def test_what_is_given_comes_first() -> None:
     [
         ({"current_a": 9.0}, "beyond the map"),
         ({"bus_v": 1.0}, "R_s alone takes"),
+        ({"bus_v": 5.0}, "R_s alone takes 2.83 V of the 2.74 V"),
         ({"speed_rpm": -3.0}, "expected a positive number"),
         ({"speed_rpm": math.nan}, "expected a positive number"),
         ({"speed_rpm": 9e5}, "samples in an electrical turn"),

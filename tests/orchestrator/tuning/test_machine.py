@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -35,3 +37,12 @@ def test_errors_of_the_map_come_with_it() -> None:
 def test_a_resistance_of_zero_is_refused() -> None:
     with pytest.raises(InputError, match="expected a positive resistance"):
         machine(linear(0.04, 0.07, 0.3), r_s_ohm=0.0)
+
+
+def test_an_infinite_error_is_refused() -> None:
+    made = machine(linear(0.04, 0.07, 0.3), std=0.01)
+    unknown = dataclasses.replace(
+        made, flux_map=made.flux_map.model_copy(update={"l_dd_std": np.full((25, 25), np.inf)})
+    )
+    with pytest.raises(InputError, match="l_dd_std: a standard deviation is infinite"):
+        unknown.inductance_std(np.zeros((1, 2)))

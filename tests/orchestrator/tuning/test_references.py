@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from orchestrator.tuning.limits import DriveLimits
 from orchestrator.tuning.machine import Machine
 from orchestrator.tuning.references import CurrentReferences, current_references, flux_limit
+from protocols import InputError
 from tests.orchestrator.tuning.machines import linear, machine, saturated
 
 LIMITS = DriveLimits(current_a=2.8, bus_v=300.0, speed_rad_s=700.0, sampling_hz=10e3)
@@ -101,3 +104,28 @@ def test_the_flux_limit_follows_voltage_and_speed(speed: float) -> None:
     held: NDArray[np.float64] = flux_limit(LIMITS, 1.0, 2.0, speed)
     expected = math.inf if speed == 0.0 else (0.95 * 300.0 / math.sqrt(3.0) - 2.0) / 400.0
     assert float(held) == pytest.approx(expected)
+
+
+def test_a_machine_without_magnet_and_saliency_is_refused() -> None:
+    for difference in (0.0, 1e-7):
+        with pytest.raises(InputError, match="gives torque, by magnet or saliency"):
+            current_references(machine(linear(0.05, 0.05 + difference, 0.0)), LIMITS)
+
+
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        (lambda d, q: np.hypot(d, q) > 1.5, "the map has holes, or lacks currents near zero"),
+        (lambda d, q: d > 1.5, "the map has holes, or lacks currents near zero"),
+        (lambda d, q: (np.abs(d) > 3.9) & (np.abs(q) > 3.9), "gives torque"),
+    ],
+)
+def test_a_map_that_lacks_what_the_references_need_is_refused(
+    known: Callable[[Array, Array], Array], message: str
+) -> None:
+    whole = machine(saturated())
+    kept = known(*np.meshgrid(whole.flux_map.i_d, whole.flux_map.i_q, indexing="ij"))
+    tables = {name: np.where(kept, getattr(whole.flux_map, name), np.nan) for name in ("psi_d", "psi_q")}
+    holed = Machine(whole.motor, whole.flux_map.model_copy(update=tables), 1.0, 0.01)
+    with pytest.raises(InputError, match=message):
+        current_references(holed, LIMITS)
