@@ -92,12 +92,12 @@ def benefits_of(
     angle = 2.0 * math.pi * np.arange(WAVE_POINTS) / WAVE_POINTS
     lost = compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v
     true = lost + STANDARD_DEVIATIONS * compensation.lost_std_v * np.sign(compensation.current_a)
-    waves = [
+    wave, wave_without = (
         _wave(control, compensation.current_a, true, added, small, speed, angle)
         for added in (lost, np.zeros_like(lost))
-    ]
-    torques = machine.torque_nm(i_dq), machine.torque_nm(by_constants)
-    return Benefits(wanted, *torques, angle, *waves, speed)
+    )
+    by_map_nm, by_constants_nm = machine.torque_nm(i_dq), machine.torque_nm(by_constants)
+    return Benefits(wanted, by_map_nm, by_constants_nm, angle, wave, wave_without, speed)
 
 
 def _currents_by_constants(machine: Machine, current_a: float, torque_nm: Array) -> Array:

@@ -67,6 +67,7 @@ def test_all_but_the_viewer_the_page_and_the_kits_is_imported_without_extras() -
 
 
 @pytest.mark.long
+@pytest.mark.slow
 def test_a_motor_is_measured_estimated_diagnosed_and_exported_without_extras(tmp_path: Path) -> None:
     done = without_extras(MEASURE, str(tmp_path))
     assert done.returncode == 0, done.stderr

@@ -62,6 +62,7 @@ def test_every_module_is_imported_without_posix() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.slow
 def test_a_motor_is_measured_estimated_exported_and_reported_without_posix(tmp_path: Path) -> None:
     done = finished(MEASURE, str(tmp_path))
     assert done.returncode == 0, done.stderr
