@@ -124,7 +124,9 @@ def test_a_map_that_lacks_what_the_references_need_is_refused(
     known: Callable[[Array, Array], Array], message: str
 ) -> None:
     whole = machine(saturated())
-    kept = known(*np.meshgrid(whole.flux_map.i_d, whole.flux_map.i_q, indexing="ij"))
+    axes = (np.asarray(axis, dtype=np.float64) for axis in (whole.flux_map.i_d, whole.flux_map.i_q))
+    i_d, i_q = np.meshgrid(*axes, indexing="ij")
+    kept = known(i_d, i_q)
     tables = {name: np.where(kept, getattr(whole.flux_map, name), np.nan) for name in ("psi_d", "psi_q")}
     holed = Machine(whole.motor, whole.flux_map.model_copy(update=tables), 1.0, 0.01)
     with pytest.raises(InputError, match=message):
