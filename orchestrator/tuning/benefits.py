@@ -85,19 +85,19 @@ def benefits_of(
     wanted = np.linspace(0.0, float(references.torque_limit_nm[-1]), TORQUE_POINTS)
     unlimited = np.full(TORQUE_POINTS, references.psi_limit_wb[-1])
     i_dq = references.at(wanted, unlimited)
-    by_constants = _currents_by_constants(machine, limits.current_a, wanted)
+    i_constants = _currents_by_constants(machine, limits.current_a, wanted)
     fastest = 2.0 * SIXTH / (MAX_STEPS * control.period_s)
     speed = max(SPEED_RATIO * limits.speed_rad_s, fastest)
     small = complex(*references.at(wanted[-1:] * TORQUE_RATIO, unlimited[:1])[0])
     angle = 2.0 * math.pi * np.arange(WAVE_POINTS) / WAVE_POINTS
     lost = compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v
     true = lost + STANDARD_DEVIATIONS * compensation.lost_std_v * np.sign(compensation.current_a)
-    wave, wave_without = (
+    with_compensation, without = (
         _wave(control, compensation.current_a, true, added, small, speed, angle)
         for added in (lost, np.zeros_like(lost))
     )
-    by_map_nm, by_constants_nm = machine.torque_nm(i_dq), machine.torque_nm(by_constants)
-    return Benefits(wanted, by_map_nm, by_constants_nm, angle, wave, wave_without, speed)
+    by_map, by_constants = machine.torque_nm(i_dq), machine.torque_nm(i_constants)
+    return Benefits(wanted, by_map, by_constants, angle, with_compensation, without, speed)
 
 
 def _currents_by_constants(machine: Machine, current_a: float, torque_nm: Array) -> Array:

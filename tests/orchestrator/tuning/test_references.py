@@ -125,7 +125,8 @@ def test_a_map_that_lacks_what_the_references_need_is_refused(
 ) -> None:
     whole = machine(saturated())
     axes = (np.asarray(axis, dtype=np.float64) for axis in (whole.flux_map.i_d, whole.flux_map.i_q))
-    kept = known(*np.meshgrid(*axes, indexing="ij"))
+    i_d, i_q = np.meshgrid(*axes, indexing="ij")
+    kept = known(i_d, i_q)
     tables = {name: np.where(kept, getattr(whole.flux_map, name), np.nan) for name in ("psi_d", "psi_q")}
     holed = Machine(whole.motor, whole.flux_map.model_copy(update=tables), 1.0, 0.01)
     with pytest.raises(InputError, match=message):
