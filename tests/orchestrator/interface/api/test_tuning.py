@@ -11,8 +11,11 @@ import pytest
 
 from orchestrator.estimation import save_flux_map
 from orchestrator.interface import api
+from orchestrator.interface.api.tuning import _winding_c
+from orchestrator.runs import RunDirectory
 from protocols import FluxMap, InputError, Motor
 from tests.orchestrator.tuning.machines import flux_map, saturated
+from tests.plugins.streams.example_run import CAPABILITIES, a_procedure
 from tests.support.processes import called
 from tests.support.tiny import run_tiny
 
@@ -116,3 +119,12 @@ def test_the_command_prints_the_main_figures(map_file: Path, tmp_path: Path) -> 
     refused = called(*words, "--current-a", "99")
     assert (refused.returncode, len(refused.stderr.splitlines())) == (2, 1)
     assert "beyond the map" in refused.stderr
+
+
+def test_resistance_holds_at_the_room_s_temperature_of_the_run_or_at_20_degrees(tmp_path: Path) -> None:
+    plain = a_procedure("motor")
+    warm = plain.model_copy(update={"about": plain.about.model_copy(update={"ambient_c": 35.0})})
+    for name, procedure, expected in (("plain", plain, 20.0), ("warm", warm, 35.0)):
+        RunDirectory.create(tmp_path / name, procedure, CAPABILITIES)
+        assert _winding_c(tmp_path / name) == expected
+    assert _winding_c(tmp_path / "map.nc") == 20.0
