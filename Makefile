@@ -13,8 +13,8 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/pytest -q -n 3 --dist worksteal
 STAMP := $(VENV)/.installed
 
-# What runs, the viewer, the report and the page included; tests and lint need more, and `make demo` does not wait for it. Modules are compiled as they are imported:
-# to compile all of them takes as long as to unpack them, and another 0.2 GB.
+# What runs, the viewer, the report and the page included; tests and lint need more, and `make demo` does not wait for it.
+# Modules are compiled as they are imported: to compile all of them takes as long as to unpack them, and another 0.2 GB.
 RUNS := $(VENV)/.runs
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable
 

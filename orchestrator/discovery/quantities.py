@@ -96,8 +96,9 @@ def power(signals: Signals | SignalBatch) -> Array:
 
 
 def link_voltage(signals: Signals | SignalBatch) -> Array:
-    """Voltage of the DC link as read [V]."""
-    return np.asarray(signals.v_dc, dtype=np.float64)
+    """Link voltage beyond the drive's nominal one [V]: a part that is lost at that one shows nowhere but in the map."""
+    nominal = np.mean(signals.v_dc) if signals.drive is None else signals.drive.dc_bus_voltage_v
+    return np.asarray(signals.v_dc - nominal, dtype=np.float64)
 
 
 def time(signals: Signals | SignalBatch) -> Array:
@@ -159,7 +160,7 @@ CURRENT_Q = Quantity(current_q, "i_q", "A", True, "i_q")
 TORQUE = Quantity(torque, "the torque", "Wb A", True, "T")
 VOLTAGE = Quantity(voltage, "|v|", "V", False, "|v|")
 POWER = Quantity(power, "the power", "W", True, "P")
-LINK_VOLTAGE = Quantity(link_voltage, "the link voltage", "V", False, "v_dc")
+LINK_VOLTAGE = Quantity(link_voltage, "the link voltage beyond its nominal value", "V", True, "(v_dc - v_nominal)")
 TIME = Quantity(time, "time", "s", False, "t")
 ROTOR_ANGLE = Quantity(rotor_angle, "the angle of the rotor", "rad", False, "theta")
 HEAT = Quantity(heat, "the heat dissipated", "W s", False, "W")
