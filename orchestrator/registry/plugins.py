@@ -228,8 +228,9 @@ def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
     except (Exception, SystemExit) as error:
         # An import runs foreign code: it may raise anything, and the error names it.
         extra = missing_extra(error)
-        problem = f"does not load: {_reason(error)}" if extra is None else how_to_install(extra)
-        raise PluginError(info.kind.value, str(info), problem) from error
+        if extra is not None:
+            raise PluginError(info.kind.value, str(info), how_to_install(extra)) from None
+        raise PluginError(info.kind.value, str(info), f"does not load: {_reason(error)}") from error
     if not isinstance(plugin, type):
         raise PluginError(info.kind.value, str(info), f"expected a class, got {type(plugin).__name__}")
     return plugin

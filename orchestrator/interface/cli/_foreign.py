@@ -85,8 +85,9 @@ def _command(entry: EntryPoint) -> Callable[[typer.Context], int]:
         except Exception as error:
             # An import runs foreign code, which may raise anything; the error is reported, not hidden.
             extra = missing_extra(error)
-            problem = f"does not load: {type(error).__name__}: {error}" if extra is None else how_to_install(extra)
-            raise PluginError("commands", entry.name, problem) from error
+            if extra is not None:
+                raise PluginError("commands", entry.name, how_to_install(extra)) from None
+            raise PluginError("commands", entry.name, f"does not load: {type(error).__name__}: {error}") from error
         settle = context.find_root().obj
         if callable(settle):
             settle(bool(getattr(command, "energises", False)))
