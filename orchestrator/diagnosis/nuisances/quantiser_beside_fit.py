@@ -32,7 +32,7 @@ Rounding jumps where a held command crosses a step; wide differences bridge such
 SCANNED_PHASES = 96
 """Phases tried at a PWM frequency where the readings determine none; commands of a dwell jump as often."""
 SCANNED_NEARBY = 6
-"""Neighbouring phases tried after a descent, whose minimum may lie beyond a command's jump."""
+"""Neighbouring steps and phases tried after a descent, whose minimum may lie beyond a command's jump."""
 MAX_NEWTON_STEPS = 12
 """Maximum number of Gauss-Newton steps."""
 LEAST_CHI2_GAIN = 1.0
@@ -71,11 +71,15 @@ def quantiser_beside(
 
 
 def _over_jumps(rounding: _Rounding, x: Array) -> Array:
-    """Descend from the likeliest neighbouring phases at each PWM frequency, where these are likelier."""
+    """Descend from the likeliest neighbouring step, then phases at each PWM frequency, where these are likelier."""
+    x = _descended_if_moved(rounding, rounding.scanned_step(x), x)
     for place in rounding.used_places:
-        moved = rounding.scanned(x, place, around=SCANNED_NEARBY)
-        x = x if moved is x else _descended(rounding, moved, DIFFERENCE_STEPS[-1])
+        x = _descended_if_moved(rounding, rounding.scanned(x, place, around=SCANNED_NEARBY), x)
     return x
+
+
+def _descended_if_moved(rounding: _Rounding, moved: Array, x: Array) -> Array:
+    return x if moved is x else _descended(rounding, moved, DIFFERENCE_STEPS[-1])
 
 
 def _descended(rounding: _Rounding, x: Array, step_ratio: float) -> Array:
@@ -221,6 +225,13 @@ class _Rounding:
         placed = x.copy()
         placed[place : place + 2] = both[rises[rise], place], both[falls[fall], place + 1]
         return placed if self.cost(placed) < self.cost(x) else x
+
+    def scanned_step(self, x: Array) -> Array:
+        """x with the likeliest of neighbouring steps, the phases following to first order."""
+        curvature, _ = self.linear(x, DIFFERENCE_STEPS[0])
+        follow = -np.linalg.lstsq(curvature[1:, 1:], curvature[1:, 0], rcond=1e-12)[0]
+        near = np.arange(-SCANNED_NEARBY, SCANNED_NEARBY + 1) / SCANNED_PHASES * self.unit[0]
+        return min([x, *(x + part * np.append(1.0, follow) for part in near if part)], key=self.cost)
 
     def cost(self, x: Array) -> float:
         """Change of chi2 with a timer, all else adapting, including the readings' likelihood."""
