@@ -28,6 +28,7 @@ def test_what_is_alone_is_the_whole_error() -> None:
     assert done.is_material(0.002, 0.005)
 
 
+@pytest.mark.slow
 def test_what_r_s_follows_is_nothing() -> None:
     case = short("clean", 0)
     ohm = case.bench.plant.resistance

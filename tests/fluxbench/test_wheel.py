@@ -66,6 +66,7 @@ def test_a_wheel_carries_its_licence(wheel: Path) -> None:
         assert b"License-Expression: Apache-2.0" in content.read(metadata)
 
 
+@pytest.mark.slow
 def test_two_checkouts_make_the_same_sdist_and_it_makes_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     first = built(tmp_path / "first", mode=0o644, mtime_s=1.5e9, target="sdist")
     second = built(tmp_path / "second", mode=0o664, mtime_s=1.7e9, target="sdist")

@@ -45,14 +45,10 @@ def learned_from(directory: Path, name: str) -> SearchOutcome:
     return learn_laws(setup, fit_baseline(setup).model, (), "learned_law", lambda _: None)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param("logarithm_in_one_leg", marks=pytest.mark.slow),
-        pytest.param("one_gain_settles", marks=pytest.mark.slow),
-        "resolver_error",
-    ],
+    ["logarithm_in_one_leg", "one_gain_settles", "resolver_error"],
 )
 def test_a_hidden_law_is_found_at_its_place_over_its_quantity(name: str, tmp_path: Path) -> None:
     hidden = LAWS[name]

@@ -43,6 +43,7 @@ def test_a_map_whose_recording_a_bare_model_explains_is_usable() -> None:
     assert "R_s and a map alone explain the recording" in check.remark.text
 
 
+@pytest.mark.slow
 def test_a_recording_with_a_current_a_sample_late_is_not_judged() -> None:
     check = checked(right().captured(late), classical_of(False).map)
     assert check.outcome is CheckOutcome.NOT_POSSIBLE

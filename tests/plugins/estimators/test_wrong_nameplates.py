@@ -90,6 +90,7 @@ def failed(report: EstimationReport) -> dict[str, str]:
     return {check.name: check.remark.text for check in report.checks if check.outcome is CheckOutcome.FAILED}
 
 
+@pytest.mark.slow
 def test_a_nameplate_at_two_thirds_leaves_the_estimates_right_and_the_map_unusable_with_the_reason(
     tmp_path: Path,
 ) -> None:

@@ -205,7 +205,7 @@ def test_a_current_that_the_control_does_not_reach_is_named() -> None:
     assert "longer settle_s" in verdict.summary
 
 
-@pytest.mark.parametrize("row", [MOTORS[3], MOTORS[9]], ids=["8 uH", "200 uH"])
+@pytest.mark.parametrize("row", [MOTORS[3], pytest.param(MOTORS[9], marks=pytest.mark.slow)], ids=["8 uH", "200 uH"])
 def test_captures_of_a_weakly_salient_motor_become_long_enough_to_tell(row: tuple[float, ...]) -> None:
     motor, limits, drive = bench(row, 0.2e-6)
     once, short = run_lock_check(motor, limits, drive, max_duration_ratio=1.0)

@@ -45,6 +45,7 @@ def test_a_map_file_gives_references_gains_code_and_a_picture(map_file: Path, tm
     assert float(np.hypot(rows["i_d_a"], rows["i_q_a"]).max()) <= 2.0 * np.sqrt(2.0) * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_by_default_the_files_are_beside_the_map(map_file: Path) -> None:
     api.tune(map_file, motor=MOTOR, **DRIVE)
     assert (map_file.parent / "tuning" / "tuning.json").is_file()
