@@ -22,6 +22,8 @@ WHERE = "C code"
 NUMBERS_PER_LINE = 8
 SPACING_TOLERANCE = 1e-6
 """Largest deviation of an axis from even spacing, in steps, and of a loss from an odd function, in parts of it."""
+MIN_CURRENT_STEP_A = 1e-3
+"""Between nodes of the flux: of 1e6 A, the largest number that the source takes, an int has to hold the steps."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,10 @@ def _tables(references: CurrentReferences, control: CurrentControl, compensation
         _require_finite(name, table.values)
         for axis, nodes in table.axes.items():
             _require_even(axis.lower(), nodes)
+    for axis, nodes in flux.items():
+        if nodes[1] - nodes[0] < MIN_CURRENT_STEP_A:
+            text = f"expected steps of {MIN_CURRENT_STEP_A:g} A or more, not {nodes[1] - nodes[0]:.3g} A"
+            raise InputError(WHERE, axis.lower(), text)
     return tables
 
 

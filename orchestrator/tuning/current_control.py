@@ -36,7 +36,7 @@ leaves within ten time constants."""
 STANDARD_DEVIATIONS: float = 1.96
 """Half a 95 % interval."""
 FLUX_NODES = 25
-INDUCTANCE_NODES = 11
+INDUCTANCE_NODES = 9
 PLANE_NODES = 41
 """Currents along each axis at which the margin is examined."""
 FREQUENCIES = 2000

@@ -30,7 +30,14 @@ import pytest
 from tests.orchestrator.tuning.closed_loop import STRICT, run
 from tests.orchestrator.tuning.functions import RESULT_IS_FLOAT, Functions, Words
 
-TARGET = ("-target", "thumb-freestanding-eabihf", "-mcpu=cortex_m4+vfp4d16sp", "-Os", "-fno-math-errno")
+TARGET = (
+    "-target",
+    "thumb-freestanding-eabihf",
+    "-mcpu=cortex_m4+vfp4d16sp",
+    "-O2",
+    "-fno-math-errno",
+    "-fomit-frame-pointer",
+)
 MATH_H = "#define sqrtf __builtin_sqrtf\n#define fabsf __builtin_fabsf\n"
 """As a C library for this core has it: both are instructions."""
 RAM, STOP, PAGE = 0x20000000, 0x30000000, 0x1000

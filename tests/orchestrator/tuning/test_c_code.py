@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.limits import VOLTAGE_RESERVE
+from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from orchestrator.tuning.references import flux_limit
 from protocols import InputError
 from tests.orchestrator.tuning.closed_loop import STRICT, Plant, compiler, library_of, run
@@ -81,6 +81,16 @@ def test_inductance_is_the_table_held_at_its_ends(tables: Tables, drive: Functio
     assert_near(np.array([drive.vector("inductance_h", 3, *i)[1] for i in at]), lookup(held))
 
 
+def left_flux(limits: DriveLimits, r_s: float, current_2: float, torque_nm: float, omega: float) -> float:
+    """|psi| [Wb] at which R_s i + j omega psi has the voltage without the reserve, at |i|^2 [A^2] and a torque.
+
+    R_s i and j omega psi together take 2 R_s omega (i_q psi_d - i_d psi_q) from the square of the voltage.
+    """
+    volts = (1.0 - VOLTAGE_RESERVE) * limits.voltage_v
+    cross = 2.0 * r_s * omega * torque_nm / (1.5 * PLANT.pole_pairs)
+    return math.sqrt(max(volts**2 - r_s**2 * current_2 - cross, 0.0)) / abs(omega)
+
+
 def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tables: Tables, drive: Functions) -> None:
     rng = np.random.default_rng(3)
     torque, speed, bus, ohm = (
@@ -96,11 +106,10 @@ def test_references_are_the_tables_within_the_voltage_at_every_speed_and_bus(tab
         most.append(float(np.interp(largest, references.psi_limit_wb, references.torque_limit_nm)))
         most[-1] *= min(1.0, max(0.0, 1.0 - (1.0 - largest / references.psi_limit_wb[0]) / VOLTAGE_RESERVE))
         wanted = np.array([np.clip(t, -most[-1], most[-1])])
-        current = LIMITS.current_a
-        for _ in range(4):
-            i = references.at(wanted, np.atleast_1d(flux_limit(limits, r_s, current, w)))[0]
-            current = float(np.hypot(*i))
-        expected.append(i)
+        rest = references.at(np.zeros(1), np.atleast_1d(largest))[0, 0]
+        current_2 = rest**2 + (float(wanted[0]) / max(most[-1], 1e-9)) ** 2 * (LIMITS.current_a**2 - rest**2)
+        psi = left_flux(limits, r_s, current_2, float(wanted[0]), w)
+        expected.append(references.at(wanted, np.atleast_1d(psi))[0])
     found = [drive.vector("current_reference_a", 2, *x) for x in zip(torque, speed, bus, ohm, strict=True)]
     assert_near(np.array([i for _, i in found]), np.array(expected))
     assert_near(

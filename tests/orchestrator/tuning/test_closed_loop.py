@@ -283,30 +283,32 @@ def test_compensation_removes_errors_of_sensors_and_angle(tables: Tables, make: 
     assert errors[1.0] < 0.02
 
 
-def least_loss(torque: float, psi_limit: float) -> float:
-    """Least |i|^2 [A^2] for a torque within a flux limit by a dense search, i_q by bisection at each i_d."""
+def least_loss(torque: float, speed: float) -> float:
+    """Least |i|^2 [A^2] for a torque at a speed within the references' voltage, by a dense search.
+
+    i_q is found by bisection at each i_d.
+    """
     i_d = np.linspace(-LIMITS.current_a, 1.0, 20001)
     low, high = np.zeros_like(i_d), np.full_like(i_d, 1.5 * LIMITS.current_a)
     for _ in range(40):
         middle = 0.5 * (low + high)
-        above = PLANT.torque_nm(np.stack([i_d, middle], axis=-1)) > torque
+        above = PLANT.torque_nm(np.stack([i_d, middle], axis=-1)) > abs(torque)
         low, high = np.where(above, low, middle), np.where(above, middle, high)
-    i = np.stack([i_d, high], axis=-1)
-    allowed = np.linalg.norm(PLANT.psi(i), axis=-1) <= psi_limit
+    i = np.stack([i_d, math.copysign(1.0, torque) * high], axis=-1)
+    v = PLANT.r_s * i + speed * PLANT.psi(i)[:, ::-1] * [-1.0, 1.0]
+    allowed = np.linalg.norm(v, axis=-1) <= (1.0 - VOLTAGE_RESERVE) * LIMITS.voltage_v
     return float(np.where(allowed, (i**2).sum(axis=-1), np.inf).min())
 
 
 @pytest.mark.parametrize("speed", [100.0, 1500.0, 2000.0, 2500.0, 3000.0])
 def test_copper_loss_is_the_least_for_the_torque(loop: Loop, speed: float) -> None:
-    """Within the same flux, since more flux would need more voltage than the references may use."""
-    for torque in (1.0, 3.0, 5.0, 8.0):
-        if torque > reached_torque_nm(loop, speed):
+    """Within the voltage that the references may use, motoring and braking."""
+    for torque in (1.0, 3.0, 5.0, 8.0, -1.0, -5.0):
+        if abs(torque) > reached_torque_nm(loop, speed):
             continue
         end = settled(loop, PLANT, torque, speed)
         i = np.array([end["i_d"].mean(), end["i_q"].mean()])
-        v = (1.0 - VOLTAGE_RESERVE) * LIMITS.voltage_v
-        psi_limit = (v - PLANT.r_s * float(np.hypot(*i))) / speed
-        least = least_loss(float(PLANT.torque_nm(i)), psi_limit)
+        least = least_loss(float(PLANT.torque_nm(i)), speed)
         excess = float(i @ i) / least - 1.0
         print(f"{speed:.0f} rad/s, {torque:g} Nm: {100 * excess:.4f} % above the least loss")
         assert excess <= 0.001

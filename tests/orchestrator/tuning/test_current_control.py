@@ -68,9 +68,9 @@ def test_flux_and_inductance_tables_are_the_map_s() -> None:
     control = current_control(made, LIMITS)
     at = np.array([[control.i_d_a[5], control.i_q_a[20]]])
     assert control.psi_wb[5, 20] == pytest.approx(made.psi(at)[0])
-    gains = np.array([[control.gain_i_d_a[4], control.gain_i_q_a[9]]])
+    gains = np.array([[control.gain_i_d_a[3], control.gain_i_q_a[7]]])
     matrix = made.inductance(gains)[0]
-    assert control.inductance_h[4, 9] == pytest.approx([matrix[0, 0], matrix[0, 1], matrix[1, 1]])
+    assert control.inductance_h[3, 7] == pytest.approx([matrix[0, 0], matrix[0, 1], matrix[1, 1]])
 
 
 def test_a_map_that_does_not_know_its_inductance_is_refused() -> None:
