@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -27,7 +27,7 @@ MIN_CURRENT_STEP_A = 1e-3
 
 
 @dataclass(frozen=True)
-class _Table:
+class Table:
     """An array of the source: the axes' names and nodes in the order of its dimensions."""
 
     meaning: str
@@ -57,11 +57,12 @@ def c_files(
     InputError
         Where a number is not finite, an axis is not evenly spaced, or the losses are not odd functions of the current.
     """
-    values = _values(symbol, motor, references, control, compensation, limits)
-    return {f"{symbol}_drive.{kind}": _rendered(f"drive.{kind}.j2", values) for kind in ("h", "c")}
+    values = source_values(symbol, motor, references, control, compensation, limits)
+    filters: dict[str, Callable[..., Any]] = {"c": _float, "rows": _rows}
+    return {f"{symbol}_drive.{kind}": rendered(f"drive.{kind}.j2", values, filters) for kind in ("h", "c")}
 
 
-def _values(
+def source_values(
     symbol: str,
     motor: Motor,
     references: CurrentReferences,
@@ -69,6 +70,7 @@ def _values(
     compensation: Compensation,
     limits: DriveLimits,
 ) -> dict[str, Any]:
+    """What the templates are filled with; parameters and errors as those of `c_files`."""
     gain, observer = loop_gains(control.bandwidth_rad_s, control.integral_rad_s, control.period_s)
     scalars = {
         "pole_pairs": motor.pole_pairs,
@@ -105,21 +107,21 @@ def _values(
     }
 
 
-def _tables(references: CurrentReferences, control: CurrentControl, compensation: Compensation) -> dict[str, _Table]:
+def _tables(references: CurrentReferences, control: CurrentControl, compensation: Compensation) -> dict[str, Table]:
     flux = {"PSI_D": control.i_d_a, "PSI_Q": control.i_q_a}
     inductance = {"L_D": control.gain_i_d_a, "L_Q": control.gain_i_q_a}
     limit = {"LIMIT": references.psi_limit_wb}
     phase, lost, per_bus = _positive_half(compensation)
     tables = {
-        "psi_table": _Table("psi_d, psi_q [Wb] over i_d and i_q [A]", flux, control.psi_wb),
-        "inductance_table": _Table("L_dd, L_dq, L_qq [H] over i_d and i_q [A]", inductance, control.inductance_h),
-        "torque_limit_table": _Table("largest torque [Nm] over flux limit [Wb]", limit, references.torque_limit_nm),
-        "reference_table": _Table(
+        "psi_table": Table("psi_d, psi_q [Wb] over i_d and i_q [A]", flux, control.psi_wb),
+        "inductance_table": Table("L_dd, L_dq, L_qq [H] over i_d and i_q [A]", inductance, control.inductance_h),
+        "torque_limit_table": Table("largest torque [Nm] over flux limit [Wb]", limit, references.torque_limit_nm),
+        "reference_table": Table(
             "least i_d, i_q [A] over flux limit [Wb] and share of the largest torque",
             limit | {"SHARE": references.share},
             references.i_dq_a,
         ),
-        "lost_table": _Table(
+        "lost_table": Table(
             "voltage lost in a leg [V] and its part per volt of the bus [1] over |i| [A]",
             {"PHASE": phase},
             np.stack([lost, per_bus], axis=-1),
@@ -170,14 +172,15 @@ def _require_even(name: str, nodes: Array) -> None:
         raise InputError(WHERE, name, "expected evenly spaced nodes")
 
 
-def _rendered(template: str, values: Mapping[str, Any]) -> bytes:
+def rendered(template: str, values: Mapping[str, Any], filters: Mapping[str, Callable[..., Any]]) -> bytes:
+    """A template of this room, filled."""
     require("report", "C code")
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
-    environment.filters.update(c=_float, rows=_rows)
+    environment.filters.update(filters)
     text = files("orchestrator.tuning").joinpath(template).read_text(encoding="ascii")
     return environment.from_string(text).render(values).encode("ascii")
 

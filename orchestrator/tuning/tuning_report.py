@@ -15,11 +15,12 @@ from orchestrator.formatting.names import code_identifier
 from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
 from orchestrator.tuning.c_code import c_files
+from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.current_control import MIN_PHASE_MARGIN_RAD, phase_margin_at
 from orchestrator.tuning.drive_tuning import DriveTuning
 from orchestrator.tuning.firmware_settings import settings_for_firmware
 from orchestrator.tuning.pictures import tuning_picture
-from protocols import Number, RecordingError, Remark, StorageError, Strict
+from protocols import InputError, Number, RecordingError, Remark, StorageError, Strict
 
 MARGIN_SPEEDS = 11
 """Speeds at which the phase margin is stated."""
@@ -151,16 +152,17 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequen
     StorageError
         Where the folder or a file cannot be written.
     """
+    code, on_code = _c_files(tuning)
     contents = {
         "references.csv": _references_csv(tuning),
         "torque.csv": _torque_csv(tuning),
         "compensation.csv": _compensation_csv(tuning),
         "tuning.svg": tuning_picture(tuning),
-        **_c_files(tuning),
+        **code,
         **settings_for_firmware(tuning.control, tuning.limits),
     }
     report = report_of(tuning, recording)
-    known = {"files": ("tuning.json", *contents), "remarks": (*remarks, *report.remarks)}
+    known = {"files": ("tuning.json", *contents), "remarks": (*remarks, *report.remarks, *on_code)}
     report = report.model_copy(update=known)
     contents["tuning.json"] = (report.model_dump_json(indent=2) + "\n").encode()
     try:
@@ -176,10 +178,16 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _c_files(tuning: DriveTuning) -> dict[str, bytes]:
+def _c_files(tuning: DriveTuning) -> tuple[dict[str, bytes], list[Remark]]:
+    """Source in float, and in int32 where that holds the motor; else a remark."""
     motor = tuning.machine.motor
     parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits)
-    return c_files(code_identifier(motor.name), motor, *parts)
+    symbol = code_identifier(motor.name)
+    in_float = c_files(symbol, motor, *parts)
+    try:
+        return in_float | c_files_int32(symbol, motor, *parts), []
+    except InputError as error:
+        return in_float, [Remark.of("no_int32_code", "no C code in int32: {reason}", reason=str(error))]
 
 
 def load_tuning(folder: Path) -> TuningReport:

@@ -100,7 +100,7 @@ def _require_finite(out: Path) -> None:
     for table in out.glob("*.csv"):
         rows = np.genfromtxt(table, delimiter=",", skip_header=1)
         assert np.isfinite(rows).all(), table.name
-    for source in out.glob("*_drive.c"):
+    for source in out.glob("*.c"):
         words = re.findall(r"\b(?:nan|inf)f?\b", source.read_text(encoding="utf-8"), re.IGNORECASE)
         assert not words, f"{words[0]} in {source.name}"
         compiler = shutil.which("gcc")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.tuning.c_code import c_files
+from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, current_control
 from orchestrator.tuning.limits import DriveLimits
@@ -33,6 +34,9 @@ class Tables:
 
     def files(self) -> dict[str, bytes]:
         return c_files("motor", self.motor, self.references, self.control, self.compensation, self.limits)
+
+    def int32_files(self) -> dict[str, bytes]:
+        return c_files_int32("motor", self.motor, self.references, self.control, self.compensation, self.limits)
 
 
 def tables_of(

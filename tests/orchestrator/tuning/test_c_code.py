@@ -18,8 +18,9 @@ from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
 from orchestrator.tuning.references import flux_limit
 from protocols import InputError
 from tests.orchestrator.tuning.closed_loop import STRICT, Plant, compiler, library_of, run
-from tests.orchestrator.tuning.cortex_m4 import CortexM4
+from tests.orchestrator.tuning.cortex_m import CortexM, EmulatedFunctions
 from tests.orchestrator.tuning.functions import Functions, HostFunctions, words
+from tests.orchestrator.tuning.int32_functions import SIGNATURES, HostInt32, Int32Functions
 from tests.orchestrator.tuning.tables import LIMITS, Tables, tables_of
 from tests.plugins.wire.firmware.built import tool
 
@@ -40,10 +41,31 @@ def tables() -> Tables:
     return tables_of(PLANT)
 
 
-@pytest.fixture(scope="module", params=["host", pytest.param("cortex-m4", marks=pytest.mark.slow)])
+EMULATED = [
+    pytest.param(name, marks=pytest.mark.slow) for name in ("cortex-m4f", "cortex-m0", "cortex-m3", "cortex-m4")
+]
+IN_FLOAT = ("host", "cortex-m4f")
+
+
+@pytest.fixture(scope="module", params=["host", "host int32", *EMULATED])
 def drive(request: pytest.FixtureRequest, tables: Tables, tmp_path_factory: pytest.TempPathFactory) -> Functions:
-    folder = tmp_path_factory.mktemp(request.param)
-    return host(tables, folder) if request.param == "host" else CortexM4(tables.files(), folder)
+    """The source in float, and in int32 where a core has no floats."""
+    return drive_on(request.param, tables, tmp_path_factory.mktemp("drive"))
+
+
+@pytest.fixture(scope="module", params=["host", EMULATED[0]])
+def float_drive(request: pytest.FixtureRequest, tables: Tables, tmp_path_factory: pytest.TempPathFactory) -> Functions:
+    return drive_on(request.param, tables, tmp_path_factory.mktemp("drive"))
+
+
+def drive_on(name: str, tables: Tables, folder: Path) -> Functions:
+    if name == "host":
+        return host(tables, folder)
+    if name == "host int32":
+        return Int32Functions(HostInt32(library_of(tables.int32_files(), folder)))
+    if name in IN_FLOAT:
+        return EmulatedFunctions(CortexM(name, tables.files(), folder))
+    return Int32Functions(CortexM(name, tables.int32_files(), folder))
 
 
 def host(tables: Tables, folder: Path, options: Sequence[str] = ("-O2",)) -> HostFunctions:
@@ -252,12 +274,12 @@ def usable(*values: float) -> bool:
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.tuples(ANY, ANY, ANY, ANY, ANY, ANY, st.one_of(ANY, st.just(300.0))), min_size=1, max_size=5))
 def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
-    drive: Functions, calls: list[tuple[float, float, float, float, float, float, float]]
+    float_drive: Functions, calls: list[tuple[float, float, float, float, float, float, float]]
 ) -> None:
-    state = drive.state()
+    state = float_drive.state()
     for *currents, omega, r_s, v_dc in calls:
         lost = state[:2].copy()
-        report, v = drive.control(state, currents[:2], currents[2:], omega, v_dc, r_s)
+        report, v = float_drive.control(state, currents[:2], currents[2:], omega, v_dc, r_s)
         if usable(*currents, omega, v_dc) and v_dc > 0.0:
             assert report in (OK, LIMITED)
             assert np.hypot(*v) <= v_dc / math.sqrt(3.0) * (1.0 + 1e-5)
@@ -267,7 +289,7 @@ def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
             assert np.array_equal(state[:2], lost)
         assert np.isfinite(state[:6]).all()
     for _ in range(3):
-        report, v = drive.control(state, [0.0, 1.0], [0.0, 1.0], 10.0, 300.0)
+        report, v = float_drive.control(state, [0.0, 1.0], [0.0, 1.0], 10.0, 300.0)
         assert report in (OK, LIMITED)
         assert np.isfinite(v).all()
 
@@ -275,10 +297,10 @@ def test_whatever_comes_the_voltage_is_finite_and_the_state_is_not_spoilt(
 @settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(ANY, ANY, ANY, ANY)
 def test_whatever_comes_references_and_lookups_are_finite(
-    drive: Functions, a: float, b: float, c: float, d: float
+    float_drive: Functions, a: float, b: float, c: float, d: float
 ) -> None:
-    report, i_ref = drive.vector("current_reference_a", 2, a, b, c, d)
-    limit = drive.number("torque_limit_nm", b, c, d)
+    report, i_ref = float_drive.vector("current_reference_a", 2, a, b, c, d)
+    limit = float_drive.number("torque_limit_nm", b, c, d)
     assert np.hypot(*i_ref) <= LIMITS.current_a * 1.001
     assert 0.0 <= limit < 12.0
     assert (report == INVALID) == (not usable(a, b, c) or c <= 0.0)
@@ -288,8 +310,8 @@ def test_whatever_comes_references_and_lookups_are_finite(
     elif not usable(a):
         assert i_ref[1] == pytest.approx(0.0, abs=1e-6)
     for name, size in (("psi_wb", 2), ("inductance_h", 3)):
-        assert np.isfinite(drive.vector(name, size, a, b)[1]).all()
-    assert math.isfinite(drive.number("leg_voltage_v", a, b))
+        assert np.isfinite(float_drive.vector(name, size, a, b)[1]).all()
+    assert math.isfinite(float_drive.number("leg_voltage_v", a, b))
 
 
 def test_invalid_numbers_are_refused_with_fast_arithmetic_too(tables: Tables, tmp_path: Path) -> None:
@@ -300,31 +322,71 @@ def test_invalid_numbers_are_refused_with_fast_arithmetic_too(tables: Tables, tm
         assert (report, v[1]) == (INVALID, 0.0)
 
 
-def test_one_bad_sample_does_not_change_the_current_for_long(drive: Functions) -> None:
+def test_one_bad_sample_does_not_change_the_current_for_long(float_drive: Functions) -> None:
     """The integral part stays: after a NaN the next voltage is the one before it."""
-    state = drive.state()
+    state = float_drive.state()
     for k in range(50):
-        _, before = drive.control(state, [0.0, 5.0], [0.0, 5.0 - 0.5 * math.exp(-0.2 * k)], 100.0, 300.0)
-    report, v = drive.control(state, [0.0, 5.0], [math.nan, 5.0], 100.0, 300.0)
+        _, before = float_drive.control(state, [0.0, 5.0], [0.0, 5.0 - 0.5 * math.exp(-0.2 * k)], 100.0, 300.0)
+    report, v = float_drive.control(state, [0.0, 5.0], [math.nan, 5.0], 100.0, 300.0)
     assert (report, *v) == (INVALID, 0.0, 0.0)
-    _, after = drive.control(state, [0.0, 5.0], [0.0, 5.0], 100.0, 300.0)
+    _, after = float_drive.control(state, [0.0, 5.0], [0.0, 5.0], 100.0, 300.0)
     assert after == pytest.approx(before, abs=0.1)
+
+
+def symbols_of(source: str, folder: Path) -> list[list[str]]:
+    """Kinds and names of an object's symbols; every warning is an error."""
+    run(compiler(), *STRICT, "-Wshadow", "-Os", "-fno-asynchronous-unwind-tables", "-c", source, folder=folder)
+    return [line.split()[-2:] for line in run(tool("nm"), f"{source[:-2]}.o", folder=folder).splitlines()]
+
+
+def declared_in(header: Path) -> set[str]:
+    return set(re.findall(r"^(?:void|int|float|u?int32_t) motor_(\w+)\(", header.read_text(), re.MULTILINE))
+
+
+def bytes_of(kind: str, folder: Path) -> tuple[int, ...]:
+    """Code with constants, initialised and other data."""
+    return tuple(int(n) for n in run(tool("size"), kind, folder=folder).splitlines()[1].split()[:3])
 
 
 def test_the_source_has_the_declared_symbols_alone_and_no_mutable_data(tables: Tables, tmp_path: Path) -> None:
     for name, content in tables.files().items():
         (tmp_path / name).write_bytes(content)
-    folder = tmp_path
-    run(compiler(), *STRICT, "-Wshadow", "-Os", "-fno-asynchronous-unwind-tables", "-c", "motor_drive.c", folder=folder)
-    symbols = [line.split()[-2:] for line in run(tool("nm"), "motor_drive.o", folder=folder).splitlines()]
+    symbols = symbols_of("motor_drive.c", tmp_path)
     assert {name for kind, name in symbols if kind == "T"} == {f"motor_{name}" for name in PUBLIC}
     assert {name for kind, name in symbols if kind == "U"} <= {"sqrtf"}
     assert {kind for kind, _ in symbols} <= {"T", "t", "r", "U"}
-    declared = re.findall(r"^(?:void|int|float) motor_(\w+)\(", (folder / "motor_drive.h").read_text(), re.MULTILINE)
-    assert set(declared) == PUBLIC
-    text, data, bss = (int(n) for n in run(tool("size"), "motor_drive.o", folder=folder).splitlines()[1].split()[:3])
-    assert (data, bss) == (0, 0)
+    assert declared_in(tmp_path / "motor_drive.h") == PUBLIC
+    text, *data = bytes_of("motor_drive.o", tmp_path)
+    assert data == [0, 0]
     assert text < MOST_FLASH
+
+
+def test_the_source_in_int32_needs_no_library_and_no_data_either(tables: Tables, tmp_path: Path) -> None:
+    for name, content in tables.int32_files().items():
+        (tmp_path / name).write_bytes(content)
+    symbols = symbols_of("motor_drive_int32.c", tmp_path)
+    public = {name for name, *_ in SIGNATURES.values()}
+    assert {name for kind, name in symbols if kind == "T"} == {f"motor_{name}" for name in public}
+    assert {kind for kind, _ in symbols} <= {"T", "t", "r"}
+    assert declared_in(tmp_path / "motor_drive_int32.h") == public
+    assert bytes_of("motor_drive_int32.o", tmp_path)[1:] == (0, 0)
+
+
+def test_nothing_in_int32_overflows_whatever_comes(tables: Tables, tmp_path: Path) -> None:
+    for name, content in tables.int32_files().items():
+        (tmp_path / name).write_bytes(content)
+    sources = (str(Path(__file__).with_name("fuzz_int32.c")), "motor_drive_int32.c")
+    trap = ("-fsanitize=undefined", "-fsanitize-undefined-trap-on-error")
+    run(compiler(), *STRICT, "-O1", *trap, "-I.", *sources, "-o", "fuzz", folder=tmp_path)
+    run("./fuzz", folder=tmp_path)
+
+
+def test_what_int32_does_not_hold_is_refused(tables: Tables) -> None:
+    strong = replace(
+        tables, references=replace(tables.references, torque_limit_nm=1e3 * tables.references.torque_limit_nm)
+    )
+    with pytest.raises(InputError, match=r"torque_limit_table.*more than int32 holds; use the source in float"):
+        strong.int32_files()
 
 
 def without(table: Array) -> Array:
