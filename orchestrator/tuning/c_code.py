@@ -42,6 +42,7 @@ def c_files(
     control: CurrentControl,
     compensation: Compensation,
     limits: DriveLimits,
+    magnet_per_k: float | None = None,
 ) -> dict[str, bytes]:
     """Header and source, by file name: `<symbol>_drive.h` and `<symbol>_drive.c`.
 
@@ -50,14 +51,16 @@ def c_files(
     symbol : str
         Prefix of all public names, a C identifier.
     motor : Motor
-        For its name and pole pairs.
+        For its name, pole pairs and magnet.
+    magnet_per_k : float, optional
+        Relative change of the magnet's flux [1/K]; without, the magnet's temperature is no argument.
 
     Raises
     ------
     InputError
         Where a number is not finite, an axis is not evenly spaced, or the losses are not odd functions of the current.
     """
-    values = source_values(symbol, motor, references, control, compensation, limits)
+    values = source_values(symbol, motor, references, control, compensation, limits, magnet_per_k)
     filters: dict[str, Callable[..., Any]] = {"c": _float, "rows": _rows}
     return {f"{symbol}_drive.{kind}": rendered(f"drive.{kind}.j2", values, filters) for kind in ("h", "c")}
 
@@ -69,6 +72,7 @@ def source_values(
     control: CurrentControl,
     compensation: Compensation,
     limits: DriveLimits,
+    magnet_per_k: float | None = None,
 ) -> dict[str, Any]:
     """What the templates are filled with; parameters and errors as those of `c_files`."""
     gain, observer = loop_gains(control.bandwidth_rad_s, control.integral_rad_s, control.period_s)
@@ -87,6 +91,7 @@ def source_values(
         "observer_rad_s": observer,
         "voltage_reserve": VOLTAGE_RESERVE,
         "angle_rad": compensation.angle_rad,
+        "magnet_wb_per_k": (motor.pm_flux_wb or 0.0) * (magnet_per_k or 0.0),
     }
     vectors = {
         "gain": compensation.current_gain,

@@ -62,6 +62,7 @@ def c_files_int32(
     control: CurrentControl,
     compensation: Compensation,
     limits: DriveLimits,
+    magnet_per_k: float | None = None,
 ) -> dict[str, bytes]:
     """Header and source in int32, by file name: `<symbol>_drive_int32.h` and `<symbol>_drive_int32.c`.
 
@@ -70,14 +71,16 @@ def c_files_int32(
     symbol : str
         Prefix of all public names, a C identifier.
     motor : Motor
-        For its name and pole pairs.
+        For its name, pole pairs and magnet.
+    magnet_per_k : float, optional
+        Relative change of the magnet's flux [1/K]; without, the magnet's temperature is no argument.
 
     Raises
     ------
     InputError
         As `c_files`, and where a quantity exceeds int32: 2147 A, V, Nm or ohm, and 2.1 Wb or H.
     """
-    values = source_values(symbol, motor, references, control, compensation, limits)
+    values = source_values(symbol, motor, references, control, compensation, limits, magnet_per_k)
     tables = {name: _in_int32(name, table) for name, table in values["tables"].items()}
     turn32 = round(compensation.angle_rad * TURN32_PER_RAD) % 2**32
     values |= {"tables": tables, "turn32": turn32, "turn32_per_rad": TURN32_PER_RAD}

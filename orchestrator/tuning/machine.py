@@ -14,6 +14,8 @@ from protocols import FluxMap, InputError, Motor
 WHERE = "flux map"
 ROOM_C = 20.0
 """Temperature to which data sheets state resistances, for a winding of unknown temperature [°C]."""
+MAX_MAGNET_PER_K = 0.01
+"""Largest relative change of a magnet's flux [1/K]: ferrites lose 0.002, neodymium 0.0011."""
 MIN_MOTORING_SHARE = 1e-6
 """Part of the largest current that i_q has to reach in the map: only rounding stays below it."""
 
@@ -31,7 +33,9 @@ class Machine:
     r_s_ohm, r_s_std_ohm : float
         Resistance of a phase and its standard deviation [ohm].
     winding_c : float
-        Temperature of the winding at which the resistance holds [°C].
+        Temperature of the winding at which the resistance holds, and of the magnet at which the map does [°C].
+    magnet_per_k : float, optional
+        Change of the magnet's flux over its temperature, relative to it [1/K]; without, its temperature is no argument.
     """
 
     motor: Motor
@@ -39,8 +43,15 @@ class Machine:
     r_s_ohm: float
     r_s_std_ohm: float
     winding_c: float = ROOM_C
+    magnet_per_k: float | None = None
 
     def __post_init__(self) -> None:
+        if self.magnet_per_k is not None:
+            if not abs(self.magnet_per_k) <= MAX_MAGNET_PER_K:
+                most, given = 100.0 * MAX_MAGNET_PER_K, 100.0 * self.magnet_per_k
+                raise InputError("magnet", "magnet_percent_per_k", f"expected {most:g} %/K at most, not {given:g} %/K")
+            if not self.motor.pm_flux_wb:
+                raise InputError("motor", "pm_flux_wb", "unknown or zero: a magnet's temperature needs its flux")
         if not self.r_s_ohm > 0.0:
             raise InputError(WHERE, "r_s_ohm", f"expected a positive resistance, not {self.r_s_ohm:g} ohm")
         if not (self.surface.currents[:, 1] > MIN_MOTORING_SHARE * self.largest_current_a).any():

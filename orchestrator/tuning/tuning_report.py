@@ -181,7 +181,7 @@ def _finite(value: float) -> float | None:
 def _c_files(tuning: DriveTuning) -> tuple[dict[str, bytes], list[Remark]]:
     """Source in float, and in int32 where that holds the motor; else a remark."""
     motor = tuning.machine.motor
-    parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits)
+    parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits, tuning.machine.magnet_per_k)
     symbol = code_identifier(motor.name)
     in_float = c_files(symbol, motor, *parts)
     try:

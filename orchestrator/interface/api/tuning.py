@@ -30,6 +30,7 @@ def tune(
     bus_v: float | None = None,
     speed_rpm: float | None = None,
     sampling_hz: float | None = None,
+    magnet_percent_per_k: float | None = None,
     effects: Effects = (),
 ) -> TuningReport:
     """Current references, current control, compensation and sensorless limits, with their C code.
@@ -50,6 +51,8 @@ def tune(
         Largest mechanical speed [1/min]; by default the rated one.
     sampling_hz : float, optional
         Frequency of the current control [Hz]; by default the recording's PWM frequency.
+    magnet_percent_per_k : float, optional
+        Change of the magnet's flux over its temperature [%/K], such as -0.11 of neodymium, for code with that argument.
     effects : path, effect, or sequence of effects
         Effects of your own that the model has.
 
@@ -74,7 +77,8 @@ def tune(
             str(path), "stator_resistance_ohm", "R_s is unknown: estimate it, or give a motor with it (--motor)"
         )
     std = std or chosen.stator_resistance_std_ohm or DEFAULT_RESISTANCE_ERROR_RATIO * ohm
-    machine = Machine(chosen, flux_map, ohm, std, _winding_c(path))
+    magnet_per_k = None if magnet_percent_per_k is None else 0.01 * magnet_percent_per_k
+    machine = Machine(chosen, flux_map, ohm, std, _winding_c(path), magnet_per_k)
     drive = None if manifest is None else manifest.drive
     limits = limits_of(machine, drive, current_a=current_a, bus_v=bus_v, speed_rpm=speed_rpm, sampling_hz=sampling_hz)
     compensation = no_compensation(limits.current_a)

@@ -45,6 +45,10 @@ def tune_command(
     sampling_hz: Annotated[
         float | None, typer.Option(help="Frequency of the current control [Hz]; by default the PWM's.")
     ] = None,
+    magnet_percent_per_k: Annotated[
+        float | None,
+        typer.Option(help="Change of the magnet's flux [%/K], such as -0.11; its temperature is then used."),
+    ] = None,
     effects: EffectsOption = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -56,7 +60,7 @@ def tune_command(
     """
     from orchestrator.interface.cli._tuning import tune
 
-    return tune(path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, effects, as_json)
+    return tune(path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, magnet_percent_per_k, effects, as_json)
 
 
 @commands.command("audit")

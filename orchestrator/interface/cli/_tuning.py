@@ -21,12 +21,15 @@ def tune(
     bus_v: float | None,
     speed_rpm: float | None,
     sampling_hz: float | None,
+    magnet_percent_per_k: float | None,
     effects: Path | None,
     as_json: bool,
 ) -> int:
     """Write references, gains, compensation and C code into a folder, and print the main figures."""
     limits = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
-    report = api.tune(path, out=out, motor=motor, effects=effects or (), **limits)
+    report = api.tune(
+        path, out=out, motor=motor, magnet_percent_per_k=magnet_percent_per_k, effects=effects or (), **limits
+    )
     refresh_report(path, out)
     if as_json:
         say_document(report.model_dump_json(indent=2))

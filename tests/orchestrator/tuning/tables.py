@@ -31,12 +31,18 @@ class Tables:
     control: CurrentControl
     compensation: Compensation
     limits: DriveLimits
+    magnet_per_k: float | None = None
 
     def files(self) -> dict[str, bytes]:
-        return c_files("motor", self.motor, self.references, self.control, self.compensation, self.limits)
+        return c_files("motor", *self._parts())
 
     def int32_files(self) -> dict[str, bytes]:
-        return c_files_int32("motor", self.motor, self.references, self.control, self.compensation, self.limits)
+        return c_files_int32("motor", *self._parts())
+
+    def _parts(
+        self,
+    ) -> tuple[Motor, CurrentReferences, CurrentControl, Compensation, DriveLimits, float | None]:
+        return self.motor, self.references, self.control, self.compensation, self.limits, self.magnet_per_k
 
 
 def tables_of(

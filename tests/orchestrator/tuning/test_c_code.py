@@ -194,6 +194,24 @@ def test_an_invalid_resistance_counts_as_the_known_one(drive: Functions) -> None
         assert np.array_equal(drive.vector("current_reference_a", 2, 8.0, 2500.0, 300.0, bad)[1], known)
 
 
+@pytest.mark.parametrize("name", ["host", "host int32"])
+def test_a_magnet_of_known_temperature_gives_the_torque_that_is_wanted(
+    name: str, tables: Tables, tmp_path: Path
+) -> None:
+    """Within a few calls, as the current reference of one goes into the next."""
+    per_k, magnet_c = -0.0011, 120.0
+    motor = tables.motor.model_copy(update={"pm_flux_wb": PLANT.psi_m})
+    drive = drive_on(name, replace(tables, motor=motor, magnet_per_k=per_k), tmp_path)
+    warm = replace(PLANT, psi_m=PLANT.psi_m * (1.0 + per_k * (magnet_c - 20.0)))
+    for torque in (-7.0, -2.0, 0.5, 4.0, 8.0):
+        i_ref = words(2)
+        for _ in range(6):
+            wanted = drive.number("torque_to_ask_nm", torque, magnet_c, i_ref)
+            drive.call("current_reference_a", wanted, 800.0, 300.0, PLANT.r_s, i_ref)
+        assert warm.torque_nm(i_ref.astype(np.float64)) == pytest.approx(torque, abs=0.01)
+        assert abs(float(PLANT.torque_nm(i_ref.astype(np.float64)))) > 1.01 * abs(torque)
+
+
 def reference_control(tables: Tables) -> Callable[[complex, complex, float, float, float], complex]:
     """The same controller in complex numbers, with its state."""
     control, period = tables.control, 1.0 / LIMITS.sampling_hz
@@ -365,7 +383,7 @@ def test_the_source_in_int32_needs_no_library_and_no_data_either(tables: Tables,
     for name, content in tables.int32_files().items():
         (tmp_path / name).write_bytes(content)
     symbols = symbols_of("motor_drive_int32.c", tmp_path)
-    public = {name for name, *_ in SIGNATURES.values()}
+    public = {name for name, *_ in SIGNATURES.values()} - {"torque_to_ask_unm"}
     assert {name for kind, name in symbols if kind == "T"} == {f"motor_{name}" for name in public}
     assert {kind for kind, _ in symbols} <= {"T", "t", "r"}
     assert declared_in(tmp_path / "motor_drive_int32.h") == public
