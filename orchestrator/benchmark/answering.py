@@ -79,17 +79,28 @@ def flux_at(
     def values(grid: Array, method: Literal["linear", "cubic"]) -> Array:
         return np.asarray(RegularGridInterpolator(axes, grid, method=method, bounds_error=False)(at), dtype=float)
 
-    def smooth(grid: Array) -> Array:
-        """By cubic splines where the grid has no holes, else linearly."""
-        return values(grid, "cubic" if np.isfinite(grid).all() and min(grid.shape) > 3 else "linear")
-
-    flux = np.stack([smooth(np.asarray(found.psi_d, float)), smooth(np.asarray(found.psi_q, float))], axis=1)
-    std = np.stack(
-        [values(np.asarray(found.psi_d_std, float), "linear"), values(np.asarray(found.psi_q_std, float), "linear")],
-        axis=1,
-    )
+    smooth: Literal["linear", "cubic"] = "cubic" if min(found.psi_d.shape) > 3 else "linear"
+    inside = values(np.asarray(found.psi_d, dtype=float), "linear")
+    flux = np.stack([values(grid, smooth) for grid in _without_holes(found)], axis=1)
+    flux[~np.isfinite(inside)] = np.nan
+    grids = (np.asarray(grid, dtype=float) for grid in (found.psi_d_std, found.psi_q_std))
+    std = np.stack([values(grid, "linear") for grid in grids], axis=1)
     moved = (flux - flux[0])[1:]
     return [_point(row) for row in moved], [_point(row) for row in std[1:]]
+
+
+def _without_holes(found: FluxMap) -> tuple[Array, Array]:
+    """psi_d and psi_q [Wb]; nodes without a flux continue that of the nearest one by its inductances."""
+    psi_d, psi_q = (np.array(grid, dtype=float) for grid in (found.psi_d, found.psi_q))
+    known = np.isfinite(psi_d)
+    i_d, i_q = np.meshgrid(found.i_d, found.i_q, indexing="ij")
+    for k, m in np.argwhere(~known):
+        near = np.argmin((i_d[known] - i_d[k, m]) ** 2 + (i_q[known] - i_q[k, m]) ** 2)
+        at = tuple(np.argwhere(known)[near])
+        d, q = i_d[k, m] - i_d[at], i_q[k, m] - i_q[at]
+        psi_d[k, m] = found.psi_d[at] + found.l_dd[at] * d + found.l_dq[at] * q
+        psi_q[k, m] = found.psi_q[at] + found.l_dq[at] * d + found.l_qq[at] * q
+    return psi_d, psi_q
 
 
 def _point(row: Any) -> tuple[float, float] | None:
