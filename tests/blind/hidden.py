@@ -10,6 +10,7 @@ import dataclasses
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,39 +96,45 @@ ORDINARY = (0.01, 1.0)
 """The same of the effects of an ordinary bench, on which a little of everything is present."""
 
 
-def draw_case(kind: str, index: int, seed: int) -> Case:
-    """The case of a class with this number; raises `ValueError` for a class that there is not."""
+def draw_case(kind: str, index: int, seed: int, machine: Machine | None = None) -> Case:
+    """The case of a class with this number; raises `ValueError` for a class that there is not.
+
+    Parameters
+    ----------
+    machine : Machine, optional
+        By default the class's own: the 400 W machine but for two nuisances. Foreign effects are sized for it alone.
+    """
     if kind not in KINDS:
         raise ValueError(f"{kind!r}: there is {', '.join(KINDS)}")
     rng = np.random.default_rng([seed, zlib.crc32(kind.encode()), index])
-    names = list(CATALOGUE)
+    names, case_of = list(CATALOGUE), partial(_case, kind, index, machine=machine)
     if kind == "clean":
-        return _case(kind, index, "", rng)
+        return case_of("", rng)
     if kind in ("foreign", "foreign_behind"):
         about = list(FOREIGN)[index % len(FOREIGN)]
         behind = [("dead_time", BEHIND)] if kind == "foreign_behind" else []
-        return _case(kind, index, about, rng, behind, foreign=about, without=IN_THE_LIBRARY.get(about, ()))
+        return case_of(about, rng, behind, foreign=about, without=IN_THE_LIBRARY.get(about, ()))
     if kind == "nuisance":
         about = NUISANCES[index % len(NUISANCES)]
         # The first round is clean; the later ones have an effect beside the nuisance.
         hidden = [] if index < len(NUISANCES) else [(str(rng.choice(names)), None)]
-        return _case(kind, index, about, rng, hidden, nuisance=about)
+        return case_of(about, rng, hidden, nuisance=about)
     first = names[index % len(names)]
     if kind == "double":
         first, second = (str(name) for name in rng.choice(names, 2, replace=False))
-        return _case(kind, index, "", rng, [(first, None), (second, None)])
+        return case_of("", rng, [(first, None), (second, None)])
     if kind == "clutter":
         rest = [(name, 0.05) for name in names if name != first]
-        return _case(kind, index, first, rng, [(first, None), *rest])
+        return case_of(first, rng, [(first, None), *rest])
     if kind == "ordinary":
-        return _case(kind, index, "", rng, [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in names])
+        return case_of("", rng, [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in names])
     if kind == "switched_clean":
-        case = _case(kind, index, "", rng)
+        case = case_of("", rng)
         return dataclasses.replace(case, bench=healthy(case.bench))
     if kind in ("switched", "switched_foreign"):
         present = [name for name in names if name not in HARDLY_THERE and (name == "dead_time" or rng.random() < 0.6)]
         sizes = [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in present]
-        case = _case(kind, index, "", rng, sizes)
+        case = case_of("", rng, sizes)
         bench, brought = imperfect(rng, case.bench)
         bench = dataclasses.replace(bench, bridge=bench.bridge._replace(once=float(bench.seed % 2)))
         if kind == "switched_foreign":
@@ -136,9 +143,9 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
             case = dataclasses.replace(case, about=SLOW_LEG, foreign=SLOW_LEG)
         return dataclasses.replace(case, bench=bench, brought=brought)
     if kind == "faint":
-        return _case(kind, index, first, rng, [(first, float(np.exp(rng.uniform(*np.log(FAINT)))))])
+        return case_of(first, rng, [(first, float(np.exp(rng.uniform(*np.log(FAINT)))))])
     without = (first,) if kind == "left_out" else ()
-    return _case(kind, index, first, rng, [(first, None)], without=without)
+    return case_of(first, rng, [(first, None)], without=without)
 
 
 def _case(
@@ -150,8 +157,9 @@ def _case(
     foreign: str | None = None,
     nuisance: str | None = None,
     without: tuple[str, ...] = (),
+    machine: Machine | None = None,
 ) -> Case:
-    machine = {"servo_48v": SERVO_48V, "traction_28kw": TRACTION_28KW}.get(nuisance or "", PM400)
+    machine = machine or {"servo_48v": SERVO_48V, "traction_28kw": TRACTION_28KW}.get(nuisance or "", PM400)
     changes, truths = _hide(rng, machine, hidden)
     if foreign:
         changes |= FOREIGN[foreign](rng)
