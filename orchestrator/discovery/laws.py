@@ -81,7 +81,9 @@ def error_of(fit: Fit) -> float:
 def fit_flexible(fitter: Fitter, fit: Fit, score: Score) -> FittedLaw:
     """A flexible law beside a model, with the prior width that the ranking found."""
     hypothesis = replace(score.hypothesis, size=max(score.width, 1e-3 * score.hypothesis.size))
-    term = term_of(hypothesis, score.coefficients)
+    # From zero the first step moves all that is fitted along with the law: a level that an effect of the model
+    # compensates would be far off otherwise.
+    term = term_of(hypothesis, np.zeros(len(score.coefficients)))
     # A flexible law is linear in its coefficients but for the map's curvature: its columns hold for several steps.
     grown = fit.model.with_active([*fit.model.active, term])
     fitted = fit_with_frozen_jacobian(fitter, grown, rounds=FLEXIBLE_ROUNDS, tolerance=1e-4, known=fit)

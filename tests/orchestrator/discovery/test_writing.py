@@ -185,5 +185,8 @@ def test_a_play_may_begin_anywhere_within_its_radius() -> None:
     # Of an error in one of three readings two thirds are left in the vector.
     assert first[0] == pytest.approx([2.0 / 3.0 * values["size"] * values["radius_a"] / np.sqrt(3.0), 0.0])
     assert first[-1].max() < 1e-12  # the current has swung over by more than the radius since
+    # On its way from far away it may have overshot and come back.
+    far = effect.random_directions(replace(signals(), came_from_ab=np.array([[9.0, 0.0]])), effect.Parameters(**values))  # type: ignore[attr-defined]
+    np.testing.assert_allclose(far[0].i_ab, directions[0].i_ab)
     without = effect_of(law_of(at.READING, of.PHASE_CURRENT, ALL, "tanh"))
     assert not hasattr(without, "random_directions")
