@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tests.laws.examine import Answer
-from tests.laws.hidden import draw
+from tests.laws.subjects import Subject, subject
 
 NOISE = 1.2
 """Held-out error, in units of its noise, up to which a law leaves no more than noise."""
 WRONG_MAP_PERCENT = 1.0
+GOOD_MAP_PERCENT = 0.3
 EXPLAINED = ("clean", "explained", "explained_in_another_form")
 
 
@@ -27,9 +28,11 @@ class Judgement:
     is_right : bool
         Whether one law was written, at the hidden one's place, over its quantity, in its phase.
     is_left_to_noise : bool
+    is_good_map : bool
+        Whether the map is within `GOOD_MAP_PERCENT`, or stated not to be usable where it is not.
     is_usable_but_wrong : bool
-        Whether the model that a user would trust has a map that is wrong: that of an explained recording, or that with
-        a law that leaves no more than noise.
+        Whether a map that a user would trust is wrong: one that is stated to be usable, or that of an explained
+        recording, or that with a law that leaves no more than noise.
     baseline_is_right : bool
         Whether the first term of thresholded least squares has the law's place, quantity and phase.
     """
@@ -38,21 +41,32 @@ class Judgement:
     is_written: bool
     is_right: bool
     is_left_to_noise: bool
+    is_good_map: bool
     is_usable_but_wrong: bool
     baseline_is_right: bool
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the library has explained it without a law."""
+        return self.answer.verdict in EXPLAINED
+
+    @property
+    def hidden(self) -> Subject:
+        return subject(self.answer.kind, self.answer.seed)
 
 
 def judge(answer: Answer) -> Judgement:
     """Hold an answer against what was hidden."""
-    hidden, _ = draw(answer.kind, answer.seed)
+    names = subject(answer.kind, answer.seed).names
     written = answer.outcome == "law"
-    right = written and len(answer.places) == 1 and tuple(answer.places[0]) in hidden.names
+    right = written and len(answer.places) == 1 and tuple(answer.places[0]) in names
     noise = written and answer.after <= NOISE
-    trusted = answer.map_after if noise else answer.map_before if answer.verdict in EXPLAINED else None
+    error, usable = (answer.map_after, answer.usable_after) if written else (answer.map_before, answer.usable_before)
+    trusted = usable or noise or (not written and answer.verdict in EXPLAINED)
     first = tuple(answer.baseline.get("first") or ())
     return Judgement(
-        answer, written, right, noise, trusted is not None and trusted > WRONG_MAP_PERCENT,
-        first in hidden.names,
+        answer, written, right, noise, error is not None and (error <= GOOD_MAP_PERCENT or not trusted),
+        bool(trusted) and error is not None and error > WRONG_MAP_PERCENT, first in names,
     )  # fmt: skip
 
 
@@ -88,9 +102,6 @@ def summary(judgements: Sequence[Judgement]) -> str:
 
 def _row(one: Judgement) -> str:
     answer = one.answer
-    hidden, _ = draw(answer.kind, answer.seed)
-    constants = ", ".join(f"{c:g}" for c in hidden.constants)
-    where = f"{hidden.formula}{f' ({hidden.phase})' if hidden.phase else ''}; {constants}"
     laws = "; ".join(
         f"{' '.join(word.replace('_', ' ') for word in place if word)}: {formula}"
         for place, formula in zip(answer.places, answer.formulas, strict=True)
@@ -103,7 +114,7 @@ def _row(one: Judgement) -> str:
     after = "-" if baseline.get("after") is None else f"{baseline['after']:.2f}"
     terms = f"{'right' if one.baseline_is_right else 'wrong'}, {baseline['terms']} terms, {after}" if baseline else "-"
     cells = (
-        f"{_plain(answer.kind)}: {where}",
+        one.hidden.text if ":" not in answer.kind else f"{answer.kind} {one.hidden.text}",
         found,
         f"{answer.before:.2f} / {answer.after:.2f}" if answer.verdict not in EXPLAINED else "-",
         maps,
