@@ -26,6 +26,8 @@ KNEE: float = 0.03
 """Part of a signed quantity's range below which knots are even; beyond, they are spaced geometrically."""
 
 Parity = Literal["odd", "even", "none", "periodic"]
+MEMORIES = ("lag", "play", "cooling")
+"""Kinds of memory."""
 
 
 class Basis(Protocol):
@@ -38,6 +40,10 @@ class Basis(Protocol):
 
     @property
     def kind(self) -> str: ...
+
+    def design(self, x: Array) -> Array:
+        """Values of all functions at x (n,), shape (n, size); of memory, what shows it there."""
+        ...
 
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
         """Columns over the samples of x (n, m), shape (size, n m); over each interval's `mean` or at its start."""
@@ -133,6 +139,10 @@ class MemoryBasis:
     def size(self) -> int:
         return len(self.values)
 
+    def design(self, x: Array) -> Array:
+        """What shows it, shape (n, size): a play's first rise to x, else what is left a time x after a unit step."""
+        return np.stack([memory_response(self.kind, x, value) for value in self.values], axis=1)
+
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
         out = np.empty((self.size, x.size))
         last = batch.starts[1:] - 1
@@ -149,6 +159,11 @@ class MemoryBasis:
         if self.kind == "cooling":
             return cooled(x[:, 0], value, batch)[:, None]
         return x - (lagged if self.kind == "lag" else play)(x, value, batch)
+
+
+def memory_response(kind: str, x: Array, value: float) -> Array:
+    """A play's distance on its first rise to x; of a lag or of heat, what is left a time x after a unit step."""
+    return np.minimum(x, value) if kind == "play" else np.asarray(np.exp(-x / value), dtype=np.float64)
 
 
 def penalty(basis: Basis) -> Array:

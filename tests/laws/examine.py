@@ -39,7 +39,7 @@ class Answer:
     diagnose_s, discover_s : float
         CPU seconds.
     baseline : dict
-        Fields of `Thresholded`: what thresholded least squares finds of the same leftover.
+        What other methods find of the same leftover, by their names.
     ranked : list of (str, str, str)
         Place, quantity and phase of the best flexible law.
     """
@@ -76,7 +76,8 @@ def examine(label: str, seed: int, folder: Path) -> Answer:
     start = time.process_time()
     verdict = fluxbench.diagnose(place, without=hidden.without).report.verdict
     diagnosed = time.process_time()
-    map_before, usable_before = map_error(fluxbench.map_of(place), hidden), is_usable(place)
+    map_before = map_error(fluxbench.map_of(place), hidden) if (place / "model.json").exists() else None
+    usable_before = is_usable(place) if map_before is not None else None
     begin = time.process_time()
     found = fluxbench.discover(place, write=law, without=hidden.without)
     discovered = time.process_time()
@@ -95,11 +96,11 @@ def examine(label: str, seed: int, folder: Path) -> Answer:
 
 
 def with_baseline(answer: Answer, folder: Path) -> Answer:
-    """The answer with what thresholded least squares finds of the same recording."""
+    """The answer with what other methods find of the same recording."""
     from orchestrator.recording import open_recording
 
     recording = open_recording(recording_in(folder, answer.kind))
-    return replace(answer, baseline=asdict(thresholded_terms(recording)))
+    return replace(answer, baseline=thresholded_terms(recording))
 
 
 def recording_in(folder: Path, label: str) -> Path:

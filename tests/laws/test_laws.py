@@ -13,7 +13,7 @@ from tests.laws.__main__ import _replace
 from tests.laws.examine import Answer, keep, kept
 from tests.laws.hidden import KINDS, draw
 from tests.laws.plant import LOAD_ANGLE, NOTHING, Machine, _current, _rates, _slopes
-from tests.laws.score import judge, table
+from tests.laws.score import FIGURES, judge, table
 from tests.laws.subjects import PLACES, subject
 
 
@@ -22,7 +22,7 @@ def an_answer(kind: str, seed: int = 5) -> Answer:
     hidden, _ = draw(kind, seed)
     return Answer(
         kind, seed, "unknown_remains", "law", "", [[hidden.place, hidden.quantity, hidden.phase]], ["a |x|: size 1"],
-        9.0, 1.01, 2.0, 0.1, 20.0, 10.0, {"first": ["reading", "time", "a"], "terms": 7, "after": 3.0, "cpu_s": 5.0},
+        9.0, 1.01, 2.0, 0.1, 20.0, 10.0, {"thresholded": {"first": [], "terms": 7, "after": 3.0, "cpu_s": 5.0}},
     )  # fmt: skip
 
 
@@ -105,10 +105,12 @@ def test_the_table_has_a_row_for_each_answer_and_replaces_the_last_one(tmp_path:
     assert text.endswith("behind\n")
     assert "stale" not in text
     rows = [line for line in text.splitlines() if line.startswith("| ")]
-    assert len(rows) == 2 + len(KINDS)
-    assert {line.count(" | ") for line in rows} == {5}
+    figures, answers = rows[: len(FIGURES) + 2], rows[len(FIGURES) + 2 :]
+    assert len(answers) == 2 + len(KINDS)
+    assert {line.count(" | ") for line in figures} == {1}
+    assert {line.count(" | ") for line in answers} == {5}
     assert "a abs(x): size 1" in text
-    assert "Of 20 laws 20 have the right place" in text
+    assert "| of these: place, quantity and phase right | 20 of 20 |" in text
 
 
 def test_answers_are_kept_by_their_seed(tmp_path: Path) -> None:
