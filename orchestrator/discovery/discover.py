@@ -185,7 +185,7 @@ def _laws(setup: DiagnosisSetup, outcome: SearchOutcome, library: Sequence[Candi
 def _axes(hypothesis: Hypothesis) -> dict[str, str]:
     """Names and units of the curve's axes."""
     place, of, kind = hypothesis.place, hypothesis.quantity, hypothesis.basis.kind
-    if kind in ("lag", "cooling"):
+    if kind in ("lag", "cooling", "late"):
         return {
             "unit": quotient(place.unit, of.unit),
             "quantity_unit": "s",

@@ -107,6 +107,8 @@ class Law:
         if form.form is None:
             if hypothesis.basis.kind == "cooling":
                 return f"a {x}, {x}' = P - {x} / b"
+            if hypothesis.basis.kind == "late":
+                return f"a ({x} lagging by b)"
             return f"a ({x} - {x} {'lagging by' if hypothesis.basis.kind == 'lag' else 'with a play of'} b)"
         return (
             re.sub(r"\bx\b", x.replace("|", ""), form.form.formula)

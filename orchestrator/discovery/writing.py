@@ -157,8 +157,9 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
             u = u.format(x="np.abs({x})") if form.parity == "even" else "np.sign({x}) * " + u.format(x="np.abs({x})")
         expression = f"{size} * {u.format(x='x')}"
     elif form.form is None:
-        memory = {"lag": "x - lagged", "play": "x - play", "cooling": "cooled"}[hypothesis.basis.kind]
-        expression = f"{size} * {_bracketed(f'{memory}(x, {shapes[0]}, signals)')}"
+        memory = {"lag": "x - lagged", "play": "x - play", "cooling": "cooled", "late": "lagged"}[hypothesis.basis.kind]
+        single = "[:, 0]" if hypothesis.basis.kind == "late" and not quantity.of_phases else ""
+        expression = f"{size} * {_bracketed(f'{memory}(x, {shapes[0]}, signals){single}')}"
     else:
         code = re.sub(r"\bb\b", shapes[0], form.form.code) if form.form.has_scale else form.form.code
         code = re.sub(r"\bp\b(?!\.)", shapes[1], code) if form.form.has_power else code

@@ -87,6 +87,7 @@ def test_memory_is_shown_by_a_first_rise_or_by_what_a_step_leaves() -> None:
     np.testing.assert_allclose(MemoryBasis("play", (1.0, 2.0)).design(x), [[0.0, 0.0], [1.0, 1.0], [1.0, 2.0]])
     for kind in ("lag", "cooling"):
         np.testing.assert_allclose(MemoryBasis(kind, (2.0,)).design(x)[:, 0], np.exp(-x / 2.0))
+    np.testing.assert_allclose(MemoryBasis("late", (2.0,)).design(x)[:, 0], 1.0 - np.exp(-x / 2.0))
 
 
 def test_an_odd_curve_is_odd_and_an_even_one_even() -> None:

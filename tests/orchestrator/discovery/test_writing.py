@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import CurveBasis, MemoryBasis
+from orchestrator.discovery.bases import MEMORIES, CurveBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, FormFit
 from orchestrator.discovery.hypotheses import ALL, KINDS, A, Hypothesis, Phases
 from orchestrator.discovery.law import Law, Table
@@ -43,7 +43,7 @@ def law_of(place: Place, quantity: Quantity, phases: Phases, form: str) -> Law:
     size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit.split("/")[0]]
     if place.factor is not None:
         size /= float(np.abs(place.factor.of(signals())).max())
-    if form in ("lag", "play", "cooling"):
+    if form in MEMORIES:
         hypothesis = Hypothesis(place, quantity, phases, MemoryBasis(form, (1.0,)), size)
         return Law(hypothesis, FormFit(None, size / top, 0.2 * top if form == "play" else 2e-3, 1.0, 0.0))
     hypothesis = Hypothesis(place, quantity, phases, CurveBasis(0.0, top, 8, parity), size)  # type: ignore[arg-type]
@@ -75,6 +75,7 @@ CASES = [
     (at.LEG_RESISTANCE, of.HEAT, A, "straight"),
     (at.ANGLE, of.CURRENT_Q, ALL, "fraction"),
     (at.ANGLE, of.TORQUE, ALL, "proportional"),
+    (at.ANGLE, of.TORQUE, ALL, "late"),
     (at.MAGNETISING, of.PHASE_FLUX, A, "lag"),
     (at.MAGNETISING_D, of.HEAT, ALL, "saturating"),
     (at.LEG_RESISTANCE, of.HEAT, A, "cooling"),
