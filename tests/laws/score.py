@@ -98,10 +98,8 @@ def table(judgements: Sequence[Judgement], seed: int) -> str:
     for one in judgements:
         kind = one.answer.kind
         classes.setdefault(kind.split(":")[0].replace("_", " ") if ":" in kind else "laws", []).append(one)
-    counted = [
-        ["figure", *classes],
-        *map(list, zip([name for name, _ in FIGURES], *map(_figures, classes.values()), strict=True)),
-    ]
+    figures = [(name, *map(count, classes.values())) for name, count in FIGURES]
+    counted = [("figure", *classes), *(row for row in figures if set(row[1:]) != {"-"})]
     rows = [_cells(one, compared) for one in judgements]
     return f"Seed {seed}.\n\n{_markdown(counted)}\n\n{_markdown([[*HEADER, *(METHODS[m] for m in compared)], *rows])}\n"
 
@@ -109,10 +107,6 @@ def table(judgements: Sequence[Judgement], seed: int) -> str:
 def _markdown(rows: Sequence[Sequence[str]]) -> str:
     head, *rest = rows
     return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rest))
-
-
-def _figures(judgements: Sequence[Judgement]) -> list[str]:
-    return [count(judgements) for _, count in FIGURES]
 
 
 def _ratio(of: Callable[[Judgement], bool], among: Callable[[Judgement], bool]) -> Callable[[Sequence[Judgement]], str]:
