@@ -26,6 +26,8 @@ KNEE: float = 0.03
 """Part of a signed quantity's range below which knots are even; beyond, they are spaced geometrically."""
 
 Parity = Literal["odd", "even", "none", "periodic"]
+MEMORIES = ("lag", "play", "cooling", "late")
+"""Kinds of memory."""
 
 
 class Basis(Protocol):
@@ -38,6 +40,10 @@ class Basis(Protocol):
 
     @property
     def kind(self) -> str: ...
+
+    def design(self, x: Array) -> Array:
+        """Values of all functions at x (n,), shape (n, size); of memory, what shows it there."""
+        ...
 
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
         """Columns over the samples of x (n, m), shape (size, n m); over each interval's `mean` or at its start."""
@@ -117,11 +123,11 @@ class HarmonicBasis(CurveBasis):
 
 @dataclass(frozen=True)
 class MemoryBasis:
-    """x less its lag of several time constants, or less its play of several radii; or the heat that is left of x.
+    """x less its lags of several time constants or less its plays of several radii, the heat left of x, or x late.
 
     Attributes
     ----------
-    kind : {"lag", "play", "cooling"}
+    kind : {"lag", "play", "cooling", "late"}
     values : tuple of float
         Time constants [s], or radii in the unit of x.
     """
@@ -132,6 +138,10 @@ class MemoryBasis:
     @property
     def size(self) -> int:
         return len(self.values)
+
+    def design(self, x: Array) -> Array:
+        """What shows it, shape (n, size): a play's first rise to x, else what there is a time x after a unit step."""
+        return np.stack([memory_response(self.kind, x, value) for value in self.values], axis=1)
 
     def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
         out = np.empty((self.size, x.size))
@@ -148,7 +158,17 @@ class MemoryBasis:
     def _memory(self, x: Array, value: float, batch: SignalBatch) -> Array:
         if self.kind == "cooling":
             return cooled(x[:, 0], value, batch)[:, None]
+        if self.kind == "late":
+            return lagged(x, value, batch)
         return x - (lagged if self.kind == "lag" else play)(x, value, batch)
+
+
+def memory_response(kind: str, x: Array, value: float) -> Array:
+    """A play's distance on its first rise to x; else what there is a time x after a unit step."""
+    if kind == "play":
+        return np.minimum(x, value)
+    left = np.asarray(np.exp(-x / value), dtype=np.float64)
+    return 1.0 - left if kind == "late" else left
 
 
 def penalty(basis: Basis) -> Array:

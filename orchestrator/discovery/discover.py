@@ -21,6 +21,7 @@ from orchestrator.diagnosis.reporting.resemblance import alternatives_to
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis
+from orchestrator.discovery.law import quotient
 from orchestrator.discovery.laws import FittedLaw, error_of, text_of
 from orchestrator.discovery.ranking import Score
 from orchestrator.discovery.report import (
@@ -44,6 +45,8 @@ MAX_SHARE_OF_SEGMENT: float = 0.5
 """Part of a law's gain that one segment may carry."""
 SIGMAS: float = 1.96
 CURVE_POINTS: int = 40
+SCALES_OF_MEMORY: float = 4.0
+"""Length of the curve of a law with memory, in its time constants or radii."""
 RANKED: int = 12
 
 
@@ -59,11 +62,10 @@ class Learned:
 def discover_laws(
     recording: Recording,
     effects: Sequence[Effect],
-    model: MotorModel,
+    model: MotorModel | None,
     diagnosis: DiagnosisReport,
     *,
     name: str = "learned_law",
-    without: Sequence[str] = (),
     tell: Callable[[str], None] = lambda _: None,
 ) -> Learned:
     """Find the law that a diagnosed recording requires beyond the library.
@@ -73,11 +75,9 @@ def discover_laws(
     effects : sequence of Effect
         The library; all effects of the model are in it.
     model, diagnosis
-        What the diagnosis stored.
+        What the diagnosis stored; it has no model of a recording that breaks its manifest's conventions.
     name : str
         Of the effect that is written.
-    without : sequence of str
-        Effects of the library that the law is not compared with.
 
     Raises
     ------
@@ -87,8 +87,9 @@ def discover_laws(
         If the recording cannot be diagnosed.
     """
     began = time.monotonic()
-    require_effects_of(model, {effect.name for effect in effects})
-    if diagnosis.verdict in EXPLAINED:
+    if model is not None:
+        require_effects_of(model, {effect.name for effect in effects})
+    if model is None or diagnosis.verdict in EXPLAINED:
         why = f"nothing to learn here: the verdict is {diagnosis.verdict.replace('_', ' ')}"
         return Learned(_without_law(diagnosis, "nothing_to_learn", why))
     setup = open_for_refit(recording, model, tell)
@@ -101,7 +102,7 @@ def discover_laws(
     named = [effect.name for effect in diagnosis.effects]
     outcome = learn_laws(setup, whole, named, name, tell)
     verdict, why = _verdict(setup, before, outcome)
-    laws = _laws(setup, outcome, name, [c for c in library.values() if c.name not in without]) if outcome.laws else ()
+    laws = _laws(setup, outcome, tuple(library.values())) if outcome.laws else ()
     report = _report(setup, diagnosis, before, outcome, verdict, why, laws, began)
     return Learned(report, _text(setup, report, outcome) if verdict == "law" else "")
 
@@ -153,9 +154,7 @@ def _largest_segment(outcome: SearchOutcome) -> tuple[float, str]:
     return (gains[segment] / total if total > 0.0 and len(gains) > 4 else 0.0), segment
 
 
-def _laws(
-    setup: DiagnosisSetup, outcome: SearchOutcome, name: str, library: Sequence[CandidateEffect]
-) -> tuple[FoundLaw, ...]:
+def _laws(setup: DiagnosisSetup, outcome: SearchOutcome, library: Sequence[CandidateEffect]) -> tuple[FoundLaw, ...]:
     found = []
     seen = observable_effects(library, [p.signals for p in setup.prepared.pieces])
     for law in outcome.laws:
@@ -172,17 +171,27 @@ def _laws(
                 place=hypothesis.place.name,
                 quantity=hypothesis.quantity.name,
                 phase=PHASE_NAMES[hypothesis.phases],
-                unit=hypothesis.place.unit,
-                quantity_unit=hypothesis.quantity.unit,
-                symbol=hypothesis.quantity.symbol,
+                **_axes(hypothesis),
                 forms=tuple(_form(f, best, noise) for f in law.forms),
-                curve=_curve(law.flexible),
+                curve=_curve(law),
                 as_well=(*(f"{one} of the library" for one in alike), *map(_described, law.near)),
                 gauge=gauge_of(hypothesis),
                 to_decide=_to_decide(law),
             )
         )
     return tuple(found)
+
+
+def _axes(hypothesis: Hypothesis) -> dict[str, str]:
+    """Names and units of the curve's axes."""
+    place, of, kind = hypothesis.place, hypothesis.quantity, hypothesis.basis.kind
+    if kind in ("lag", "cooling", "late"):
+        return {
+            "unit": quotient(place.unit, of.unit),
+            "quantity_unit": "s",
+            "symbol": f"time after a step of {of.symbol}",
+        }
+    return {"unit": place.unit, "quantity_unit": of.unit, "symbol": of.symbol}
 
 
 def _described(hypothesis: Hypothesis) -> str:
@@ -215,19 +224,31 @@ def _constants(fitted: FittedLaw) -> list[Constant]:
     return found
 
 
-def curve_of(score: Score) -> tuple[Array, Array, Array]:
-    """Values of the quantity, and there the flexible law and its standard deviation; empty of a law with memory."""
-    basis = score.hypothesis.basis
-    if not isinstance(basis, CurveBasis):
-        return np.zeros(0), np.zeros(0), np.zeros(0)
-    x = basis.grid(CURVE_POINTS)
-    x = x if basis.parity == "none" else np.concatenate([-x[:0:-1], x])
+def _curve(law: LearnedLaw) -> tuple[CurvePoint, ...]:
+    """The flexible law and its standard deviation; with memory, what shows it (`Basis.design`), for a few scales."""
+    basis, score = law.flexible.hypothesis.basis, law.flexible
+    if isinstance(basis, CurveBasis):
+        x = basis.grid(CURVE_POINTS)
+        x = x if basis.parity == "none" else np.concatenate([-x[:0:-1], x])
+    else:
+        assert law.best.law is not None
+        assert isinstance(law.best.law.form, FormFit)
+        x = np.linspace(0.0, SCALES_OF_MEMORY * law.best.law.form.scale, CURVE_POINTS)
     design = basis.design(x)
-    return x, design @ score.coefficients, np.sqrt(np.einsum("ij,jk,ik->i", design, score.covariance, design))
+    y = _beside_the_rest(law, x, design @ score.coefficients)
+    std = np.sqrt(np.einsum("ij,jk,ik->i", design, score.covariance, design))
+    return tuple(CurvePoint(x=float(a), y=float(b), std=float(c)) for a, b, c in zip(x, y, std, strict=True))
 
 
-def _curve(score: Score) -> tuple[CurvePoint, ...]:
-    return tuple(CurvePoint(x=float(a), y=float(b), std=float(c)) for a, b, c in zip(*curve_of(score), strict=True))
+def _beside_the_rest(law: LearnedLaw, x: Array, y: Array) -> Array:
+    """A curve without the constant, or the line of an odd one, that R_s, the map or an effect of the model takes up."""
+    chosen, basis = law.best.law, law.flexible.hypothesis.basis
+    if chosen is None or not isinstance(basis, CurveBasis) or not isinstance(chosen.form, FormFit):
+        return y
+    open_part = x if basis.parity == "odd" else np.ones_like(x)
+    apart = y - chosen.values(x)
+    taken_up = open_part * (open_part @ apart) / (open_part @ open_part)
+    return y - taken_up if np.linalg.norm(apart - taken_up) < 0.5 * np.linalg.norm(apart) else y
 
 
 def _to_decide(law: LearnedLaw) -> str:
@@ -287,7 +308,7 @@ def _ranked(score: Score) -> RankedHypothesis:
         phase=PHASE_NAMES[hypothesis.phases],
         kind=basis.parity if isinstance(basis, CurveBasis) else basis.kind,
         log_evidence=score.log_evidence,
-        share=score.share if math.isfinite(score.share) else 0.0,
+        share=min(score.share, 1.0) if math.isfinite(score.share) else 0.0,
     )
 
 

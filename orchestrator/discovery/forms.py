@@ -44,8 +44,6 @@ class Form:
     parity : {"odd", "even", "none", "periodic"}
         Of the curves that it may be.
     has_scale, has_power : bool
-    is_linear : bool
-        The size's unit is that of y over x.
     """
 
     name: str
@@ -180,7 +178,9 @@ def fitting_forms(score: Score) -> list[FormFit]:
     gauges = [weigh @ project @ g for g in taken_up]
     fits = []
     for form in CURVES:
-        if form.parity != basis.parity or any(np.allclose(form.of(grid, 1.0, 1.0), g) for g in taken_up):
+        # A power is a line for one exponent alone.
+        is_taken_up = not form.has_power and any(np.allclose(form.of(grid, 1.0, 1.0), g) for g in taken_up)
+        if form.parity != basis.parity or is_taken_up:
             continue
         if form.name == "steady" and score.hypothesis.place.name == "reading_gain":
             continue  # an error of the reading in proportion to the current, which is simpler
@@ -192,7 +192,7 @@ def fitting_forms(score: Score) -> list[FormFit]:
             solution, misfit = _least_squares([column, *gauges], target)
             if best is None or misfit < best.misfit:
                 best = FormFit(form, solution[0], scale, power, misfit)
-        if best is not None and best.size != 0.0:
+        if best is not None and _is_something(best):
             fits.append(best)
     return sorted(fits, key=lambda fit: fit.misfit + 2.0 * (fit.form.constants if fit.form else 2))
 
@@ -242,4 +242,8 @@ def _memories(score: Score, basis: MemoryBasis) -> list[FormFit]:
         for j, value in enumerate(basis.values)
         if precision[j, j] > 0.0
     ]
-    return sorted((f for f in fits if math.isfinite(f.misfit)), key=lambda fit: fit.misfit)[:2]
+    return sorted(filter(_is_something, fits), key=lambda fit: fit.misfit)[:2]
+
+
+def _is_something(fit: FormFit) -> bool:
+    return fit.size != 0.0 and math.isfinite(fit.size) and math.isfinite(fit.misfit)

@@ -216,7 +216,7 @@ class Ranges:
             return MemoryBasis("cooling", tuple(float(t) for t in np.geomspace(shortest, longest, LAGS)))
         if kind == "play":
             return MemoryBasis("play", tuple(r * top for r in RADII))
-        return MemoryBasis("lag", tuple(float(t) for t in np.geomspace(self.interval_s, 0.5 * self.longest_s, LAGS)))
+        return MemoryBasis(kind, tuple(float(t) for t in np.geomspace(self.interval_s, 0.5 * self.longest_s, LAGS)))
 
 
 QUANTITIES = (
@@ -226,7 +226,7 @@ QUANTITIES = (
 )  # fmt: skip
 EACH = (ALL, A, B, C)
 SENSORS = (ALL, A, B)
-Part = Parity | Literal["lag", "play", "cooling"]
+Part = Parity | Literal["lag", "play", "cooling", "late"]
 KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] = (
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("even",), EACH),
@@ -263,7 +263,7 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
     (at.ANGLE, of.HEAT, ("none",), (ALL,)),
     (at.ANGLE, of.ROTOR_ANGLE, ("periodic",), (ALL,)),
     (at.ANGLE, of.CURRENT_Q, ("odd", "even"), (ALL,)),
-    (at.ANGLE, of.TORQUE, ("odd", "even"), (ALL,)),
+    (at.ANGLE, of.TORQUE, ("odd", "even", "late"), (ALL,)),
     (at.ANGLE, of.CURRENT_D, ("none",), (ALL,)),
     (at.MAGNETISING, of.PHASE_FLUX, ("lag", "play"), EACH),
     (at.MAGNETISING_D, of.TIME, ("none",), (ALL,)),
@@ -280,7 +280,7 @@ def hypotheses(ranges: Ranges) -> Iterator[Hypothesis]:
         for part in parts:
             size = ranges.size_at(place)
             basis: Basis | None
-            if part == "lag" or part == "play" or part == "cooling":
+            if part == "lag" or part == "play" or part == "cooling" or part == "late":
                 basis = ranges.memory(quantity, part)
             else:
                 basis = ranges.curve(quantity, part)

@@ -7,6 +7,8 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import Hypothesis
 from orchestrator.numerics.types import Array
@@ -73,8 +75,8 @@ class Law:
         if form.form is None:
             kind = self.hypothesis.basis.kind
             shape = _shape("radius", x, form.scale) if kind == "play" else _shape(kind, "s", form.scale)
-            return (_size(_quotient(y, x, 1), form.size), shape)
-        found = [_size(_quotient(y, x, form.form.power_of_x), form.size)]
+            return (_size(quotient(y, x), form.size), shape)
+        found = [_size(quotient(y, x, form.form.power_of_x), form.size)]
         if form.form.has_scale:
             # A power's scale and size are one number: the scale only says where the size is meant.
             is_unit = form.form.has_power and form.form.power_name == "exponent"
@@ -84,6 +86,16 @@ class Law:
                 Parameter(form.form.power_name, "1", form.power, *POWER_BOUNDS[form.form.power_name], is_size=False)
             )
         return tuple(found)
+
+    def values(self, x: Array) -> Array:
+        """At values of its quantity; of a law without memory."""
+        form = self.form
+        if isinstance(form, FormFit):
+            assert form.form is not None
+            return np.asarray(form.size * form.form.of(x, form.scale, form.power), dtype=np.float64)
+        u = np.abs(x) if form.parity != "none" else x
+        y = form.size * np.interp(u / form.top, form.x, form.y)
+        return np.asarray(np.sign(x) * y if form.parity == "odd" else y, dtype=np.float64)
 
     @property
     def formula(self) -> str:
@@ -95,6 +107,8 @@ class Law:
         if form.form is None:
             if hypothesis.basis.kind == "cooling":
                 return f"a {x}, {x}' = P - {x} / b"
+            if hypothesis.basis.kind == "late":
+                return f"a ({x} lagging by b)"
             return f"a ({x} - {x} {'lagging by' if hypothesis.basis.kind == 'lag' else 'with a play of'} b)"
         return (
             re.sub(r"\bx\b", x.replace("|", ""), form.form.formula)
@@ -147,7 +161,7 @@ def _suffix(unit: str) -> str:
     return unit.lower().replace("1/", "per_").replace("/", "_per_").replace(" ", "_").replace("^", "")
 
 
-def _quotient(unit: str, by: str, power: int) -> str:
+def quotient(unit: str, by: str, power: int = 1) -> str:
     """The unit of one unit over a power of another."""
     powers = dict(unit_powers(unit)) if unit != "1" else {}
     for symbol, exponent in unit_powers(by).items():

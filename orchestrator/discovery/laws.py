@@ -21,13 +21,15 @@ from orchestrator.diagnosis.fitting.machine_scale import MachineScale
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out
 from orchestrator.diagnosis.selection.scoring import log_evidence
-from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.bases import Basis, CurveBasis
 from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import Hypothesis, term_of
 from orchestrator.discovery.law import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Parameter, Table
-from orchestrator.discovery.places import of_three_sensors
+from orchestrator.discovery.places import READING, of_three_sensors
+from orchestrator.discovery.quantities import PHASE_CURRENT
 from orchestrator.discovery.ranking import Score
 from orchestrator.discovery.writing import NamedLaw, source_of
+from orchestrator.numerics.types import Array
 from orchestrator.registry.plugins import load_effects_file
 from protocols import Effect
 
@@ -81,7 +83,9 @@ def error_of(fit: Fit) -> float:
 def fit_flexible(fitter: Fitter, fit: Fit, score: Score) -> FittedLaw:
     """A flexible law beside a model, with the prior width that the ranking found."""
     hypothesis = replace(score.hypothesis, size=max(score.width, 1e-3 * score.hypothesis.size))
-    term = term_of(hypothesis, score.coefficients)
+    # From zero the first step moves all that is fitted along with the law: a level that an effect of the model
+    # compensates would be far off otherwise.
+    term = term_of(hypothesis, np.zeros(len(score.coefficients)))
     # A flexible law is linear in its coefficients but for the map's curvature: its columns hold for several steps.
     grown = fit.model.with_active([*fit.model.active, term])
     fitted = fit_with_frozen_jacobian(fitter, grown, rounds=FLEXIBLE_ROUNDS, tolerance=1e-4, known=fit)
@@ -89,14 +93,31 @@ def fit_flexible(fitter: Fitter, fit: Fit, score: Score) -> FittedLaw:
 
 
 def score_of(flexible: FittedLaw) -> Score:
-    """A flexible law as fitted, with the covariance of its coefficients."""
+    """A flexible law as fitted, with the covariance of its coefficients; a sensor's odd error over the true current."""
     term, fit = flexible.term, flexible.fit
     count = len(term.free)
     noise = max(fit.chi2_per_dof, 1.0)
     widths = np.array([term.candidate.named(n).prior_width for n in term.free])
     covariance = fit.covariance(noise)[-count:, -count:] * np.outer(widths, widths)
     coefficients = np.array([term.values[n] for n in term.free])
-    return Score(flexible.hypothesis, 0.0, fit.chi2, coefficients, covariance, 0.0, float(widths[0]))
+    hypothesis = flexible.hypothesis
+    if hypothesis.place is READING and hypothesis.quantity is PHASE_CURRENT:
+        basis, coefficients = _over_true_current(hypothesis.basis, coefficients)
+        hypothesis = replace(hypothesis, basis=basis)
+    return Score(hypothesis, 0.0, fit.chi2, coefficients, covariance, 0.0, float(widths[0]))
+
+
+def _over_true_current(basis: Basis, coefficients: Array) -> tuple[CurveBasis, Array]:
+    """A sensor's error over the true current, of a curve over the reading: x = r - y(r)."""
+    assert isinstance(basis, CurveBasis)
+    reading = basis.grid(12 * basis.cells)
+    error = basis.design(reading) @ coefficients
+    if basis.parity != "odd":
+        # The readings of both signs belong to different true currents.
+        return basis, coefficients
+    true = reading - error
+    over = replace(basis, high=float(true.max()))
+    return over, np.asarray(np.linalg.lstsq(over.design(true), error, rcond=None)[0], dtype=np.float64)
 
 
 def table_of(score: Score) -> Table | None:

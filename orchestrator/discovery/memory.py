@@ -24,11 +24,10 @@ def lagged(x: RealArray, time_constant_s: float, signals: Signals | SignalBatch)
     return _lagged(_columns(x), starts, time_constant_s * rates)
 
 
-def play(x: RealArray, radius: float, signals: Signals | SignalBatch, ahead: float = 0.0) -> Array:
+def play(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
     """Play of phase quantities x (n, 3) that follow the phase currents: a segment's began where the current came from.
 
-    Before a segment, x is taken as proportional to the current; without a history the play begins at x. `ahead` is
-    added to what it remembers at each segment's beginning.
+    Before a segment, x is taken as proportional to the current; without a history the play begins at x.
     """
     starts, _ = _layout(signals)
     segments = signals.segments if isinstance(signals, SignalBatch) else (signals,)
@@ -42,7 +41,7 @@ def play(x: RealArray, radius: float, signals: Signals | SignalBatch, ahead: flo
         slope = float(np.sum(x[at] * i_abc[at]) / power) if power > 0.0 else 0.0
         path = x[starts[k]] + slope * (to_phases(segment.came_from_ab) - i_abc[starts[k]])
         memory[k] = _played(path, np.array([0, len(path)]), radius, path[:1])[-1]
-    return _played(x, starts, radius, memory + ahead)
+    return _played(x, starts, radius, memory)
 
 
 def unknown_memory(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
@@ -51,7 +50,9 @@ def unknown_memory(x: RealArray, radius: float, signals: Signals | SignalBatch) 
     Between two segments the current is not recorded, and may have swung over by more than the radius: then the play
     is anywhere within it.
     """
-    ends = [play(x, radius, signals, ahead=side * 4.0 * radius) for side in (1.0, -1.0)]
+    starts, _ = _layout(signals)
+    x = _columns(x)
+    ends = [_played(x, starts, radius, x[starts[:-1]] + side * radius) for side in (1.0, -1.0)]
     return np.asarray((ends[0] - ends[1]) / math.sqrt(12.0), dtype=np.float64)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from orchestrator.discovery.bases import MEMORIES, memory_response
 from orchestrator.discovery.forms import CURVES
 from orchestrator.discovery.report import Discovery, FoundForm, FoundLaw
 from orchestrator.formatting.drawing import bare, empty_figure, legend_above, name_axes, uri
@@ -26,11 +27,12 @@ def curve_picture(found: Discovery) -> bytes | None:
         return None
     figure = empty_figure(4.6 * len(laws), 3.5)
     for axes, law in zip(figure.subplots(1, len(laws), squeeze=False)[0], laws, strict=True):
-        _draw(bare(axes), law)
+        draw_law(bare(axes), law)
     return base64.b64decode(uri(figure).split(",", 1)[1])
 
 
-def _draw(axes: Axes, law: FoundLaw) -> None:
+def draw_law(axes: Axes, law: FoundLaw) -> None:
+    """The flexible law with its band, and the formulas that do as well, in axes of their own."""
     x, y, std = (np.array([getattr(p, of) for p in law.curve]) for of in ("x", "y", "std"))
     axes.fill_between(x, y - BAND_SIGMAS * std, y + BAND_SIGMAS * std, color=CURVE_COLOUR, alpha=0.2, lw=0)
     axes.plot(x, y, color=CURVE_COLOUR, label="flexible, 95 %")
@@ -45,10 +47,13 @@ def _draw(axes: Axes, law: FoundLaw) -> None:
 
 
 def form_values(form: FoundForm, x: Array) -> Array | None:
-    """A form's values; None of a table or a law with memory."""
+    """A form's values; None of a table."""
+    constants = {c.name.split("_")[0]: c.value for c in form.constants}
+    if form.name in MEMORIES:
+        (shape,) = (c.value for c in form.constants[1:])
+        return constants["size"] * memory_response(form.name, x, shape)
     known = {f.name: f for f in CURVES}.get(form.name)
     if known is None:
         return None
-    constants = {c.name.split("_")[0]: c.value for c in form.constants}
     values = known.of(x, constants.get(known.scale_name, 1.0), constants.get(known.power_name, 1.0))
     return np.asarray(constants["size"] * values)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -17,8 +16,6 @@ from orchestrator.discovery.memory import slopes
 from orchestrator.numerics.frames import to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch, Signals
-
-Range = Literal["both", "positive"]
 
 
 def phase_currents(signals: Signals | SignalBatch) -> Array:
@@ -127,8 +124,6 @@ class Quantity:
     text : str
         As in "a voltage of each leg over <its own current>".
     unit : str
-    is_signed : bool
-        Whether zero is a place of symmetry: a curve over it has an odd and an even part.
     symbol : str
         In formulas.
     """
@@ -136,7 +131,6 @@ class Quantity:
     of: Callable[[Signals | SignalBatch], Array]
     text: str
     unit: str
-    is_signed: bool
     symbol: str
     of_phases: bool = False
 
@@ -145,22 +139,22 @@ class Quantity:
         return self.of.__name__
 
 
-PHASE_CURRENT = Quantity(phase_currents, "its own current", "A", True, "i", of_phases=True)
-SMOOTH_CURRENT = Quantity(smooth_currents, "its own smooth current", "A", True, "i", of_phases=True)
-NEXT_CURRENT = Quantity(next_phase_currents, "the current of the next phase", "A", True, "i_next", of_phases=True)
+PHASE_CURRENT = Quantity(phase_currents, "its own current", "A", "i", of_phases=True)
+SMOOTH_CURRENT = Quantity(smooth_currents, "its own smooth current", "A", "i", of_phases=True)
+NEXT_CURRENT = Quantity(next_phase_currents, "the current of the next phase", "A", "i_next", of_phases=True)
 PREVIOUS_CURRENT = Quantity(
-    previous_phase_currents, "the current of the previous phase", "A", True, "i_previous", of_phases=True
+    previous_phase_currents, "the current of the previous phase", "A", "i_previous", of_phases=True
 )
-CURRENT_SLOPE = Quantity(current_slopes, "the slope of its own current", "A/s", True, "di/dt", of_phases=True)
-PHASE_VOLTAGE = Quantity(phase_voltages, "its own voltage", "V", True, "v", of_phases=True)
-PHASE_FLUX = Quantity(phase_fluxes, "its own flux", "Wb", True, "psi", of_phases=True)
-CURRENT = Quantity(current, "|i|", "A", False, "|i|")
-CURRENT_D = Quantity(current_d, "i_d", "A", True, "i_d")
-CURRENT_Q = Quantity(current_q, "i_q", "A", True, "i_q")
-TORQUE = Quantity(torque, "the torque", "Wb A", True, "T")
-VOLTAGE = Quantity(voltage, "|v|", "V", False, "|v|")
-POWER = Quantity(power, "the power", "W", True, "P")
-LINK_VOLTAGE = Quantity(link_voltage, "the link voltage beyond its nominal value", "V", True, "(v_dc - v_nominal)")
-TIME = Quantity(time, "time", "s", False, "t")
-ROTOR_ANGLE = Quantity(rotor_angle, "the angle of the rotor", "rad", False, "theta")
-HEAT = Quantity(heat, "the heat dissipated", "W s", False, "W")
+CURRENT_SLOPE = Quantity(current_slopes, "the slope of its own current", "A/s", "di/dt", of_phases=True)
+PHASE_VOLTAGE = Quantity(phase_voltages, "its own voltage", "V", "v", of_phases=True)
+PHASE_FLUX = Quantity(phase_fluxes, "its own flux", "Wb", "psi", of_phases=True)
+CURRENT = Quantity(current, "|i|", "A", "|i|")
+CURRENT_D = Quantity(current_d, "i_d", "A", "i_d")
+CURRENT_Q = Quantity(current_q, "i_q", "A", "i_q")
+TORQUE = Quantity(torque, "the torque", "Wb A", "T")
+VOLTAGE = Quantity(voltage, "|v|", "V", "|v|")
+POWER = Quantity(power, "the power", "W", "P")
+LINK_VOLTAGE = Quantity(link_voltage, "the link voltage beyond its nominal value", "V", "(v_dc - v_nominal)")
+TIME = Quantity(time, "time", "s", "t")
+ROTOR_ANGLE = Quantity(rotor_angle, "the angle of the rotor", "rad", "theta")
+HEAT = Quantity(heat, "the heat dissipated", "W s", "W")

@@ -70,12 +70,13 @@ class FoundLaw(_Frozen):
     quantity: str
     phase: str
     unit: str
+    """Of the curve's values; `symbol` and `quantity_unit` are of its other axis."""
     quantity_unit: str
     symbol: str
     forms: tuple[FoundForm, ...]
     """The one that is written first, then those that do as well."""
     curve: tuple[CurvePoint, ...]
-    """The flexible law with its standard deviation; empty of a law with memory."""
+    """The flexible law with its standard deviation; of a law with memory, a play's first rise or what a step leaves."""
     as_well: tuple[str, ...]
     """Other places and quantities that do as well, and effects of the library, bent, that span it."""
     gauge: str

@@ -7,9 +7,8 @@ more than noise is left, a further law is looked for beside the first.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,26 +60,21 @@ class LearnedLaw:
 
     Attributes
     ----------
-    flexible_laws : mapping of str to Score
-        The flexible laws as fitted to the whole recording, by the keys of their hypotheses.
+    flexible : Score
+        The flexible law of the chosen form, as fitted to the whole recording.
     forms : tuple of FittedLaw
         The chosen one first, then those that do as well.
     near : tuple of Hypothesis
         Others whose flexible laws do as well.
     """
 
-    flexible_laws: Mapping[str, Score]
+    flexible: Score
     forms: tuple[FittedLaw, ...]
     near: tuple[Hypothesis, ...]
 
     @property
     def best(self) -> FittedLaw:
         return self.forms[0]
-
-    @property
-    def flexible(self) -> Score:
-        """The flexible law of the chosen form."""
-        return self.flexible_laws[self.best.hypothesis.key]
 
 
 @dataclass(frozen=True)
@@ -100,7 +94,6 @@ class SearchOutcome:
     start: Fit
     laws: tuple[LearnedLaw, ...]
     ranking: tuple[Score, ...]
-    seconds: float = field(default=0.0)
 
     @property
     def fit(self) -> Fit:
@@ -135,7 +128,6 @@ def learn_laws(
     name : str
         Of the effect to be written.
     """
-    began = time.monotonic()
     causes = [a for a in model.active if a.name in named]
     starts = []
     for active in [causes, []] if causes else [[]]:
@@ -162,7 +154,7 @@ def learn_laws(
         tell("is there a second law?")
         start = _start(setup, fit.model, besides=[law.best.hypothesis for law in laws])
     before = _without_laws(setup, laws) if laws else fit
-    return SearchOutcome(before, tuple(laws), tuple(first), time.monotonic() - began)
+    return SearchOutcome(before, tuple(laws), tuple(first))
 
 
 def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], None]) -> LearnedLaw:
@@ -231,21 +223,22 @@ def _formed(
     chosen = _chosen(fitted, noise)
     of = next(f for f in flexible if f.hypothesis.key == chosen[0].hypothesis.key)
     rivals = [f for f in flexible if f is not of and best.chi2 <= CLOSE_CHI2 and _does_as_well(f, best, noise)]
-    return LearnedLaw(
-        {f.hypothesis.key: score_of(f) for f in flexible},
-        chosen,
-        tuple(f.hypothesis for f in rivals),
-    )
+    return LearnedLaw(score_of(of), chosen, tuple(f.hypothesis for f in rivals))
 
 
 def _chosen(fitted: Sequence[FittedLaw], noise: float) -> tuple[FittedLaw, ...]:
     """The form to keep, and those that do as well; the table where no short form comes near it."""
     ordered = sorted(fitted, key=lambda f: -f.log_evidence(noise))
-    # A table has no price for its many numbers.
     forms, tables = [f for f in ordered if not _is_table(f)], [f for f in ordered if _is_table(f)]
-    if forms and (not tables or forms[0].chi2 - 1.0 <= 1.5 * max(tables[0].chi2 - 1.0, 0.05)):
+    if forms and (not tables or _comes_near(forms[0], tables[0], noise)):
         return tuple(_simplest_first([f for f in forms if _does_as_well(f, forms[0], noise)]))
     return tuple(tables[:1])
+
+
+def _comes_near(form: FittedLaw, table: FittedLaw, noise: float) -> bool:
+    """Whether a form leaves little more than a table, whose evidence has no price for its many numbers."""
+    likelier = form.log_evidence(noise) >= table.log_evidence(noise)
+    return likelier or form.chi2 - 1.0 <= 1.5 * max(table.chi2 - 1.0, 0.05)
 
 
 def _does_as_well(one: FittedLaw, best: FittedLaw, noise: float) -> bool:
@@ -293,7 +286,7 @@ def _in_forms(
         options.append(table)
     fitted = []
     for option in options:
-        law = Law(flexible.hypothesis, option)
+        law = Law(score.hypothesis, option)
         tell(f"a form: {law.formula}")
         one = fit_law(setup, fit, law, name)
         fitted.append(replace(one, law=with_fitted_constants(one)))

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import inspect
 import keyword
+import math
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.hypotheses import ALL, PHASE_NAMES, Hypothesis
 from orchestrator.discovery.law import Law, Table
 from orchestrator.discovery.places import READING, READING_BY_TIME
@@ -17,8 +21,10 @@ from orchestrator.formatting.sentences import visible
 
 OF_READINGS = (PHASE_CURRENT, NEXT_CURRENT, PREVIOUS_CURRENT, CURRENT)
 """Quantities that a sensor's error changes."""
-INVERSION_ROUNDS: int = 4
-"""Rounds in which the true current is found: an error with a slope of 0.15 A/A is known to 5e-4 of itself."""
+INVERSION_ERROR: float = 5e-4
+"""Part of a sensor's error to which the rounds that find the true current know it."""
+INVERSION_ROUNDS: tuple[int, int] = (4, 12)
+"""Fewest and most of these rounds: each leaves as much of the error as its slope in A/A."""
 
 
 @dataclass(frozen=True)
@@ -151,8 +157,9 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
             u = u.format(x="np.abs({x})") if form.parity == "even" else "np.sign({x}) * " + u.format(x="np.abs({x})")
         expression = f"{size} * {u.format(x='x')}"
     elif form.form is None:
-        memory = {"lag": "x - lagged", "play": "x - play", "cooling": "cooled"}[hypothesis.basis.kind]
-        expression = f"{size} * {_bracketed(f'{memory}(x, {shapes[0]}, signals)')}"
+        memory = {"lag": "x - lagged", "play": "x - play", "cooling": "cooled", "late": "lagged"}[hypothesis.basis.kind]
+        single = "[:, 0]" if hypothesis.basis.kind == "late" and not quantity.of_phases else ""
+        expression = f"{size} * {_bracketed(f'{memory}(x, {shapes[0]}, signals){single}')}"
     else:
         code = re.sub(r"\bb\b", shapes[0], form.form.code) if form.form.has_scale else form.form.code
         code = re.sub(r"\bp\b(?!\.)", shapes[1], code) if form.form.has_power else code
@@ -173,20 +180,31 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
         lines += [f"y = y * {place.factor.name}(signals)[:, None]"]
     correction = place.code.format(sensors=_sensors(three_sensors))
     if not is_memory and place in (READING, READING_BY_TIME) and quantity in OF_READINGS:
-        return _of_true_current(lines, correction)
+        return _of_true_current(lines, correction, _rounds(law))
     return "\n".join([*lines, f"return {correction}"])
 
 
-def _of_true_current(lines: Sequence[str], correction: str) -> str:
+def _rounds(law: Law) -> int:
+    """Rounds that find the true current, by the steepest slope of a law over its range."""
+    basis = law.hypothesis.basis
+    assert isinstance(basis, CurveBasis)
+    x = basis.grid(12 * basis.cells)
+    x = x[x > 0.0]
+    slope = float(np.abs(np.gradient(law.values(x), x)).max())
+    needed = math.log(INVERSION_ERROR) / math.log(min(max(slope, 1e-6), 0.9))
+    return int(np.clip(math.ceil(needed), *INVERSION_ROUNDS))
+
+
+def _of_true_current(lines: Sequence[str], correction: str, rounds: int) -> str:
     """A body whose law depends on the current before the sensors' error, found by fixed-point iteration."""
     first = lines[0].replace("(signals)", "(true)")
     bounded = "y = np.clip(y, -largest, largest)"
-    rounds = textwrap.indent("\n".join([first, *lines[1:], bounded, f"true = signals.corrected({correction})"]), "    ")
+    body = textwrap.indent("\n".join([first, *lines[1:], bounded, f"true = signals.corrected({correction})"]), "    ")
     head = [
         "# The law is one of the true current, which these rounds find where the error is less than the current.",
         "true, largest = signals, np.abs(signals.i_ab).max()",
     ]
-    return "\n".join([*head, f"for _ in range({INVERSION_ROUNDS}):", rounds, "return Correction(i_ab=true.i_ab)"])
+    return "\n".join([*head, f"for _ in range({rounds}):", body, "return Correction(i_ab=true.i_ab)"])
 
 
 def _bracketed(code: str) -> str:

@@ -20,6 +20,7 @@ from orchestrator.numerics.types import Array
 from protocols import Effect, RecordingReader
 
 Places = NDArray[np.int64]
+THRESHOLDS = 25
 
 
 def baselines(recording: RecordingReader, library: Sequence[Effect]) -> dict[str, list[str]]:
@@ -47,9 +48,9 @@ def baselines(recording: RecordingReader, library: Sequence[Effect]) -> dict[str
     return found
 
 
-def thresholded(normal: Array, right: Array) -> Iterable[Places]:
-    """Sequentially thresholded least squares (doi:10.1073/pnas.1517384113), for thresholds over four decades."""
-    for least in np.geomspace(1e-4, 1.0, 25):
+def thresholded(normal: Array, right: Array, low: float = 1e-4, high: float = 1.0) -> Iterable[Places]:
+    """Sequentially thresholded least squares (doi:10.1073/pnas.1517384113), a set for each threshold."""
+    for least in np.geomspace(low, high, THRESHOLDS):
         kept = np.arange(len(right))
         while len(kept):
             large = np.abs(_solved(normal, right, kept)) >= least

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.laws.__main__ import BEGIN, END, _replace
+from tests.blind.effects import CATALOGUE, FOREIGN
+from tests.laws.__main__ import _replace
 from tests.laws.examine import Answer, keep, kept
 from tests.laws.hidden import KINDS, draw
 from tests.laws.plant import LOAD_ANGLE, NOTHING, Machine, _current, _rates, _slopes
 from tests.laws.score import judge, table
+from tests.laws.subjects import PLACES, subject
 
 
 def an_answer(kind: str, seed: int = 5) -> Answer:
@@ -20,7 +22,7 @@ def an_answer(kind: str, seed: int = 5) -> Answer:
     hidden, _ = draw(kind, seed)
     return Answer(
         kind, seed, "unknown_remains", "law", "", [[hidden.place, hidden.quantity, hidden.phase]], ["a |x|: size 1"],
-        9.0, 1.01, 2.0, 0.1, 20.0, 10.0, {"first": ["reading", "time", "a"], "terms": 7, "after": 3.0, "cpu_s": 5.0},
+        9.0, 1.01, 2.0, 0.1, 20.0, 10.0, {"thresholded": {"first": [], "terms": 7, "after": 3.0, "cpu_s": 5.0}},
     )  # fmt: skip
 
 
@@ -77,19 +79,38 @@ def test_a_model_to_trust_is_one_that_leaves_noise_or_needs_no_law() -> None:
     assert judge(explained).is_usable_but_wrong
 
 
+def test_a_recording_of_the_blind_suite_is_right_where_its_place_is() -> None:
+    contact, bias = subject("foreign:0", 5), subject("left_out:8", 5)
+    assert contact.names == (("leg_voltage", "phase_currents", "a"),)
+    assert bias.without == ("voltage_bias",)
+    assert not subject("clean:0", 5).names
+    found = replace(an_answer("poor_contact"), kind="foreign:0", places=[list(contact.names[0])])
+    assert judge(found).is_right
+    assert not judge(replace(found, kind="left_out:2")).is_right
+
+
+def test_each_recording_of_the_blind_suite_that_has_a_place_has_a_name() -> None:
+    assert {name for name in (*FOREIGN, *CATALOGUE) if name not in PLACES} == {
+        "interleaved_adc", "lost_samples", "slot_harmonics",
+    }  # fmt: skip
+    assert set(PLACES) <= {*FOREIGN, *CATALOGUE}
+
+
 def test_the_table_has_a_row_for_each_answer_and_replaces_the_last_one(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text(f"before\n\n{BEGIN}\nstale\n{END}\n\nbehind\n", encoding="utf-8")
-    _replace(page, table([judge(an_answer(kind)) for kind in KINDS], 5))
+    page.write_text("before\n\n<!-- laws -->\nstale\n<!-- end of laws -->\n\nbehind\n", encoding="utf-8")
+    _replace(page, "laws", table([judge(an_answer(kind)) for kind in KINDS], 5))
     text = page.read_text(encoding="utf-8")
     assert text.startswith("before\n")
     assert text.endswith("behind\n")
     assert "stale" not in text
     rows = [line for line in text.splitlines() if line.startswith("| ")]
-    assert len(rows) == 2 + len(KINDS)
-    assert {line.count(" | ") for line in rows} == {5}
+    figures, answers = rows[: -len(KINDS) - 2], rows[-len(KINDS) - 2 :]
+    assert answers[0].startswith("| hidden law | found |")
+    assert {line.count(" | ") for line in figures} == {1}
+    assert {line.count(" | ") for line in answers} == {5}
     assert "a abs(x): size 1" in text
-    assert "Of 20 laws 20 have the right place" in text
+    assert "| of these: place, quantity and phase right | 20 of 20 |" in text
 
 
 def test_answers_are_kept_by_their_seed(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 from protocols import FluxbenchError
+from tests.pictures.discover import discover_pictures
 from tests.pictures.page import page_pictures
 from tests.pictures.report import PICTURES, report_pictures
 from tests.pictures.viewer import viewer_pictures
@@ -21,7 +22,7 @@ def main(words: list[str]) -> int:
         for shoot in (report_pictures, viewer_pictures):
             for picture in shoot(run, folder):
                 print(picture)
-        for picture in page_pictures(folder):
+        for picture in (*page_pictures(folder), *discover_pictures(folder)):
             print(picture)
     except (FluxbenchError, FileNotFoundError, RuntimeError) as error:
         print(error, file=sys.stderr)

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.motor_time.__main__ import PICTURE as OF_MOTOR_TIME
+from tests.pictures.discover import NAMES as OF_DISCOVERY
 from tests.pictures.page import NAMES as OF_THE_PAGE
 from tests.pictures.report import MAP, PICTURES, WANTED
 from tests.pictures.viewer import NAMES as OF_THE_VIEWER
@@ -21,6 +22,7 @@ DRAWN_BY = {
     "demo": ("plugins/streams/report", "orchestrator/formatting"),
     "viewer": ("plugins/streams/rerun", "orchestrator/formatting"),
     "motor-time": ("tests/motor_time",),
+    "discover": ("orchestrator/discovery", "orchestrator/formatting"),
     "serve": ("plugins/commands/serve/page", "plugins/streams/remote"),
 }
 """What draws the pictures whose names begin like that."""
@@ -37,7 +39,8 @@ def committed_s(*paths: str) -> float:
 
 
 def test_every_picture_is_made_by_the_command() -> None:
-    by_pictures = {f"{name}.png" for name in (*WANTED, MAP, "report-phone", *OF_THE_PAGE, *OF_THE_VIEWER)}
+    named = (*WANTED, MAP, "report-phone", *OF_THE_PAGE, *OF_THE_VIEWER, *OF_DISCOVERY)
+    by_pictures = {f"{name}.png" for name in named}
     assert {picture.name for picture in pictures()} == by_pictures | {OF_MOTOR_TIME.name}
 
 

@@ -257,8 +257,9 @@ def discover(
     diagnosis = load_diagnosis(directory)
     if diagnosis is None or not has_model(directory):
         diagnosis = diagnose(place, effects=effects, without=without, out=out, tell=tell)
+    model = read_model(directory) if has_model(directory) else None
     every = [effect for effect in library if effect.name not in without]
-    found = discover_laws(open_any(Path(place)), every, read_model(directory), diagnosis.report, name=called, tell=tell)
+    found = discover_laws(open_any(Path(place)), every, model, diagnosis.report, name=called, tell=tell)
     save_discovery(directory, found)
     if target is not None:
         write_law(target, found)

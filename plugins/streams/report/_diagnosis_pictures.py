@@ -58,6 +58,8 @@ def learned_pictures(found: Discovery | None) -> Iterator[Picture]:
         f"{laws} Held out, in units of noise: {number(found.before)} without it, {number(found.after)} with it. The "
         "band is the flexible curve's 95 %, the dashed line the formula."
     )
+    if as_well := [one for law in found.laws for one in law.as_well]:
+        caption += f" As well: {'; '.join(as_well)}."
     encoded = base64.b64encode(image).decode("ascii")
     yield Picture("The law that was learned", caption, f"data:image/svg+xml;base64,{encoded}")
 

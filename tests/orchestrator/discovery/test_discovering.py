@@ -88,6 +88,12 @@ def test_an_explained_recording_teaches_nothing_and_nothing_is_written(verdict: 
     assert json.loads(found.report.model_dump_json())["laws"] == []
 
 
+def test_a_recording_without_a_model_teaches_nothing() -> None:
+    _, report = _diagnosed("convention")
+    found = discover_laws(open_recording(DATA), chosen_effects(), None, report)
+    assert found.report.reason == "nothing to learn here: the verdict is convention"
+
+
 def test_a_law_is_written_to_its_file(tmp_path: Path) -> None:
     model, report = _diagnosed("clean")
     found = discover_laws(open_recording(DATA), chosen_effects(), model, report)

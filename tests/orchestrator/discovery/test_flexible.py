@@ -11,9 +11,10 @@ from scipy.interpolate import BSpline
 from orchestrator.discovery import cooled, lagged, play, slopes
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import CurveBasis, HarmonicBasis
+from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
 from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns
+from orchestrator.discovery.laws import _over_true_current
 from orchestrator.discovery.ranking import Score, _solved
 from orchestrator.testing import exciting_signals
 from protocols import LossHistory, SignalBatch
@@ -62,6 +63,31 @@ def test_where_r_s_takes_up_a_straight_line_the_rest_decides_the_form() -> None:
     best = fitting_forms(leaning)[0]
     assert best.form is tanh
     assert best.scale == pytest.approx(0.3, rel=0.2)
+
+
+def test_a_power_is_considered_where_r_s_takes_up_a_straight_line() -> None:
+    power = next(f for f in CURVES if f.name == "power")
+    best = fitting_forms(score_of(power, TOP, 7.0, phases=ALL))[0]
+    assert best.form is power
+    assert best.power == 7.0
+
+
+def test_a_sensors_error_over_its_reading_is_put_over_the_true_current() -> None:
+    true = np.linspace(1e-3, TOP, 2000)
+    error = -0.02 * true**2
+    reading = true + error
+    basis = CurveBasis(0.0, float(reading.max()), 24, "odd", 0.1)
+    over_reading = np.asarray(np.linalg.lstsq(basis.design(reading), error, rcond=None)[0], dtype=np.float64)
+    over, coefficients = _over_true_current(basis, over_reading)
+    np.testing.assert_allclose(over.design(true) @ coefficients, error, atol=1e-4)
+
+
+def test_memory_is_shown_by_a_first_rise_or_by_what_a_step_leaves() -> None:
+    x = np.array([0.0, 1.0, 3.0])
+    np.testing.assert_allclose(MemoryBasis("play", (1.0, 2.0)).design(x), [[0.0, 0.0], [1.0, 1.0], [1.0, 2.0]])
+    for kind in ("lag", "cooling"):
+        np.testing.assert_allclose(MemoryBasis(kind, (2.0,)).design(x)[:, 0], np.exp(-x / 2.0))
+    np.testing.assert_allclose(MemoryBasis("late", (2.0,)).design(x)[:, 0], 1.0 - np.exp(-x / 2.0))
 
 
 def test_an_odd_curve_is_odd_and_an_even_one_even() -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import CurveBasis, MemoryBasis
+from orchestrator.discovery.bases import MEMORIES, CurveBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, FormFit
 from orchestrator.discovery.hypotheses import ALL, KINDS, A, Hypothesis, Phases
 from orchestrator.discovery.law import Law, Table
@@ -43,7 +43,7 @@ def law_of(place: Place, quantity: Quantity, phases: Phases, form: str) -> Law:
     size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit.split("/")[0]]
     if place.factor is not None:
         size /= float(np.abs(place.factor.of(signals())).max())
-    if form in ("lag", "play", "cooling"):
+    if form in MEMORIES:
         hypothesis = Hypothesis(place, quantity, phases, MemoryBasis(form, (1.0,)), size)
         return Law(hypothesis, FormFit(None, size / top, 0.2 * top if form == "play" else 2e-3, 1.0, 0.0))
     hypothesis = Hypothesis(place, quantity, phases, CurveBasis(0.0, top, 8, parity), size)  # type: ignore[arg-type]
@@ -75,6 +75,7 @@ CASES = [
     (at.LEG_RESISTANCE, of.HEAT, A, "straight"),
     (at.ANGLE, of.CURRENT_Q, ALL, "fraction"),
     (at.ANGLE, of.TORQUE, ALL, "proportional"),
+    (at.ANGLE, of.TORQUE, ALL, "late"),
     (at.MAGNETISING, of.PHASE_FLUX, A, "lag"),
     (at.MAGNETISING_D, of.HEAT, ALL, "saturating"),
     (at.LEG_RESISTANCE, of.HEAT, A, "cooling"),
@@ -185,5 +186,8 @@ def test_a_play_may_begin_anywhere_within_its_radius() -> None:
     # Of an error in one of three readings two thirds are left in the vector.
     assert first[0] == pytest.approx([2.0 / 3.0 * values["size"] * values["radius_a"] / np.sqrt(3.0), 0.0])
     assert first[-1].max() < 1e-12  # the current has swung over by more than the radius since
+    # On its way from far away it may have overshot and come back.
+    far = effect.random_directions(replace(signals(), came_from_ab=np.array([[9.0, 0.0]])), effect.Parameters(**values))  # type: ignore[attr-defined]
+    np.testing.assert_allclose(far[0].i_ab, directions[0].i_ab)
     without = effect_of(law_of(at.READING, of.PHASE_CURRENT, ALL, "tanh"))
     assert not hasattr(without, "random_directions")
