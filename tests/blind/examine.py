@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import os
 import resource
@@ -12,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TextIO, cast
 
 from orchestrator.fleet import ClusterSettings, Task, connected, work_through
 from tests.blind.baselines import baselines
@@ -132,12 +133,12 @@ def examine_all(
 
 
 def keep(file: Path | None, seed: int, answer: Answer, **more: Any) -> None:
-    """Append an answer to a file of JSON lines; nowhere, where there is none."""
+    """Append an answer to a file of JSON lines, compressed where it ends in .gz; nowhere, where there is none."""
     if file is None:
         return
     names = ("report", "error", "samples", "seconds", "cpu_s", "peak_mb", "delivered", "baselines", "removal")
     row = {name: getattr(answer, name) for name in names}
-    with file.open("a", encoding="utf-8") as lines:
+    with _opened(file, "at") as lines:
         lines.write(json.dumps({"seed": seed, "case": [answer.case.kind, answer.case.index], **row, **more}) + "\n")
 
 
@@ -146,13 +147,19 @@ def kept(file: Path | None, seed: int) -> dict[tuple[str, int], Answer]:
     if file is None or not file.exists():
         return {}
     answers = {}
-    for line in file.read_text(encoding="utf-8").splitlines():
-        row = json.loads(line)
-        kind, index = row.pop("case")
-        if row["seed"] == seed:
-            known = {field.name for field in fields(Answer)}
-            answers[kind, index] = Answer(draw_case(kind, index, seed), **{n: x for n, x in row.items() if n in known})
+    with _opened(file, "rt") as lines:
+        for row in map(json.loads, lines):
+            kind, index = row.pop("case")
+            if row["seed"] == seed:
+                named = {field.name: row[field.name] for field in fields(Answer) if field.name in row}
+                answers[kind, index] = Answer(draw_case(kind, index, seed), **named)
     return answers
+
+
+def _opened(file: Path, mode: Literal["rt", "at"]) -> TextIO:
+    if file.suffix == ".gz":
+        return cast(TextIO, gzip.open(file, mode, encoding="utf-8"))
+    return cast(TextIO, file.open(mode, encoding="utf-8"))
 
 
 def _draw_and_examine(kind: str, index: int, seed: int, recordings: Path | None) -> Answer:

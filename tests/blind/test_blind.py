@@ -20,7 +20,7 @@ from protocols import SegmentStage
 from tests.blind.__main__ import USUAL, main
 from tests.blind.campaign import record
 from tests.blind.effects import CATALOGUE, FOREIGN
-from tests.blind.examine import examine, examine_all, forget_peak
+from tests.blind.examine import Answer, examine, examine_all, forget_peak, keep, kept
 from tests.blind.hidden import KINDS, NUISANCES, Case, draw_case
 from tests.blind.score import judge, stated, wilson
 
@@ -149,3 +149,20 @@ def test_a_diagnosis_is_not_charged_with_what_was_in_memory_before_it() -> None:
     del del_me
     forget_peak()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 < before_mb - 0.5 * more_mb
+
+
+@pytest.mark.parametrize("name", ["answers.jsonl", "answers.jsonl.gz"])
+def test_answers_that_were_kept_come_back_and_those_of_another_seed_do_not(name: str, tmp_path: Path) -> None:
+    first, second = (
+        Answer(draw_case("single", k, 5), None, "refused", samples=10 + k, seconds=1.0, cpu_s=0.5, peak_mb=90.0)
+        for k in (0, 1)
+    )
+    for answer in (first, second):
+        keep(tmp_path / name, 5, answer)
+    again = kept(tmp_path / name, 5)
+    assert {case: (a.error, a.samples) for case, a in again.items()} == {
+        ("single", 0): ("refused", 10),
+        ("single", 1): ("refused", 11),
+    }
+    assert again["single", 1].case.label == second.case.label
+    assert kept(tmp_path / name, 6) == {}
