@@ -8,9 +8,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Programs under test find the modules compiled that another one has imported before.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Each worker has a part of the suite of its own: a recording that a folder of tests shares is made once. One more than
-# there are cores: links in real time wait a quarter of their time.
-PYTEST := $(BIN)/pytest -q -n 3 --dist worksteal
+# Each worker has a part of the suite of its own: a recording that a folder of tests shares is made once. Two more than
+# there are cores: links in real time wait much of their time.
+PYTEST := $(BIN)/pytest -q -n 4 --dist worksteal
 STAMP := $(VENV)/.installed
 
 # What runs, the viewer, the report and the page included; tests and lint need more, and `make demo` does not wait for it.

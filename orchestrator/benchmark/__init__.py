@@ -1,11 +1,10 @@
 """The benchmark of missing physics: what the set is, its seals, fluxbench's answers, and the scorer."""
 
-from orchestrator.benchmark.definition import EFFECTS, NAME, VERSION, Row, Size, frozen_rows
+from orchestrator.benchmark.definition import NAME, VERSION, Row, Size, effect_sizes, frozen_rows
 from orchestrator.benchmark.running import answer_set, answerer, read_answers, read_manifest
 from orchestrator.benchmark.sealing import data_sha256, truth_sha256
 
 __all__ = [
-    "EFFECTS",
     "NAME",
     "VERSION",
     "Row",
@@ -13,6 +12,7 @@ __all__ = [
     "answer_set",
     "answerer",
     "data_sha256",
+    "effect_sizes",
     "frozen_rows",
     "read_answers",
     "read_manifest",

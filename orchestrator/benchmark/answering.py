@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from orchestrator.benchmark.definition import EFFECTS, LOG, MAPPING
+from orchestrator.benchmark.definition import LOG, MAPPING, effect_sizes
 from orchestrator.numerics.types import Array
 from protocols import DiagnosisReport, Effect, FluxbenchError, FluxMap
 from protocols.benchmark import BenchmarkAnswer, BenchmarkResistance, BenchmarkVerdict, NamedEffect
@@ -126,9 +126,9 @@ def _verdict(report: DiagnosisReport) -> BenchmarkVerdict:
 def _names(report: DiagnosisReport) -> list[NamedEffect]:
     named = []
     for effect in report.effects:
-        if effect.name not in EFFECTS:
+        if effect.name not in effect_sizes():
             continue  # one of the user's own
-        size = EFFECTS[effect.name]
+        size = effect_sizes()[effect.name]
         value = effect.parameters.get(size.parameter)
         if value is None or value.value is None:
             named.append(NamedEffect(name=effect.name))

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from orchestrator.benchmark import EFFECTS, truth_sha256
+from orchestrator.benchmark import effect_sizes, truth_sha256
 from orchestrator.benchmark.sealing import rounded
 
 SALT = "0123456789abcdef"
@@ -18,7 +18,7 @@ def effect(name: str, size: float, twins: tuple[str, ...] = (), *, main: bool = 
     """A hidden effect as it is sealed."""
     return {
         "name": name, "accepted": sorted((name, *twins)), "relative": 1.0, "main": main, "material": None,
-        "size": [size, size], "unit": EFFECTS[name].unit,
+        "size": [size, size], "unit": effect_sizes()[name].unit,
     }  # fmt: skip
 
 
@@ -52,7 +52,7 @@ def write_set(folder: Path) -> Path:
                 "data_sha256": "", "truth_sha256": truth_sha256(SALT, one),
             }
         )  # fmt: skip
-    effects = {name: {"unit": size.unit, "size": size.meaning} for name, size in EFFECTS.items()}
+    effects = {name: {"unit": size.unit, "size": size.meaning} for name, size in effect_sizes().items()}
     manifest = {
         "format": "fluxbench-benchmark", "name": "test", "version": 1, "effects": effects, "recordings": entries,
     }  # fmt: skip

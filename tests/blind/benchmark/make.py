@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from orchestrator.benchmark.definition import EFFECTS, MANIFEST, NAME, RECORDINGS, TRUTHS, VERSION, Row
+from orchestrator.benchmark.definition import MANIFEST, NAME, RECORDINGS, TRUTHS, VERSION, Row, effect_sizes
 from orchestrator.benchmark.sealing import data_sha256, rounded, truth_sha256
 from tests.blind.benchmark.logs import write_log
 from tests.blind.benchmark.plants import made_by
@@ -79,7 +79,7 @@ def manifest(entries: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "format": "fluxbench-benchmark",
         "name": NAME,
         "version": VERSION,
-        "effects": {name: {"unit": size.unit, "size": size.meaning} for name, size in EFFECTS.items()},
+        "effects": {name: {"unit": size.unit, "size": size.meaning} for name, size in effect_sizes().items()},
         "recordings": list(entries),
     }
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.benchmark.definition import EFFECTS, Row
+from orchestrator.benchmark.definition import Row, effect_sizes
 from tests.blind import campaign, hidden
 from tests.blind.benchmark.truths import Hidden, Made
 from tests.blind.foreign import cases as foreign_cases
@@ -55,7 +55,7 @@ def _blind(row: Row) -> Made:
     most = max((one["of_error"] for one in does.values()), default=0.0)
 
     def sealed(truth: hidden.Truth) -> Hidden:
-        value = truth.parameters.get(EFFECTS[truth.name].parameter)
+        value = truth.parameters.get(effect_sizes()[truth.name].parameter)
         size = None if value is None or row.kind.startswith("switched") else (value, value)
         if truth.name not in does:
             return Hidden(truth.name, truth.size, size)
@@ -104,7 +104,7 @@ def _foreign(row: Row) -> Made:
     def sealed(truth: foreign_cases.Truth) -> Hidden:
         size = None
         for amount, (name, factor) in DIRECT.get(truth.name, {}).items():
-            if name == EFFECTS[truth.name].parameter:
+            if name == effect_sizes()[truth.name].parameter:
                 low, high = truth.amounts[amount]
                 size = low / factor, high / factor
         if truth.name == "brake_compliance":

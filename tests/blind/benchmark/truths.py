@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.benchmark.definition import EFFECTS
+from orchestrator.benchmark.definition import effect_sizes
 from tests.blind.magnetics import Machine
 
 GRID = (-0.9, -0.45, 0.0, 0.45, 0.9)
@@ -91,7 +91,7 @@ def _effect(hidden: Hidden, twins: Sequence[Sequence[str]]) -> dict[str, Any]:
         "main": hidden.main,
         "material": hidden.material,
         "size": None if hidden.size is None else list(np.sort(hidden.size)),
-        "unit": EFFECTS[hidden.name].unit,
+        "unit": effect_sizes()[hidden.name].unit,
     }
 
 

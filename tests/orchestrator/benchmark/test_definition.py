@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 
-from orchestrator.benchmark import EFFECTS, frozen_rows
+from orchestrator.benchmark import effect_sizes, frozen_rows
 from orchestrator.registry.plugins import PluginKind, make_plugins
 
 
@@ -22,8 +22,8 @@ def test_every_recording_has_its_hashes() -> None:
 
 def test_every_effect_of_the_library_may_be_named_with_a_size_in_its_own_unit() -> None:
     library = {effect.name: effect for effect in make_plugins(PluginKind.EFFECTS)}
-    assert set(EFFECTS) == set(library)
-    for name, size in EFFECTS.items():
+    assert set(effect_sizes()) == set(library)
+    for name, size in effect_sizes().items():
         units = {parameter.name: parameter.unit for parameter in library[name].Parameters.declared()}
         assert units[size.parameter] == size.unit, name
 
