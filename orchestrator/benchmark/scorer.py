@@ -317,7 +317,7 @@ def _check(answer: Any, units: dict[str, str] | None) -> None:
         raise ValueError(f"verdict: expected one of {', '.join(VERDICTS)}")
     names = answer.get("names", [])
     if not isinstance(names, list) or not all(isinstance(n, dict) and isinstance(n.get("name"), str) for n in names):
-        raise ValueError('names: expected a list of objects like {"name": "dead_time"}')
+        raise ValueError('names: expected a list of objects like {"name": "..."}')
     for named in names:
         if units is not None and named["name"] not in units:
             raise ValueError(f"names: {named['name']} is none of the effects in benchmark.json")

@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.selection.adding import MIN_EFFECT_SIZE
+from orchestrator.diagnosis.selection.removing import MIN_EFFECT_SIZE
 from orchestrator.experiment_design.information import Information
 from orchestrator.numerics.types import Array
 

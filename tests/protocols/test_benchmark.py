@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from orchestrator.benchmark import EFFECTS
+from orchestrator.benchmark import effect_sizes
 from orchestrator.benchmark.scorer import _check
 from protocols.benchmark import BenchmarkAnswer
 
@@ -20,11 +20,11 @@ POINTS = st.lists(st.none() | st.tuples(NUMBERS, NUMBERS), max_size=4)
 
 @st.composite
 def named(draw: st.DrawFn) -> dict[str, Any]:
-    name = draw(st.sampled_from(sorted(EFFECTS)))
+    name = draw(st.sampled_from(sorted(effect_sizes())))
     if draw(st.booleans()):
         return {"name": name}
     low, size, high = sorted(draw(st.tuples(NUMBERS, NUMBERS, NUMBERS)))
-    return {"name": name, "size": size, "unit": EFFECTS[name].unit, "low": low, "high": high}
+    return {"name": name, "size": size, "unit": effect_sizes()[name].unit, "low": low, "high": high}
 
 
 ANSWERS = st.fixed_dictionaries(
@@ -45,7 +45,7 @@ def test_an_answer_survives_its_line_of_json_and_the_scorer_takes_it(raw: dict[s
     answer = BenchmarkAnswer.model_validate_json(json.dumps(raw))
     line = answer.model_dump_json(exclude_none=True)
     assert BenchmarkAnswer.model_validate_json(line) == answer
-    _check(json.loads(line), {name: size.unit for name, size in EFFECTS.items()})
+    _check(json.loads(line), {name: size.unit for name, size in effect_sizes().items()})
 
 
 @pytest.mark.parametrize(

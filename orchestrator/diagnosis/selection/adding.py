@@ -28,8 +28,6 @@ from orchestrator.diagnosis.selection.separation import inseparable_from
 from orchestrator.formatting.names import plain
 from protocols import ParameterRole
 
-MIN_EFFECT_SIZE: float = 0.02
-"""Size of an effect, relative to its typical size, below which it is not named."""
 MIN_SHARE_OF_EXCESS: float = 0.2
 """Part of the excess chi2 - 1 that an effect has to remove to be added; half of it in the linear estimate."""
 MIN_RELATIVE_LINEAR_GAIN: float = 0.3
@@ -108,8 +106,8 @@ def _add_best(state: SearchState, shortlist: Sequence[Score]) -> SearchState | N
     if gain < limits.log_evidence:
         state.record("add", (name,), best, gain, limits.log_evidence, taken=False)
         return None
-    if best.model.active[-1].relative_size < MIN_EFFECT_SIZE or _share(fit, best) < MIN_SHARE_OF_EXCESS:
-        note = "too small, or removes too little of the misfit"
+    if _share(fit, best) < MIN_SHARE_OF_EXCESS:
+        note = "removes too little of the misfit"
         state.record("add", (name,), best, gain, limits.log_evidence, taken=False, note=note)
         return replace(state, refused=(*state.refused, *(n for g, n, _ in ranked if g > limits.log_evidence)))
     others = tuple(

@@ -14,7 +14,6 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import certainty
-from orchestrator.diagnosis.selection.adding import MIN_EFFECT_SIZE
 from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors, redundant_terms
 from orchestrator.diagnosis.selection.contrasts import separable
 from orchestrator.diagnosis.selection.scoring import (
@@ -39,6 +38,8 @@ MAX_EXCESS_OF_REDUNDANT_EFFECTS: float = 0.03
 """Excess chi2 allowed without the minor effects, over the root of the excess before the first effect."""
 OBVIOUS_EFFECT_FACTOR: float = 10.0
 """Factor of that excess from which an effect's linear loss exempts it from the test."""
+MIN_EFFECT_SIZE: float = 0.02
+"""Size of an effect, relative to its typical size, below which it is not named."""
 MIN_UNDETECTED_SIZE: float = 0.03
 """Relative size from which an effect is named although the model fits without it."""
 MIN_CERTAINTY: float = 5.0
