@@ -14,7 +14,7 @@ import typer
 from plugins.command_line import AsJson, group_entry_point
 from protocols import InputError
 
-SET = Annotated[Path, typer.Argument(help="Folder of the set.", metavar="SET")]
+SET = Annotated[Path, typer.Argument(help="Folder of the 120 recordings, which `make` creates.", metavar="SET")]
 Only = Annotated[list[str] | None, typer.Option("--only", help="Only this recording; may be repeated.", metavar="ID")]
 FROM_SOURCE = "needs the source tree, whose plants are not in the wheel: start it in a clone of the repository"
 
@@ -30,9 +30,10 @@ class Method(StrEnum):
 
 
 def make(folder: SET, only: Only = None) -> int:
-    """Make the set's recordings and sealed truths from their seeds, and compare them with the frozen hashes.
+    """Make the recordings and their sealed truths.
 
-    Recordings that are there are kept. Exit code 3: something differs, or was not made.
+    They are made from seeds and compared with the frozen hashes. Recordings that are there are kept. Exit code 3:
+    something differs, or was not made.
     """
     from orchestrator.benchmark import NAME, VERSION, frozen_rows
     from orchestrator.formatting.sentences import shown
@@ -77,7 +78,10 @@ def score(
     answered: Annotated[bool, typer.Option("--answered", help="Leave out recordings without an answer.")] = False,
     as_json: AsJson = False,
 ) -> int:
-    """Check the truths' seals, and print the scores by class with the worst answers."""
+    """Score answers against the sealed truths.
+
+    Each truth is checked against its seal. The scores are printed by class, with the worst answers.
+    """
     import json
 
     from orchestrator.benchmark import read_answers, scorer
