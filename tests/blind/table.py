@@ -57,6 +57,7 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
         "",
         f"    python -m tests.blind --seed {seed} --write docs/blind-suite.md",
         "",
+        "With `--answers tests/blind/answers.jsonl.gz` the command goes on from the answers that are stored there.",
         "The command writes this page. It makes recordings with hidden effects and diagnoses them. The plant",
         "shares no code with the diagnosis nor with the simulated drive (`tests/blind`). Sizes are drawn",
         f"log-uniformly from the catalogue's ranges. The catalogue has {len(CATALOGUE)} effects.",
