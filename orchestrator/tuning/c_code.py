@@ -23,7 +23,7 @@ NUMBERS_PER_LINE = 8
 SPACING_TOLERANCE = 1e-6
 """Largest deviation of an axis from even spacing, in steps, and of a loss from an odd function, in parts of it."""
 MIN_CURRENT_STEP_A = 1e-3
-"""Between nodes of the flux: of 1e6 A, the largest number that the source takes, an int has to hold the steps."""
+"""Between nodes of the flux: a thousand of the units in which the source in int32 counts."""
 
 
 @dataclass(frozen=True)
