@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -35,7 +35,7 @@ class Table:
     values: Array
 
 
-def c_files(
+def source_values(
     symbol: str,
     motor: Motor,
     references: CurrentReferences,
@@ -43,8 +43,8 @@ def c_files(
     compensation: Compensation,
     limits: DriveLimits,
     magnet_per_k: float | None = None,
-) -> dict[str, bytes]:
-    """Header and source, by file name: `<symbol>_drive.h` and `<symbol>_drive.c`.
+) -> dict[str, Any]:
+    """What the source's templates are filled with, in float and in int32.
 
     Parameters
     ----------
@@ -60,21 +60,6 @@ def c_files(
     InputError
         Where a number is not finite, an axis is not evenly spaced, or the losses are not odd functions of the current.
     """
-    values = source_values(symbol, motor, references, control, compensation, limits, magnet_per_k)
-    filters: dict[str, Callable[..., Any]] = {"c": _float, "rows": _rows}
-    return {f"{symbol}_drive.{kind}": rendered(f"drive.{kind}.j2", values, filters) for kind in ("h", "c")}
-
-
-def source_values(
-    symbol: str,
-    motor: Motor,
-    references: CurrentReferences,
-    control: CurrentControl,
-    compensation: Compensation,
-    limits: DriveLimits,
-    magnet_per_k: float | None = None,
-) -> dict[str, Any]:
-    """What the templates are filled with; parameters and errors as those of `c_files`."""
     gain, observer = loop_gains(control.bandwidth_rad_s, control.integral_rad_s, control.period_s)
     scalars = {
         "pole_pairs": motor.pole_pairs,
@@ -110,6 +95,12 @@ def source_values(
         "left_out": [_comment(f"{left.name}: {left.reason}") for left in compensation.left_out],
         "tables": _tables(references, control, compensation),
     }
+
+
+def c_files(values: Mapping[str, Any]) -> dict[str, bytes]:
+    """Header and source in float, by file name: `<symbol>_drive.h` and `<symbol>_drive.c`; from `source_values`."""
+    filters: dict[str, Callable[..., Any]] = {"c": _float, "rows": lambda table: rows_of(map(_float, table.flat))}
+    return {f"{values['p']}_drive.{kind}": rendered(f"drive.{kind}.j2", values, filters) for kind in ("h", "c")}
 
 
 def _tables(references: CurrentReferences, control: CurrentControl, compensation: Compensation) -> dict[str, Table]:
@@ -190,8 +181,9 @@ def rendered(template: str, values: Mapping[str, Any], filters: Mapping[str, Cal
     return environment.from_string(text).render(values).encode("ascii")
 
 
-def _rows(values: Array) -> str:
-    numbers = [_float(value) for value in values.reshape(-1)]
+def rows_of(literals: Iterable[str]) -> str:
+    """The lines of an array's initialiser."""
+    numbers = list(literals)
     lines = (numbers[k : k + NUMBERS_PER_LINE] for k in range(0, len(numbers), NUMBERS_PER_LINE))
     return ",\n".join("    " + ", ".join(line) for line in lines)
 

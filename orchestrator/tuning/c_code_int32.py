@@ -11,12 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
-from orchestrator.tuning.c_code import WHERE, Table, rendered, source_values
-from orchestrator.tuning.compensation import Compensation
-from orchestrator.tuning.current_control import CurrentControl
-from orchestrator.tuning.limits import DriveLimits
-from orchestrator.tuning.references import CurrentReferences
-from protocols import InputError, Motor
+from orchestrator.tuning.c_code import WHERE, Table, rendered, rows_of
+from protocols import InputError
 
 LARGEST = 2**31 - 1
 PART_BITS = 16
@@ -55,37 +51,24 @@ class _Int32Table:
     values: NDArray[np.int64]
 
 
-def c_files_int32(
-    symbol: str,
-    motor: Motor,
-    references: CurrentReferences,
-    control: CurrentControl,
-    compensation: Compensation,
-    limits: DriveLimits,
-    magnet_per_k: float | None = None,
-) -> dict[str, bytes]:
-    """Header and source in int32, by file name: `<symbol>_drive_int32.h` and `<symbol>_drive_int32.c`.
-
-    Parameters
-    ----------
-    symbol : str
-        Prefix of all public names, a C identifier.
-    motor : Motor
-        For its name, pole pairs and magnet.
-    magnet_per_k : float, optional
-        Relative change of the magnet's flux [1/K]; without, the magnet's temperature is no argument.
+def c_files_int32(values: Mapping[str, Any]) -> dict[str, bytes]:
+    """Header and source in int32, by file name: `<symbol>_drive_int32.h` and `.c`; from `source_values`.
 
     Raises
     ------
     InputError
-        As `c_files`, and where a quantity exceeds int32: 2147 A, V, Nm or ohm, and 2.1 Wb or H.
+        Where a quantity exceeds int32: 2147 A, V, Nm or ohm, and 2.1 Wb or H.
     """
-    values = source_values(symbol, motor, references, control, compensation, limits, magnet_per_k)
     tables = {name: _in_int32(name, table) for name, table in values["tables"].items()}
-    turn32 = round(compensation.angle_rad * TURN32_PER_RAD) % 2**32
-    values |= {"tables": tables, "turn32": turn32, "turn32_per_rad": TURN32_PER_RAD}
-    filters: dict[str, Callable[..., Any]] = {"factor": _factor, "units": _units, "rows": _rows}
-    return {f"{symbol}_drive_int32.{kind}": rendered(f"drive_int32.{kind}.j2", values, filters) for kind in ("h", "c")}
+    turn32 = round(values["angle_rad"] * TURN32_PER_RAD) % 2**32
+    filled = {**values, "tables": tables, "turn32": turn32, "turn32_per_rad": TURN32_PER_RAD}
+    filters: dict[str, Callable[..., Any]] = {
+        "factor": _factor,
+        "units": _units,
+        "rows": lambda table: rows_of(map(str, table.flat)),
+    }
+    names = {kind: f"{values['p']}_drive_int32.{kind}" for kind in ("h", "c")}
+    return {name: rendered(f"drive_int32.{kind}.j2", filled, filters) for kind, name in names.items()}
 
 
 def _in_int32(name: str, table: Table) -> _Int32Table:
@@ -121,8 +104,3 @@ def _factor(value: float) -> str:
 
 def _units(value: float, per_si: float) -> int:
     return int(_integers("int32", np.array([value * per_si]))[0])
-
-
-def _rows(values: NDArray[np.int64]) -> str:
-    numbers = [str(value) for value in values.reshape(-1)]
-    return ",\n".join("    " + ", ".join(numbers[k : k + 8]) for k in range(0, len(numbers), 8))

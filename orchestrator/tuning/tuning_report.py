@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from orchestrator.formatting.names import code_identifier
 from orchestrator.formatting.quantities import quantity
 from orchestrator.recording import replace_file
-from orchestrator.tuning.c_code import c_files
+from orchestrator.tuning.c_code import c_files, source_values
 from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.current_control import MIN_PHASE_MARGIN_RAD, phase_margin_at
 from orchestrator.tuning.drive_tuning import DriveTuning
@@ -183,9 +183,10 @@ def _c_files(tuning: DriveTuning) -> tuple[dict[str, bytes], list[Remark]]:
     motor = tuning.machine.motor
     parts = (tuning.references, tuning.control, tuning.compensation, tuning.limits, tuning.machine.magnet_per_k)
     symbol = code_identifier(motor.name)
-    in_float = c_files(symbol, motor, *parts)
+    values = source_values(symbol, motor, *parts)
+    in_float = c_files(values)
     try:
-        return in_float | c_files_int32(symbol, motor, *parts), []
+        return in_float | c_files_int32(values), []
     except InputError as error:
         return in_float, [Remark.of("no_int32_code", "no C code in int32: {reason}", reason=str(error))]
 

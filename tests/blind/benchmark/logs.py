@@ -12,7 +12,7 @@ import yaml
 
 from orchestrator.benchmark.definition import LOG, MAPPING
 
-TOLD = ("pwm_frequency_hz", "amplitude_v", "frequency_hz", "rotation_hz", "waveform", "amplitude_a", "period_s")
+LABELS = ("pwm_frequency_hz", "amplitude_v", "frequency_hz", "rotation_hz", "waveform", "amplitude_a", "period_s")
 """Settings that somebody who writes a mapping knows of a series of points."""
 
 
@@ -27,8 +27,8 @@ def write_log(recording: Path, folder: Path) -> Path:
     with (folder / LOG).open("w", encoding="ascii", newline="\n") as file:
         file.write("time,i_u,i_v,i_w,u_alpha,u_beta,u_dc,point\n")
         for segment in manifest["segments"]:
-            told = {name: segment["settings"][name] for name in TOLD if name in segment["settings"]}
-            rule = {"stage": segment["stage"], "settings": told}
+            labels = {name: segment["settings"][name] for name in LABELS if name in segment["settings"]}
+            rule = {"stage": segment["stage"], "settings": labels}
             label = next((known["label"] for known in rules if {**known, **rule} == known), None)
             if label is None:
                 label = f"{segment['stage']} {sum(known['stage'] == rule['stage'] for known in rules) + 1}"

@@ -127,7 +127,7 @@ def _foreign(row: Row) -> Made:
         hidden=[sealed(truth) for truth in case.truths],
         foreign=case.foreign,
         also=sorted(BROUGHT) if row.case == "ordinary" else (),
-        twins=[group for group, told in zip(TWINS, apart, strict=True) if not told],
+        twins=[group for group, is_separable in zip(TWINS, apart, strict=True) if not is_separable],
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.tuning.c_code import c_files
+from orchestrator.tuning.c_code import c_files, source_values
 from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, current_control
@@ -34,10 +34,10 @@ class Tables:
     magnet_per_k: float | None = None
 
     def files(self) -> dict[str, bytes]:
-        return c_files("motor", *self._parts())
+        return c_files(source_values("motor", *self._parts()))
 
     def int32_files(self) -> dict[str, bytes]:
-        return c_files_int32("motor", *self._parts())
+        return c_files_int32(source_values("motor", *self._parts()))
 
     def _parts(
         self,
