@@ -246,7 +246,7 @@ def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1]:
         return fit
     smooth = _refine_further(setup, fitter, fit)
-    kinked = _with_kink(setup, fitter, fit) if smooth.chi2_per_dof > LEAST_CHI2_FOR_KINK else None
+    kinked = _refined_with_kink(setup, fitter, fit) if smooth.chi2_per_dof > LEAST_CHI2_FOR_KINK else None
     return kinked if kinked is not None and _removes_much(kinked, smooth) else smooth
 
 
@@ -287,17 +287,16 @@ def is_finer_map_justified(trial: Fit, fit: Fit) -> bool:
 
 
 def has_fine_grid(fit: Fit) -> bool:
-    """Whether a fit's free map is finer or rougher than the usual ones, or has a kink."""
+    """Whether a fit's free map is finer or rougher than the usual ones."""
     space = fit.model.space
     usual = max(space.grid.cells) <= fit.criteria.fitting.intervals[-1] and space.roughness <= 1.0
-    usual = usual and not space.grid.kink
     return space.is_free and not usual
 
 
 def on_usual_grid(setup: DiagnosisSetup, fit: Fit) -> Model:
-    """The model of a fit on the finest of the usual maps."""
+    """The model of a fit on the finest of the usual maps, with a kink where it has one."""
     intervals = setup.criteria.intervals[-1]
-    return _on_grid(setup, fit, replace(fit.model.space.grid, cells=(intervals, intervals), kink=False), 1.0)
+    return _on_grid(setup, fit, replace(fit.model.space.grid, cells=(intervals, intervals)), 1.0)
 
 
 def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float) -> Model:
@@ -326,7 +325,15 @@ def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     return fit
 
 
-def _with_kink(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit | None:
+def with_kink_switched(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+    """Refit on the same map with a kink at i_q = 0 where it has none, and without where it has one."""
+    space = fit.model.space
+    return _fit_on_map(
+        fitter, _on_grid(setup, fit, replace(space.grid, kink=not space.grid.kink), space.roughness), fit
+    )
+
+
+def _refined_with_kink(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit | None:
     """Refit on maps with a kink at i_q = 0, finer or rougher ones too; None where a kink alone removes little."""
     grid, roughness = fit.model.space.grid, fit.model.space.roughness
     kinked = None if grid.kink else finer_map(setup, fitter, fit, replace(grid, kink=True), roughness)

@@ -6,12 +6,20 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
-from orchestrator.diagnosis.fitting.baseline import has_fine_grid, keep_fine_grid, on_usual_grid, with_finest_map
+from orchestrator.diagnosis.fitting.baseline import (
+    has_fine_grid,
+    keep_fine_grid,
+    map_log_evidence,
+    on_usual_grid,
+    with_finest_map,
+    with_kink_switched,
+)
 from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.model import Model
 from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of, with_scatter_as_noise, with_scatter_beside
 from orchestrator.diagnosis.selection.quantiser import refine_quantiser_by_fit
 from orchestrator.diagnosis.selection.search_state import Move, SearchState
+from protocols import SearchMove
 
 
 def noise_moves(state: SearchState, library: Library) -> Iterator[Move]:
@@ -70,6 +78,25 @@ def _refine_map(state: SearchState, min_gain: float = 0.0) -> SearchState | None
     gain = state.fit.objective - finer.objective
     state.record("finer_map", (), finer, gain, min_gain, measure="objective", taken=gain > min_gain)
     return state.after(finer) if gain > min_gain else None
+
+
+def kink_moves(state: SearchState) -> Iterator[Move]:
+    """Give the map a kink at i_q = 0, or take it away.
+
+    On a smooth map a play about zero torque imitates iron that saturates from zero flux on.
+    """
+    space = state.fit.model.space
+    if state.fit.model.active and space.is_free and not state.is_part:
+        kind: SearchMove = "coarser_map" if space.grid.kink else "finer_map"
+        yield Move(kind, ("kink",), partial(_switch_kink, state, kind), is_once=True)
+
+
+def _switch_kink(state: SearchState, kind: SearchMove) -> SearchState | None:
+    other = with_kink_switched(state.setup, state.fitter, state.fit)
+    gain, least = (map_log_evidence(other) - map_log_evidence(state.fit)) / state.noise, state.limits.tie
+    note = f"{'without' if state.fit.model.space.grid.kink else 'with'} a kink at i_q = 0"
+    state.record(kind, (), other, gain, least, taken=gain > least, note=note)
+    return state.after(other) if gain > least else None
 
 
 def coarser_map_moves(state: SearchState) -> Iterator[Move]:

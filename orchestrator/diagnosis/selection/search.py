@@ -17,6 +17,7 @@ from orchestrator.diagnosis.selection.adding import add_moves, added, full_model
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
+    kink_moves,
     map_moves,
     noise_moves,
     with_fixed_effects,
@@ -141,6 +142,7 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
         yield from free_moves(state, view, details=True)
     else:
         yield from fix_moves(state)
+    yield from kink_moves(state)
     yield from coarser_map_moves(state)
 
 

@@ -6,10 +6,15 @@ import importlib.util
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
-from orchestrator.recording import Recording
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.recording import Recording, open_recording
+from plugins.drives.simulated import map_motor
+from tests.support.tiny import run_tiny
 
 
 def _plant() -> ModuleType:
@@ -85,3 +90,29 @@ def correlated(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 @pytest.fixture(scope="session")
 def jittering(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return _recording(tmp_path_factory, "jittering", jitter_s=8e-6)
+
+
+SWEEPS: list[dict[str, Any]] = [
+    {"kind": "gates_off", "duration_s": 0.1},
+    {
+        "kind": "classical",
+        "axes": ["q", "d"],
+        "held_a": [-80.0, -40.0, 0.0, 40.0, 80.0],
+        "amplitude_a": 140.0,
+        "period_s": 0.5,
+        "periods": 1,
+        "settle_s": 0.5,
+    },
+]
+
+
+@pytest.fixture(scope="session")
+def sharp(tmp_path_factory: pytest.TempPathFactory) -> DiagnosisSetup:
+    """Sweeps of a motor whose bridges saturate within some ten amperes along i_q, nothing else the matter with it."""
+    name = "ipm-femm-60c"
+    motor = map_motor(name).model_dump(exclude_none=True)
+    drive = {"plant": {"magnetics": {"kind": "map", "name": name}, "sensors": {"noise_a": 0.2}}}
+    limits = {"current_a": 180.0, "voltage_v": 150.0, "energy_j": 1e6}
+    run = run_tiny(tmp_path_factory.mktemp("sharp"), drive=drive, motor=motor, limits=limits, stages=SWEEPS)
+    assert run.outcome.ending == "finished", run.outcome.reason
+    return open_for_diagnosis(open_recording(run.path))

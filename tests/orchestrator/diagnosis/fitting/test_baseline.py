@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting import baseline
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
@@ -18,11 +16,13 @@ from orchestrator.diagnosis.fitting.baseline import (
     given_model,
     has_fine_grid,
     keep_fine_grid,
+    map_log_evidence,
     map_space,
     on_usual_grid,
     widened_map,
     with_finest_map,
     with_freed_map,
+    with_kink_switched,
 )
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -32,13 +32,10 @@ from orchestrator.diagnosis.reporting.motor_model import kept_model, restored
 from orchestrator.diagnosis.selection.search_result import AcceptedModel
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
-from orchestrator.recording import open_recording
-from plugins.drives.simulated import map_motor
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.timing import CurrentFilter
 from protocols import FluxMap, MotorModel, Nameplate, NotMeasuredError, Saturated
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
-from tests.support.tiny import run_tiny
 
 
 @pytest.fixture(scope="module")
@@ -172,32 +169,6 @@ def test_a_finer_map_is_requested_though_one_between_is_not_worth_its_freedom(
     assert with_finest_map(setup, setup.fitter, fit) is finest
 
 
-SWEEPS: list[dict[str, Any]] = [
-    {"kind": "gates_off", "duration_s": 0.1},
-    {
-        "kind": "classical",
-        "axes": ["q", "d"],
-        "held_a": [-80.0, -40.0, 0.0, 40.0, 80.0],
-        "amplitude_a": 140.0,
-        "period_s": 0.5,
-        "periods": 1,
-        "settle_s": 0.5,
-    },
-]
-
-
-@pytest.fixture(scope="module")
-def sharp(tmp_path_factory: pytest.TempPathFactory) -> DiagnosisSetup:
-    """Sweeps of a motor whose bridges saturate within some ten amperes along i_q, nothing else the matter with it."""
-    name = "ipm-femm-60c"
-    motor = map_motor(name).model_dump(exclude_none=True)
-    drive = {"plant": {"magnetics": {"kind": "map", "name": name}, "sensors": {"noise_a": 0.2}}}
-    limits = {"current_a": 180.0, "voltage_v": 150.0, "energy_j": 1e6}
-    run = run_tiny(tmp_path_factory.mktemp("sharp"), drive=drive, motor=motor, limits=limits, stages=SWEEPS)
-    assert run.outcome.ending == "finished", run.outcome.reason
-    return open_for_diagnosis(open_recording(run.path))
-
-
 @pytest.mark.parametrize("rests", [False, True])
 def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_come_to(
     sharp: DiagnosisSetup, rests: bool
@@ -222,7 +193,6 @@ def test_iron_that_saturates_from_zero_flux_on_gets_a_kink_and_hardly_a_finer_ma
     finest = sharp.criteria.intervals[-1]
     usual = sharp.fitter.fit(on_the_grid(sharp, fit, (finest, finest)), relinearisations=0)
     assert usual.chi2_per_dof > 3.0
-    assert has_fine_grid(fit)
     assert not has_fine_grid(usual)
     assert fit.chi2_per_dof - 1.0 < 0.1 * (usual.chi2_per_dof - 1.0)
 
@@ -230,15 +200,27 @@ def test_iron_that_saturates_from_zero_flux_on_gets_a_kink_and_hardly_a_finer_ma
 def test_without_a_kink_such_iron_gets_a_finer_map_along_that_axis_alone(
     sharp: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(baseline, "_with_kink", lambda *_: None)
+    monkeypatch.setattr(baseline, "_refined_with_kink", lambda *_: None)
     d, q = fit_baseline(sharp).model.space.grid.cells
     assert q >= 20
     assert d < q
 
 
-def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
+def test_a_kink_has_more_evidence_on_such_iron_and_less_on_a_linear_machine(
     sharp: DiagnosisSetup, setup: DiagnosisSetup
 ) -> None:
+    fit = fit_baseline(sharp)
+    smooth = with_kink_switched(sharp, sharp.fitter, fit)
+    assert not smooth.model.space.grid.kink
+    assert map_log_evidence(fit) > map_log_evidence(smooth) + 100.0
+    linear = fit_baseline(setup)
+    assert map_log_evidence(with_kink_switched(setup, setup.fitter, linear)) < map_log_evidence(linear)
+
+
+def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
+    sharp: DiagnosisSetup, setup: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(baseline, "_refined_with_kink", lambda *_: None)
     fit = fit_baseline(sharp)
     usual = sharp.fitter.fit(on_usual_grid(sharp, fit), relinearisations=0)
     assert not has_fine_grid(usual)

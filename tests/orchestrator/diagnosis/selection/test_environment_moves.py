@@ -7,18 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, has_fine_grid
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, fit_baseline, has_fine_grid, with_kink_switched
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate
 from orchestrator.diagnosis.selection import environment_moves
+from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
+    kink_moves,
     map_moves,
     noise_moves,
 )
+from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_state import SearchState
+from plugins.effects.frame import BrakeBacklash
 from plugins.effects.inverter import VoltageBias
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -114,3 +119,37 @@ def test_a_timer_that_the_fit_shows_is_taken_where_all_effects_do_better_with_it
     assert after is None or (after.setup is timed and after.fit is fit)
     # Effects that were added one by one do not tell a timer's rounding.
     assert all(move.kind != "quantiser" for move in noise_moves(replace(state, is_joint=False), []))
+
+
+def test_iron_that_saturates_from_zero_flux_on_is_no_play_of_the_brake(sharp: DiagnosisSetup) -> None:
+    kinked = fit_baseline(sharp)
+    smooth = with_kink_switched(sharp, sharp.fitter, kinked)
+    (play,) = scaled_library([BrakeBacklash()], sharp.prepared.manifest)
+    state = SearchState(sharp, smooth, smooth.chi2_per_dof, is_part=False)
+    state = state.after(with_effect(sharp, smooth, play))
+    assert state.fit.chi2 < 0.9 * smooth.chi2
+    assert not redundant_terms(state.fit)
+    (move,) = kink_moves(state)
+    after = made(move)
+    assert after.fit.model.space.grid.kink
+    # The kink alone leaves less than the play does on a smooth map.
+    assert after.fit.chi2 < state.fit.chi2
+    assert kinked.chi2 < state.fit.chi2
+
+
+@pytest.mark.parametrize(("gain", "taken"), [(5.0, True), (1.0, False)])
+@pytest.mark.parametrize("has_kink", [False, True])
+def test_a_kink_comes_and_goes_by_its_evidence(
+    gain: float, taken: bool, has_kink: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = _biased(is_part=False)
+    if has_kink:
+        state = state.after(with_kink_switched(state.setup, state.fitter, state.fit))
+    evidence = {has_kink: 0.0, not has_kink: gain * state.noise}
+    monkeypatch.setattr(environment_moves, "map_log_evidence", lambda fit: evidence[fit.model.space.grid.kink])
+    (move,) = kink_moves(state)
+    assert move.kind == ("coarser_map" if has_kink else "finer_map")
+    after = move.make()
+    assert (after is not None) == taken
+    assert after is None or after.fit.model.space.grid.kink != has_kink
+    assert not list(kink_moves(replace(state, is_part=True)))
