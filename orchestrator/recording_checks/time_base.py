@@ -166,14 +166,18 @@ def _lag_of_edges(responses: Responses) -> tuple[int, str] | None:
 
 
 def _lag_of_phase(responses: Responses) -> tuple[int, str] | None:
-    """The lag of injected sines, which have no edges, by their phase; the resistance has to be known."""
+    """The lag of injected sines, which have no edges, by their phase; the resistance has to be known.
+
+    A voltage that acts before it is applied has the phase of iron loss, which is the likelier of the two.
+    """
     ohm = responses.resistance_ohm or responses.survey.manifest.motor.stator_resistance_ohm
     alignments = [alignment_of(parts(s.i), parts(s.v), ohm=ohm) for s in responses.survey.injections]
     lags = [a.lag_rows for a in alignments if a is not None and not a.by_edges]
     if not lags or ohm is None:
         return None
-    late = float(np.median(lags)) - (responses.survey.manifest.drive.voltage_delay_samples or 0.0)
+    declared = responses.survey.manifest.drive.voltage_delay_samples or 0.0
+    late = float(np.median(lags)) - declared
     off = round(late)
-    if off == 0 or abs(late - off) > MAX_LAG_ROUNDING_SAMPLES:
+    if off == 0 or abs(late - off) > MAX_LAG_ROUNDING_SAMPLES or declared + off < 0.0:
         return None
     return off, f"with {ohm:.3g} ohm the phase of the injected sines fits {late:+.1f} samples"
