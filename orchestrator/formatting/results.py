@@ -40,6 +40,10 @@ CHI2_MEANING = (
     "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most in it, because the "
     "noise averages out over their many samples."
 )
+NOISE_FLOOR_MEANING = (
+    "A noise floor is the rms error that the noise of the readings alone would leave; it is averaged over the same "
+    "samples as the error beside it."
+)
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
     "needed": "add", "not_needed": None,
@@ -146,7 +150,7 @@ def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
 
 
 def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
-    """Contributions of effects: name, size over the typical one, part of the error, probability, material or not."""
+    """Contributions of effects: name, size and typical size, part of the error, probability, material or not."""
     return [
         (
             plain(effect.name),
@@ -160,11 +164,18 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
 
 
 def size_in_words(effect: FoundEffect) -> str:
-    """An effect's size as a part of what is typical, and what that is: ``14 % of 1.5 µs``."""
+    """An effect's size and what is typical: ``203 ns (typical: 1.5 µs)``."""
     if effect.relative_size is None:
         return UNKNOWN
-    part = percent(100.0 * effect.relative_size)
-    return part if effect.typical is None else f"{part} of {quantity(effect.typical.value, effect.typical.unit, 2)}"
+    typical = effect.typical
+    if typical is None or typical.value is None:
+        return f"{percent(100.0 * effect.relative_size)} of the typical size"
+    size = typical.value * effect.relative_size
+    known = (*effect.derived.values(), *effect.parameters.values())
+    alike = [p.value for p in known if p.unit == typical.unit and p.value is not None]
+    # An effect may be strong where its parameter is small, as eddy currents' resistance: its own value is shown.
+    size = min(alike, key=lambda value: abs(abs(value) - abs(size)), default=size)
+    return f"{quantity(size, typical.unit)} (typical: {quantity(typical.value, typical.unit, 2)})"
 
 
 def large_share_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:

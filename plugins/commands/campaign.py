@@ -57,7 +57,7 @@ def campaign(
     return 0
 
 
-command = entry_point(campaign)
+command = entry_point(campaign, "Example: fluxbench campaign campaign.yaml --out power")
 
 
 def _print_line(report: PowerReport, found_with: float) -> None:

@@ -97,7 +97,7 @@ def percent(text: str) -> float:
     return float(match[1])
 
 
-command = entry_point(commission)
+command = entry_point(commission, "Example: fluxbench commission --out runs/adaptive")
 
 
 command.energises = True  # type: ignore[attr-defined]  # a function may have any

@@ -40,4 +40,4 @@ def wire(
     return 0
 
 
-command = entry_point(wire)
+command = entry_point(wire, "Example: fluxbench wire --dbc")

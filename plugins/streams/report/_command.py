@@ -40,4 +40,4 @@ def report(
     return 0
 
 
-command = entry_point(report)
+command = entry_point(report, "Example: fluxbench report runs/first")

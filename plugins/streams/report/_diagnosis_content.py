@@ -42,7 +42,7 @@ def ladder_rows(diagnosis: SavedDiagnosis, learned: Discovery | None = None, cha
         return []
     floor = diagnosis.report.noise_floor
     held_out = floor.rms_v if floor.heldout_rms_v is None else floor.heldout_rms_v
-    alone = "noise alone", "1", quantity(floor.rms_v, "V"), quantity(held_out, "V"), ""
+    alone = "noise floor", "1", quantity(floor.rms_v, "V"), quantity(held_out, "V"), ""
     return [*rungs(diagnosis.report.ladder), *_learned_rows(learned, changes), alone]
 
 

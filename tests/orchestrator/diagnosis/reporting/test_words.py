@@ -76,7 +76,7 @@ def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: Sear
     assert any(where.startswith(f"worst in {piece.segment.id} (") for piece in MAKER.prepared.pieces)
     assert not where.startswith("worst in gates_off")
     assert "|i_d| to " in where
-    assert "where noise alone makes" in where
+    assert "noise floor of this segment" in where
 
 
 def test_what_adding_it_does_is_stated_of_data_that_were_held_out(search: SearchResult) -> None:
