@@ -252,7 +252,7 @@ def _diagnose(
     began = time.monotonic()
     model, without, poll, tell, criteria = request.model, request.without, request.poll, request.tell, request.criteria
     require_known(without, request.effects)
-    tell("does the recording keep its manifest's conventions?")
+    tell("checking signs, units and axes of the recording")
     checked = check_recording(recording, poll)
     if checked.convention is not None:
         seconds = time.monotonic() - began
@@ -276,7 +276,7 @@ def _diagnose(
         tell("ended early: what was found so far is fitted to the whole recording")
         search, doubtful = unfinished_search(interim.checkpoint)
         found = _FinishedSearch(interim.checkpoint.state.setup, search, doubtful, is_early=True)
-    found.setup.fitter.begin("how sure is what was found?", EVALUATIONS_LEFT_FROM_REPORT)
+    found.setup.fitter.begin("computing the intervals", EVALUATIONS_LEFT_FROM_REPORT)
     try:
         return _report(recording, request, on_step, found, model, every, library, began)
     except KeyboardInterrupt:

@@ -167,15 +167,23 @@ def size_in_words(effect: FoundEffect) -> str:
     """An effect's size and what is typical: ``203 ns (typical: 1.5 µs)``."""
     if effect.relative_size is None:
         return UNKNOWN
-    typical = effect.typical
-    if typical is None or typical.value is None:
+    name, typical = sized_parameter(effect), effect.typical
+    if name is None or typical is None:
         return f"{percent(100.0 * effect.relative_size)} of the typical size"
-    size = typical.value * effect.relative_size
-    known = (*effect.derived.values(), *effect.parameters.values())
-    alike = [p.value for p in known if p.unit == typical.unit and p.value is not None]
-    # An effect may be strong where its parameter is small, as eddy currents' resistance: its own value is shown.
-    size = min(alike, key=lambda value: abs(abs(value) - abs(size)), default=size)
-    return f"{quantity(size, typical.unit)} (typical: {quantity(typical.value, typical.unit, 2)})"
+    size = {**effect.parameters, **effect.derived}[name]
+    return f"{quantity(size.value, size.unit)} (typical: {quantity(typical.value, typical.unit, 2)})"
+
+
+def sized_parameter(effect: FoundEffect) -> str | None:
+    """The parameter or derived quantity that the typical size belongs to; None where no typical size is stated."""
+    typical, relative = effect.typical, effect.relative_size
+    if typical is None or typical.value is None or relative is None:
+        return None
+    known = {**effect.parameters, **effect.derived}
+    values = {name: abs(p.value) for name, p in known.items() if p.unit == typical.unit and p.value is not None}
+    # Of several in this unit, the one of this size; some effects are strong where their only parameter is small.
+    size = abs(typical.value * relative)
+    return min(values, key=lambda name: abs(values[name] - size), default=None)
 
 
 def large_share_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:

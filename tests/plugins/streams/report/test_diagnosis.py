@@ -160,7 +160,7 @@ def test_the_library_is_in_the_order_of_the_error_that_is_explained(monkeypatch:
 
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
     assert findings.effect_rows(saved()) == [
-        ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "5 % of the typical size", "device drop"),
+        ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "8 V", "device drop"),
         ("", "sharpness", "−15·10⁶", "", "", ""),
     ]
     small = a_diagnosis().effects[0].model_copy(update={"name": "eddy_currents", "twins": ()})
@@ -170,8 +170,8 @@ def test_tables_tell_values_with_their_intervals_and_twins() -> None:
         "voltage",
         "400.0 mV",
         "399.0 to 401.0",
-        "5 % of the typical size",
-        "nothing",
+        "8 V",
+        "none",
     )
     assert findings.ladder_rows(saved()) == [
         ("the model alone", "5489", "300 mV", "350 mV", "60 mA"),
@@ -182,8 +182,12 @@ def test_tables_tell_values_with_their_intervals_and_twins() -> None:
 
 def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
     assert findings.alike_rows(saved()) == [
-        ("dead time", "device drop", "does as well in its place"),
-        ("bus sag", "–", "|z| to 5.1 where all effects are fitted at once; adding it gains too little"),
+        ("dead time", "device drop", "fits as well in its place"),
+        (
+            "bus sag",
+            "–",
+            "up to 5.1 standard deviations from zero with all effects fitted at once; adding it gains too little",
+        ),
         ("skin effect", "–", "detected, but too small to be named"),
     ]
 
