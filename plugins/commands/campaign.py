@@ -1,4 +1,4 @@
-"""`fluxbench campaign FILE --out TABLE`: thousands of virtual commissionings: which effects a bench would see."""
+"""`fluxbench campaign FILE --out TABLE`: which effects a bench would find, by many simulated runs."""
 
 from __future__ import annotations
 

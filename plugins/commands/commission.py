@@ -1,4 +1,4 @@
-"""`fluxbench commission --until 0.2%`: a flux map of a given accuracy in as little motor time as possible."""
+"""`fluxbench commission --until 0.2%`: measure a flux map to a given accuracy in the least time."""
 
 from __future__ import annotations
 

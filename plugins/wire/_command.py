@@ -1,4 +1,4 @@
-"""`fluxbench wire`: the protocol's page, its DBC, its C codec, or a whole firmware."""
+"""`fluxbench wire`: the drive protocol's page, DBC, C codec or firmware."""
 
 from __future__ import annotations
 

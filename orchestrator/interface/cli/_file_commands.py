@@ -52,7 +52,7 @@ def tune_command(
     effects: EffectsOption = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Tune a drive for the motor: references, current control, compensation, C code.
+    """Tune a drive: references, gains, compensation and C code.
 
     Least currents over torque, speed and bus voltage. Gains with the phase margin over the map's errors. The inverter's
     and the sensors' errors that the diagnosis found. Where sensorless control works. As C99, CSV and JSON, and in the
@@ -139,7 +139,7 @@ def runs_command(
     ] = False,
     as_json: JsonOption = False,
 ) -> int:
-    """List the runs below a folder, filtered by words and by what was found.
+    """List the runs below a folder, and filter them.
 
     Motor, serial number, operator, time, outcome, verdict, acceptance, tags and notes of each; with --columns R_s,
     inductances, flux and more. A run that cannot be read is named.
@@ -222,7 +222,10 @@ def schema_command(
     plugin: Annotated[str | None, typer.Argument(help="Name of the drive.", metavar="[NAME]")] = None,
     as_table: Annotated[bool, typer.Option("--table", help="Print a table in Markdown instead.")] = False,
 ) -> int:
-    """Print the JSON Schema of a file format or of a drive's options, for editors."""
+    """Describe a file format's fields, or a drive's options.
+
+    As JSON Schema, for editors; with --table for people.
+    """
     from orchestrator.interface.cli._inspect import schema
 
     return schema(name, plugin, as_table)

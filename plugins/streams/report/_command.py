@@ -1,4 +1,4 @@
-"""`fluxbench report`: the page of a run, made again, or of any recording; or of several side by side."""
+"""`fluxbench report`: write the report of a run, or of several side by side."""
 
 from __future__ import annotations
 
