@@ -112,7 +112,7 @@ def test_the_command_prints_the_main_figures(map_file: Path, tmp_path: Path) -> 
     for figure in (
         "largest torque",
         "phase margin 60°",
-        "injection tracks",
+        "tracking by injection",
         "back-EMF observer",
         "test_motor_1_drive.c",
     ):
