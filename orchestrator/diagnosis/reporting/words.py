@@ -149,10 +149,10 @@ def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None) -> 
     ]
     reached = {} if term is None else bounds_reached(term)
     parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
-    angle = ", at this angle; other angles unknown" if _is_of_one_angle(effect, term) else ""
-    twins = f", indistinguishable from {listed(effect.twins)} here" if effect.twins else ""
-    doubt = f", in whose place {better} fits better" if better is not None else ""
-    return f"{effect.name} ({'; '.join(parts)}){angle}{twins}{doubt}"
+    parts += ["at this angle; other angles unknown"] if _is_of_one_angle(effect, term) else []
+    parts += [f"indistinguishable from {listed(effect.twins)} here"] if effect.twins else []
+    parts += [f"{better} fits better in its place"] if better is not None else []
+    return f"{effect.name} ({'; '.join(parts)})"
 
 
 def _is_of_one_angle(effect: FoundEffect, term: EffectTerm | None) -> bool:
