@@ -110,7 +110,7 @@ def _added(
     setup = open_for_refit(recording, saved or model, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     baseline = saved.baseline if saved is not None else baseline_of(model)
-    tell("fitting the model without them")
+    tell("fitting the present model")
     if saved is None:
         steps = first_steps(setup, model, library)
     else:

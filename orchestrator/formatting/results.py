@@ -218,5 +218,5 @@ def benefit_line(remark: Remark, run: str) -> str:
     command = UNDONE_BY[remark.code]
     if command is None:
         return typographic(f"{remark.text}.")
-    undoes = {"remove": "takes it out again", "add": "puts it back"}[command]
+    undoes = {"remove": "removes it again", "add": "puts it back"}[command]
     return typographic(f"{remark.text}; `fluxbench {command} {run} {remark.values['effect']}` {undoes}.")

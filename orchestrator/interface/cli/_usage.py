@@ -41,7 +41,7 @@ def _line_without_parameter(error: Any, context: Any) -> str:
     hint = getattr(error, "param_hint", None)
     if hint is not None:
         return f"{hint if isinstance(hint, str) else ' and '.join(hint)}: {error.message}"
-    line = str(error.format_message())
+    line = str(error.format_message()).removeprefix("Invalid value: ")
     if context is None or not line.startswith("No such") or line.endswith(("?", ")")):  # these have a suggestion
         return line
     return f"{line.rstrip('.')}; `{context.command_path} --help` lists what there is"

@@ -111,7 +111,7 @@ def test_a_size_is_stated_beside_what_is_typical() -> None:
     [
         ("helps", "It did."),
         ("not_needed", "It did."),
-        ("does_not_help", "It did; `fluxbench remove runs/a dead_time` takes it out again."),
+        ("does_not_help", "It did; `fluxbench remove runs/a dead_time` removes it again."),
         ("needed", "It did; `fluxbench add runs/a dead_time` puts it back."),
     ],
 )

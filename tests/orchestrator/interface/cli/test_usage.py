@@ -34,6 +34,10 @@ from orchestrator.interface.cli._usage import EXAMPLE
         ("emulate --node 9", "--node: expected a number up to 3, got '9'; for example: --node 0"),
         ("run --drive", "--drive: expected a value after it"),
         ("run --queue --json", "--queue: excludes --from, --out, --serial, --remote and --json"),
+        (
+            "import x.csv",
+            "expected MAPPING FILE... --out DIR, --merge RECORDING... --out DIR, or --guess FILE",
+        ),
         ("runs --nonsense", "No such option: --nonsense; `fluxbench runs --help` lists what there is"),
         ("frobnicate", "No such command 'frobnicate'; `fluxbench --help` lists what there is"),
         ("diagnoze runs/first", "No such command 'diagnoze'. Did you mean 'diagnose'?"),
