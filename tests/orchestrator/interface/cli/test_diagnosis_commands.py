@@ -31,7 +31,7 @@ class Mine:
 
 
 UNDER_WAY = (
-    "reading ", "checking signs", "estimating the noise", "fitting the model", "testing a finer map",
+    "reading ", "checking signs", "estimating the noise", "fitting the", "testing a finer map",
     "computing the intervals",
 )  # fmt: skip
 """How lines begin that a command may have printed before it is refused; none of them is a result."""
