@@ -10,10 +10,13 @@ import typer
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 
 
-def entry_point(function: Callable[..., Any]) -> Callable[[Sequence[str]], int]:
-    """Entry point of a command named after the function; it maps arguments to an exit code."""
+def entry_point(function: Callable[..., Any], epilog: str | None = None) -> Callable[[Sequence[str]], int]:
+    """Entry point of a command named after the function; it maps arguments to an exit code.
+
+    `epilog` is the last line of its help: ``Example:`` and a call, which errors of its arguments repeat.
+    """
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
-    app.command()(function)
+    app.command(epilog=epilog)(function)
     return group_entry_point(app, function.__name__)
 
 

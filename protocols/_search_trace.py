@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import field_validator
+
 from protocols._base import Lenient
 from protocols._remarks import Number
 
@@ -40,7 +42,9 @@ SearchMeasure = Literal["log_evidence", "chi2", "chi2_per_dof", "objective", "bl
 ``chi2_per_dof``: its value after the move. ``block_scatter``: relative scatter of an effect's size between blocks of
 the recording. ``share``: an effect's part of the first error.
 """
-SearchDecision = Literal["taken", "refused", "tried"]
+SearchDecision = Literal["accepted", "rejected", "tested"]
+_EARLIER_DECISIONS = {"taken": "accepted", "refused": "rejected", "tried": "tested"}
+"""Names of decisions in files of earlier versions."""
 
 
 class SearchEvent(Lenient):
@@ -60,12 +64,17 @@ class SearchEvent(Lenient):
     chi2_before: Number = None
     """Per degree of freedom."""
     chi2_after: Number = None
-    """Per degree of freedom of the trial, taken or not."""
+    """Per degree of freedom of the trial, accepted or not."""
     decision: SearchDecision
-    """``tried``: nothing was decided yet."""
+    """``tested``: nothing was decided yet."""
     note: str = ""
     """What the comparison alone does not say."""
     evaluations: float
     """Computing so far, in columns of equations of the whole recording: three for a residual, one for a derivative."""
     seconds: float
     """Since the recording was read."""
+
+    @field_validator("decision", mode="before")
+    @classmethod
+    def _read_earlier_decision(cls, given: object) -> object:
+        return _EARLIER_DECISIONS.get(given, given) if isinstance(given, str) else given

@@ -211,7 +211,7 @@ class _Twist:
         if abs(self.angle_rad) > 0.5:
             return "cross-saturation under torque hides any twist"
         size = f"twist under torque {math.degrees(self.angle_rad):+.2f} deg el."
-        return size if abs(self.angle_rad) <= tolerance_rad else f"apparent {size}: cross-saturation looks like it"
+        return size if abs(self.angle_rad) <= tolerance_rad else f"apparent {size}, as cross-saturation causes it"
 
 
 def _verdict(

@@ -252,7 +252,7 @@ def _diagnose(
     began = time.monotonic()
     model, without, poll, tell, criteria = request.model, request.without, request.poll, request.tell, request.criteria
     require_known(without, request.effects)
-    tell("does the recording keep its manifest's conventions?")
+    tell("checking signs, units and axes of the recording")
     checked = check_recording(recording, poll)
     if checked.convention is not None:
         seconds = time.monotonic() - began
@@ -276,7 +276,7 @@ def _diagnose(
         tell("ended early: what was found so far is fitted to the whole recording")
         search, doubtful = unfinished_search(interim.checkpoint)
         found = _FinishedSearch(interim.checkpoint.state.setup, search, doubtful, is_early=True)
-    found.setup.fitter.begin("how sure is what was found?", EVALUATIONS_LEFT_FROM_REPORT)
+    found.setup.fitter.begin("computing the intervals", EVALUATIONS_LEFT_FROM_REPORT)
     try:
         return _report(recording, request, on_step, found, model, every, library, began)
     except KeyboardInterrupt:
@@ -431,22 +431,23 @@ def _remarks(
     remarks = list(setup.remarks)
     scatter = setup.fitter.noise.of_model
     if scatter.offset_scatter_a > 0.0:
-        text = "as if the readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
+        text = "the readings' zero differs as if by {scatter_ma:.2g} mA rms between segments: modelled as noise"
         remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * scatter.offset_scatter_a))
     timer = setup.prepared.quantiser
     if timer is not None:
-        text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: taken out"
+        text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: corrected"
         sizes = {
             "step_ns": 1e9 * timer.step_s,
             "leg_mv": 0.5e3 * nominal_leg_step_of(timer.step_s, setup.prepared.manifest.drive),
         }
         remarks.append(Remark.of("timer", text, **sizes))
     if scatter.voltage_scatter_v > 0.0 and timer is not None:
-        text = "as if held voltages were off by another {scatter_mv:.2g} mV rms each: taken for noise"
+        text = "held voltages are off as if by another {scatter_mv:.2g} mV rms each: modelled as noise"
         remarks.append(Remark.of("voltage_scatter", text, scatter_mv=1e3 * scatter.voltage_scatter_v))
     elif scatter.voltage_scatter_v > 0.0:
         text = (
-            "as if a timer's step of {step_ns:.2g} ns put held voltages off by {scatter_mv:.2g} mV rms: taken for noise"
+            "held voltages are off by {scatter_mv:.2g} mV rms, as by a timer's step of {step_ns:.2g} ns: modelled "
+            "as noise"
         )
         sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * quantiser_step_s(scatter, setup)}
         remarks.append(Remark.of("voltage_scatter", text, **sizes))

@@ -83,9 +83,9 @@ def open_for_refit(
 
     Its first remarks are inconsistent metadata, which make any fit doubtful, then R and L unlike the nameplate's.
     """
-    tell("does the recording keep its manifest's conventions?")
+    tell("checking signs, units and axes of the recording")
     checked = check_recording(recording)
-    tell("the recording's noise")
+    tell("estimating the noise")
     setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(model), tell=tell), model)
     return replace(setup, remarks=(*checked.all_remarks, *setup.remarks))
 

@@ -110,7 +110,7 @@ def _added(
     setup = open_for_refit(recording, saved or model, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     baseline = saved.baseline if saved is not None else baseline_of(model)
-    tell("the model without them")
+    tell("fitting the present model")
     if saved is None:
         steps = first_steps(setup, model, library)
     else:
@@ -125,17 +125,17 @@ def _added(
         if name in fit.model.names:
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
-            setup.fitter.begin(f"the model with {plain(name)}", left)
+            setup.fitter.begin(f"fitting the model with {plain(name)}", left)
             steps.append(AcceptedModel(name, setup.fitter.fit(_with_effect(setup, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
-            setup.fitter.begin(f"the model with {plain(name)}", left)
+            setup.fitter.begin(f"fitting the model with {plain(name)}", left)
             steps.append(AcceptedModel(name, with_map_step(setup, fit, baseline)))
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
-        setup.fitter.under_way("is a finer map worth its freedom?")
+        setup.fitter.under_way("testing a finer map")
         steps[-1] = replace(steps[-1], fit=_refine_map(setup, steps[-1].fit))
     ladder = (*(saved.ladder[:-1] if saved is not None else ()), *kept_rungs(setup, steps))
     added = [(after.added, before.fit, after.fit) for before, after in pairwise(steps) if after.added is not None]
@@ -143,7 +143,7 @@ def _added(
     report = _keep_refit(recording, setup, steps[-1].fit, baseline, saved, ladder, remarks, out, helping)
     found = {effect.name: effect for effect in report.effects if effect.name in library}
     last, every = steps[-1].fit, tuple(library.values())
-    setup.fitter.under_way("do others resemble what was added?")
+    setup.fitter.under_way("comparing with similar effects")
     useful = [name for name, *_ in added if name in library and helping[name]]
     pairs = resembling_pairs(setup.fitter, last, useful)
     own = [name for name in useful if is_own(library[name].effect)]
@@ -285,7 +285,7 @@ def _keep_refit(
     helping: Mapping[str, bool] = MappingProxyType({}),
 ) -> AddReport:
     """Write the model to `model.json` and report on it; raises `StorageError`."""
-    setup.fitter.under_way("how sure is what was fitted?")
+    setup.fitter.under_way("computing the intervals")
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
     found = found_effects(setup.fitter, fit, evidence, twins)

@@ -54,7 +54,7 @@ class SearchRecorder:
         note: str = "",
     ) -> None:
         """Record one move; `taken` is None for a move without a decision."""
-        decision: SearchDecision = "tried" if taken is None else "taken" if taken else "refused"
+        decision: SearchDecision = "tested" if taken is None else "accepted" if taken else "rejected"
         event = SearchEvent(
             step=len(self.events) + 1,
             move=move,

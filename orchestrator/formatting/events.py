@@ -126,4 +126,4 @@ def _comparison(report: CompareReport) -> str:
     text = f"the {report.model} model has chi2 {number(report.chi2, 3)}"
     if report.worst:
         text += f", worst in {report.worst[0].segment} with {quantity(report.worst[0].rms_v, 'V')} rms"
-    return f"{text} at a noise of {quantity(report.noise_floor.rms_v, 'V')}"
+    return f"{text}; noise floor over all stages {quantity(report.noise_floor.rms_v, 'V')}"

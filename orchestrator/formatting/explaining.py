@@ -10,7 +10,7 @@ from orchestrator.formatting.quantities import UNKNOWN, number, percent
 from orchestrator.formatting.sentences import listed
 from protocols import DiagnosisReport, EffectBasis, SearchEvent, SearchMeasure
 
-SEARCH_HEAD = ("step", "move", "effects", "gain", "threshold", "chi2", "decision")
+SEARCH_HEAD = ("step", "move", "recording", "effects", "gain", "threshold", "chi2", "decision")
 BASIS_HEAD = (
     "effect", "of its typical size", "of the error", "log evidence", "probability", "material", "moves",
     "indistinguishable from",
@@ -23,11 +23,12 @@ _MAX_NAMES = 4
 
 
 def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
-    """The steps of a search: number, move, effects, gain, threshold, chi2 before and after, decision."""
+    """The steps of a search: number, move, part or whole of the recording, effects, gain, threshold, chi2, decision."""
     return [
         (
             str(event.step),
-            plain(event.move) + (", in a part" if event.data == "part" else ""),
+            plain(event.move),
+            event.data,
             _names(event),
             _scored(event.score, event.measure),
             _scored(event.threshold, event.measure),
@@ -41,8 +42,10 @@ def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
 def search_lines(events: Sequence[SearchEvent]) -> list[str]:
     """The steps of a search, one line each."""
     lines = []
-    for event, (step, move, effects, gain, threshold, chi2, decision) in zip(events, search_rows(events), strict=True):
-        parts = [f"{step}. {move}" + (f": {effects}" if event.effects else "")]
+    for event, row in zip(events, search_rows(events), strict=True):
+        step, move, data, effects, gain, threshold, chi2, decision = row
+        where = " on a part of the recording" if data == "part" else ""
+        parts = [f"{step}. {move}{where}" + (f": {effects}" if event.effects else "")]
         if event.score is not None:
             parts.append(f"gain {gain}" + ("" if event.threshold is None else f" (threshold {threshold})"))
         parts += [f"chi2 {chi2}"] if chi2 != UNKNOWN else []

@@ -40,6 +40,10 @@ CHI2_MEANING = (
     "chi2 is the squared error over the noise's variance: 1 is noise alone. Slow errors weigh most in it, because the "
     "noise averages out over their many samples."
 )
+NOISE_FLOOR_MEANING = (
+    "A noise floor is the rms error that the noise of the readings alone would leave; it is averaged over the same "
+    "samples as the error beside it."
+)
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
     "needed": "add", "not_needed": None,
@@ -146,7 +150,7 @@ def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
 
 
 def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
-    """Contributions of effects: name, size over the typical one, part of the error, probability, material or not."""
+    """Contributions of effects: name, size and typical size, part of the error, probability, material or not."""
     return [
         (
             plain(effect.name),
@@ -160,11 +164,26 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
 
 
 def size_in_words(effect: FoundEffect) -> str:
-    """An effect's size as a part of what is typical, and what that is: ``14 % of 1.5 µs``."""
+    """An effect's size and what is typical: ``203 ns (typical: 1.5 µs)``."""
     if effect.relative_size is None:
         return UNKNOWN
-    part = percent(100.0 * effect.relative_size)
-    return part if effect.typical is None else f"{part} of {quantity(effect.typical.value, effect.typical.unit, 2)}"
+    name, typical = sized_parameter(effect), effect.typical
+    if name is None or typical is None:
+        return f"{percent(100.0 * effect.relative_size)} of the typical size"
+    size = {**effect.parameters, **effect.derived}[name]
+    return f"{quantity(size.value, size.unit)} (typical: {quantity(typical.value, typical.unit, 2)})"
+
+
+def sized_parameter(effect: FoundEffect) -> str | None:
+    """The parameter or derived quantity that the typical size belongs to; None where no typical size is stated."""
+    typical, relative = effect.typical, effect.relative_size
+    if typical is None or typical.value is None or relative is None:
+        return None
+    known = {**effect.parameters, **effect.derived}
+    values = {name: abs(p.value) for name, p in known.items() if p.unit == typical.unit and p.value is not None}
+    # Of several in this unit, the one of this size; some effects are strong where their only parameter is small.
+    size = abs(typical.value * relative)
+    return min(values, key=lambda name: abs(values[name] - size), default=None)
 
 
 def large_share_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
@@ -199,5 +218,5 @@ def benefit_line(remark: Remark, run: str) -> str:
     command = UNDONE_BY[remark.code]
     if command is None:
         return typographic(f"{remark.text}.")
-    undoes = {"remove": "takes it out again", "add": "puts it back"}[command]
+    undoes = {"remove": "removes it again", "add": "puts it back"}[command]
     return typographic(f"{remark.text}; `fluxbench {command} {run} {remark.values['effect']}` {undoes}.")

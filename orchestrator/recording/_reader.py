@@ -125,6 +125,8 @@ def open_recording(path: Path, *, make_manifest: Callable[[Path], object] | None
                 "not written yet, the run was cut short: `fluxbench resume` or `fluxbench estimate` makes it",
             )
         make_manifest(directory)
+    if not (directory / MANIFEST_NAME).exists():
+        raise RecordingError(str(directory), "", f"not a run or recording: it has no {MANIFEST_NAME}")
     manifest = read_manifest(directory / MANIFEST_NAME)
     for segment in manifest.segments:
         _check_file(capture_path(directory, segment.id), segment)

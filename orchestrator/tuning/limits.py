@@ -114,7 +114,7 @@ def limits_of(
         else:
             rpm = fastest / machine.pole_pairs * 30.0 / math.pi
             text = (
-                f"{sampling:g} Hz suffices up to {rpm:.0f}/min: {MIN_SAMPLES_PER_TURN:g} samples in an electrical turn"
+                f"{sampling:g} Hz suffices up to {rpm:.0f} rpm: {MIN_SAMPLES_PER_TURN:g} samples in an electrical turn"
             )
             raise InputError(WHERE, "speed_rpm", text)
     return DriveLimits(current, bus, speed, sampling)

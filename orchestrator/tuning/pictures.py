@@ -42,7 +42,7 @@ def _torque(axes: Axes, tuning: DriveTuning) -> None:
     rpm = tuning.speeds_rad_s / tuning.machine.pole_pairs * 30.0 / math.pi
     axes.plot(rpm, tuning.torque_curve_nm, color=MODEL, lw=1.6)
     axes.set_title("largest torque", fontsize=STYLE.normal_pt)
-    name_axes(axes, "speed [1/min]", "torque [Nm]")
+    name_axes(axes, "speed [rpm]", "torque [Nm]")
     axes.set_ylim(bottom=0.0)
 
 
@@ -103,6 +103,6 @@ def _wave(axes: Axes, tuning: DriveTuning) -> None:
     turn = np.degrees(held.angle_rad)
     axes.plot(turn, held.wave_without_a, ":", color=BLUE, lw=1.4, label="without compensation")
     axes.plot(turn, held.wave_a, color=MODEL, lw=1.6, label="with compensation")
-    axes.set_title(f"phase current at {tuning.rpm(held.speed_rad_s):.0f}/min, simulated", fontsize=STYLE.normal_pt)
+    axes.set_title(f"phase current at {tuning.rpm(held.speed_rad_s):.0f} rpm, simulated", fontsize=STYLE.normal_pt)
     name_axes(axes, "electrical angle [°]", "[A]")
     axes.legend(fontsize=0.8 * STYLE.small_pt, loc="upper left")

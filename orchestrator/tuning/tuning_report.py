@@ -206,7 +206,7 @@ def load_tuning(folder: Path) -> TuningReport:
 def _remarks(tuning: DriveTuning) -> Iterator[Remark]:
     limits, machine = tuning.limits, tuning.machine
     if not tuning.references.reaches_speed:
-        text = "at {current} and {bus} the references reach {reached:.0f}/min of the {wanted:.0f}/min wanted"
+        text = "at {current} and {bus} the references reach {reached:.0f} of the {wanted:.0f} rpm wanted"
         yield Remark.of(
             "speed_not_reached",
             text,

@@ -20,10 +20,10 @@ def headline(report: TuningReport) -> str:
 def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
     """The main figures, each with its name."""
     return [
-        ("largest torque", f"{quantity(report.largest_torque_nm, 'Nm')}, up to {report.base_speed_rpm:.0f}/min"),
+        ("largest torque", f"{quantity(report.largest_torque_nm, 'Nm')}, up to {report.base_speed_rpm:.0f} rpm"),
         (
             "at the largest speed",
-            f"{quantity(report.torque_at_largest_speed_nm, 'Nm')} at {report.largest_speed_rpm:.0f}/min",
+            f"{quantity(report.torque_at_largest_speed_nm, 'Nm')} at {report.largest_speed_rpm:.0f} rpm",
         ),
         (
             "current control",
@@ -35,7 +35,7 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
         ("compensated", listed([plain(name) for name in report.compensated]) or "nothing"),
         ("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg"),
         *_harmonics_rows(report),
-        ("constant inductances", f"would give torque off by {number(report.constant_inductance_error_percent)} % rms"),
+        ("with constant inductances", f"torque off by {number(report.constant_inductance_error_percent, 2)} % rms"),
         *_sensorless_rows(report),
     ]
 
@@ -51,21 +51,25 @@ def _harmonics_rows(report: TuningReport) -> list[tuple[str, str]]:
     without = report.harmonics_without_percent
     if without < LEAST_HARMONICS_PERCENT:
         return []
-    name = f"... 5th and 7th harmonic at {report.low_speed_rpm:.0f}/min"
-    return [(name, f"{number(without)} %, compensated {number(report.harmonics_percent)} %")]
+    name = f"... 5th and 7th harmonic at {report.low_speed_rpm:.0f} rpm"
+    return [(name, f"{number(without, 2)} % of the current, compensated {number(report.harmonics_percent, 2)} %")]
 
 
 def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
     share, error = report.injection_works_percent, report.injection_error_deg
     rows = []
     if share is not None:
-        worst = "" if error is None else f", position off by up to {number(error)}°"
-        rows.append(("injection tracks", f"in {share:.0f} % of the plane{worst}"))
+        worst = "" if error is None else f", position error up to {number(error, 3)}°"
+        rows.append(("tracking by injection", f"works in {share:.0f} % of the plane{worst}"))
     if report.injection_left_by_map_deg is not None:
-        rows.append(("... compensated by the map", f"off by up to {number(report.injection_left_by_map_deg)}°"))
+        rows.append(
+            ("... corrected by the map", f"position error up to {number(report.injection_left_by_map_deg, 3)}°")
+        )
     warm, cold = report.observer_speed_warm_rpm, report.observer_speed_rpm
     if warm is None or cold is None:
-        rows.append(("back-EMF observer", "not within 5° at any speed"))
+        rows.append(("back-EMF observer", "position error above 5° at every speed"))
     else:
-        rows.append(("back-EMF observer", f"within 5° from {warm:.0f}/min, with R_s followed from {cold:.0f}/min"))
+        rows.append(
+            ("back-EMF observer", f"position error below 5° from {warm:.0f} rpm, with R_s followed from {cold:.0f} rpm")
+        )
     return rows

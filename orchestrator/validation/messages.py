@@ -70,6 +70,11 @@ def first_problem(error: ValidationError, model: type[BaseModel] | None, raw: ob
     return Problem(path, _text(found, path, model), found["type"] == "missing")
 
 
+def describe_problem(found: Any) -> str:
+    """Text of one of pydantic's errors about a single value: what is expected, and what was given."""
+    return _text(found, (), None)
+
+
 def nearest(name: str, candidates: Iterable[str]) -> str | None:
     """The candidate most similar to `name`; None where none is similar."""
     close = difflib.get_close_matches(name[:MAX_NAME_LENGTH], list(candidates), n=1, cutoff=0.6)

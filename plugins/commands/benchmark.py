@@ -102,9 +102,9 @@ def score(
 app = typer.Typer(
     add_completion=False, rich_markup_mode=None, no_args_is_help=True, help="The benchmark of missing physics."
 )
-app.command("make")(make)
-app.command("run")(run)
-app.command("score")(score)
+app.command("make", epilog="Example: fluxbench benchmark make set")(make)
+app.command("run", epilog="Example: fluxbench benchmark run set --out answers.jsonl")(run)
+app.command("score", epilog="Example: fluxbench benchmark score answers.jsonl set/truth")(score)
 command = group_entry_point(app, "benchmark")
 
 

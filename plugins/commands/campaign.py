@@ -1,4 +1,4 @@
-"""`fluxbench campaign FILE --out TABLE`: thousands of virtual commissionings: which effects a bench would see."""
+"""`fluxbench campaign FILE --out TABLE`: which effects a bench would find, by many simulated runs."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def campaign(
     return 0
 
 
-command = entry_point(campaign)
+command = entry_point(campaign, "Example: fluxbench campaign campaign.yaml --out power")
 
 
 def _print_line(report: PowerReport, found_with: float) -> None:

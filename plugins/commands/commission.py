@@ -1,4 +1,4 @@
-"""`fluxbench commission --until 0.2%`: a flux map of a given accuracy in as little motor time as possible."""
+"""`fluxbench commission --until 0.2%`: measure a flux map to a given accuracy in the least time."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def percent(text: str) -> float:
     return float(match[1])
 
 
-command = entry_point(commission)
+command = entry_point(commission, "Example: fluxbench commission --out runs/adaptive")
 
 
 command.energises = True  # type: ignore[attr-defined]  # a function may have any

@@ -1,4 +1,4 @@
-"""`fluxbench wire`: the protocol's page, its DBC, its C codec, or a whole firmware."""
+"""`fluxbench wire`: the drive protocol's page, DBC, C codec or firmware."""
 
 from __future__ import annotations
 
@@ -40,4 +40,4 @@ def wire(
     return 0
 
 
-command = entry_point(wire)
+command = entry_point(wire, "Example: fluxbench wire --dbc")

@@ -53,8 +53,8 @@ def model_changes(report: DiagnosisReport, model: MotorModel) -> tuple[str, ...]
 def _supports(event: SearchEvent, name: str) -> bool:
     """Whether a move added, kept or named an effect."""
     if event.move == "remove":
-        return event.decision == "refused" and name in event.effects
+        return event.decision == "rejected" and name in event.effects
     if event.move in ("swap", "merge"):
-        wins = event.effects[:1] if event.decision == "taken" else event.effects[1:]
+        wins = event.effects[:1] if event.decision == "accepted" else event.effects[1:]
         return name in wins
-    return event.decision == "taken" and name in event.effects
+    return event.decision == "accepted" and name in event.effects

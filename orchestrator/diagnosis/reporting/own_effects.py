@@ -77,9 +77,9 @@ def _decision(event: SearchEvent, others: Sequence[str]) -> str:
         return "fitted together with all others"
     if event.move in ("swap", "merge"):
         return f"compared with {listed(list(others))}, {event.decision}"
-    done = {"add": "added", "remove": "taken out"}[event.move]
+    done = {"add": "added", "remove": "removed"}[event.move]
     together = f" together with {len(others)} others" if others else ""
-    return f"{done}{together}" if event.decision == "taken" else f"not {done}{together}"
+    return f"{done}{together}" if event.decision == "accepted" else f"not {done}{together}"
 
 
 def _chi2(event: SearchEvent) -> str:

@@ -65,8 +65,8 @@ def _where(diagnosis: Diagnosis) -> str:
     i_d, i_q = np.abs(to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)
     reach = f"|i_d| to {quantity(i_d, 'A', 2)}, |i_q| to {quantity(i_q, 'A', 2)}"
     return (
-        f"worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms "
-        f"where noise alone makes {quantity(floor, 'V')} in this segment"
+        f"worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms; "
+        f"noise floor of this segment {quantity(floor, 'V')}"
     )
 
 
@@ -149,10 +149,10 @@ def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None) -> 
     ]
     reached = {} if term is None else bounds_reached(term)
     parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
-    angle = ", at this angle; other angles unknown" if _is_of_one_angle(effect, term) else ""
-    twins = f", indistinguishable from {listed(effect.twins)} here" if effect.twins else ""
-    doubt = f", in whose place {better} fits better" if better is not None else ""
-    return f"{effect.name} ({'; '.join(parts)}){angle}{twins}{doubt}"
+    parts += ["at this angle; other angles unknown"] if _is_of_one_angle(effect, term) else []
+    parts += [f"indistinguishable from {listed(effect.twins)} here"] if effect.twins else []
+    parts += [f"{better} fits better in its place"] if better is not None else []
+    return f"{effect.name} ({'; '.join(parts)})"
 
 
 def _is_of_one_angle(effect: FoundEffect, term: EffectTerm | None) -> bool:
@@ -175,16 +175,16 @@ def _gain(diagnosis: Diagnosis) -> str:
     fits = [diagnosis.search.steps[0].fit, diagnosis.search.fit]
     if before.heldout_rms_v is None or after.heldout_rms_v is None:
         sizes = f"error {quantity(before.rms_v, 'V')} -> {quantity(after.rms_v, 'V')}"
-        floor = noise.rms_v
+        floor = f"noise floor {quantity(noise.rms_v, 'V')}"
     else:
         sizes = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
-        floor = noise.heldout_rms_v
+        floor = f"noise floor of the held-out error {quantity(noise.heldout_rms_v, 'V')}"
     first, last = (quantity(fit.model.r_s, "ohm", 4) for fit in fits)
     resistance = f"stays {last}" if first == last else f"{first} -> {last}"
     limits = {a.name: a.candidate.effect.gauge.rstrip(".") for a in fits[1].model.active if a.candidate.effect.gauge}
     several = len(fits[1].model.active) > 1
     gauges = [f"{plain(name)}: {limit}." if several else f"{limit}." for name, limit in limits.items()]
-    text = f"{sizes} (noise {quantity(floor, 'V')}); the model's R_s {resistance}"
+    text = f"{sizes} ({floor}); the model's R_s {resistance}"
     return " ".join([f"{text}.", *gauges]) if gauges else text
 
 

@@ -94,7 +94,7 @@ def added(state: SearchState, scored: Score) -> Fit:
 def _add_best(state: SearchState, shortlist: Sequence[Score]) -> SearchState | None:
     """Add the effect with the largest evidence; where it explains too little, it is refused."""
     fit, limits = state.fit, state.limits
-    state.fitter.under_way(f"which is missing? {', '.join(plain(s.candidate.name) for s in shortlist)}")
+    state.fitter.under_way(f"testing {', '.join(plain(s.candidate.name) for s in shortlist)}")
     trials = _refit_all(state, shortlist)
     inflation = max(1.0, min(trial.chi2_per_dof for trial in trials))
     before, odds = log_evidence(fit, inflation), [s.candidate.prior_log_odds for s in shortlist]

@@ -28,7 +28,7 @@ def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Library) -
     For a PWM frequency with dwells only, the timer's phases are estimated beside a fit, all effects adapting.
     """
     prepared = setup.prepared
-    setup.fitter.tell("is a command rounded? A modulator's timer")
+    setup.fitter.tell("testing whether a modulator's timer rounds the commands")
     resistance_ohm = prepared.manifest.motor.stator_resistance_ohm or 1.0
     traces = command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm)
     bus_v = prepared.manifest.drive.dc_bus_voltage_v

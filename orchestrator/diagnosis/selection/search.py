@@ -80,7 +80,7 @@ def search_effects(
     first = steps[-1].fit
     is_clean = first.chi2_per_dof <= first.criteria.selection.detected_chi2
     expected = EVALUATIONS_LEFT_IF_CLEAN if is_clean else EVALUATIONS_LEFT_FROM_SEARCH
-    setup.fitter.begin("search for a few missing effects", expected)
+    setup.fitter.begin("searching for missing effects", expected)
     if not is_clean and setup.prepared.quantiser is None:
         setup, steps = _with_quantiser(setup, steps, library)
     part = setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0)
@@ -154,7 +154,7 @@ def _freeable(state: SearchState, library: Library) -> list[tuple[EffectTerm, st
 
 
 def _add_all(state: SearchState, library: Library) -> SearchState:
-    state.setup.fitter.begin(f"{len(library)} effects together", EVALUATIONS_LEFT_PER_EFFECT * len(library))
+    state.setup.fitter.begin(f"fitting {len(library)} effects together", EVALUATIONS_LEFT_PER_EFFECT * len(library))
     return full_model(state, library)
 
 
@@ -186,7 +186,7 @@ def on_whole(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchState:
     """The state with its model fitted to the whole recording."""
     fitter, model = state.setup.fitter, state.fit.model
     expected = EVALUATIONS_LEFT_FROM_WHOLE_IF_JOINT if state.is_joint else EVALUATIONS_LEFT_FROM_WHOLE
-    fitter.begin("the same on the whole recording", expected)
+    fitter.begin("repeating the search on the whole recording", expected)
     if not model.active:
         fit = refit_steps(state.setup, steps)[-1].fit
     elif state.is_joint:

@@ -75,12 +75,13 @@ def estimate(
     from orchestrator.screening import check_model
 
     path = Path(place)
+    recording = open_any(path, keep=out is None)
     target = estimates_folder(path, estimators or (), out)
     refuse_file(target)
     refuse_file(target / "results")
     plugins = make_plugins(PluginKind.ESTIMATORS, estimators or None)
     return estimate_recording(
-        open_any(path, keep=out is None),
+        recording,
         plugins,
         target,
         on_estimate=on_estimate,

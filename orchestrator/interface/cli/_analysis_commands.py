@@ -20,7 +20,7 @@ from orchestrator.interface.cli._output import announce
 commands = typer.Typer()
 
 
-@commands.command("estimate")
+@commands.command("estimate", epilog="Example: fluxbench estimate runs/first")
 def estimate_command(
     recording: RecordingArgument,
     out: Annotated[
@@ -42,7 +42,7 @@ def estimate_command(
     return estimate(recording, out, estimators or [], as_json)
 
 
-@commands.command("compare")
+@commands.command("compare", epilog="Example: fluxbench compare runs/first --model saturated")
 def compare_command(
     recordings: Annotated[list[Path], typer.Argument(help="One recording or run, or several.", metavar="RECORDING...")],
     model: ModelOption = None,
@@ -75,7 +75,7 @@ def compare_command(
     return compare(recordings[0], model, effects, out, as_json)
 
 
-@commands.command("diagnose")
+@commands.command("diagnose", epilog="Example: fluxbench diagnose runs/first")
 def diagnose_command(
     recording: RecordingArgument,
     model: ModelOption = None,
@@ -104,7 +104,7 @@ def diagnose_command(
     return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json, priors)
 
 
-@commands.command("explain")
+@commands.command("explain", epilog="Example: fluxbench explain runs/first")
 def explain_command(run: DiagnosedArgument, as_json: JsonOption = False) -> int:
     """Explain a diagnosis.
 
@@ -115,7 +115,7 @@ def explain_command(run: DiagnosedArgument, as_json: JsonOption = False) -> int:
     return explain(run, as_json)
 
 
-@commands.command("discover")
+@commands.command("discover", epilog="Example: fluxbench discover runs/first --write mine.py")
 def discover_command(
     recording: RecordingArgument,
     write: Annotated[
@@ -138,7 +138,7 @@ def discover_command(
     return discover(recording, write, name, effects, without or [], out, as_json)
 
 
-@commands.command("add")
+@commands.command("add", epilog="Example: fluxbench add runs/first dead_time")
 def add_command(
     recording: RecordingArgument,
     effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
@@ -157,7 +157,7 @@ def add_command(
     return add(recording, effect, model, effects, out, as_json)
 
 
-@commands.command("remove")
+@commands.command("remove", epilog="Example: fluxbench remove runs/first dead_time")
 def remove_command(
     recording: RecordingArgument,
     effect: Annotated[str, typer.Argument(help="Name of the effect.")],

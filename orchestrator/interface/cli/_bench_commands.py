@@ -37,7 +37,7 @@ def _announce(name: str, *, log: str, remote: str | None, quiet: bool, as_json: 
         announce_loading(name, aside=as_json or log == "json")
 
 
-@commands.command("run")
+@commands.command("run", epilog="Example: fluxbench run demo --out runs/first --set limits.current_a=4.8")
 def run_command(
     procedure: Annotated[
         str | None, typer.Argument(help="Name of a shipped procedure, or a YAML file.", show_default="demo")
@@ -104,7 +104,7 @@ def run_command(
     return run_further(source, rounds or 1, audience)
 
 
-@commands.command("resume")
+@commands.command("resume", epilog="Example: fluxbench resume runs/first")
 def resume_command(
     path: RunArgument,
     junit: JunitOption = None,
@@ -134,7 +134,7 @@ def _check_options(log: str, remote: str | None, unattended: str | None) -> None
         raise typer.BadParameter("excludes --unattended: an operator is present", param_hint="--remote")
 
 
-@commands.command("check")
+@commands.command("check", epilog="Example: fluxbench check demo --motor motor.yaml")
 def check_command(
     procedure: ProcedureArgument,
     drive: DriveOption = None,
@@ -163,7 +163,7 @@ def check_command(
     return check(procedure, drive, motor, settings or [], as_json, rehearsal)
 
 
-@commands.command("design")
+@commands.command("design", epilog="Example: fluxbench design demo dead_time device_drop --out shortest.yaml")
 def design_command(
     procedure: ProcedureArgument,
     effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],

@@ -111,6 +111,8 @@ def _print_summary(summary: PlanSummary) -> None:
     headings = ("stage", "written as", "points", "duration", "captured", "peak current", "peak voltage", "heat")
     rows = [(f"{row.index + 1} {row.stage}", f"stages.{row.index}", *_amounts(row)) for row in summary.stages]
     say_table(headings, [*rows, ("all", "", *_amounts(summary))])
+    if [row.index for row in summary.stages] != list(range(len(rows))):
+        say("a stage whose number is left out measures nothing: it asks the operator, or computes")
     say(f"rms current {quantity(summary.rms_current_a, 'A')} (length of the vector, over the whole duration)")
     if summary.rows is not None and summary.bytes is not None:
         say(f"{number(summary.rows / 1e6, 3)} million rows, about {number(summary.bytes / 1e6, 3)} MB on disk")

@@ -14,6 +14,7 @@ from orchestrator.formatting.quantities import number, quantity
 from orchestrator.formatting.results import (
     BENEFITS,
     CHI2_MEANING,
+    NOISE_FLOOR_MEANING,
     benefit_line,
     ladder_rows,
     parameter_rows,
@@ -123,7 +124,9 @@ def _print_comparison(path: Path, report: CompareReport) -> None:
     ]
     say_table(("stage", "rms error", "chi2", "current error"), rows)
     say(CHI2_MEANING)
-    say(f"noise floor {quantity(report.noise_floor.rms_v, 'V')}, chi2 over all {number(report.chi2)}")
+    floor = quantity(report.noise_floor.rms_v, "V")
+    say(f"over all stages: chi2 {number(report.chi2)}, noise floor of the rms error {floor}")
+    say(NOISE_FLOOR_MEANING)
     worst = [(w.segment, quantity(w.i_d_a, "A"), quantity(w.i_q_a, "A"), quantity(w.rms_v, "V")) for w in report.worst]
     say_table(("worst", "mean i_d", "mean i_q", "rms error"), worst)
     say_notes(report.notes)
@@ -134,7 +137,8 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     say(*columns(list(slots(words))), "")
     if report.convention is None:
         _print_ladder(report)
-    heads = ("of its typical size", "of the error", "probability", "material")
+        say_notes([NOISE_FLOOR_MEANING])
+    heads = ("size", "of the error", "probability", "material")
     for head, effects in (("cause", report.effects), ("below materiality, and in the model", report.minor)):
         if effects:
             say_table((head, *heads), share_rows(effects))

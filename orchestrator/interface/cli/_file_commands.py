@@ -12,7 +12,7 @@ from orchestrator.interface.cli._options import EffectsOption, JsonOption, RunAr
 commands = typer.Typer()
 
 
-@commands.command("export")
+@commands.command("export", epilog="Example: fluxbench export runs/first")
 def export_command(
     path: Annotated[Path, typer.Argument(help="A run, a recording, a map file, or a model.json.", metavar="RUN")],
     formats: Annotated[list[str] | None, typer.Option("--format", help="Only this format (may be repeated).")] = None,
@@ -28,7 +28,7 @@ def export_command(
     return export(path, formats or [], motor, out, as_json)
 
 
-@commands.command("tune")
+@commands.command("tune", epilog="Example: fluxbench tune runs/first --speed-rpm 4000")
 def tune_command(
     path: Annotated[Path, typer.Argument(help="A run or recording with a flux map; or a map file.", metavar="RUN")],
     out: Annotated[
@@ -52,7 +52,7 @@ def tune_command(
     effects: EffectsOption = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Tune a drive for the motor: references, current control, compensation, C code.
+    """Tune a drive: references, gains, compensation and C code.
 
     Least currents over torque, speed and bus voltage. Gains with the phase margin over the map's errors. The inverter's
     and the sensors' errors that the diagnosis found. Where sensorless control works. As C99, CSV and JSON, and in the
@@ -63,7 +63,7 @@ def tune_command(
     return tune(path, out, motor, current_a, bus_v, speed_rpm, sampling_hz, magnet_percent_per_k, effects, as_json)
 
 
-@commands.command("audit")
+@commands.command("audit", epilog="Example: fluxbench audit runs/first")
 def audit_command(
     path: Annotated[
         Path, typer.Argument(help="A run, a map file, a model.json, or a mapping of any table.", metavar="MAP")
@@ -85,7 +85,7 @@ def audit_command(
     return audit(path, motor, repair, picture, as_json)
 
 
-@commands.command("import")
+@commands.command("import", epilog="Example: fluxbench import mapping.yaml log.csv --out recordings/mine")
 def import_command(
     files: Annotated[
         list[Path],
@@ -117,7 +117,7 @@ def import_command(
     return import_(files[0], files[1:], out, as_json)
 
 
-@commands.command("runs")
+@commands.command("runs", epilog="Example: fluxbench runs finished")
 def runs_command(
     words: Annotated[
         list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
@@ -139,7 +139,7 @@ def runs_command(
     ] = False,
     as_json: JsonOption = False,
 ) -> int:
-    """List the runs below a folder, filtered by words and by what was found.
+    """List the runs below a folder, and filter them.
 
     Motor, serial number, operator, time, outcome, verdict, acceptance, tags and notes of each; with --columns R_s,
     inductances, flux and more. A run that cannot be read is named.
@@ -151,7 +151,7 @@ def runs_command(
     return list_runs(folder, options)
 
 
-@commands.command("note")
+@commands.command("note", epilog="Example: fluxbench note runs/first 'new brake' --tag bench2")
 def note_command(
     path: RunArgument,
     notes: Annotated[list[str] | None, typer.Argument(help="Notes to add.", metavar="NOTE")] = None,
@@ -168,7 +168,7 @@ def note_command(
     return note(path, notes or [], tags or [], untag or [], as_json)
 
 
-@commands.command("new")
+@commands.command("new", epilog="Example: fluxbench new effect lagging_drop")
 def new_command(
     kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.")],
     name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.")],
@@ -184,7 +184,7 @@ def new_command(
     return new(kind, name, out, as_json)
 
 
-@commands.command("plugins")
+@commands.command("plugins", epilog="Example: fluxbench plugins")
 def plugins_command(as_json: JsonOption = False) -> int:
     """List the installed plugins, and whether each loads.
 
@@ -195,7 +195,7 @@ def plugins_command(as_json: JsonOption = False) -> int:
     return plugins(as_json)
 
 
-@commands.command("procedures")
+@commands.command("procedures", epilog="Example: fluxbench procedures demo")
 def procedures_command(
     name: Annotated[str | None, typer.Argument(help="Print this procedure, as a template for your own.")] = None,
     as_json: JsonOption = False,
@@ -206,7 +206,7 @@ def procedures_command(
     return procedures(name, as_json)
 
 
-@commands.command("effects")
+@commands.command("effects", epilog="Example: fluxbench effects")
 def effects_command(as_json: JsonOption = False) -> int:
     """List the physical effects that a diagnosis knows."""
     from orchestrator.interface.cli._inspect import effects
@@ -214,7 +214,7 @@ def effects_command(as_json: JsonOption = False) -> int:
     return effects(as_json)
 
 
-@commands.command("schema")
+@commands.command("schema", epilog="Example: fluxbench schema motor --table")
 def schema_command(
     name: Annotated[
         str, typer.Argument(help="procedure, motor, recording, mapping, run, estimates; or drive, and its NAME.")
@@ -222,7 +222,10 @@ def schema_command(
     plugin: Annotated[str | None, typer.Argument(help="Name of the drive.", metavar="[NAME]")] = None,
     as_table: Annotated[bool, typer.Option("--table", help="Print a table in Markdown instead.")] = False,
 ) -> int:
-    """Print the JSON Schema of a file format or of a drive's options, for editors."""
+    """Describe a file format's fields, or a drive's options.
+
+    As JSON Schema, for editors; with --table for people.
+    """
     from orchestrator.interface.cli._inspect import schema
 
     return schema(name, plugin, as_table)

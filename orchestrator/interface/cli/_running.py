@@ -60,9 +60,10 @@ def run_app(arguments: Sequence[str], settle: Callable[[bool], None] | None = No
 
 def _explain(error: Exception, arguments: Sequence[str]) -> int:
     """One line and an exit code for an error; the traceback of one that nothing expected goes to a file."""
-    usage = getattr(error, "format_message", None)  # as all of typer's own errors have it
-    if usage is not None:
-        return _fail(usage(), getattr(error, "exit_code", 2))
+    if hasattr(error, "format_message"):  # as all of typer's own errors have it
+        from orchestrator.interface.cli._usage import usage_line
+
+        return _fail(usage_line(error), getattr(error, "exit_code", 2))
     from protocols import FluxbenchError  # a late import: it takes most of the time of --help
 
     if not isinstance(error, FluxbenchError):

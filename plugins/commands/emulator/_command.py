@@ -104,7 +104,7 @@ def emulate(
     return 0
 
 
-command = entry_point(emulate)
+command = entry_point(emulate, "Example: fluxbench emulate --serial /tmp/fluxbench")
 
 
 def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) -> tuple[SimulatedOptions, Motor]:

@@ -51,9 +51,9 @@ def priors(
 
 
 app = typer.Typer(cls=_RunUnlessNamed, add_completion=False, rich_markup_mode=None)
-app.command("run")(run)
-app.command("report")(report)
-app.command("priors")(priors)
+app.command("run", epilog="Example: fluxbench fleet run recordings --out table")(run)
+app.command("report", epilog="Example: fluxbench fleet report table")(report)
+app.command("priors", epilog="Example: fluxbench fleet priors table --out priors.json")(priors)
 
 
 @app.callback()

@@ -70,7 +70,7 @@ def command(arguments: Sequence[str]) -> int:
     negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
     if negative is not None:  # otherwise it would be parsed as an option
         raise InputError("fluxbench mystery", negative, WHOLE)
-    return entry_point(mystery)(arguments)
+    return entry_point(mystery, "Example: fluxbench mystery 4")(arguments)
 
 
 def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:

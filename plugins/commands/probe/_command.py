@@ -52,7 +52,7 @@ def probe(
     return 0
 
 
-command = entry_point(probe)
+command = entry_point(probe, "Example: fluxbench probe")
 
 
 def _split(bus: str) -> tuple[str, str]:

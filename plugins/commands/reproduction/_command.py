@@ -45,4 +45,4 @@ def _literal_page(run: Path, out: Path) -> Path:
     return write_page(measured, budget(RunDirectory.open(run).procedure(), measured), out)
 
 
-command = entry_point(reproduce)
+command = entry_point(reproduce, "Example: fluxbench reproduce --out runs/paper-page")

@@ -28,4 +28,4 @@ def serve(
     return serve_page(folder.resolve(), HOST, port)
 
 
-command = entry_point(serve)
+command = entry_point(serve, "Example: fluxbench serve bench --port 8080")

@@ -51,4 +51,4 @@ def xcp(
     return 0
 
 
-command = entry_point(xcp)
+command = entry_point(xcp, "Example: fluxbench xcp ecu")

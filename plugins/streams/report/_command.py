@@ -1,4 +1,4 @@
-"""`fluxbench report`: the page of a run, made again, or of any recording; or of several side by side."""
+"""`fluxbench report`: write the report of a run, or of several side by side."""
 
 from __future__ import annotations
 
@@ -40,4 +40,4 @@ def report(
     return 0
 
 
-command = entry_point(report)
+command = entry_point(report, "Example: fluxbench report runs/first")

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.formatting.events import describe
-from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
+from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, symbol_of
 from orchestrator.formatting.quantities import duration, fixed, percent, plural, quantity, with_error
 from orchestrator.formatting.results import coefficient_rows
 from orchestrator.formatting.sentences import listed, typographic
@@ -144,7 +144,8 @@ def formulas(material: Material) -> Iterator[Formula]:
     """The maps that are formulas."""
     for method, report in material.estimates.maps.items() if material.estimates is not None else ():
         if report.form is not None:
-            yield Formula(method, report.form.formula, tuple(coefficient_rows(report.form)))
+            text = symbol_of(report.form.formula).replace("psi", "ψ").replace("^2", "²")
+            yield Formula(method, text, tuple(coefficient_rows(report.form)))
 
 
 def checks(material: Material) -> Iterator[Check]:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orchestrator.formatting.names import plain
+from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
 from orchestrator.formatting.results import ladder_rows as rungs
-from orchestrator.formatting.results import parameter_rows, size_in_words
+from orchestrator.formatting.results import parameter_rows, sized_parameter
 from orchestrator.formatting.sentences import listed, typographic
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def ladder_rows(diagnosis: SavedDiagnosis, learned: Discovery | None = None, cha
         return []
     floor = diagnosis.report.noise_floor
     held_out = floor.rms_v if floor.heldout_rms_v is None else floor.heldout_rms_v
-    alone = "noise alone", "1", quantity(floor.rms_v, "V"), quantity(held_out, "V"), ""
+    alone = "noise floor", "1", quantity(floor.rms_v, "V"), quantity(held_out, "V"), ""
     return [*rungs(diagnosis.report.ladder), *_learned_rows(learned, changes), alone]
 
 
@@ -56,20 +56,22 @@ def _learned_rows(learned: Discovery | None, changes: Sequence[str]) -> Rows:
 
 
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
-    """Every parameter of every effect, with its interval and the effects that are indistinguishable from it."""
+    """Every parameter of every effect: value, interval, typical size; and the effects that fit as well in its place."""
     rows: Rows = []
     for effect in (*diagnosis.report.effects, *diagnosis.report.minor):
-        about = (size_in_words(effect), listed([plain(twin) for twin in effect.twins]) or "nothing")
         name = plain(effect.name) + (" (immaterial)" if effect in diagnosis.report.minor else "")
-        first, *others = parameter_rows(effect)
-        rows += [(name, *first, *about), *(("", *row, "", "") for row in others)]
+        twins, sized = listed([plain(twin) for twin in effect.twins]) or "none", sized_parameter(effect)
+        typical = "" if effect.typical is None else quantity(effect.typical.value, effect.typical.unit, 2)
+        for k, row in enumerate(parameter_rows(effect)):
+            is_sized = sized is not None and row[0] == parameter_words(sized)
+            rows.append((name if k == 0 else "", *row, typical if is_sized else "", twins if k == 0 else ""))
     return rows
 
 
 def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     """What looks alike in this data set: ties in the search, and where search and joint fit (|z|) disagree."""
     rows: Rows = [
-        (plain(effect.name), ", ".join(map(plain, effect.twins)), "does as well in its place")
+        (plain(effect.name), ", ".join(map(plain, effect.twins)), "fits as well in its place")
         for effect in diagnosis.report.effects
         if effect.twins
     ]
@@ -79,7 +81,9 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     }
     if joint_only:
         largest = number(max(joint_only.values()), 3)
-        reason = f"|z| to {largest} where all effects are fitted at once; adding it gains too little"
+        reason = (
+            f"up to {largest} standard deviations from zero with all effects fitted at once; adding it gains too little"
+        )
         rows.append((", ".join(map(plain, joint_only)), "–", reason))
     for effect in diagnosis.report.minor:
         reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"

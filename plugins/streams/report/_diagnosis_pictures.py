@@ -24,7 +24,8 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
     ladder, floor = diagnosis.report.ladder, diagnosis.report.noise_floor.rms_v
     if ladder and floor:
         caption = (
-            f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {quantity(floor, 'V')}."
+            "Downwards: the error after each effect. Held out: stages that were not fitted. Noise floor of the fitted "
+            f"stages: {quantity(floor, 'V')}."
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
     if diagnosis.report.joint:
@@ -40,8 +41,13 @@ def _library(report: DiagnosisReport, most: int = 7) -> Picture:
     shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}
     order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
     caption = (
-        "All effects at once. Those of the model come first, with their part of the error. Filled: beyond chance "
-        f"(≥ {figures.SURE_Z:g}, dashed). Hollow: nothing that the data ask for."
+        "All effects fitted at once. Those of the model come first, with their part of the first error"
+        + (
+            ", above 100 % where R_s and map had compensated a part of it"
+            if max(shares.values(), default=0.0) > 1.0
+            else ""
+        )
+        + f". Filled: at least {figures.SURE_Z:g} standard deviations (dashed). Hollow: not distinguishable from zero."
     )
     return Picture("The whole library, fitted together", caption, figures.joint_figure(order[:most], shares))
 
@@ -100,7 +106,7 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
             uri = figures.trapezoid_figure(excerpt, before.excerpts[k] if grey else None)
             yield Picture("A sweep, measured and simulated", caption, uri)
     if after.resistance is not None and len(after.resistance.time_s) > 1:
-        caption = f"What each hold and injection point asks for, beside the rest of the model.{grey}"
+        caption = f"The R_s that fits each hold and injection point, with the rest of the model as it is.{grey}"
         uri = figures.heat_figure(after.resistance, before.resistance if grey else None)
         yield Picture("R_s against the heat", caption, uri)
 

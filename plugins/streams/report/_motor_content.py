@@ -17,7 +17,7 @@ from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, inductance_line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
-TORQUE_HEAD = ("torque", "i_d", "i_q", "length", "angle from d")
+TORQUE_HEAD = ("torque", "i_d", "i_q", "|i|", "angle from d")
 COPPER_COEFFICIENT_PER_K = 0.00393
 """Relative change of copper's resistance a kelvin, at 20 degrees Celsius."""
 

@@ -199,7 +199,7 @@ def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
                 best.append(trajectory(main, motor.pole_pairs))
             except FluxbenchError:  # no point with i_q > 0, or one line of points alone
                 best.append(None)
-        text = "In Nm, with the most torque an ampere (MTPA) and a volt (MTPV), as far as they were measured."
+        text = "In Nm, with the largest torque per ampere (MTPA) and per volt (MTPV), as far as they were measured."
         yield Picture("Torque", text, figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
     for axis in ("d", "q"):
         yield Picture(f"ψ_{axis} over the current plane", "In mWb.", figures.flux_plane_figure(main, axis))

@@ -15,8 +15,8 @@ HEAD = (
     "L_qq, beside the map",
     "saliency",
     "the map’s",
-    "axis off by up to",
-    "left with the map’s turn",
+    "error of the axis, up to",
+    "after correction by the map",
 )
 AGREEMENT_PERCENT = 1.0
 """Ripple and map agree where neither inductance differs by more: what a drive's control does not feel."""
@@ -44,7 +44,7 @@ def note(material: Material) -> str:
             "by injection belong to the row of its own frequency."
         )
     second = (
-        f"Cross-saturation turns the axis of least inductance, which a tracking takes for the d axis, by up to "
+        f"Cross-saturation turns the axis of least inductance, which the tracking takes for the d axis, by up to "
         f"{_degrees(worst)}; with that turn taken from the map, up to {_degrees(left)} is left."
     )
     return f"{first} {second}"

@@ -87,7 +87,7 @@ def command(arguments: Sequence[str]) -> int:
     from plugins.streams.rerun._viewer import interruptible
 
     with interruptible():
-        return entry_point(view)(arguments)
+        return entry_point(view, "Example: fluxbench view runs/first --port 9090")(arguments)
 
 
 def _see_made(

@@ -155,7 +155,7 @@ def test_the_search_is_kept_from_the_baseline_to_the_last_move(diagnosed: Diagno
     assert search[0].move == "baseline"
     assert search[0].chi2_after == diagnosed.report.ladder[0].chi2
     (cause,) = diagnosed.report.effects
-    added = [event for event in search if event.move == "add" and event.decision == "taken"]
+    added = [event for event in search if event.move == "add" and event.decision == "accepted"]
     assert [event.effects for event in added] == [(cause.name,)]
     assert added[0].score == cause.log_evidence
     tried = [event.effects for event in search if event.move == "refit" and event.step < added[0].step]

@@ -17,7 +17,7 @@ def test_moves_on_a_part_and_on_the_whole_are_one_sequence() -> None:
     whole.record("add", ["dead_time"], taken=True)
     part.record("remove", ["dead_time"], taken=False, note="it is needed")
     assert [(e.step, e.data, e.decision) for e in whole.events] == [
-        (1, "part", "tried"), (2, "whole", "taken"), (3, "part", "refused"),
+        (1, "part", "tested"), (2, "whole", "accepted"), (3, "part", "rejected"),
     ]  # fmt: skip
     assert [e.evaluations for e in part.events] == [0.0, 2.5, 2.5]
     assert whole.events[0].seconds <= whole.events[2].seconds

@@ -21,17 +21,20 @@ def some_moves() -> SearchRecorder:
 
 def test_a_gain_stands_beside_its_threshold_in_one_unit() -> None:
     rows = search_rows(some_moves().events)
-    assert rows[0][1:3] == ("full model", "effect 0, effect 1, effect 2 and 20 more")
-    assert rows[1] == ("2", "add, in a part", "dead time", "12820 nat", "16 nat", "–", "refused: too small")
-    assert rows[2][3:5] == ("4.21 of chi2", "32 of chi2")
-    assert rows[3][3:5] == ("31 %", "20 %")
-    assert rows[4][2:5] == ("–", "chi2 1.23", "chi2 1.5")
+    assert rows[0][1:4] == ("full model", "whole", "effect 0, effect 1, effect 2 and 20 more")
+    assert rows[1] == ("2", "add", "part", "dead time", "12820 nat", "16 nat", "–", "rejected: too small")
+    assert rows[2][4:6] == ("4.21 of chi2", "32 of chi2")
+    assert rows[3][4:6] == ("31 %", "20 %")
+    assert rows[4][3:6] == ("–", "chi2 1.23", "chi2 1.5")
 
 
 def test_a_move_is_a_line() -> None:
     lines = search_lines(some_moves().events)
-    assert lines[1] == "2. add, in a part: dead time; gain 12820 nat (threshold 16 nat); refused: too small"
-    assert lines[4] == "5. quantiser; gain chi2 1.23 (threshold chi2 1.5); taken"
+    assert (
+        lines[1]
+        == "2. add on a part of the recording: dead time; gain 12820 nat (threshold 16 nat); rejected: too small"
+    )
+    assert lines[4] == "5. quantiser; gain chi2 1.23 (threshold chi2 1.5); accepted"
 
 
 def test_how_well_the_model_does_is_stated_where_it_is_known() -> None:

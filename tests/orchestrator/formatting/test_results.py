@@ -95,8 +95,15 @@ def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_expl
 
 def test_a_size_is_stated_beside_what_is_typical() -> None:
     typical = ParameterValue(value=1.48e-6, low=None, high=None, unit="s")
-    assert size_in_words(effect().model_copy(update={"relative_size": 0.137, "typical": typical})) == "14 % of 1.5 µs"
-    assert size_in_words(effect().model_copy(update={"relative_size": 4.017})) == "402 %"
+    assert (
+        size_in_words(effect().model_copy(update={"relative_size": 0.137, "typical": typical}))
+        == "148 ns (typical: 1.5 µs)"
+    )
+    assert size_in_words(effect().model_copy(update={"relative_size": 4.017})) == "402 % of the typical size"
+    ohms = ParameterValue(value=4e3, low=None, high=None, unit="ohm")  # of an effect that is strong where it is small
+    eddy = effect(parameters={"iron_ohm": ohms}, derived={}, relative_size=0.25)
+    typical = ParameterValue(value=1e3, low=None, high=None, unit="ohm")
+    assert size_in_words(eddy.model_copy(update={"typical": typical})) == "4 kΩ (typical: 1 kΩ)"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +111,7 @@ def test_a_size_is_stated_beside_what_is_typical() -> None:
     [
         ("helps", "It did."),
         ("not_needed", "It did."),
-        ("does_not_help", "It did; `fluxbench remove runs/a dead_time` takes it out again."),
+        ("does_not_help", "It did; `fluxbench remove runs/a dead_time` removes it again."),
         ("needed", "It did; `fluxbench add runs/a dead_time` puts it back."),
     ],
 )

@@ -67,6 +67,8 @@ def test_page_shows_a_plugin_of_each_kind_and_the_kits() -> None:
         "bench_plugins/lagging_drop.py",
         "bench_plugins/blanking_time.py",
         "bench_plugins/points_file.py",
+        "phase_drop.py",
+        "test_phase_drop.py",
         "tests/test_conformance.py",
         "tests/test_lagging_drop.py",
     }
@@ -79,6 +81,19 @@ def test_page_s_plugins_pass_the_kits(package: Path) -> None:
     passed = re.search(r"(\d+) passed", done.stdout)
     assert passed is not None
     assert int(passed[1]) >= 40, done.stdout
+
+
+@pytest.mark.slow
+def test_the_first_effect_passes_its_kit_as_a_file_and_its_error_falls_as_printed(package: Path) -> None:
+    done = in_package(package, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_phase_drop.py")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"\d+ passed, 1 skipped", done.stdout)  # it has no entry point
+    fluxbench = ("-c", "from orchestrator.interface.cli import main; main()")
+    assert in_package(package, *fluxbench, "mystery", "2", "--quiet").returncode == 0
+    done = in_package(package, *fluxbench, "add", "runs/mystery-2", "phase_drop", "--effects", "phase_drop.py")
+    assert done.returncode == 0, done.stderr
+    (helps,) = (line for line in done.stdout.splitlines() if line.startswith("phase drop helps:"))
+    assert helps in PAGES[1].read_text(encoding="utf-8")
 
 
 def test_page_s_plugins_are_loaded_by_their_names(package: Path) -> None:

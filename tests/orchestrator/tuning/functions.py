@@ -15,7 +15,7 @@ from orchestrator.numerics.types import Array
 Words = NDArray[np.float32]
 """An array of the C code; a struct is one, too."""
 
-RESULT_IS_FLOAT = ("r_s_ohm", "torque_to_ask_nm", "torque_limit_nm", "leg_voltage_v", "angle_rad", "angle_ahead_rad")
+RESULT_IS_FLOAT = ("r_s_ohm", "torque_reference_nm", "torque_limit_nm", "leg_voltage_v", "angle_rad", "angle_ahead_rad")
 STATE_WORDS = 7
 """Of motor_current_control: lost_v, given_v and psi_expected_wb, two each, and samples, an integer."""
 

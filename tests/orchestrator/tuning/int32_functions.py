@@ -28,7 +28,7 @@ SIGNATURES: dict[str, tuple[str, tuple[float, ...], float]] = {
     "leg_voltage_v": ("leg_voltage_uv", (MICRO, MICRO), MICRO),
     "corrected_current_a": ("corrected_current_ua", (MICRO, MICRO), RAW),
     "add_bias_v": ("add_bias_uv", (MICRO,), RAW),
-    "torque_to_ask_nm": ("torque_to_ask_unm", (MICRO, MILLI, MICRO), MICRO),
+    "torque_reference_nm": ("torque_reference_unm", (MICRO, MILLI, MICRO), MICRO),
     "angle_rad": ("angle_turn32", (TURN32, MILLI), TURN32),
     "angle_ahead_rad": ("angle_ahead_turn32", (TURN32, MILLI), TURN32),
 }

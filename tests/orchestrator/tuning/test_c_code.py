@@ -206,7 +206,7 @@ def test_a_magnet_of_known_temperature_gives_the_torque_that_is_wanted(
     for torque in (-7.0, -2.0, 0.5, 4.0, 8.0):
         i_ref = words(2)
         for _ in range(6):
-            wanted = drive.number("torque_to_ask_nm", torque, magnet_c, i_ref)
+            wanted = drive.number("torque_reference_nm", torque, magnet_c, i_ref)
             drive.call("current_reference_a", wanted, 800.0, 300.0, PLANT.r_s, i_ref)
         assert warm.torque_nm(i_ref.astype(np.float64)) == pytest.approx(torque, abs=0.01)
         assert abs(float(PLANT.torque_nm(i_ref.astype(np.float64)))) > 1.01 * abs(torque)
@@ -383,7 +383,7 @@ def test_the_source_in_int32_needs_no_library_and_no_data_either(tables: Tables,
     for name, content in tables.int32_files().items():
         (tmp_path / name).write_bytes(content)
     symbols = symbols_of("motor_drive_int32.c", tmp_path)
-    public = {name for name, *_ in SIGNATURES.values()} - {"torque_to_ask_unm"}
+    public = {name for name, *_ in SIGNATURES.values()} - {"torque_reference_unm"}
     assert {name for kind, name in symbols if kind == "T"} == {f"motor_{name}" for name in public}
     assert {kind for kind, _ in symbols} <= {"T", "t", "r"}
     assert declared_in(tmp_path / "motor_drive_int32.h") == public

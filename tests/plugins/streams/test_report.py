@@ -454,6 +454,7 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path
     material = collect(estimated(run, maps=made, remarks=flux_error))
     (formula,) = formulas(material)
     assert formula.rows == (("L_d", "43.20 mH", "0.10 mH"), ("α30", "−12.5 A/Wb²", "0.3 A/Wb²"))
+    assert "sum of α_mn x^m y^n, x = ψ_d - ψ_M" in formula.text
     assert remarks(material).main == ["energy: known to ±0.1 %"]
     page = render(material, draws=False)
     assert "By polynomial" in page

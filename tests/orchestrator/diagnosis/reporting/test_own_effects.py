@@ -30,7 +30,7 @@ def event(
     chi2: tuple[float | None, float | None] = (None, None),
     score: float | None = None,
     threshold: float | None = None,
-    decision: SearchDecision = "tried",
+    decision: SearchDecision = "tested",
 ) -> SearchEvent:
     return SearchEvent(
         step=step,
@@ -52,9 +52,9 @@ SCREEN = event(1, "screen", "dead_time", score=5.0, threshold=32.0)
 REFITS = [
     event(2, "refit", "dead_time", chi2=(90.0, 3.0), score=120.0, threshold=16.0),
     event(3, "refit", "own_drop", chi2=(90.0, 4.0), score=110.0, threshold=16.0),
-    event(4, "add", "dead_time", chi2=(90.0, 3.0), score=120.0, threshold=16.0, decision="taken"),
+    event(4, "add", "dead_time", chi2=(90.0, 3.0), score=120.0, threshold=16.0, decision="accepted"),
 ]
-REMOVED = event(5, "remove", "own_drop", chi2=(1.07, 1.06), score=5.6, threshold=-16.0, decision="taken")
+REMOVED = event(5, "remove", "own_drop", chi2=(1.07, 1.06), score=5.6, threshold=-16.0, decision="accepted")
 
 
 def remark(effect: Effect, *events: SearchEvent, observable: bool = True, model: Effect | None = None) -> list[str]:
@@ -67,7 +67,7 @@ def remark(effect: Effect, *events: SearchEvent, observable: bool = True, model:
 def test_an_own_effect_that_was_tried_is_reported_with_chi2_and_evidence() -> None:
     assert remark(guarded(Own()), SCREEN, *REFITS, REMOVED) == [
         "own_effect_tried: own drop: tried, and not in the model: added alone, chi2 90 → 4, log evidence 110 nat "
-        "(dead time: log evidence 120 nat); taken out, chi2 1.07 → 1.06, log evidence 5.6 nat "
+        "(dead time: log evidence 120 nat); removed, chi2 1.07 → 1.06, log evidence 5.6 nat "
         "(at least −16 nat for this); `explain` lists all moves"
     ]
 

@@ -76,7 +76,7 @@ def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: Sear
     assert any(where.startswith(f"worst in {piece.segment.id} (") for piece in MAKER.prepared.pieces)
     assert not where.startswith("worst in gates_off")
     assert "|i_d| to " in where
-    assert "where noise alone makes" in where
+    assert "noise floor of this segment" in where
 
 
 def test_what_adding_it_does_is_stated_of_data_that_were_held_out(search: SearchResult) -> None:
@@ -170,7 +170,7 @@ def test_a_cause_at_its_bound_is_stated_with_the_bound_and_what_to_do(effect: Ef
 def test_a_cause_in_whose_place_another_fits_better_is_no_certain_one(search: SearchResult) -> None:
     values = {"effect": "voltage_bias", "other": "current_offset", "gain_nat": 20.0}
     words = stated(search, remarks=[{"code": "fits_better_in_place", "text": "fits better", "values": values}])
-    assert words.likely_cause.endswith("), in whose place current_offset fits better")
+    assert words.likely_cause.endswith("; current_offset fits better in its place)")
     assert words.to_decide == "`fluxbench diagnose RUN --without voltage_bias`: current_offset fits better in its place"
 
 
@@ -205,7 +205,7 @@ def test_a_size_that_belongs_to_one_rotor_angle_is_stated_so_and_a_second_angle_
     }
     search = SearchResult([AcceptedModel(None, bare), AcceptedModel("slot_harmonics", after)])
     words = stated(search, effects=[slots])
-    assert words.likely_cause.endswith("), at this angle; other angles unknown")
+    assert words.likely_cause.endswith("; at this angle; other angles unknown)")
     angle = "the rotor locked at a second angle: size and sign of slot_harmonics belong to this angle alone"
     assert words.to_decide == angle
     every = dict.fromkeys(("relative", "across", "along_d", "along_q"), slots["parameters"]["relative"])

@@ -62,7 +62,7 @@ def test_noise_alone_is_given_no_name() -> None:
     search = _searched(maker, scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], maker.prepared.manifest))
     assert [step.added for step in search.steps] == [None]
     assert search.detected_not_named == []
-    assert {(event.move, event.decision) for event in maker.trace.events} == {("screen", "refused")}
+    assert {(event.move, event.decision) for event in maker.trace.events} == {("screen", "rejected")}
     for event in maker.trace.events:
         assert event.score is not None
         assert event.threshold is not None
@@ -87,10 +87,10 @@ def test_every_refit_is_on_record_with_the_score_that_decided(biased: Fitter) ->
     _searched(maker, scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], maker.prepared.manifest))
     refits = [event for event in maker.trace.events if event.move == "refit"]
     (added,) = [event for event in maker.trace.events if event.move == "add"]
-    assert (added.effects, added.decision) == (("voltage_bias",), "taken")
+    assert (added.effects, added.decision) == (("voltage_bias",), "accepted")
     assert added.score == max(event.score or 0.0 for event in refits)
     assert added.threshold == maker.prepared.criteria.selection.log_evidence
-    assert maker.trace.events[-1].decision == "refused"
+    assert maker.trace.events[-1].decision == "rejected"
 
 
 def test_thresholds_are_those_that_are_handed_in(biased: Fitter) -> None:
@@ -106,7 +106,7 @@ def test_an_effect_that_explains_more_comes_before_the_form_of_the_newest_one() 
     search = _searched(maker, scaled_library([DeadTime(), VoltageBias()], recording.manifest))
     assert set(search.fit.model.names) == {"dead_time", "voltage_bias"}
     assert search.fit.chi2_per_dof == pytest.approx(1.0, abs=0.2)
-    taken = [event.move for event in maker.trace.events if event.decision == "taken"]
+    taken = [event.move for event in maker.trace.events if event.decision == "accepted"]
     assert taken[:3] == ["add", "add", "free_shape"]
 
 

@@ -129,7 +129,7 @@ def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
     assert diagnosis.report.materiality is not None
     assert diagnosis.report.materiality.flux_percent == pytest.approx(0.4)
     assert diagnosis.report.materiality.voltage_percent == pytest.approx(0.5)
-    assert messages[-1] == "how sure is what was found?"
+    assert messages[-1] == "computing the intervals"
     assert diagnosis.words.likely_cause
     assert len(diagnosis.steps) == len(diagnosis.report.ladder)
     with pytest.raises(PluginError, match="dead_time: not in the model; it has no effects"):

@@ -112,7 +112,7 @@ def test_the_command_prints_the_main_figures(map_file: Path, tmp_path: Path) -> 
     for figure in (
         "largest torque",
         "phase margin 60°",
-        "injection tracks",
+        "tracking by injection",
         "back-EMF observer",
         "test_motor_1_drive.c",
     ):
@@ -134,7 +134,7 @@ def test_resistance_holds_at_the_room_s_temperature_of_the_run_or_at_20_degrees(
 def test_a_magnet_s_coefficient_makes_its_temperature_an_argument_of_the_code(map_file: Path, tmp_path: Path) -> None:
     magnet = MOTOR.model_copy(update={"pm_flux_wb": 0.3})
     api.tune(map_file, motor=magnet, magnet_percent_per_k=-0.11, out=tmp_path / "with", **DRIVE)
-    for name, function in (("drive", "torque_to_ask_nm"), ("drive_int32", "torque_to_ask_unm")):
+    for name, function in (("drive", "torque_reference_nm"), ("drive_int32", "torque_reference_unm")):
         assert function in (tmp_path / "with" / f"test_motor_1_{name}.h").read_text()
     for motor, percent, message in ((magnet, -110.0, "expected 1 %/K at most"), (MOTOR, -0.11, "pm_flux_wb: unknown")):
         with pytest.raises(InputError, match=message):

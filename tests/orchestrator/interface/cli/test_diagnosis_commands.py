@@ -31,7 +31,8 @@ class Mine:
 
 
 UNDER_WAY = (
-    "reading ", "does the recording keep", "the recording's noise", "the model with", "is a finer map", "how sure",
+    "reading ", "checking signs", "estimating the noise", "fitting the", "testing a finer map",
+    "computing the intervals",
 )  # fmt: skip
 """How lines begin that a command may have printed before it is refused; none of them is a result."""
 

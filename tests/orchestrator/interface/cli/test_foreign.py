@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.interface.cli._foreign import GROUP, summary_of
+from orchestrator.interface.cli._running import run_app
 
 
 def entry(value: str) -> EntryPoint:
@@ -28,6 +29,13 @@ def test_every_command_of_the_projects_own_says_what_it_does() -> None:
         if one.dist is not None and one.dist.name == "fluxbench":
             assert not summary_of(one).startswith("A plugin's"), one.name
             assert summary_of(one).endswith(".")
+
+
+def test_the_list_of_commands_shows_each_one_s_summary_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(["--help"]) == 0
+    commands = capsys.readouterr().out.split("Commands:")[1].strip().splitlines()
+    assert len(commands) > 30
+    assert [line for line in commands if line.endswith("...")] == []
 
 
 def test_the_first_line_of_the_module_is_read_and_nothing_imported(

@@ -74,7 +74,8 @@ def printed(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message],
 
 def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert printed(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
-        "comparison: the saturated model has chi2 54890, worst in resistance-022 with 1.48 V rms at a noise of 3.45 mV",
+        "comparison: the saturated model has chi2 54890, worst in resistance-022 with 1.48 V rms; noise floor over all "
+        "stages 3.45 mV",
         "the model alone           chi2    5489    300 mV  held out   350 mV",
         "+ dead time               chi2    1.02    4.1 mV  held out   4.2 mV",
         "diagnosis: explained",
@@ -157,7 +158,7 @@ def test_a_report_that_says_little_is_reported_all_the_same(monkeypatch: pytest.
     silent = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, ""))
     empty: list[Message] = [Compared(report=bare), Diagnosed(round=2, report=a_diagnosis(), words=silent)]
     assert printed(monkeypatch, tmp_path, empty, "plain").splitlines() == [
-        "comparison: the saturated model has chi2 – at a noise of –",
+        "comparison: the saturated model has chi2 –; noise floor over all stages –",
         "diagnosis: explained, after experiment 2",
     ]
     assert printed(monkeypatch, tmp_path, empty, "live")

@@ -40,6 +40,7 @@ def a_diagnosis(**changes: Any) -> DiagnosisReport:
                 },
                 "twins": ["device_drop"],
                 "relative_size": 0.05,
+                "typical": {"value": 8.0, "low": None, "high": None, "unit": "V"},
                 "log_evidence": 5e5,
             }
         ],

@@ -160,23 +160,34 @@ def test_the_library_is_in_the_order_of_the_error_that_is_explained(monkeypatch:
 
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
     assert findings.effect_rows(saved()) == [
-        ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "5 %", "device drop"),
+        ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "8 V", "device drop"),
         ("", "sharpness", "−15·10⁶", "", "", ""),
     ]
     small = a_diagnosis().effects[0].model_copy(update={"name": "eddy_currents", "twins": ()})
     rows = findings.effect_rows(saved(minor=[small]))
-    assert rows[2] == ("eddy currents (immaterial)", "voltage", "400.0 mV", "399.0 to 401.0", "5 %", "nothing")
+    assert rows[2] == (
+        "eddy currents (immaterial)",
+        "voltage",
+        "400.0 mV",
+        "399.0 to 401.0",
+        "8 V",
+        "none",
+    )
     assert findings.ladder_rows(saved()) == [
         ("the model alone", "5489", "300 mV", "350 mV", "60 mA"),
         ("+ dead time", "1.02", "4.1 mV", "4.2 mV", "5 mA"),
-        ("noise alone", "1", "4 mV", "4 mV", ""),
+        ("noise floor", "1", "4 mV", "4 mV", ""),
     ]
 
 
 def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
     assert findings.alike_rows(saved()) == [
-        ("dead time", "device drop", "does as well in its place"),
-        ("bus sag", "–", "|z| to 5.1 where all effects are fitted at once; adding it gains too little"),
+        ("dead time", "device drop", "fits as well in its place"),
+        (
+            "bus sag",
+            "–",
+            "up to 5.1 standard deviations from zero with all effects fitted at once; adding it gains too little",
+        ),
         ("skin effect", "–", "detected, but too small to be named"),
     ]
 
@@ -264,7 +275,7 @@ def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: 
     assert text.index("Explained") < text.index("χ² is 1.02; noise makes up to 1.08.") < text.index("Where it fails")
     assert "0.4 % of its range (rms)" in text
     (folded,) = (part for part in re.findall(r"<details>.*?</details>", page, flags=re.S) if "Steps of" in part)
-    assert words_of(folded).split("decision ")[1].startswith("1 screen dead time 60000 of χ² 32 of χ² – tried 2 add")
+    assert words_of(folded).split("decision ")[1].startswith("1 screen whole dead time 60000 of χ² 32 of χ² – tested 2")
     assert "Steps of the search (2)" in folded
 
 
