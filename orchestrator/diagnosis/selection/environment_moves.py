@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from orchestrator.diagnosis.fitting.baseline import (
+    MAX_CHI2_FOR_FINER_MAP,
     has_fine_grid,
     keep_fine_grid,
     map_log_evidence,
@@ -53,9 +54,14 @@ def _estimate_quantiser(state: SearchState, library: Library) -> SearchState | N
 
 
 def map_moves(state: SearchState) -> Iterator[Move]:
-    """Refine the map: a missing effect may have hidden the gain of a finer one."""
-    if state.fit.model.active and state.fit.model.space.is_free:
-        yield Move("finer_map", (), partial(_refine_map, state), is_once=True)
+    """Refine the map: a missing effect may have hidden the gain of a finer one.
+
+    Where a map may be what is left, it is tried again for each set of effects.
+    """
+    fit = state.fit
+    if fit.model.active and fit.model.space.is_free:
+        effects = fit.model.names if fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP else ()
+        yield Move("finer_map", effects, partial(_refine_map, state), is_once=True)
 
 
 def first_map_moves(state: SearchState, min_gain: float) -> Iterator[Move]:
