@@ -77,16 +77,21 @@ def search_effects(
     doubtful : list of str
         Effects that are not separable from the remaining error.
     """
-    first = steps[-1].fit
-    is_clean = first.chi2_per_dof <= first.criteria.selection.detected_chi2
+    is_clean = steps[-1].fit.chi2_per_dof <= setup.prepared.criteria.selection.detected_chi2
     expected = EVALUATIONS_LEFT_IF_CLEAN if is_clean else EVALUATIONS_LEFT_FROM_SEARCH
     setup.fitter.begin("searching for missing effects", expected)
     if not is_clean and setup.prepared.quantiser is None:
         setup, steps = _with_quantiser(setup, steps, library)
-    part = setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0)
-    state = best_first(SearchState(setup, part, steps[0].fit.chi2_per_dof), steps, library, interim)
-    state = best_first(on_whole(state, steps), steps, library, interim)
+    state = on_whole(_search_part(setup, steps, library, interim), steps)
+    state = best_first(state, steps, library, interim)
     return state.setup, *result_of(state, steps)
+
+
+def _search_part(
+    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library, interim: InterimRecorder
+) -> SearchState:
+    fit = setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0)
+    return best_first(SearchState(setup, fit, steps[0].fit.chi2_per_dof), steps, library, interim)
 
 
 def best_first(
