@@ -58,13 +58,17 @@ from orchestrator.diagnosis.reporting.resemblance import (
     resembling_pairs,
     with_tied,
 )
-from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, map_steps
-from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
+from orchestrator.diagnosis.selection.first_models import (
+    ModelChoice,
+    baseline_of,
+    include_expected,
+    include_measured,
+    map_steps,
+)
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.naming import MAX_SHARE_OF_ERROR
-from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects
+from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects, unfinished_search
 from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording

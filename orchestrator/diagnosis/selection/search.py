@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, record_screen
+from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
@@ -22,7 +23,7 @@ from orchestrator.diagnosis.selection.environment_moves import (
     noise_moves,
     with_fixed_effects,
 )
-from orchestrator.diagnosis.selection.interim import InterimRecorder
+from orchestrator.diagnosis.selection.interim import Checkpoint, InterimRecorder
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
 from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
@@ -221,3 +222,21 @@ def with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> 
     scored = score(linear_view(setup.fitter, fit, [candidate]))[0]
     rough = added(state, scored)
     return with_best_shapes(state.after(state.minimum(rough.model, rough))).fit
+
+
+def unfinished_search(checkpoint: Checkpoint) -> tuple[SearchResult, list[str]]:
+    """The result of an unfinished search, from its last checkpoint.
+
+    Returns
+    -------
+    search : SearchResult
+        Fits to the whole recording, with the noise of the checkpoint's setup.
+    doubtful : list of str
+        Effects that are not separable from the remaining error.
+    """
+    state, fit = checkpoint.state, checkpoint.state.fit
+    if state.is_part:
+        out = redundant_terms(fit) if state.is_joint else []
+        model = fit.model.with_active([active for active in fit.model.active if active.name not in out])
+        state = on_whole(replace(state, fit=replace(fit, model=model)), checkpoint.first)
+    return result_of(state, checkpoint.first)
