@@ -44,10 +44,6 @@ MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
 benches it was 1.1 where the second form did better, and 90 where it did not."""
 
 
-MAX_EXCESS_RATIO_OF_ROUGH_FORM: float = 0.3
-"""Rise of the objective after a few steps in another form, relative to the excess chi2, above which it is given up."""
-
-
 def fixed_parameters(model: Model) -> list[tuple[EffectTerm, str]]:
     """Shapes and refinements that are not free."""
     roles = (ParameterRole.SHAPE, ParameterRole.REFINEMENT)
@@ -179,11 +175,6 @@ def _switch(state: SearchState, form: EffectTerm) -> SearchState | None:
         if fit.objective - begun.objective + fitter.predicted_reduction(begun) < 2.0 * tie:
             return None
         model = _with_form(fit.model, form.release(*_wanted(begun, form)))
-        # A form far away is not worth its full fit where a few steps do not lead near.
-        rough = fitter.fit(model, fit.linearisation, steps=4, relinearisations=0, tolerance=0.03)
-        if rough.objective > fit.objective + MAX_EXCESS_RATIO_OF_ROUGH_FORM * (fit.chi2 - fit.dof):
-            return None
-        model = rough.model
     trial = state.minimum(model)
     gain = evidence_gain(trial, fit)
     state.record("switch_form", (form.name,), trial, gain, tie, taken=gain > tie)
