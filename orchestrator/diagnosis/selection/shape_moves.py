@@ -141,27 +141,17 @@ def _fix(state: SearchState, active: EffectTerm) -> SearchState | None:
 
 
 def form_moves(state: SearchState) -> Iterator[Move]:
-    """Other starts of an effect's form: its second form, or the form without parameters that ran to a bound.
-
-    Parameters at a bound have compensated for something else.
-    """
+    """Other starts of an effect's form."""
     for active in state.fit.model.active:
         if state.is_joint:
             second = active.candidate.absent_in_alternative_form()
             forms = [] if second is None else [second.release(*active.free)]
         else:
-            ended = _at_bounds(active)
-            forms = [*active.alternative_forms(), *([active.fix(*ended)] if ended else [])]
+            forms = active.alternative_forms()
         for index, form in enumerate(forms):
             # A form is tried once beside the same effects.
             effects = (active.name, str(index), *(() if state.is_joint else state.fit.model.names))
             yield Move("switch_form", effects, partial(_switch, state, form), is_once=True)
-
-
-def _at_bounds(active: EffectTerm) -> list[str]:
-    """Refinements at a bound of their range, unless that is neutral."""
-    declared = ((n, active.candidate.named(n)) for n in active.free_refinements)
-    return [n for n, p in declared if active.values[n] in (p.low, p.high) and active.values[n] != p.neutral]
 
 
 def _switch(state: SearchState, form: EffectTerm) -> SearchState | None:
