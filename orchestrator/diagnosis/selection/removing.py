@@ -22,7 +22,6 @@ from orchestrator.diagnosis.selection.scoring import (
     keep_threshold,
     linear_gain,
     linear_gain_of_absent,
-    loss_without,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain
 from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
@@ -30,18 +29,12 @@ from protocols import ParameterRole
 
 MAX_EVIDENCE_DEFICIT: float = 0.1
 """Part of an effect's log evidence that another may lack in its place, by prediction and after one step."""
-NOTEWORTHY_CHI2: float = 1.5
-"""chi2 per degree of freedom without an effect above which no refinement of another can replace it."""
 MINOR_EFFECT_SIZE: float = 0.15
 """Size of an effect, relative to its typical size, below which it is tested for redundancy."""
 MAX_EXCESS_OF_REDUNDANT_EFFECTS: float = 0.03
 """Excess chi2 allowed without the minor effects, over the root of the excess before the first effect."""
-OBVIOUS_EFFECT_FACTOR: float = 10.0
-"""Factor of that excess from which an effect's linear loss exempts it from the test."""
 MIN_EFFECT_SIZE: float = 0.02
 """Size of an effect, relative to its typical size, below which it is not named."""
-MIN_UNDETECTED_SIZE: float = 0.03
-"""Relative size from which an effect is named although the model fits without it."""
 MIN_CERTAINTY: float = 5.0
 """Significance from which a minor effect is named, in standard deviations including the scatter between blocks."""
 
@@ -52,7 +45,9 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
     if out:
         yield Move("remove", tuple(out), partial(_remove_redundant, state, out))
     if not state.is_joint and not state.is_part:
-        minor = sorted((a for a in state.fit.model.active if _is_minor(state, a)), key=lambda a: a.relative_size)
+        minor = sorted(
+            (a for a in state.fit.model.active if a.relative_size < MINOR_EFFECT_SIZE), key=lambda a: a.relative_size
+        )
         for active in minor:
             yield Move("remove", (active.name, "minor"), partial(_remove_minor, state, active))
 
@@ -89,12 +84,6 @@ def _remove(state: SearchState, out: Sequence[str]) -> SearchState | None:
     return replace(state.after(trial), refused=(*state.refused, *refused), needed=state.needed)
 
 
-def _is_minor(state: SearchState, active: EffectTerm) -> bool:
-    """Whether an effect is small and its linear loss does not make it obviously necessary."""
-    lost = loss_without(state.fit, active, active.candidate.amplitudes) / state.fit.dof
-    return active.relative_size < MINOR_EFFECT_SIZE and lost < OBVIOUS_EFFECT_FACTOR * _redundancy_limit(state)
-
-
 def _redundancy_limit(state: SearchState) -> float:
     """Largest chi2 - 1 allowed without the minor effects."""
     form_error = MAX_EXCESS_OF_REDUNDANT_EFFECTS * math.sqrt(max(state.first_chi2 - 1.0, 0.0))
@@ -112,16 +101,10 @@ def _remove_minor(state: SearchState, active: EffectTerm) -> SearchState | None:
 
 
 def _is_redundant(state: SearchState, without: Fit, active: EffectTerm) -> bool:
-    size, detected = active.relative_size, state.limits.detected_chi2
-    if size < MIN_EFFECT_SIZE or certainty(state.fit)[active.name] < MIN_CERTAINTY:
+    if active.relative_size < MIN_EFFECT_SIZE or certainty(state.fit)[active.name] < MIN_CERTAINTY:
         return True
-    if without.chi2_per_dof < detected and size < MIN_UNDETECTED_SIZE:
-        return True
-    # Another effect's slightly wrong form would leave a misfit; an effect that removes all of it is real.
-    to_the_noise = state.is_explained and without.chi2_per_dof > NOTEWORTHY_CHI2
-    if len(state.fit.model.active) < 2 or to_the_noise:
-        return False
-    return without.chi2_per_dof - 1.0 < _redundancy_limit(state)
+    # Another effect's slightly wrong form would leave a misfit.
+    return len(state.fit.model.active) > 1 and without.chi2_per_dof - 1.0 < _redundancy_limit(state)
 
 
 def swap_moves(state: SearchState, view: LinearView) -> Iterator[Move]:
