@@ -69,7 +69,7 @@ from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimRes
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.naming import MAX_SHARE_OF_ERROR
 from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects, unfinished_search
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (

@@ -38,7 +38,7 @@ from orchestrator.diagnosis.reporting.resemblance import (
 )
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.selection.search import with_effect
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import measured
 from orchestrator.formatting.sentences import listed

@@ -9,8 +9,8 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
-from orchestrator.diagnosis.fitting.imitation import resembling
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.contrasts import resembling
 from orchestrator.diagnosis.selection.scoring import fits_as_well, log_evidence
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.formatting.names import plain

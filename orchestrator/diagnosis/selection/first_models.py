@@ -28,8 +28,7 @@ from orchestrator.diagnosis.fitting.candidates import (
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.scoring import log_evidence
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchState
 from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
 from protocols import (
     Baseline,

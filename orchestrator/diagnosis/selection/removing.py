@@ -14,7 +14,6 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import certainty
-from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors, redundant_terms
 from orchestrator.diagnosis.selection.contrasts import separable
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
@@ -22,6 +21,8 @@ from orchestrator.diagnosis.selection.scoring import (
     keep_threshold,
     linear_gain,
     linear_gain_of_absent,
+    log_bayes_factors,
+    redundant_terms,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain
 from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
@@ -35,6 +36,8 @@ MAX_EXCESS_OF_REDUNDANT_EFFECTS: float = 0.03
 """Excess chi2 allowed without the minor effects, over the root of the excess before the first effect."""
 MIN_EFFECT_SIZE: float = 0.02
 """Size of an effect, relative to its typical size, below which it is not named."""
+MIN_UNDETECTED_SIZE: float = 0.03
+"""Relative size from which an effect is named although the model fits without it."""
 MIN_CERTAINTY: float = 5.0
 """Significance from which a minor effect is named, in standard deviations including the scatter between blocks."""
 
@@ -102,6 +105,8 @@ def _remove_minor(state: SearchState, active: EffectTerm) -> SearchState | None:
 
 def _is_redundant(state: SearchState, without: Fit, active: EffectTerm) -> bool:
     if active.relative_size < MIN_EFFECT_SIZE or certainty(state.fit)[active.name] < MIN_CERTAINTY:
+        return True
+    if without.chi2_per_dof < state.limits.detected_chi2 and active.relative_size < MIN_UNDETECTED_SIZE:
         return True
     # Another effect's slightly wrong form would leave a misfit.
     return len(state.fit.model.active) > 1 and without.chi2_per_dof - 1.0 < _redundancy_limit(state)

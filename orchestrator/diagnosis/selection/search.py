@@ -14,7 +14,6 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, Library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.adding import add_moves, added, full_model, record_screen
-from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
@@ -27,9 +26,16 @@ from orchestrator.diagnosis.selection.interim import Checkpoint, InterimRecorder
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
 from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
-from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, score
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult, refit_steps
-from orchestrator.diagnosis.selection.search_state import MAX_SHAPE_ROUNDS, Move, SearchState, first_accepted
+from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, redundant_terms, score
+from orchestrator.diagnosis.selection.search_state import (
+    MAX_SHAPE_ROUNDS,
+    AcceptedModel,
+    Move,
+    SearchResult,
+    SearchState,
+    first_accepted,
+    refit_steps,
+)
 from orchestrator.diagnosis.selection.shape_moves import (
     fix_moves,
     fixed_parameters,

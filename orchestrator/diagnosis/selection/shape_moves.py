@@ -14,11 +14,11 @@ from itertools import chain
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     linear_gain,
     linear_view,
+    log_bayes_factors,
     movable,
     select_terms,
 )

@@ -17,7 +17,9 @@ from orchestrator.diagnosis.selection.adding import add_moves
 from orchestrator.diagnosis.selection.contrasts import (
     CONTRASTS,
     holds,
+    imitated_shares,
     inseparable_from,
+    resembling,
     separable,
     separating_contrasts,
 )
@@ -119,3 +121,19 @@ def test_an_own_effect_that_resembles_the_one_added_is_its_twin_and_is_not_added
     (name,) = after.fit.model.names
     assert {name, *after.indistinguishable[name]} == {"voltage_bias", "undeclared"}
     assert not list(add_moves(after, view_of(after, library), library))
+
+
+class SameBias(VoltageBias):
+    name: ClassVar[str] = "same_bias"
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+
+
+def test_an_effect_s_signal_is_imitated_by_its_like_alone() -> None:
+    maker = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.1])))
+    library = scaled_library([VoltageBias(), guarded(SameBias()), DeadTime()], maker.prepared.manifest)
+    fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
+    shares = imitated_shares(maker, fit, "voltage_bias", library)
+    assert list(shares) == ["same_bias", "dead_time"]
+    assert shares["same_bias"] > 0.95
+    assert shares["dead_time"] < 0.5
+    assert resembling(maker, fit, "voltage_bias", library) == ["same_bias"]
