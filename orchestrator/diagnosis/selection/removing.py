@@ -30,6 +30,8 @@ from protocols import ParameterRole
 
 MAX_EVIDENCE_DEFICIT: float = 0.1
 """Part of an effect's log evidence that another may lack in its place, by prediction and after one step."""
+NOTEWORTHY_CHI2: float = 1.5
+"""chi2 per degree of freedom without an effect above which no refinement of another can replace it."""
 MINOR_EFFECT_SIZE: float = 0.15
 """Size of an effect, relative to its typical size, below which it is tested for redundancy."""
 MAX_EXCESS_OF_REDUNDANT_EFFECTS: float = 0.03
@@ -48,10 +50,8 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
     if out:
         yield Move("remove", tuple(out), partial(_remove_redundant, state, out))
     if not state.is_joint and not state.is_part:
-        minor = sorted(
-            (a for a in state.fit.model.active if a.relative_size < MINOR_EFFECT_SIZE), key=lambda a: a.relative_size
-        )
-        for active in minor:
+        minor = [a for a in state.fit.model.active if a.relative_size < MINOR_EFFECT_SIZE]
+        for active in sorted(minor, key=lambda a: a.relative_size):
             yield Move("remove", (active.name, "minor"), partial(_remove_minor, state, active))
 
 
@@ -108,8 +108,11 @@ def _is_redundant(state: SearchState, without: Fit, active: EffectTerm) -> bool:
         return True
     if without.chi2_per_dof < state.limits.detected_chi2 and active.relative_size < MIN_UNDETECTED_SIZE:
         return True
-    # Another effect's slightly wrong form would leave a misfit.
-    return len(state.fit.model.active) > 1 and without.chi2_per_dof - 1.0 < _redundancy_limit(state)
+    # Another effect's slightly wrong form would leave a misfit; an effect that removes all of it is real.
+    to_the_noise = state.is_explained and without.chi2_per_dof > NOTEWORTHY_CHI2
+    if len(state.fit.model.active) < 2 or to_the_noise:
+        return False
+    return without.chi2_per_dof - 1.0 < _redundancy_limit(state)
 
 
 def swap_moves(state: SearchState, view: LinearView) -> Iterator[Move]:

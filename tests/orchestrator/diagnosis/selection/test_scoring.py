@@ -17,7 +17,6 @@ from orchestrator.diagnosis.selection.scoring import (
     linear_view,
     log_bayes_factors,
     log_evidence,
-    loss_without,
     probabilities,
     redundant_terms,
     score,
@@ -69,15 +68,6 @@ def test_a_rival_does_as_well_by_what_it_leaves_and_not_by_how_many_parameters_i
     near, far = (replace(bare, chi2=full.chi2, objective=full.objective + part * least) for part in (0.9, 1.1))
     assert fits_as_well(near, full)
     assert not fits_as_well(far, full)
-
-
-def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> None:
-    bare = biased.fit(free_model())
-    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
-    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.linearisation, relinearisations=0)
-    lost = loss_without(full, full.model.active[0], candidate.amplitudes)
-    # Wald's test counts in units of the noise that is left.
-    assert lost * max(full.chi2_per_dof, 1.0) == pytest.approx(bare.chi2 - full.chi2, rel=0.05)
 
 
 def test_of_two_that_do_the_same_one_is_worth_freeing() -> None:
