@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, fit_baseline, has_fine_grid, with_kink_switched
 from orchestrator.diagnosis.fitting.candidates import scaled_library
@@ -13,7 +14,6 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate
 from orchestrator.diagnosis.selection import environment_moves
-from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
