@@ -27,8 +27,7 @@ from orchestrator.diagnosis.fitting.candidates import (
 )
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
-from orchestrator.diagnosis.selection.scoring import log_evidence
-from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchState
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchState, evidence_gain
 from orchestrator.diagnosis.selection.shape_moves import with_best_shapes
 from protocols import (
     Baseline,
@@ -101,21 +100,31 @@ def map_steps(
         fit = with_map_step(setup, steps[-1].fit, freed)
         gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
         gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
-        min_gain = setup.prepared.criteria.selection.log_evidence
-        setup.fitter.trace.record(
-            "add",
-            [name],
-            before=steps[-1].fit,
-            after=fit,
-            measure="log_evidence",
-            score=gain,
-            threshold=min_gain,
-            taken=gain > min_gain,
-        )
-        if gain > min_gain:
-            steps.append(AcceptedModel(name, fit, gain))
+        if _accept(setup, steps, AcceptedModel(name, fit, gain), setup.prepared.criteria.selection.log_evidence):
             baseline = freed
     return steps
+
+
+def _accept(
+    setup: DiagnosisSetup, steps: list[AcceptedModel], step: AcceptedModel, threshold: float | None, note: str = ""
+) -> bool:
+    """Extend the ladder by a step whose log evidence exceeds a threshold, or by any without one; whether it does."""
+    assert step.added is not None
+    taken = threshold is None or step.log_evidence > threshold
+    setup.fitter.trace.record(
+        "add",
+        [step.added],
+        before=steps[-1].fit,
+        after=step.fit,
+        measure="log_evidence",
+        score=step.log_evidence,
+        threshold=threshold,
+        taken=taken,
+        note=note,
+    )
+    if taken:
+        steps.append(step)
+    return taken
 
 
 def include_expected(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library) -> list[AcceptedModel]:
@@ -130,13 +139,8 @@ def include_expected(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], libr
             active = active.moved(name, x)
         model = before.model.with_active([*before.model.active, active])
         fit = setup.fitter.fit(model, before.linearisation, relinearisations=0)
-        inflation = max(1.0, min(before.chi2_per_dof, fit.chi2_per_dof))
-        gain = log_evidence(fit, inflation) - log_evidence(before, inflation)
-        named, note = [candidate.name], "the fleet has it nearly always"
-        setup.fitter.trace.record(
-            "add", named, before=before, after=fit, measure="log_evidence", score=gain, taken=True, note=note
-        )
-        steps.append(AcceptedModel(candidate.name, fit, gain))
+        step = AcceptedModel(candidate.name, fit, evidence_gain(fit, before))
+        _accept(setup, steps, step, None, "the fleet has it nearly always")
     if len(steps) > given:
         # Refinements are released once all of these effects are present: a missing one would distort them.
         last = steps[-1]
@@ -161,20 +165,9 @@ def include_measured(setup: DiagnosisSetup, steps: Sequence[AcceptedModel], libr
             continue
         fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]))
         gain = 0.5 * (before.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
-        min_gain = fit.criteria.selection.log_evidence
-        setup.fitter.trace.record(
-            "add",
-            [candidate.name],
-            before=before,
-            after=fit,
-            measure="log_evidence",
-            score=gain,
-            threshold=min_gain,
-            taken=gain > min_gain,
-            note="its size was measured by the readings alone",
-        )
-        if gain > min_gain:
-            steps.append(AcceptedModel(candidate.name, fit, gain))
+        note = "its size was measured by the readings alone"
+        step = AcceptedModel(candidate.name, fit, gain)
+        _accept(setup, steps, step, fit.criteria.selection.log_evidence, note)
     return steps
 
 
