@@ -22,6 +22,7 @@ from orchestrator.diagnosis.selection.scoring import (
     linear_gain,
     linear_gain_of_absent,
     log_bayes_factors,
+    loss_without,
     redundant_terms,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain
@@ -36,6 +37,8 @@ MINOR_EFFECT_SIZE: float = 0.15
 """Size of an effect, relative to its typical size, below which it is tested for redundancy."""
 MAX_EXCESS_OF_REDUNDANT_EFFECTS: float = 0.03
 """Excess chi2 allowed without the minor effects, over the root of the excess before the first effect."""
+OBVIOUS_EFFECT_FACTOR: float = 10.0
+"""Factor of that excess from which an effect's linear loss exempts it from the test."""
 MIN_EFFECT_SIZE: float = 0.02
 """Size of an effect, relative to its typical size, below which it is not named."""
 MIN_UNDETECTED_SIZE: float = 0.03
@@ -50,8 +53,8 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
     if out:
         yield Move("remove", tuple(out), partial(_remove_redundant, state, out))
     if not state.is_joint and not state.is_part:
-        minor = [a for a in state.fit.model.active if a.relative_size < MINOR_EFFECT_SIZE]
-        for active in sorted(minor, key=lambda a: a.relative_size):
+        minor = sorted((a for a in state.fit.model.active if _is_minor(state, a)), key=lambda a: a.relative_size)
+        for active in minor:
             yield Move("remove", (active.name, "minor"), partial(_remove_minor, state, active))
 
 
@@ -87,6 +90,12 @@ def _remove(state: SearchState, out: Sequence[str]) -> SearchState | None:
     return replace(state.after(trial), refused=(*state.refused, *refused), needed=state.needed)
 
 
+def _is_minor(state: SearchState, active: EffectTerm) -> bool:
+    """Whether an effect is small and its linear loss does not make it obviously necessary."""
+    lost = loss_without(state.fit, active, active.candidate.amplitudes) / state.fit.dof
+    return active.relative_size < MINOR_EFFECT_SIZE and lost < OBVIOUS_EFFECT_FACTOR * _redundancy_limit(state)
+
+
 def _redundancy_limit(state: SearchState) -> float:
     """Largest chi2 - 1 allowed without the minor effects."""
     form_error = MAX_EXCESS_OF_REDUNDANT_EFFECTS * math.sqrt(max(state.first_chi2 - 1.0, 0.0))
@@ -104,9 +113,10 @@ def _remove_minor(state: SearchState, active: EffectTerm) -> SearchState | None:
 
 
 def _is_redundant(state: SearchState, without: Fit, active: EffectTerm) -> bool:
-    if active.relative_size < MIN_EFFECT_SIZE or certainty(state.fit)[active.name] < MIN_CERTAINTY:
+    size, detected = active.relative_size, state.limits.detected_chi2
+    if size < MIN_EFFECT_SIZE or certainty(state.fit)[active.name] < MIN_CERTAINTY:
         return True
-    if without.chi2_per_dof < state.limits.detected_chi2 and active.relative_size < MIN_UNDETECTED_SIZE:
+    if without.chi2_per_dof < detected and size < MIN_UNDETECTED_SIZE:
         return True
     # Another effect's slightly wrong form would leave a misfit; an effect that removes all of it is real.
     to_the_noise = state.is_explained and without.chi2_per_dof > NOTEWORTHY_CHI2

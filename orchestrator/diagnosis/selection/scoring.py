@@ -199,9 +199,26 @@ def linear_gain_of_absent(
     return gain - float(candidate.standing @ candidate.standing), x
 
 
+def loss_without(fit: Fit, active: EffectTerm, names: Sequence[str]) -> float:
+    """Rise of chi2, to first order, if some parameters were put back to neutral and all others adapted.
+
+    Wald's test, in units of the residual's variance.
+    """
+    away, block = _away(fit, active, names)
+    return float(away @ np.linalg.solve(block, away))
+
+
 def log_density_ratio(mean: Array, covariance: Array) -> float:
     """Log of the density ratio at zero of a unit normal prior over a normal posterior (Savage and Dickey)."""
     return 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
+
+
+def _away(fit: Fit, active: EffectTerm, names: Sequence[str]) -> tuple[Array, Array]:
+    """Standardised values of some parameters, and their covariance."""
+    free = fit.model.free
+    which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
+    away = np.array([active.standardised_value(free[k][1]) for k in which])
+    return away, fit.covariance(max(fit.chi2_per_dof, 1.0))[np.ix_(which, which)]
 
 
 def log_bayes_factors(fit: Fit) -> dict[str, float]:

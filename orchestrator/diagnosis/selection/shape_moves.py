@@ -19,6 +19,7 @@ from orchestrator.diagnosis.selection.scoring import (
     linear_gain,
     linear_view,
     log_bayes_factors,
+    loss_without,
     movable,
     select_terms,
 )
@@ -36,6 +37,8 @@ MAX_DEFERRED_FORM_GAIN: float = 0.3
 others are judged anew once those are free."""
 MIN_SHARE_OF_FORM_DETAIL: float = 0.5
 """Part of the excess chi2 that a form's details have to remove to be freed; less may belong to another effect."""
+LEAST_CHI2_LOSS_OF_SIMPLE_FORM: float = 1000.0
+"""Loss of chi2, to first order, beyond which an effect's simple form does not suffice."""
 MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
 """Factor of the first form's chi2 that the second may leave after one step; beyond, the trial ends. On switching
 benches it was 1.1 where the second form did better, and 90 where it did not."""
@@ -125,7 +128,8 @@ def _free(state: SearchState, names: Mapping[str, Sequence[str]]) -> SearchState
 def fix_moves(state: SearchState) -> Iterator[Move]:
     """Fix an effect's refinements again, where its simple form now does as well."""
     for active in state.fit.model.active:
-        if active.free_refinements:
+        names = active.free_refinements
+        if names and loss_without(state.fit, active, names) <= LEAST_CHI2_LOSS_OF_SIMPLE_FORM:
             yield Move("fix_shape", (active.name,), partial(_fix, state, active))
 
 

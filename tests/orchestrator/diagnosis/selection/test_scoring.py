@@ -17,6 +17,7 @@ from orchestrator.diagnosis.selection.scoring import (
     linear_view,
     log_bayes_factors,
     log_evidence,
+    loss_without,
     probabilities,
     redundant_terms,
     score,
@@ -129,3 +130,12 @@ def test_an_effect_of_no_size_can_go(maker: Fitter, fit: Fit) -> None:
 
 def test_what_is_left_without_an_effect_is_more(maker: Fitter, fit: Fit) -> None:
     assert without_effect(maker, fit, "voltage_bias").chi2 > 10.0 * fit.chi2
+
+
+def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> None:
+    bare = biased.fit(free_model())
+    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
+    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.linearisation, relinearisations=0)
+    lost = loss_without(full, full.model.active[0], candidate.amplitudes)
+    # Wald's test counts in units of the noise that is left.
+    assert lost * max(full.chi2_per_dof, 1.0) == pytest.approx(bare.chi2 - full.chi2, rel=0.05)
