@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, fit_baseline, has_fine_grid, with_kink_switched
 from orchestrator.diagnosis.fitting.candidates import scaled_library
@@ -21,6 +20,7 @@ from orchestrator.diagnosis.selection.environment_moves import (
     map_moves,
     noise_moves,
 )
+from orchestrator.diagnosis.selection.scoring import redundant_terms
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_state import SearchState
 from plugins.effects.frame import BrakeBacklash
