@@ -60,6 +60,8 @@ class SignalBatch:
         """Some segments of one recording, laid end to end; the arrays of a single one are its own."""
         lengths = [len(s.v_dc) for s in segments]
         laid = {name: _laid(segments, name) for name in _ALWAYS}
+        if all(s.i_m_ab is s.i_ab for s in segments):
+            laid["i_m_ab"] = laid["i_ab"]
         there = [name for name in _OPTIONAL if any(getattr(s, name) is not None for s in segments)]
         laid |= {name: _laid(segments, name) for name in there}
         return cls(

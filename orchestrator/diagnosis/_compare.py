@@ -12,7 +12,6 @@ import numpy as np
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.fitting.imitation import resembling
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.judgement.residual_pattern import map_asymmetry
@@ -22,6 +21,7 @@ from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
 from orchestrator.diagnosis.reporting.resemblance import Alternative, alternative_remarks, alternatives_to
+from orchestrator.diagnosis.selection.contrasts import resembling
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.weak_form.segments import SegmentData

@@ -58,14 +58,18 @@ from orchestrator.diagnosis.reporting.resemblance import (
     resembling_pairs,
     with_tied,
 )
-from orchestrator.diagnosis.selection.ending_early import unfinished_search
-from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, map_steps
-from orchestrator.diagnosis.selection.initial_effects import include_expected, include_measured
+from orchestrator.diagnosis.selection.first_models import (
+    ModelChoice,
+    baseline_of,
+    include_expected,
+    include_measured,
+    map_steps,
+)
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.naming import MAX_SHARE_OF_ERROR
-from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects
-from orchestrator.diagnosis.selection.search_result import SearchResult
+from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects, unfinished_search
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (
@@ -295,11 +299,14 @@ def _search(
     interim: InterimRecorder,
 ) -> _FinishedSearch:
     """Search to the end."""
-    steps = map_steps(setup, model, {c.name: c for c in every}, request.without)
-    setup.fitter.budget.calibrate()
-    steps = include_measured(setup, steps, library)
-    steps = include_expected(setup, steps, library)
-    return _FinishedSearch(*search_effects(setup, steps, library, interim))
+
+    def first_models() -> list[AcceptedModel]:
+        steps = map_steps(setup, model, {c.name: c for c in every}, request.without)
+        setup.fitter.budget.calibrate()
+        return include_expected(setup, include_measured(setup, steps, library), library)
+
+    # Only the search holds the first models: their memory is free once a timer's rounding replaces them.
+    return _FinishedSearch(*search_effects(setup, first_models(), library, interim))
 
 
 def _report(

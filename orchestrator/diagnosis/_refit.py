@@ -36,24 +36,28 @@ from orchestrator.diagnosis.reporting.resemblance import (
     pair_remarks,
     resembling_pairs,
 )
-from orchestrator.diagnosis.reporting.unchanged import unchanged_model
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.selection.search import with_effect
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
-from orchestrator.formatting.names import plain
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
+from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.quantities import measured
 from orchestrator.formatting.sentences import listed
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
 from protocols import (
     AddReport,
     Baseline,
     Effect,
+    FoundEffect,
+    ModelEffect,
     MotorModel,
     Nameplate,
     ParameterRole,
+    ParameterValue,
     PluginError,
     Remark,
     Rung,
     Saturated,
+    Unexplained,
 )
 
 # Expected cost, in evaluations of the first model.
@@ -303,4 +307,51 @@ def _keep_refit(
         ladder=tuple(ladder),
         unexplained=unexplained(setup, ladder[0].chi2 or math.inf, fit),
         remarks=tuple(remarks),
+    )
+
+
+def unchanged_model(saved: MotorModel, names: Sequence[str]) -> AddReport | None:
+    """The report on effects that a model has all already; None where one of them is missing in it.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Effects of the library, at least one.
+    """
+    effects = {effect.name: effect for effect in saved.effects}
+    if not all(name in effects for name in names):
+        return None
+    first, last = saved.ladder[0].chi2, saved.ladder[-1].chi2
+    is_known = first is not None and last is not None and first > 1.0
+    fraction = math.sqrt(max(last - 1.0, 0.0) / (first - 1.0)) if is_known and first and last else None
+    text = "{effect} is in the model already: {sizes}; nothing was fitted"
+    remarks = [
+        Remark.of("in_model", text, effect=plain(name), sizes=_sizes(effects[name])) for name in dict.fromkeys(names)
+    ]
+    return AddReport(
+        effects=tuple(_found(effect) for effect in saved.effects),
+        ladder=saved.ladder,
+        unexplained=Unexplained(fraction=fraction, shape=()),
+        remarks=tuple(remarks),
+    )
+
+
+def _sizes(effect: ModelEffect) -> str:
+    """The fitted parameters of the first one's unit, which are the effect's size."""
+    fitted = {name: p for name, p in effect.parameters.items() if p.fitted} or effect.parameters
+    unit = next((p.unit for p in fitted.values()), "")
+    sizes = {name: p for name, p in fitted.items() if p.unit == unit}
+    return ", ".join(f"{parameter_words(name)} {measured(p.value, p.low, p.high, p.unit)}" for name, p in sizes.items())
+
+
+def _found(effect: ModelEffect) -> FoundEffect:
+    return FoundEffect(
+        name=effect.name,
+        parameters={
+            name: ParameterValue(value=p.value, low=p.low, high=p.high, unit=p.unit)
+            for name, p in effect.parameters.items()
+        },
+        twins=effect.twins,
+        relative_size=effect.relative_size,
+        log_evidence=effect.log_evidence,
     )

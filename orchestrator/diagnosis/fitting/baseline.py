@@ -108,10 +108,13 @@ class DiagnosisSetup:
         return self._with_voltages(lambda prepared: replace(prepared, ripples=ripples))
 
     def _with_voltages(self, change: Callable[[PreparedRecording], PreparedRecording]) -> DiagnosisSetup:
-        # A linearisation at the old voltages is invalid at the new ones: a new noise object marks it as such.
-        whole, part = (
-            replace(f, prepared=change(f.prepared), noise=replace(f.noise)) for f in (self.fitter, self.part_fitter)
-        )
+        def changed(fitter: Fitter) -> Fitter:
+            prepared = change(fitter.prepared)
+            batches = fitter.batches.with_voltages_of(prepared)
+            # A linearisation at the old voltages is invalid at the new ones: a new noise object marks it as such.
+            return replace(fitter, prepared=prepared, noise=replace(fitter.noise), batches=batches)
+
+        whole, part = changed(self.fitter), changed(self.part_fitter)
         return replace(self, prepared=whole.prepared, fitter=whole, part_fitter=part)
 
     @property

@@ -39,6 +39,14 @@ class RecordingBatches:
         probes = probe_segments(prepared.pieces)
         return cls(prepared.pieces, *in_batches(prepared.pieces, probes))
 
+    def with_voltages_of(self, prepared: PreparedRecording) -> RecordingBatches:
+        """The groups of the same recording with other voltages, which share all other arrays."""
+        probes, others = (
+            tuple(batch.with_voltages_of(prepared.pieces) for batch in batches)
+            for batches in (self.probes, self.others)
+        )
+        return RecordingBatches(prepared.pieces, probes, others)
+
     @property
     def all(self) -> tuple[SegmentBatch, ...]:
         return (*self.probes, *self.others)

@@ -82,20 +82,20 @@ class WeakFormEquations:
 
         Both need only one pass of the signals through the effects.
         """
-        base = self._with_resistance(model, batch)
+        linearisation = self._without_flux(model, batch)
+        base = linearisation.base
         # Sensor lag and skin effect use the current without noise: the earlier one, else that of the present flux.
         if old is not None:
             base = base.replaced(_flux_of(old.base))
         elif model.active:
             base = base.replaced(self._flux(batch, base, model)[0])
         flux, seen = self._flux(batch, base, model)
-        base = base.replaced(flux)
-        cascade = Cascade.of(base, model.active)
+        linearisation = linearisation.with_changed(flux)
+        cascade = Cascade.of(base.replaced(flux), model.active)
         same = not cascade.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(batch, cascade.corrected, model.magnetics)
         raw = self._untouched_basis(batch, local, model) if same else basis(batch, local, model.magnetics)
-        state = BatchState(BatchLinearisation(batch, base, ()), cascade, local)
-        noises = self._noises(state, model, old)
+        noises = self._noises(BatchState(linearisation, cascade, local), model, old)
         pieces = []
         for j, (whitener, mean, noise_parameters) in enumerate(noises):
             before = None if old is None else old.pieces[j]
@@ -104,7 +104,7 @@ class WeakFormEquations:
             else:
                 white = whitener(raw[j] if model.space.is_free else raw[j] @ model.space.directions)
             pieces.append(SegmentLinearisation(whitener, raw[j], white, mean, noise_parameters))
-        return BatchState(BatchLinearisation(batch, base, tuple(pieces)), cascade, local)
+        return BatchState(replace(linearisation, pieces=tuple(pieces)), cascade, local)
 
     def at(self, model: Model, linearisation: BatchLinearisation) -> BatchState:
         """A batch evaluated at the model with an earlier linearisation."""
@@ -117,20 +117,19 @@ class WeakFormEquations:
         slopes = self._slopes(linearisation.batch, linearisation.base, model)
         return [cached.whitener(self._common_rows(state, j, slopes)) for j, cached in enumerate(linearisation.pieces)]
 
-    def _with_resistance(self, model: Model, batch: SegmentBatch) -> SignalBatch:
-        """The measured signals with the model's resistance and its copper losses."""
+    def _without_flux(self, model: Model, batch: SegmentBatch) -> BatchLinearisation:
+        """The measured signals with the model's resistance, its copper losses and the ripple within a period."""
         s = batch.signals
         # R_s may be negative during a descent, but a loss may not.
-        scale = max(model.r_s, 0.0) / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
-        base = s.replaced({"resistance_ohm": np.full(s.samples, model.r_s), "heat_j": s.heat_j * scale}).with_segments(
-            _with_losses(s.segments, scale)
-        )
+        ratio = max(model.r_s, 0.0) / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
+        plain = BatchLinearisation(batch, model.r_s, ratio, _with_losses(s.segments, ratio))
         if not self.ripples:
-            return base
+            return plain
+        base = plain.base
         taken = [
             carrier_ripple_voltage(piece, base.segment(j), model.magnetics) for j, piece in enumerate(batch.pieces)
         ]
-        return base.replaced({"v_ab": base.v_ab + np.concatenate(taken)})
+        return plain.with_changed({"v_ab": base.v_ab + np.concatenate(taken)})
 
     def _noises(
         self, state: BatchState, model: Model, old: BatchLinearisation | None
@@ -333,7 +332,7 @@ class WeakFormEquations:
 
     def _white(self, at: BatchState, columns: _Columns) -> list[SegmentRows]:
         """Each segment's equations at a model, whitened with the columns."""
-        corrected, r_s = at.cascade.corrected, at.linearisation.base.resistance_ohm[0]
+        corrected, r_s = at.cascade.corrected, at.linearisation.r_s
         in_parts = corrected.replaced({"resistance_ohm": corrected.resistance_ohm / r_s})
         voltage, resistance = voltage_and_resistance(at.batch, in_parts, at.local, self.pm_flux_wb)
         known = voltage + flux_terms(at.batch, at.local)

@@ -216,13 +216,10 @@ class Fitter:
             trial = again
         return trial
 
-    def linearise(self, model: Model, old: Linearisation | None = None) -> Linearisation:
-        """Linearise at the model; parts that have not changed since `old` are reused."""
-        old = self._reusable(model, old)
-        results = self._evaluate(
-            model, [BatchTask(batch, before, True, None) for batch, before in self._with_linearisations(old)]
-        )
-        return self._linearisation_of(model, [result.linearisation for result in results], old)
+    def linearise(self, model: Model) -> Linearisation:
+        """Linearise at the model."""
+        results = self._evaluate(model, [BatchTask(batch, None, True, None) for batch in self.batches.all])
+        return self._linearisation_of(model, [result.linearisation for result in results], None)
 
     def relinearise(
         self,

@@ -18,7 +18,7 @@ from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import SignalBatch
+from protocols import RealArray, SignalBatch, Signals
 
 ColumnName = tuple[str, str]
 """Effect and parameter that a column belongs to."""
@@ -90,13 +90,40 @@ class SegmentLinearisation:
 
 @dataclass(frozen=True)
 class BatchLinearisation:
-    """Quantities of a batch of segments that are reused between steps."""
+    """Quantities of a batch of segments that are reused between steps.
+
+    Attributes
+    ----------
+    batch : SegmentBatch
+    r_s : float
+        Resistance of the model [ohm].
+    loss_ratio : float
+        Copper losses of the model over those of the nameplate's resistance.
+    segments : tuple of Signals
+        What is the same throughout each segment, with the model's losses.
+    changed : dict of str to array
+        The model's flux for the effects, and voltages with carrier ripple.
+    pieces : tuple of SegmentLinearisation
+        In the batch's order.
+    """
 
     batch: SegmentBatch
-    base: SignalBatch
-    """Measured signals with the model's resistance and flux."""
-    pieces: tuple[SegmentLinearisation, ...]
-    """In the batch's order."""
+    r_s: float
+    loss_ratio: float
+    segments: tuple[Signals, ...]
+    changed: Mapping[str, RealArray] = field(default_factory=dict)
+    pieces: tuple[SegmentLinearisation, ...] = ()
+
+    @property
+    def base(self) -> SignalBatch:
+        """Measured signals with the model's resistance, losses and flux."""
+        s = self.batch.signals
+        made = {"resistance_ohm": np.full(s.samples, self.r_s), "heat_j": s.heat_j * self.loss_ratio}
+        return s.replaced({**made, **self.changed}).with_segments(self.segments)
+
+    def with_changed(self, arrays: Mapping[str, RealArray]) -> BatchLinearisation:
+        """The linearisation with other arrays of the base."""
+        return replace(self, changed={**self.changed, **arrays})
 
 
 @dataclass(frozen=True)
@@ -198,8 +225,9 @@ class Fit:
         """Every piece's magnetising current (n, 2) in the true rotor frame."""
         seen: dict[int, Array] = {}
         for linearisation in self.linearisation.batches:
-            i_dq, _ = true_frame(linearisation.batch, apply_effects(linearisation.base, self.model.active).signals)
-            seen |= {k: i_dq[linearisation.base.slice_of(j)] for j, k in enumerate(linearisation.batch.places)}
+            batch = linearisation.batch
+            i_dq, _ = true_frame(batch, apply_effects(linearisation.base, self.model.active).signals)
+            seen |= {k: i_dq[batch.signals.slice_of(j)] for j, k in enumerate(batch.places)}
         return [seen[k] for k in sorted(seen)]
 
     def chi2_of(self, use: Callable[[SegmentData], bool]) -> float | None:

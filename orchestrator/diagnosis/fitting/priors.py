@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,36 +66,26 @@ def with_priors(
     return tuple(_with_prior(c, known.get(c.name, unseen), default_probability) for c in library)
 
 
-@dataclass(frozen=True)
-class Disagreement:
-    """Limits from which a motor's effect contradicts the fleet.
-
-    Attributes
-    ----------
-    unlike : float
-        Standard deviations of the predictive distribution; chance exceeds them once in 16,000.
-    max_variance_ratio : float
-        Largest posterior over prior variance; a recording without information cannot contradict.
-    """
-
-    unlike: float = 4.0
-    max_variance_ratio: float = 0.99
+MAX_FLEET_SIGMAS: float = 4.0
+"""Standard deviations of the predictive distribution beyond which an effect contradicts the fleet; chance exceeds them
+once in 16,000."""
+MAX_VARIANCE_RATIO: float = 0.99
+"""Largest posterior over prior variance there: a recording without information cannot contradict."""
 
 
-def contradicts_fleet(fit: Fit, limits: Disagreement | None = None) -> frozenset[str]:
+def contradicts_fleet(fit: Fit) -> frozenset[str]:
     """Effects whose size in this recording is improbable in the fleet.
 
     From the predictive distribution (Box 1980, doi:10.2307/2982063): a posterior x of variance s with a prior N(c, 1)
     implies a measurement (x - c) / (1 - s) from the mean, with the variance 1 / (1 - s).
     """
-    limits = limits or Disagreement()
     if not fit.model.free:
         return frozenset()
-    variance = np.minimum(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0), limits.max_variance_ratio)
+    variance = np.minimum(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0), MAX_VARIANCE_RATIO)
     return frozenset(
         active.name
         for (active, name), s in zip(fit.model.free, variance, strict=True)
-        if name in active.candidate.centres and abs(active.prior_residual(name)) / math.sqrt(1.0 - s) > limits.unlike
+        if name in active.candidate.centres and abs(active.prior_residual(name)) / math.sqrt(1.0 - s) > MAX_FLEET_SIGMAS
     )
 
 

@@ -11,7 +11,7 @@ from scipy.special import chdtrc
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.bayes_factors import without_effect
+from orchestrator.diagnosis.selection.scoring import without_effect
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.types import Array

@@ -14,19 +14,16 @@ from orchestrator.diagnosis.weak_form.segments import SegmentData, block_means
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
+MAX_STEP_OF_DWELL = 0.02
+"""Step of a constant current between windows, relative to a ramp's."""
+MAX_STEP_OF_DWELL_SIGMAS = 4.0
+"""The same in standard deviations of its noise, where that is more."""
+MIN_WINDOWS_OF_DWELL = 3
+"""Minimum number of windows in a stretch of constant current."""
 
-def dwells(piece: SegmentData, *, still: float = 0.02, certain: float = 4.0, min_windows: int = 3) -> tuple[slice, ...]:
-    """Slices of a segment's samples with constant current: all of a hold, the plateaus of a sweep.
 
-    Parameters
-    ----------
-    still : float
-        Step of the current between windows, relative to a ramp's, below which it is constant, ...
-    certain : float
-        ... or the same in standard deviations of its noise, where that is more.
-    min_windows : int
-        Minimum number of windows in a stretch.
-    """
+def dwells(piece: SegmentData) -> tuple[slice, ...]:
+    """Slices of a segment's samples with constant current: all of a hold, the plateaus of a sweep."""
     if piece.stage is SegmentStage.RESISTANCE:
         return (slice(0, len(piece.signals.v_dc)),)
     if piece.stage is not SegmentStage.CLASSICAL:
@@ -35,10 +32,10 @@ def dwells(piece: SegmentData, *, still: float = 0.02, certain: float = 4.0, min
     means = block_means(np.asarray(piece.signals.i_ab), step)
     moved = np.hypot(*np.diff(means, axis=0).T)
     noise_a = math.sqrt(2.0 * float(np.trace(piece.scatter.covariance)) / (step * piece.averaged))
-    stands = moved < max(still * float(moved.max(initial=0.0)), certain * noise_a)
+    stands = moved < max(MAX_STEP_OF_DWELL * float(moved.max(initial=0.0)), MAX_STEP_OF_DWELL_SIGMAS * noise_a)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]).astype(np.int8)))
     runs = zip(edges[::2], edges[1::2] + 1, strict=True)
-    return tuple(slice(int(a) * step, int(b) * step) for a, b in runs if b - a >= min_windows)
+    return tuple(slice(int(a) * step, int(b) * step) for a, b in runs if b - a >= MIN_WINDOWS_OF_DWELL)
 
 
 @dataclass(frozen=True)

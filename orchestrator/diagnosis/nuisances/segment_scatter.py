@@ -39,6 +39,8 @@ MAX_OFFSET_SCATTER: float = 0.002
 """Largest offset scatter between segments (rms), relative to the rated current, that counts as noise. A sound sensor
 drifts that much in warm-up and over minutes; more is a fault that has to be found."""
 
+MAX_SCATTER_CHANGE: float = 0.2
+"""Relative difference of two scatters that does not matter for a fit."""
 SEARCH_DECADES = tuple(range(-5, 1))
 """Decades of the scatter's standard deviations [A] and [V] where a search starts: from far below a sensor's noise."""
 MAX_DECADE = 6.0
@@ -234,10 +236,10 @@ def with_scatter_beside(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library
     return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
 
 
-def is_same_scatter(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
+def is_same_scatter(noise: ModelNoise, other: ModelNoise) -> bool:
     """Whether two scatters differ too little to matter for a fit."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
-    same = all(abs(a - b) <= within * max(a, b) for a, b in pairs)
+    same = all(abs(a - b) <= MAX_SCATTER_CHANGE * max(a, b) for a, b in pairs)
     return same and noise.dithered == other.dithered
 
 

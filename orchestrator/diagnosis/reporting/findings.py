@@ -15,7 +15,7 @@ from orchestrator.diagnosis.judgement.contributions import Contribution, is_mate
 from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, standardised_std
 from orchestrator.diagnosis.judgement.residual_pattern import residual_pattern
 from orchestrator.diagnosis.judgement.verdict import large_effects_together, residual_fraction_of
-from orchestrator.diagnosis.selection.bayes_factors import probabilities
+from orchestrator.diagnosis.selection.scoring import probabilities
 from protocols import (
     DriveRecord,
     FoundEffect,

@@ -9,7 +9,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.types import Array
 from protocols import Rung

@@ -80,18 +80,19 @@ def _kept_effect(active: EffectTerm, found: FoundEffect) -> ModelEffect:
     )
 
 
-def measured_hull(pieces: Sequence[SegmentData], samples: int = 200) -> tuple[tuple[float, float], ...]:
-    """Convex hull of the measured currents and their mirror images in i_q [A], counterclockwise.
+HULL_SAMPLES: int = 200
+"""Samples of each segment for the hull of its currents: a sweep or a turn of the injection has fewer corners."""
 
-    About 200 `samples` of each segment suffice: a sweep or a turn of the injection has fewer corners.
-    """
+
+def measured_hull(pieces: Sequence[SegmentData]) -> tuple[tuple[float, float], ...]:
+    """Convex hull of the measured currents and their mirror images in i_q [A], counterclockwise."""
     from scipy.spatial import ConvexHull
 
     currents = []
     for piece in pieces:
         if piece.stage is not SegmentStage.GATES_OFF:
             i_dq = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)
-            currents.append(i_dq[:: max(1, len(i_dq) // samples)])
+            currents.append(i_dq[:: max(1, len(i_dq) // HULL_SAMPLES)])
     points = np.concatenate(currents)
     points = np.concatenate([points, points * np.array([1.0, -1.0])])
     corners = points[ConvexHull(points, qhull_options="QJ").vertices]  # joggled: points on one line have a hull too

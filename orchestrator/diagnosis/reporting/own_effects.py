@@ -8,7 +8,7 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.separation import inseparable_from
+from orchestrator.diagnosis.selection.contrasts import inseparable_from
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from orchestrator.formatting.sentences import listed

@@ -17,7 +17,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq, to_phases

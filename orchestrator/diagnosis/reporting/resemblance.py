@@ -9,10 +9,11 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
-from orchestrator.diagnosis.fitting.imitation import resembling
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.scoring import fits_as_well, log_evidence
+from orchestrator.diagnosis.selection.contrasts import resembling
+from orchestrator.diagnosis.selection.scoring import fits_as_well
 from orchestrator.diagnosis.selection.search import with_effect
+from orchestrator.diagnosis.selection.search_state import evidence_gain
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import Inseparable, Remark
@@ -67,8 +68,7 @@ def alternatives_to(
 def _alternative(setup: DiagnosisSetup, fit: Fit, name: str, reduced: Fit, other: CandidateEffect) -> Alternative:
     trial = with_effect(setup, reduced, other)
     trial = setup.fitter.fit(trial.model, trial.linearisation)
-    inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
-    return Alternative(name, other.name, fit, trial, log_evidence(trial, inflation) - log_evidence(fit, inflation))
+    return Alternative(name, other.name, fit, trial, evidence_gain(trial, fit))
 
 
 def own_alternatives(setup: DiagnosisSetup, fit: Fit, candidates: Sequence[CandidateEffect]) -> list[Alternative]:

@@ -13,7 +13,7 @@ from functools import partial
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, Library
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import separating_contrasts
+from orchestrator.diagnosis.selection.contrasts import inseparable_from, separating_contrasts
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     Score,
@@ -24,7 +24,6 @@ from orchestrator.diagnosis.selection.scoring import (
     score,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState
-from orchestrator.diagnosis.selection.separation import inseparable_from
 from orchestrator.formatting.names import plain
 from protocols import ParameterRole
 

@@ -1,13 +1,23 @@
-"""How each contrast is recognised in a recording, and which effects a recording can separate by them."""
+"""How each contrast is recognised in a recording, and which effects a recording can separate.
+
+Installed effects declare what separates them. A file of one's own may declare nothing, so that its effects are compared
+by their signals. With x the standardised amplitudes of an effect and M the normal matrix of their columns, the columns
+of R_s, the map and all other parameters eliminated, its signal has chi2 = x'Mx. An effect resembles it where that falls
+to a small part once its columns are eliminated too.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.guarded import is_own
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
@@ -144,3 +154,69 @@ def separating_contrasts(first: Effect, second: Effect) -> tuple[Contrast, ...]:
 def separable(prepared: PreparedRecording, first: Effect, second: Effect) -> bool:
     """Whether the recording holds every contrast that separates the two effects."""
     return all(holds(prepared, contrast) for contrast in separating_contrasts(first, second))
+
+
+def inseparable_from(
+    fitter: Fitter, fit: Fit, present: EffectTerm, candidates: Sequence[CandidateEffect]
+) -> frozenset[str]:
+    """Names of the absent candidates that the recording does not separate from an effect of the fit.
+
+    Parameters
+    ----------
+    present : EffectTerm
+        An effect of the fit's model.
+    candidates : sequence of CandidateEffect
+        Those that the model has already are passed over.
+    """
+    effect = present.candidate.effect
+    absent = [c for c in candidates if c.name not in fit.model.names]
+    tied = {c.name for c in absent if not separable(fit.prepared, c.effect, effect)}
+    undeclared = [c for c in absent if (is_own(c.effect) or is_own(effect)) and c.name not in tied]
+    if undeclared:
+        tied |= {c.name for c in undeclared} & set(resembling(fitter, fit, present.name, undeclared))
+    return frozenset(tied)
+
+
+MIN_IMITATED_SHARE: float = 0.8
+"""Part of an effect's signal that another one imitates, from which they resemble each other."""
+
+
+def imitated_shares(fitter: Fitter, fit: Fit, name: str, candidates: Sequence[CandidateEffect]) -> dict[str, float]:
+    """The part of an effect's signal that each other effect imitates, the largest first.
+
+    Parameters
+    ----------
+    name : str
+        An effect of the fit's model.
+    candidates : sequence of CandidateEffect
+        Compared with it, besides the other effects of the model.
+    """
+    columns = [*fit.model.free, *absent_columns([c for c in candidates if c.name not in fit.model.names])]
+    normal, _ = fitter.evaluate(fit.model, fit.linearisation, columns[len(fit.model.free) :], known=fit).projected()
+    of = [active.name for active, _ in columns]
+    own = [k for k, (active, n) in enumerate(columns) if of[k] == name and n in active.candidate.amplitudes]
+    x = np.array([columns[k][0].standardised_value(columns[k][1]) for k in own])
+    shares = {}
+    for other in dict.fromkeys(of):
+        beside = [k for k in range(len(fit.model.free)) if of[k] not in (name, other)]
+        alone = _signal(normal, own, beside, x)
+        if other != name and alone > 0.0:
+            imitating = [k for k, effect in enumerate(of) if effect == other]
+            shares[other] = 1.0 - _signal(normal, own, [*beside, *imitating], x) / alone
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def resembling(fitter: Fitter, fit: Fit, name: str, candidates: Sequence[CandidateEffect]) -> list[str]:
+    """The effects of the model and candidates that resemble an effect of the model, the most similar first."""
+    shares = imitated_shares(fitter, fit, name, candidates)
+    return [other for other, share in shares.items() if share > MIN_IMITATED_SHARE]
+
+
+def _signal(normal: Array, own: Sequence[int], others: Sequence[int], x: Array) -> float:
+    """chi2 of an effect's signal that the other columns, under their unit priors, do not imitate."""
+    block = normal[np.ix_(own, own)]
+    if others:
+        across = normal[np.ix_(others, own)]
+        inner = normal[np.ix_(others, others)] + np.eye(len(others))
+        block = block - across.T @ np.linalg.solve(inner, across)
+    return float(x @ block @ x)

@@ -10,9 +10,8 @@ from dataclasses import dataclass, field
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.verdict import fitted_verdict
-from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors, redundant_terms
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.scoring import log_bayes_factors, redundant_terms
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchState
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
 from protocols import Verdict

@@ -14,7 +14,7 @@ from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, score
-from orchestrator.diagnosis.selection.search_result import SearchResult
+from orchestrator.diagnosis.selection.search_state import SearchResult
 from protocols import FoundEffect, JointEntry, Remark
 
 MAX_CORRELATION: float = 0.995

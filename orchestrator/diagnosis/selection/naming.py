@@ -11,9 +11,8 @@ from orchestrator.diagnosis.judgement.contributions import contributions, is_mat
 from orchestrator.diagnosis.judgement.intervals import block_scatter_ratio, is_none_significant, possibly_absent
 from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of
 from orchestrator.diagnosis.selection.adding import sub_threshold_effects
-from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult, baseline_models
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.scoring import log_bayes_factors
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult, SearchState, baseline_models
 from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
 

@@ -30,15 +30,20 @@ def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Library) -
     prepared = setup.prepared
     setup.fitter.tell("testing whether a modulator's timer rounds the commands")
     resistance_ohm = prepared.manifest.motor.stator_resistance_ohm or 1.0
-    traces = command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm)
-    bus_v = prepared.manifest.drive.dc_bus_voltage_v
-    quantisers = detect_quantisation(traces, bus_v, prepared.criteria.selection.log_evidence)
-    if not quantisers:
-        return setup
-    likelihood = likelihood_of(setup.part_fitter, fit, library)
+    quantisers = detect_quantisation(
+        command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm),
+        prepared.manifest.drive.dc_bus_voltage_v,
+        prepared.criteria.selection.log_evidence,
+    )
+    return _by_dwells(replace(setup, quantisers=quantisers), fit, library) if quantisers else setup
+
+
+def _by_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
+    """The setup with the likeliest timer beside a fit near the readings' estimates."""
+    likelihood = likelihood_of(setup.without_quantiser.part_fitter, fit, library)
     scatter = likelihood.most_likely((True, True), dithered=False)
-    timer, _ = quantiser_of_dwells(setup.part_fitter.prepared, likelihood, scatter, quantisers)
-    return replace(setup.with_quantiser(timer), quantisers=quantisers)
+    timer, _ = quantiser_of_dwells(setup.part_fitter.prepared, likelihood, scatter, setup.quantisers)
+    return setup.with_quantiser(timer)
 
 
 def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
@@ -46,11 +51,9 @@ def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) 
     if not setup.quantisers:
         return setup
     setup.fitter.tell("the modulator's timer, by the voltages that hold the currents")
-    likelihood = likelihood_of(setup.without_quantiser.part_fitter, fit, library)
-    scatter = likelihood.most_likely((True, True), dithered=False)
-    timer, _ = quantiser_of_dwells(setup.part_fitter.prepared, likelihood, scatter, setup.quantisers)
+    timed = _by_dwells(setup, fit, library)
     setup.part_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
-    return setup.with_quantiser(timer)
+    return timed
 
 
 def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -> tuple[DiagnosisSetup, Fit] | None:

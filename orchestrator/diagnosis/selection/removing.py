@@ -14,7 +14,6 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import certainty
-from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors, redundant_terms
 from orchestrator.diagnosis.selection.contrasts import separable
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
@@ -22,7 +21,9 @@ from orchestrator.diagnosis.selection.scoring import (
     keep_threshold,
     linear_gain,
     linear_gain_of_absent,
+    log_bayes_factors,
     loss_without,
+    redundant_terms,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState, evidence_gain
 from orchestrator.diagnosis.selection.shape_moves import with_best_shapes

@@ -22,13 +22,20 @@ from orchestrator.diagnosis.selection.environment_moves import (
     noise_moves,
     with_fixed_effects,
 )
-from orchestrator.diagnosis.selection.interim import InterimRecorder
+from orchestrator.diagnosis.selection.interim import Checkpoint, InterimRecorder
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
 from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
-from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, score
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult, refit_steps
-from orchestrator.diagnosis.selection.search_state import MAX_SHAPE_ROUNDS, Move, SearchState, first_accepted
+from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, redundant_terms, score
+from orchestrator.diagnosis.selection.search_state import (
+    MAX_SHAPE_ROUNDS,
+    AcceptedModel,
+    Move,
+    SearchResult,
+    SearchState,
+    first_accepted,
+    refit_steps,
+)
 from orchestrator.diagnosis.selection.shape_moves import (
     fix_moves,
     fixed_parameters,
@@ -77,16 +84,21 @@ def search_effects(
     doubtful : list of str
         Effects that are not separable from the remaining error.
     """
-    first = steps[-1].fit
-    is_clean = first.chi2_per_dof <= first.criteria.selection.detected_chi2
+    is_clean = steps[-1].fit.chi2_per_dof <= setup.prepared.criteria.selection.detected_chi2
     expected = EVALUATIONS_LEFT_IF_CLEAN if is_clean else EVALUATIONS_LEFT_FROM_SEARCH
     setup.fitter.begin("searching for missing effects", expected)
     if not is_clean and setup.prepared.quantiser is None:
         setup, steps = _with_quantiser(setup, steps, library)
-    part = setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0)
-    state = best_first(SearchState(setup, part, steps[0].fit.chi2_per_dof), steps, library, interim)
-    state = best_first(on_whole(state, steps), steps, library, interim)
+    state = on_whole(_search_part(setup, steps, library, interim), steps)
+    state = best_first(state, steps, library, interim)
     return state.setup, *result_of(state, steps)
+
+
+def _search_part(
+    setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library, interim: InterimRecorder
+) -> SearchState:
+    fit = setup.part_fitter.fit(steps[-1].fit.model, relinearisations=0)
+    return best_first(SearchState(setup, fit, steps[0].fit.chi2_per_dof), steps, library, interim)
 
 
 def best_first(
@@ -216,3 +228,21 @@ def with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> 
     scored = score(linear_view(setup.fitter, fit, [candidate]))[0]
     rough = added(state, scored)
     return with_best_shapes(state.after(state.minimum(rough.model, rough))).fit
+
+
+def unfinished_search(checkpoint: Checkpoint) -> tuple[SearchResult, list[str]]:
+    """The result of an unfinished search, from its last checkpoint.
+
+    Returns
+    -------
+    search : SearchResult
+        Fits to the whole recording, with the noise of the checkpoint's setup.
+    doubtful : list of str
+        Effects that are not separable from the remaining error.
+    """
+    state, fit = checkpoint.state, checkpoint.state.fit
+    if state.is_part:
+        out = redundant_terms(fit) if state.is_joint else []
+        model = fit.model.with_active([active for active in fit.model.active if active.name not in out])
+        state = on_whole(replace(state, fit=replace(fit, model=model)), checkpoint.first)
+    return result_of(state, checkpoint.first)

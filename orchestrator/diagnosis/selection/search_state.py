@@ -1,15 +1,17 @@
-"""State of a search, and how a model is fitted from one that is like it."""
+"""State and result of a search, and how a model is fitted from one that is like it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS
 from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.judgement.contributions import Contribution
 from orchestrator.diagnosis.selection.scoring import LinearView, log_evidence
 from protocols import SearchMeasure, SearchMove
 
@@ -163,3 +165,44 @@ def evidence_gain(trial: Fit, fit: Fit) -> float:
     """Gain in log evidence of one fit over another, with the noise inflated to the better one's residual."""
     inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
     return log_evidence(trial, inflation) - log_evidence(fit, inflation)
+
+
+@dataclass(frozen=True)
+class AcceptedModel:
+    """One step of the ladder: the effect added, the model with it, and the effect's log evidence [nat]."""
+
+    added: str | None
+    fit: Fit
+    log_evidence: float = 0.0
+
+
+@dataclass
+class SearchResult:
+    """The ladder of models that a search has accepted, and its findings beside them."""
+
+    steps: list[AcceptedModel]
+    detected_not_named: list[str] = field(default_factory=list)
+    indistinguishable: dict[str, list[str]] = field(default_factory=dict)
+    """For an effect of the model, those that fit as well in its place."""
+    view: LinearView | None = None
+    """Linear view of the last fit; None where it is not known."""
+    below_materiality: tuple[str, ...] = ()
+    """Effects of the last fit that are too small to be causes."""
+    contributions: Mapping[str, Contribution] = field(default_factory=dict)
+    """Contribution of each effect of a joint model; empty where effects were added one by one."""
+
+    @property
+    def fit(self) -> Fit:
+        return self.steps[-1].fit
+
+
+def baseline_models(steps: Sequence[AcceptedModel]) -> list[AcceptedModel]:
+    """The models without any effect: the first, and those that only free the map."""
+    return [step for step in steps if step.added is None or step.added in MAP_RUNGS]
+
+
+def refit_steps(setup: DiagnosisSetup, steps: Sequence[AcceptedModel]) -> list[AcceptedModel]:
+    """The models refitted with the setup's noise; as they are where they have it."""
+    if all(step.fit.linearisation.noise is setup.fitter.noise for step in steps):
+        return list(steps)
+    return [replace(step, fit=setup.fitter.fit(step.fit.model)) for step in steps]

@@ -14,11 +14,11 @@ from itertools import chain
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     linear_gain,
     linear_view,
+    log_bayes_factors,
     loss_without,
     movable,
     select_terms,
@@ -42,10 +42,6 @@ LEAST_CHI2_LOSS_OF_SIMPLE_FORM: float = 1000.0
 MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
 """Factor of the first form's chi2 that the second may leave after one step; beyond, the trial ends. On switching
 benches it was 1.1 where the second form did better, and 90 where it did not."""
-
-
-MAX_EXCESS_RATIO_OF_ROUGH_FORM: float = 0.3
-"""Rise of the objective after a few steps in another form, relative to the excess chi2, above which it is given up."""
 
 
 def fixed_parameters(model: Model) -> list[tuple[EffectTerm, str]]:
@@ -145,27 +141,17 @@ def _fix(state: SearchState, active: EffectTerm) -> SearchState | None:
 
 
 def form_moves(state: SearchState) -> Iterator[Move]:
-    """Other starts of an effect's form: its second form, or the form without parameters that ran to a bound.
-
-    Parameters at a bound have compensated for something else.
-    """
+    """Other starts of an effect's form."""
     for active in state.fit.model.active:
         if state.is_joint:
             second = active.candidate.absent_in_alternative_form()
             forms = [] if second is None else [second.release(*active.free)]
         else:
-            ended = _at_bounds(active)
-            forms = [*active.alternative_forms(), *([active.fix(*ended)] if ended else [])]
+            forms = active.alternative_forms()
         for index, form in enumerate(forms):
             # A form is tried once beside the same effects.
             effects = (active.name, str(index), *(() if state.is_joint else state.fit.model.names))
             yield Move("switch_form", effects, partial(_switch, state, form), is_once=True)
-
-
-def _at_bounds(active: EffectTerm) -> list[str]:
-    """Refinements at a bound of their range, unless that is neutral."""
-    declared = ((n, active.candidate.named(n)) for n in active.free_refinements)
-    return [n for n, p in declared if active.values[n] in (p.low, p.high) and active.values[n] != p.neutral]
 
 
 def _switch(state: SearchState, form: EffectTerm) -> SearchState | None:
@@ -179,11 +165,6 @@ def _switch(state: SearchState, form: EffectTerm) -> SearchState | None:
         if fit.objective - begun.objective + fitter.predicted_reduction(begun) < 2.0 * tie:
             return None
         model = _with_form(fit.model, form.release(*_wanted(begun, form)))
-        # A form far away is not worth its full fit where a few steps do not lead near.
-        rough = fitter.fit(model, fit.linearisation, steps=4, relinearisations=0, tolerance=0.03)
-        if rough.objective > fit.objective + MAX_EXCESS_RATIO_OF_ROUGH_FORM * (fit.chi2 - fit.dof):
-            return None
-        model = rough.model
     trial = state.minimum(model)
     gain = evidence_gain(trial, fit)
     state.record("switch_form", (form.name,), trial, gain, tie, taken=gain > tie)

@@ -6,7 +6,7 @@ A batch has about ten thousand samples, which fit into a processor's cache and m
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -76,44 +76,30 @@ class SegmentBatch:
     pieces : tuple of SegmentData
     signals : SignalBatch
         Signals of all segments, as measured and commanded.
+    layout : WindowLayout
     """
 
     places: tuple[int, ...]
     pieces: tuple[SegmentData, ...]
     signals: SignalBatch
+    layout: WindowLayout
 
     @classmethod
     def of(cls, pieces: Sequence[SegmentData], places: Iterable[int] | None = None) -> SegmentBatch:
         """A batch of all segments, or of those at given indices."""
         at = tuple(range(len(pieces)) if places is None else places)
         chosen = tuple(pieces[k] for k in at)
-        return cls(at, chosen, SignalBatch.of([p.signals for p in chosen]))
+        signals = SignalBatch.of([p.signals for p in chosen])
+        return cls(at, chosen, signals, _layout(chosen, signals.starts))
 
-    @cached_property
-    def layout(self) -> WindowLayout:
-        windows = [p.windows for p in self.pieces]
-        angles = np.array([float(p.segment.rotor_angle_rad) for p in self.pieces])
-        sizes = [w.modes.size for w in windows]
-        # No interval follows a segment's last sample.
-        bins = [np.append(w.bins, 0) for w in windows]
-        before, weights = zip(*(_test_functions(w) for w in windows), strict=True)
-        return WindowLayout(
-            starts=self.signals.starts,
-            rows=_bounds([w.rows for w in windows]),
-            test_functions=np.array([w.test_functions for w in windows]),
-            n_bins=np.array([w.n_bins for w in windows]),
-            n_modes=np.array([len(w.modes) for w in windows]),
-            unread=np.array([-1 if w.unread is None else w.unread for w in windows]),
-            steps=np.array([float(w.step) for w in windows]),
-            bins=np.concatenate(bins).astype(np.int32),
-            before=np.concatenate(before),
-            weights=np.concatenate(weights),
-            mode_starts=_bounds(sizes)[:-1],
-            modes=np.concatenate([w.modes.ravel() for w in windows]),
-            interval_s=1.0 / np.array([p.signals.sampling_frequency_hz for p in self.pieces]),
-            cos=np.cos(angles),
-            sin=np.sin(angles),
-        )
+    def with_voltages_of(self, pieces: Sequence[SegmentData]) -> SegmentBatch:
+        """The batch of the same recording with other voltages, which shares all other arrays."""
+        chosen = tuple(pieces[k] for k in self.places)
+        if all(new is old for new, old in zip(chosen, self.pieces, strict=True)):
+            return self
+        segments = tuple(p.signals for p in chosen)
+        v_ab = np.concatenate([s.v_ab for s in segments], dtype=np.float64)
+        return replace(self, pieces=chosen, signals=replace(self.signals, segments=segments, v_ab=v_ab))
 
     @cached_property
     def believed_rad(self) -> Array:
@@ -129,6 +115,31 @@ class SegmentBatch:
     def rows_of(self, j: int) -> slice:
         """Rows of the equations of the batch's segment j."""
         return slice(int(self.layout.rows[j]), int(self.layout.rows[j + 1]))
+
+
+def _layout(pieces: Sequence[SegmentData], starts: NDArray[np.int64]) -> WindowLayout:
+    windows = [p.windows for p in pieces]
+    angles = np.array([float(p.segment.rotor_angle_rad) for p in pieces])
+    # No interval follows a segment's last sample.
+    bins = [np.append(w.bins, 0) for w in windows]
+    before, weights = zip(*(_test_functions(w) for w in windows), strict=True)
+    return WindowLayout(
+        starts=starts,
+        rows=_bounds([w.rows for w in windows]),
+        test_functions=np.array([w.test_functions for w in windows]),
+        n_bins=np.array([w.n_bins for w in windows]),
+        n_modes=np.array([len(w.modes) for w in windows]),
+        unread=np.array([-1 if w.unread is None else w.unread for w in windows]),
+        steps=np.array([float(w.step) for w in windows]),
+        bins=np.concatenate(bins).astype(np.int32),
+        before=np.concatenate(before),
+        weights=np.concatenate(weights),
+        mode_starts=_bounds([w.modes.size for w in windows])[:-1],
+        modes=np.concatenate([w.modes.ravel() for w in windows]),
+        interval_s=1.0 / np.array([p.signals.sampling_frequency_hz for p in pieces]),
+        cos=np.cos(angles),
+        sin=np.sin(angles),
+    )
 
 
 def _test_functions(windows: Windows) -> tuple[NDArray[np.int32], Array]:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
-from orchestrator.diagnosis.weak_form.logged import since_the_start
 from orchestrator.diagnosis.weak_form.loss_history import (
     LOSS_STEP_S,
     heat_of_unread,
@@ -21,6 +20,7 @@ from orchestrator.diagnosis.weak_form.segments import (
     PreparedRecording,
     SegmentData,
     read_segment,
+    since_the_start,
     windows_of,
 )
 from orchestrator.numerics.frames import to_dq

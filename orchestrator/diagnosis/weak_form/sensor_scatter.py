@@ -15,6 +15,8 @@ BLOCK_READINGS = 50
 """Readings in a block of which the power of differences is compared with the usual one."""
 MAX_POWER_RATIO = 2.0
 """Ratio to the usual power of differences from which a block has a moving current: five sigma of white noise."""
+MAX_RESPONSE_SAMPLES = 4
+"""Samples after a voltage step within which its response may begin, for any delay."""
 MAX_PERIOD_MISMATCH = 0.05
 """Power of a voltage's differences over one period, relative to its own, below which it is periodic: an injected
 direction that turns once in a hundred periods has 0.004, a random voltage 2."""
@@ -80,19 +82,12 @@ def scatter_of(i_ab: Array, period: float | None, *, steady: bool = False) -> Sc
     return Scatter(_moments(d, _usual(d), 20.0), float("nan"), np.zeros(0))
 
 
-def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
-    """Scatter of readings under voltage steps, from fourth differences well after each step.
-
-    Parameters
-    ----------
-    i_ab, v_ab : array, shape (n, 2)
-    answered : int
-        Samples after a step within which its response may begin, for any delay.
-    """
+def scatter_between(i_ab: Array, v_ab: Array) -> Scatter:
+    """Scatter of readings (n, 2) under voltage steps (n, 2), from fourth differences well after each step."""
     jumps = np.linalg.norm(np.diff(v_ab, axis=0), axis=1)
     turned = np.flatnonzero(jumps > 0.1 * jumps.max(initial=1e-300))
     quiet = np.ones(len(i_ab) - 4, dtype=np.bool_)
-    for k in range(-3, answered + 1):
+    for k in range(-3, MAX_RESPONSE_SAMPLES + 1):
         near = turned + k
         quiet[near[(near >= 0) & (near < len(quiet))]] = False
     d = np.diff(i_ab, n=4, axis=0)

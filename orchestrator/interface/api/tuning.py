@@ -121,7 +121,7 @@ def _injection_map(path: Path) -> FluxMap | None:
 
 def _clarke_of_three(path: Path) -> bool | None:
     """Whether the drive's current vectors were made of three readings; None where a recording does not tell."""
-    from orchestrator.diagnosis.weak_form.logged import clarke_of_three
+    from orchestrator.diagnosis.weak_form.segments import clarke_of_three
     from orchestrator.runs import open_any
 
     recording = open_any(path)

@@ -10,10 +10,9 @@ import pytest
 from orchestrator.diagnosis import InterimResult, diagnose_recording, judge
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.interim import Checkpoint
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.search import unfinished_search
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchState
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeadTime, VoltageBias
@@ -84,7 +83,7 @@ def test_what_was_found_so_far_is_fitted_to_the_whole_and_reported_as_unfinished
         pytest.param(Impatient(KeyboardInterrupt), False, id="nobody wants a report"),
         pytest.param(Impatient(KeyboardInterrupt, times=2), True, id="the second time"),
         pytest.param(Impatient(RunInterrupted), True, id="a run is stopped", marks=pytest.mark.slow),
-        pytest.param(Impatient(KeyboardInterrupt, words="search for a few"), True, id="nothing was found yet"),
+        pytest.param(Impatient(KeyboardInterrupt, words="searching for missing"), True, id="nothing was found yet"),
     ],
 )
 def test_anything_else_ends_the_diagnosis_and_leaves_nothing(
@@ -107,7 +106,7 @@ def test_anything_else_ends_the_diagnosis_and_leaves_nothing(
 
 @pytest.mark.slow
 def test_a_search_that_is_over_has_its_own_report(with_dead_time: Recording, tmp_path: Path) -> None:
-    who = Impatient(KeyboardInterrupt, words="how sure")
+    who = Impatient(KeyboardInterrupt, words="computing the intervals")
     found = diagnose_recording(
         with_dead_time, LIBRARY, out=tmp_path, tell=who.tell, poll=who.poll, report_early=True
     ).report

@@ -7,9 +7,9 @@ import pytest
 from orchestrator.diagnosis._refit import _refine_map
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from protocols import Saturated
-from tests.orchestrator.diagnosis.fitting.test_baseline import setup, sharp
+from tests.orchestrator.diagnosis.fitting.test_baseline import setup
 
-__all__ = ["setup", "sharp"]
+__all__ = ["setup"]
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.motor_model import kept_model, restored
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment

@@ -18,7 +18,7 @@ from plugins.effects.frame import BrakeCompliance
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
 from plugins.effects.timing import VoltageDelay
-from protocols import Correction, Effect, LossHistory, SegmentStage
+from protocols import Effect, LossHistory, SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import (
     L_D,
@@ -92,7 +92,7 @@ def test_what_readings_have_in_common_is_what_an_offset_of_all_of_them_does(bias
         common = equations.common(model, linearisation)
         for phase, one in enumerate(((1.0, 0.0), (0.0, 1.0))):
             off = linearisation.base.i_ab + offset_a * from_two_phases(*one)
-            there = replace(linearisation, base=linearisation.base.corrected(Correction(i_ab=off)))
+            there = linearisation.with_changed(linearisation.base.changed_along({"i_ab": off}))
             before, after = (equations.rows(equations.at(model, f)) for f in (linearisation, there))
             for j, k in enumerate(linearisation.batch.places):
                 moved = (after[j].white - before[j].white) @ np.array([1.0, model.r_s]) / offset_a

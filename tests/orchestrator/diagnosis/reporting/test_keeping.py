@@ -11,7 +11,7 @@ import pytest
 from orchestrator.diagnosis import Diagnosis
 from orchestrator.diagnosis.reporting import keeping
 from orchestrator.diagnosis.reporting.diagnosis_file import load_diagnosis
-from orchestrator.diagnosis.selection.search_result import SearchResult
+from orchestrator.diagnosis.selection.search_state import SearchResult
 from orchestrator.recording import Recording
 from protocols import DiagnosisStep
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis, some_steps

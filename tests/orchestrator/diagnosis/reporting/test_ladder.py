@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import kept_rungs, mean_rms_v, noise_rms_v, rung
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
 

@@ -7,9 +7,8 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
+from orchestrator.diagnosis.fitting.candidates import EffectTerm, MachineScale, scaled_library
 from orchestrator.diagnosis.fitting.guarded import guarded
-from orchestrator.diagnosis.fitting.machine_scale import MachineScale
 from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.parameter_bounds import bound_remarks, bounds_reached
 from orchestrator.formatting.quantities import number

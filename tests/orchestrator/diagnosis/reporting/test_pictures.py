@@ -16,7 +16,7 @@ from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step, kept_rows
 from orchestrator.diagnosis.selection.contrasts import MIN_AMPLITUDE_RATIO
 from orchestrator.diagnosis.selection.search import with_effect
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
 from protocols import DiagnosisStep, Saturated

@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.resemblance import inseparable_remark
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.iron import SlotHarmonics
 from plugins.effects.sensors import CurrentOffset

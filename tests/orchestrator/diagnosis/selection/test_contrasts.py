@@ -3,18 +3,34 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
+import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separable, separating_contrasts
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.guarded import guarded
+from orchestrator.diagnosis.selection.adding import add_moves
+from orchestrator.diagnosis.selection.contrasts import (
+    CONTRASTS,
+    holds,
+    imitated_shares,
+    inseparable_from,
+    resembling,
+    separable,
+    separating_contrasts,
+)
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.sensors import CurrentOffset
-from protocols import Contrast, SegmentStage
-from tests.orchestrator.diagnosis.pieces import plan, prepared
+from protocols import Contrast, Effect, SegmentStage
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.selection.states import made, state_of, view_of
 
 
 @pytest.fixture(scope="module")
@@ -68,3 +84,56 @@ def test_a_recording_separates_two_effects_if_it_holds_their_contrast() -> None:
     assert separable(WHOLE, VoltageBias(), CurrentOffset())
     assert not separable(BRIDGE_ON, VoltageBias(), CurrentOffset())
     assert not separable(WHOLE, DeadTime(), DeviceDrop())
+
+
+class Undeclared(VoltageBias):
+    name: ClassVar[str] = "undeclared"
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+
+
+@pytest.fixture(scope="module")
+def biased() -> Fitter:
+    return fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, -0.1])))
+
+
+@pytest.mark.parametrize(
+    ("present", "other", "inseparable"),
+    [
+        (VoltageBias(), guarded(Undeclared()), {"undeclared"}),
+        (guarded(Undeclared()), VoltageBias(), {"voltage_bias"}),
+        (VoltageBias(), Undeclared(), set()),  # installed: what it declares holds
+        (VoltageBias(), DeadTime(), set()),
+    ],
+)
+def test_an_own_effect_is_inseparable_from_what_it_resembles(
+    biased: Fitter, present: Effect, other: Effect, inseparable: set[str]
+) -> None:
+    fit = biased.fit(with_free(free_model(), biased, present))
+    (candidate,) = scaled_library([other], biased.prepared.manifest)
+    assert inseparable_from(biased, fit, fit.model.active[0], [candidate]) == inseparable
+
+
+def test_an_own_effect_that_resembles_the_one_added_is_its_twin_and_is_not_added_beside_it(biased: Fitter) -> None:
+    library = scaled_library([VoltageBias(), guarded(Undeclared())], biased.prepared.manifest)
+    state = state_of(biased)
+    (move,) = add_moves(state, view_of(state, library), library)
+    after = made(move)
+    (name,) = after.fit.model.names
+    assert {name, *after.indistinguishable[name]} == {"voltage_bias", "undeclared"}
+    assert not list(add_moves(after, view_of(after, library), library))
+
+
+class SameBias(VoltageBias):
+    name: ClassVar[str] = "same_bias"
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+
+
+def test_an_effect_s_signal_is_imitated_by_its_like_alone() -> None:
+    maker = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.1])))
+    library = scaled_library([VoltageBias(), guarded(SameBias()), DeadTime()], maker.prepared.manifest)
+    fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
+    shares = imitated_shares(maker, fit, "voltage_bias", library)
+    assert list(shares) == ["same_bias", "dead_time"]
+    assert shares["same_bias"] > 0.95
+    assert shares["dead_time"] < 0.5
+    assert resembling(maker, fit, "voltage_bias", library) == ["same_bias"]

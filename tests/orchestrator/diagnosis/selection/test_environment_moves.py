@@ -13,7 +13,6 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate
 from orchestrator.diagnosis.selection import environment_moves
-from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
 from orchestrator.diagnosis.selection.environment_moves import (
     coarser_map_moves,
     first_map_moves,
@@ -21,6 +20,7 @@ from orchestrator.diagnosis.selection.environment_moves import (
     map_moves,
     noise_moves,
 )
+from orchestrator.diagnosis.selection.scoring import redundant_terms
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_state import SearchState
 from plugins.effects.frame import BrakeBacklash

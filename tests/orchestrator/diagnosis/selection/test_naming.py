@@ -12,10 +12,9 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import naming
-from orchestrator.diagnosis.selection.bayes_factors import log_bayes_factors
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.scoring import log_bayes_factors
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult, SearchState
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance

@@ -10,9 +10,9 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.selection import bayes_factors, removing
-from orchestrator.diagnosis.selection.bayes_factors import redundant_terms
+from orchestrator.diagnosis.selection import removing, scoring
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
+from orchestrator.diagnosis.selection.scoring import redundant_terms
 from orchestrator.diagnosis.selection.search_state import SearchState
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
@@ -44,7 +44,7 @@ def test_what_blocks_disagree_on_stays_where_much_is_lost_with_it(
 ) -> None:
     (bias,) = scaled_library([VoltageBias()], biased.prepared.manifest)
     state = joint_state(biased, [bias.absent()])
-    monkeypatch.setattr(bayes_factors, "block_scatter", lambda f: np.full(len(f.model.free), 10.0))
+    monkeypatch.setattr(scoring, "block_scatter", lambda f: np.full(len(f.model.free), 10.0))
     assert redundant_terms(state.fit) == ["voltage_bias"]
     after = made(next(remove_moves(state)))
     assert after.fit is state.fit

@@ -17,8 +17,7 @@ from orchestrator.diagnosis.selection.adding import full_model
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.scoring import linear_view
 from orchestrator.diagnosis.selection.search import best_first, result_of, search_effects
-from orchestrator.diagnosis.selection.search_result import AcceptedModel, SearchResult
-from orchestrator.diagnosis.selection.search_state import Move, SearchState
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, Move, SearchResult, SearchState
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance

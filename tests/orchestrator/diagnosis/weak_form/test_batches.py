@@ -248,3 +248,14 @@ def test_a_batch_is_of_about_the_size_that_was_requested(samples: int) -> None:
 def test_a_segment_longer_than_a_batch_is_one_by_itself() -> None:
     batches = [batch for part in in_batches(MADE, [], 100) for batch in part]
     assert [len(batch.pieces) for batch in batches] == [1] * len(MADE)
+
+
+def test_a_batch_of_other_voltages_shares_all_other_arrays() -> None:
+    first, second = (replace(p, signals=replace(p.signals, v_ab=2.0 * p.signals.v_ab)) for p in PIECES[:2])
+    other = BATCH.with_voltages_of((first, second, *PIECES[2:]))
+    expected = SegmentBatch.of(other.pieces)
+    np.testing.assert_array_equal(other.signals.v_ab, expected.signals.v_ab)
+    assert other.signals.segments == expected.signals.segments
+    assert other.layout is BATCH.layout
+    assert other.signals.i_ab is BATCH.signals.i_ab
+    assert BATCH.with_voltages_of(PIECES) is BATCH

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,15 +13,18 @@ from orchestrator.diagnosis.weak_form import preparation, segments
 from orchestrator.diagnosis.weak_form.preparation import coarse, prepare
 from orchestrator.diagnosis.weak_form.segments import (
     block_means,
+    clarke_of_three,
     delayed,
     injection_period,
+    logged_fields,
     mean_between,
+    since_the_start,
     swept_axis,
     unread_axis,
 )
 from orchestrator.recording import Recording
-from protocols import Segment, SegmentStage
-from tests.orchestrator.diagnosis.pieces import CRITERIA, FS, Plan, piece, plan, prepared, ripple, sweep
+from protocols import Capture, Segment, SegmentStage
+from tests.orchestrator.diagnosis.pieces import CRITERIA, FS, Array, Plan, hold, piece, plan, prepared, ripple, sweep
 from tests.support.close import assert_close
 
 CUTTING = CRITERIA.weak_form
@@ -150,3 +154,64 @@ def test_what_is_a_rounded_zero_throughout_was_not_read(unread: int, angle: floa
     noisy = rounded[0] + np.random.default_rng(4).normal(0.0, 1e-4, rounded[0].shape)
     assert unread_axis(one.segment, noisy, rounded[1]) is None
     assert unread_axis(one.segment, 0.0 * rounded[0], 0.0 * rounded[1]) is None
+
+
+def _phases(*, gain_c: float = 1.0, noise_a: float = 0.004) -> Array:
+    rng = np.random.default_rng(5)
+    angle = np.linspace(0.0, 6.0, 900)
+    true = np.stack([np.cos(angle - k * 2.0 * np.pi / 3.0) for k in range(3)], axis=1)
+    return np.asarray(true * np.array([1.0, 1.0, gain_c]) + rng.normal(0.0, noise_a, true.shape))
+
+
+def _three(i_abc: Array) -> Array:
+    a, b, c = i_abc.T
+    return np.stack([(2.0 * a - b - c) / 3.0, (b - c) / np.sqrt(3.0)], axis=1)
+
+
+def _two(i_abc: Array) -> Array:
+    a, b, _ = i_abc.T
+    return np.stack([a, (a + 2.0 * b) / np.sqrt(3.0)], axis=1)
+
+
+def test_a_vector_of_three_readings_is_reported_from_one_of_two() -> None:
+    for phases in (_phases(), _phases(gain_c=1.01, noise_a=0.0)):
+        assert clarke_of_three(_three(phases).astype(np.float32), phases.astype(np.float32)) is True
+        assert clarke_of_three(_two(phases).astype(np.float32), phases.astype(np.float32)) is False
+
+
+@pytest.mark.parametrize("computed", [0, 1, 2])
+def test_a_third_current_that_was_computed_is_no_third_sensor(computed: int) -> None:
+    phases = _phases()
+    phases[:, computed] = -np.delete(phases, computed, axis=1).sum(axis=1)
+    assert clarke_of_three(_three(phases).astype(np.float32), phases.astype(np.float32)) is False
+    exact = phases.astype(np.float32).astype(np.float64)
+    assert clarke_of_three(_three(exact), exact) is False
+
+
+def test_a_vector_of_something_else_says_nothing_of_the_sensors() -> None:
+    assert clarke_of_three(1.2 * _three(_phases()), _phases()) is None
+
+
+def test_means_are_taken_of_what_is_logged_as_of_the_vectors() -> None:
+    phases, warmth, n = _phases(), np.linspace(20.0, 21.0, 900), 900
+    capture = Capture(
+        start_s=0.0,
+        sampling_frequency_hz=1e4,
+        i_ab=_three(phases),
+        v_ab=np.zeros((n, 2)),
+        v_dc=np.full(n, 540.0),
+        i_abc=phases,
+        temperature_c=warmth,
+    )
+    found = logged_fields(capture, 90, 10)
+    assert found["i_abc"] == pytest.approx(phases.reshape(90, 10, 3).mean(axis=1))
+    assert found["temperature_c"] == pytest.approx(warmth.reshape(90, 10).mean(axis=1))
+    assert found["clarke_of_three"] is True
+    assert logged_fields(capture, n, 1)["i_abc"].base is phases
+
+
+def test_temperatures_count_from_the_first_that_was_logged() -> None:
+    bare = piece(Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0))).signals
+    logged = [replace(bare, temperature_c=np.full(600, t)) for t in (31.0, 40.0)]
+    assert [s.start_temperature_c for s in since_the_start([bare, *logged])] == [31.0, 31.0, 31.0]
+    assert since_the_start([bare]) == [bare]

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from orchestrator.diagnosis import Diagnosis, save_diagnosis
-from orchestrator.diagnosis.selection.search_result import SearchResult
+from orchestrator.diagnosis.selection.search_state import SearchResult
 from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.interface.cli._further import next_stages
 from protocols import Compared, Diagnosed, InputError, PointDone, StagesAppended

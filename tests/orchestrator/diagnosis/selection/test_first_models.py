@@ -8,8 +8,8 @@ import pytest
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.selection.initial_effects import include_measured
-from orchestrator.diagnosis.selection.search_result import AcceptedModel
+from orchestrator.diagnosis.selection.first_models import include_measured
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from protocols import Effect, PluginError, Signals
