@@ -123,13 +123,14 @@ class HarmonicBasis(CurveBasis):
 
 @dataclass(frozen=True)
 class MemoryBasis:
-    """x less its lags of several time constants or less its plays of several radii, the heat left of x, or x late.
+    """x less its lags of several time constants or less its plays of several radii, the heat left of x, x late, or
+    steps at several values of x.
 
     Attributes
     ----------
-    kind : {"lag", "play", "cooling", "late"}
+    kind : {"lag", "play", "cooling", "late", "step"}
     values : tuple of float
-        Time constants [s], or radii in the unit of x.
+        Time constants [s], or radii or values in the unit of x.
     """
 
     kind: str
@@ -160,7 +161,46 @@ class MemoryBasis:
             return cooled(x[:, 0], value, batch)[:, None]
         if self.kind == "late":
             return lagged(x, value, batch)
+        if self.kind == "step":
+            return np.asarray(x >= value, dtype=np.float64)
         return x - (lagged if self.kind == "lag" else play)(x, value, batch)
+
+
+@dataclass(frozen=True)
+class LineBasis:
+    """sin and cos at one frequency, of all alike or of phases a and b each for itself: of three, two are independent.
+
+    Attributes
+    ----------
+    frequency_hz : float
+    spacing_hz : float
+        Distance to another frequency that the experiment's length tells from it.
+    each : bool
+        Whether phases a and b have amplitudes of their own.
+    """
+
+    frequency_hz: float
+    spacing_hz: float
+    each: bool
+    kind: str = "line"
+
+    @property
+    def size(self) -> int:
+        return 4 if self.each else 2
+
+    def design(self, x: Array) -> Array:
+        """At times x (n,), shape (n, size); of two phases, the first one's."""
+        turns = 2.0 * np.pi * self.frequency_hz * x
+        return np.stack([np.sin(turns), np.cos(turns), *[np.zeros_like(x)] * (self.size - 2)], axis=1)
+
+    def columns(self, x: Array, batch: SignalBatch, mean: bool) -> Array:
+        waves = self.design(x[:, 0])[:, :2].T
+        if not self.each:
+            return np.ascontiguousarray(waves)
+        out = np.zeros((2, 2, len(x), 3))
+        for phase in range(2):
+            out[phase, :, :, phase] = waves
+        return out.reshape(self.size, -1)
 
 
 def memory_response(kind: str, x: Array, value: float) -> Array:

@@ -18,7 +18,7 @@ from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import require_effects_of, restored
 from orchestrator.diagnosis.reporting.resemblance import alternatives_to
-from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.bases import CurveBasis, LineBasis
 from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis
 from orchestrator.discovery.law import quotient
@@ -47,6 +47,8 @@ SIGMAS: float = 1.96
 CURVE_POINTS: int = 40
 SCALES_OF_MEMORY: float = 4.0
 """Length of the curve of a law with memory, in its time constants or radii."""
+PERIODS: float = 2.0
+"""Length of the curve of a line."""
 RANKED: int = 12
 
 
@@ -230,6 +232,8 @@ def _curve(law: LearnedLaw) -> tuple[CurvePoint, ...]:
     if isinstance(basis, CurveBasis):
         x = basis.grid(CURVE_POINTS)
         x = x if basis.parity == "none" else np.concatenate([-x[:0:-1], x])
+    elif isinstance(basis, LineBasis):
+        x = np.linspace(0.0, PERIODS / basis.frequency_hz, CURVE_POINTS)
     else:
         assert law.best.law is not None
         assert isinstance(law.best.law.form, FormFit)

@@ -12,8 +12,9 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTer
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import KNEE, Basis, CurveBasis, HarmonicBasis, MemoryBasis, Parity
+from orchestrator.discovery.bases import KNEE, Basis, CurveBasis, HarmonicBasis, LineBasis, MemoryBasis, Parity
 from orchestrator.discovery.places import Place
+from orchestrator.discovery.proposals import gradient_over, line_frequencies
 from orchestrator.discovery.quantities import Quantity
 from orchestrator.numerics.types import Array
 from protocols import Correction, Effect, EffectParameters, SignalBatch, Signals, amplitude
@@ -73,7 +74,7 @@ class Hypothesis:
         y: Array = coefficients[there[0]] * columns[there[0]] if len(there) == 1 else coefficients @ columns
         if not self.place.of_phases:
             return y
-        y = y.reshape(-1, 3) if self.quantity.of_phases else y[:, None]
+        y = y.reshape(-1, 3) if self.quantity.of_phases or self.basis.kind == "line" else y[:, None]
         return np.asarray(y * np.array(self.phases), dtype=np.float64)
 
     def columns(self, batch: SignalBatch) -> Array:
@@ -232,6 +233,7 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
     (at.LEG_VOLTAGE, of.PHASE_CURRENT, ("even",), EACH),
     (at.PULSE_VOLTAGE, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE_BY_TIME, of.PHASE_CURRENT, ("odd",), EACH),
+    (at.PULSE_VOLTAGE_BY_TIME, of.PHASE_CURRENT, ("odd",), (ALL,)),
     (at.LEG_VOLTAGE_BY_HEAT, of.PHASE_CURRENT, ("odd",), EACH),
     (at.LEG_VOLTAGE, of.SMOOTH_CURRENT, ("lag", "play"), (ALL,)),
     (at.LEG_VOLTAGE, of.PHASE_VOLTAGE, ("odd",), (ALL,)),
@@ -272,10 +274,16 @@ KINDS: tuple[tuple[Place, Quantity, tuple[Part, ...], tuple[Phases, ...]], ...] 
 """The single laws: place, quantity, parts of a curve or kinds of memory, phases."""
 
 
+LINES = (at.READING, at.LEG_VOLTAGE, at.VOLTAGE_GAIN)
+"""Where a line over time may enter."""
+MAX_LINES: int = 8
+"""Lines that are compared at each of these places: a sum over windows has some at other frequencies, too."""
+
+
 def hypotheses(ranges: Ranges) -> Iterator[Hypothesis]:
     """All single laws over quantities that vary in the recording."""
     for place, quantity, parts, which in KINDS:
-        if place is at.PULSE_VOLTAGE and ranges.pulse_rates < 2:
+        if place.name.startswith(at.PULSE_VOLTAGE.name) and ranges.pulse_rates < 2:
             continue
         for part in parts:
             size = ranges.size_at(place)
@@ -291,6 +299,16 @@ def hypotheses(ranges: Ranges) -> Iterator[Hypothesis]:
                 size /= max(map(abs, ranges.of[quantity.name]))
             for phases in which:
                 yield Hypothesis(place, quantity, phases, basis, size)
+
+
+def line_hypotheses(fit: Fit, ranges: Ranges) -> Iterator[Hypothesis]:
+    """The highest lines of a leftover over time, at each place where one may enter."""
+    for place in LINES:
+        gradients = [gradient_over(fit, place, phases, of.TIME) for phases in ((A, B) if place.of_phases else (ALL,))]
+        both = gradients[0][1] + 1j * gradients[-1][1] if place.of_phases else gradients[0][1]
+        for frequency_hz in line_frequencies(gradients[0][0], both, ranges.interval_s, MAX_LINES):
+            basis = LineBasis(frequency_hz, 1.0 / ranges.whole_s, place.of_phases)
+            yield Hypothesis(place, of.TIME, ALL, basis, ranges.size_at(place))
 
 
 def term_of(hypothesis: Hypothesis, coefficients: Array, free: bool = True) -> EffectTerm:

@@ -23,9 +23,13 @@ WIDTH_OF_UNIT: float = 1e-3
 """Prior width of a shape that only states at which value of the quantity the size is meant."""
 POWER_BOUNDS: Mapping[str, tuple[float, float, float]] = {
     "exponent": (0.5, 0.05, 12.0),
-    "sharpness": (2.0, 1.0, 1e4),
+    "sharpness": (WIDTH_OF_UNIT, 1.0, 1e6),
 }
 """Prior width of a power's logit, and its bounds."""
+WIDTH_OF_FREQUENCY: float = 0.3
+"""Prior width of a frequency, in what the experiment's length resolves."""
+WIDTH_OF_EDGE: float = 3.0
+"""Prior width of the place of a step, in its edges: a fit finds it in the sample that the search has found."""
 REACH: float = 100.0
 """Bounds of a size, relative to its typical value, and of a shape."""
 
@@ -53,6 +57,29 @@ class Table:
 
 
 @dataclass(frozen=True)
+class Line:
+    """A wave over time of one frequency.
+
+    Attributes
+    ----------
+    sizes : tuple of float
+        Of sin and cos; of phase a, then of phase b, where each has its own.
+    frequency_hz, spacing_hz : float
+        As of its `LineBasis`.
+    """
+
+    sizes: tuple[float, ...]
+    frequency_hz: float
+    spacing_hz: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the sizes."""
+        waves = ("sine", "cosine")
+        return waves if len(self.sizes) == 2 else tuple(f"{wave}_of_{phase}" for phase in "ab" for wave in waves)
+
+
+@dataclass(frozen=True)
 class Law:
     """A law with its constants.
 
@@ -60,11 +87,11 @@ class Law:
     ----------
     hypothesis : Hypothesis
         Place, quantity and phases.
-    form : FormFit or Table
+    form : FormFit, Table or Line
     """
 
     hypothesis: Hypothesis
-    form: FormFit | Table
+    form: FormFit | Table | Line
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -72,6 +99,11 @@ class Law:
         y, x, form = self.hypothesis.place.unit, self.hypothesis.quantity.unit, self.form
         if isinstance(form, Table):
             return (_size(y, form.size), _shape("range", x, form.top, WIDTH_OF_UNIT))
+        if isinstance(form, Line):
+            largest = max(map(abs, form.sizes))
+            sizes = (_size(y, size, name, largest) for name, size in zip(form.names, form.sizes, strict=True))
+            width = WIDTH_OF_FREQUENCY * form.spacing_hz / form.frequency_hz
+            return (*sizes, _shape("frequency", "Hz", form.frequency_hz, width))
         if form.form is None:
             kind = self.hypothesis.basis.kind
             shape = _shape("radius", x, form.scale) if kind == "play" else _shape(kind, "s", form.scale)
@@ -80,7 +112,9 @@ class Law:
         if form.form.has_scale:
             # A power's scale and size are one number: the scale only says where the size is meant.
             is_unit = form.form.has_power and form.form.power_name == "exponent"
-            found.append(_shape(form.form.scale_name, x, form.scale, WIDTH_OF_UNIT if is_unit else WIDTH_OF_SHAPE))
+            is_step = form.form.has_power and not is_unit
+            width = WIDTH_OF_UNIT if is_unit else WIDTH_OF_EDGE / form.power if is_step else WIDTH_OF_SHAPE
+            found.append(_shape(form.form.scale_name, x, form.scale, width))
         if form.form.has_power:
             found.append(
                 Parameter(form.form.power_name, "1", form.power, *POWER_BOUNDS[form.form.power_name], is_size=False)
@@ -90,6 +124,7 @@ class Law:
     def values(self, x: Array) -> Array:
         """At values of its quantity; of a law without memory."""
         form = self.form
+        assert not isinstance(form, Line)
         if isinstance(form, FormFit):
             assert form.form is not None
             return np.asarray(form.size * form.form.of(x, form.scale, form.power), dtype=np.float64)
@@ -104,6 +139,8 @@ class Law:
         x = hypothesis.quantity.symbol
         if isinstance(form, Table):
             return f"a table over {x}"
+        if isinstance(form, Line):
+            return "a sin(2 pi f t) + b cos(2 pi f t)" + (", in each phase" if len(form.sizes) > 2 else "")
         if form.form is None:
             if hypothesis.basis.kind == "cooling":
                 return f"a {x}, {x}' = P - {x} / b"
@@ -121,6 +158,8 @@ class Law:
         """Short name of its form."""
         if isinstance(self.form, Table):
             return "table"
+        if isinstance(self.form, Line):
+            return "line"
         return self.form.form.name if self.form.form is not None else self.hypothesis.basis.kind
 
 
@@ -139,7 +178,9 @@ class Parameter:
     def declared(self, factor: float) -> str:
         """Its line in the class, with values of the reference machine; `factor` is this machine's over that one's."""
         role = "amplitude" if self.is_size else "shape"
-        value, low, high = (_rounded(v / factor) for v in (self.value, self.low, self.high))
+        # A narrow shape is known to more digits.
+        digits = 4 if self.is_size else max(4, 2 - math.floor(math.log10(self.width)))
+        value, low, high = (_rounded(v / factor, digits) for v in (self.value, self.low, self.high))
         width = _rounded(self.width / factor) if self.is_size else _rounded(self.width)
         return (
             f"        {self.name}: float = {role}("
@@ -147,10 +188,11 @@ class Parameter:
         )
 
 
-def _size(unit: str, value: float) -> Parameter:
-    name = "_".join([NAME_OF_SIZE, *([_suffix(unit)] if unit != "1" else [])])
-    far = REACH * abs(value)
-    return Parameter(name, unit, value, WIDTH_OF_SIZE * abs(value), -far, far, is_size=True)
+def _size(unit: str, value: float, name: str = NAME_OF_SIZE, typical: float | None = None) -> Parameter:
+    """Of a typical size by default its own."""
+    name = "_".join([name, *([_suffix(unit)] if unit != "1" else [])])
+    far = abs(value) if typical is None else typical
+    return Parameter(name, unit, value, WIDTH_OF_SIZE * far, -REACH * far, REACH * far, is_size=True)
 
 
 def _shape(name: str, unit: str, value: float, width: float = WIDTH_OF_SHAPE) -> Parameter:
@@ -173,5 +215,5 @@ def quotient(unit: str, by: str, power: int = 1) -> str:
     return f"{above or '1'}/{below}" if below else above or "1"
 
 
-def _rounded(value: float) -> float:
-    return 0.0 if value == 0.0 or not math.isfinite(value) else float(f"{value:.4g}")
+def _rounded(value: float, digits: int = 4) -> float:
+    return 0.0 if value == 0.0 or not math.isfinite(value) else float(f"{value:.{digits}g}")

@@ -20,10 +20,10 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out
 from orchestrator.diagnosis.selection.scoring import log_evidence
-from orchestrator.discovery.bases import Basis, CurveBasis
+from orchestrator.discovery.bases import Basis, CurveBasis, LineBasis
 from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import Hypothesis, term_of
-from orchestrator.discovery.law import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Parameter, Table
+from orchestrator.discovery.law import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Line, Parameter, Table
 from orchestrator.discovery.places import READING, of_three_sensors
 from orchestrator.discovery.quantities import PHASE_CURRENT
 from orchestrator.discovery.ranking import Score
@@ -130,11 +130,19 @@ def table_of(score: Score) -> Table | None:
     return Table(x / top, y / size, top, size, basis.parity) if size > 0.0 and top > 0.0 else None
 
 
+def line_of(score: Score) -> Line | None:
+    """A flexible line as it is written; None of another law."""
+    basis = score.hypothesis.basis
+    if not isinstance(basis, LineBasis):
+        return None
+    return Line(tuple(map(float, score.coefficients)), basis.frequency_hz, basis.spacing_hz)
+
+
 def fit_law(setup: DiagnosisSetup, fit: Fit, law: Law, name: str) -> FittedLaw:
     """A law beside a model, fitted as the effect that its text defines."""
     candidate = candidate_of(setup, law, name)
     free = tuple(
-        p.name for p in candidate.parameters if p.prior_width > WIDTH_OF_UNIT or p.name in candidate.amplitudes
+        p.name for p in candidate.parameters if p.prior_width != WIDTH_OF_UNIT or p.name in candidate.amplitudes
     )
     term = EffectTerm(candidate, {p.name: p.typical for p in candidate.parameters}, free)
     fitter = setup.fitter
@@ -169,8 +177,10 @@ def with_fitted_constants(fitted: FittedLaw) -> Law:
     law, values = fitted.law, fitted.term.values
     by_name = {p.name: values[p.name] for p in law.parameters}
     size, *shapes = (by_name[p.name] for p in law.parameters)
-    form: FormFit | Table
-    if isinstance(law.form, Table):
+    form: FormFit | Table | Line
+    if isinstance(law.form, Line):
+        form = replace(law.form, sizes=(size, *shapes[:-1]), frequency_hz=shapes[-1])
+    elif isinstance(law.form, Table):
         form = replace(law.form, size=size, top=shapes[0])
     else:
         changes: dict[str, Any] = {"size": size}

@@ -8,6 +8,7 @@ model; sums of lags of several time constants are a relaxation spectrum.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numba import njit
@@ -30,18 +31,24 @@ def play(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
     Before a segment, x is taken as proportional to the current; without a history the play begins at x.
     """
     starts, _ = _layout(signals)
-    segments = signals.segments if isinstance(signals, SignalBatch) else (signals,)
-    x, i_abc = _columns(x), to_phases(signals.i_ab)
+    x = _columns(x)
     memory = x[starts[:-1]].copy()
+    for k, path in _ways(x, starts, signals):
+        memory[k] = _played(path, np.array([0, len(path)]), radius, path[:1])[-1]
+    return _played(x, starts, radius, memory)
+
+
+def _ways(x: Array, starts: NDArray[np.int64], signals: Signals | SignalBatch) -> Iterator[tuple[int, Array]]:
+    """For each segment with a history its number, and the way of x to where it begins, (points, 3)."""
+    segments = signals.segments if isinstance(signals, SignalBatch) else (signals,)
+    i_abc = to_phases(signals.i_ab)
     for k, segment in enumerate(segments):
         if segment.came_from_ab is None or len(segment.came_from_ab) == 0:
             continue
         at = slice(int(starts[k]), int(starts[k + 1]))
         power = np.sum(i_abc[at] ** 2)
         slope = float(np.sum(x[at] * i_abc[at]) / power) if power > 0.0 else 0.0
-        path = x[starts[k]] + slope * (to_phases(segment.came_from_ab) - i_abc[starts[k]])
-        memory[k] = _played(path, np.array([0, len(path)]), radius, path[:1])[-1]
-    return _played(x, starts, radius, memory)
+        yield k, x[starts[k]] + slope * (to_phases(segment.came_from_ab) - i_abc[starts[k]])
 
 
 def unknown_memory(x: RealArray, radius: float, signals: Signals | SignalBatch) -> Array:
@@ -54,6 +61,20 @@ def unknown_memory(x: RealArray, radius: float, signals: Signals | SignalBatch) 
     x = _columns(x)
     ends = [_played(x, starts, radius, x[starts[:-1]] + side * radius) for side in (1.0, -1.0)]
     return np.asarray((ends[0] - ends[1]) / math.sqrt(12.0), dtype=np.float64)
+
+
+def fading_memory(x: RealArray, time_constant_s: float, signals: Signals | SignalBatch) -> Array:
+    """Change of a lag by one standard deviation of what it remembers at a segment's beginning, (n, 3).
+
+    How long the current had been there is not recorded: of its last way, any part may be left, and fades.
+    """
+    starts, rates = _layout(signals)
+    x = _columns(x)
+    out = np.zeros_like(x)
+    for k, path in _ways(x, starts, signals):
+        after_s = np.arange(starts[k + 1] - starts[k]) / rates[k]
+        out[starts[k] : starts[k + 1]] = (path[-1] - x[starts[k]]) * np.exp(-after_s / time_constant_s)[:, None]
+    return np.asarray(out / math.sqrt(3.0), dtype=np.float64)
 
 
 def cooled(heat_j: RealArray, time_constant_s: float, signals: Signals | SignalBatch) -> Array:

@@ -48,6 +48,10 @@ def draw_law(axes: Axes, law: FoundLaw) -> None:
 
 def form_values(form: FoundForm, x: Array) -> Array | None:
     """A form's values; None of a table."""
+    if form.name == "line":
+        sine, cosine, *_, frequency = (c.value for c in form.constants)
+        turns = 2.0 * np.pi * frequency * x
+        return np.asarray(sine * np.sin(turns) + cosine * np.cos(turns), dtype=np.float64)
     constants = {c.name.split("_")[0]: c.value for c in form.constants}
     if form.name in MEMORIES:
         (shape,) = (c.value for c in form.constants[1:])

@@ -138,6 +138,7 @@ def _growing(place: Place, by: Quantity) -> Place:
     return replace(place, name=name, text=text, unit=f"{place.unit}/{unit}", apply=apply, factor=by)
 
 
-LEG_VOLTAGE_BY_TIME, LEG_VOLTAGE_BY_HEAT, READING_BY_TIME = (
-    _growing(place, by) for place, by in ((LEG_VOLTAGE, TIME), (LEG_VOLTAGE, HEAT), (READING, TIME))
+LEG_VOLTAGE_BY_TIME, PULSE_VOLTAGE_BY_TIME, LEG_VOLTAGE_BY_HEAT, READING_BY_TIME = (
+    _growing(place, by)
+    for place, by in ((LEG_VOLTAGE, TIME), (PULSE_VOLTAGE, TIME), (LEG_VOLTAGE, HEAT), (READING, TIME))
 )

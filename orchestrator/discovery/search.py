@@ -14,18 +14,20 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_finest_map
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.bases import CurveBasis, MemoryBasis
 from orchestrator.discovery.forms import FormFit, fitting_forms
-from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses
-from orchestrator.discovery.law import Law, Table
+from orchestrator.discovery.hypotheses import Hypothesis, Ranges, hypotheses, line_hypotheses
+from orchestrator.discovery.law import POWER_BOUNDS, Law, Line, Table
 from orchestrator.discovery.laws import (
     FittedLaw,
     fit_flexible,
     fit_law,
+    line_of,
     score_of,
     table_of,
     with_fitted_constants,
 )
+from orchestrator.discovery.proposals import gradient_over, step_places
 from orchestrator.discovery.ranking import Score, rank
 
 MAX_LAWS: int = 2
@@ -50,6 +52,10 @@ CLOSE_ERROR: float = 1.2
 """Held-out error, in units of its noise, below which no second law is looked for."""
 UNRELIABLE_CHI2: float = 0.3
 """chi2 per degree of freedom below which a linear prediction has left its range."""
+STEPS: int = 12
+"""Places of a step that are compared, by the residual's gradient."""
+BESIDE: int = 12
+"""Samples on either side of the best of them, between which the step is placed then."""
 REFINED: tuple[tuple[int, float], ...] = ((9, 0.03), (16, 0.03), (24, 0.1), (24, 0.01))
 """Intervals of a curve and its knee, of which the evidence chooses."""
 
@@ -184,8 +190,14 @@ def _start(setup: DiagnosisSetup, model: Model, besides: Sequence[Hypothesis] = 
     """A model with its ranking, without laws at the place of those that it has, over their quantity."""
     part = setup.part_fitter.fit(model)
     there = {(one.place.name, one.quantity.name) for one in besides}
-    every = [h for h in hypotheses(Ranges.in_fit(part)) if (h.place.name, h.quantity.name) not in there]
-    return _Start(part, rank(setup.part_fitter, part, every))
+    ranges = Ranges.in_fit(part)
+    every = [h for h in hypotheses(ranges) if (h.place.name, h.quantity.name) not in there]
+    ranking = rank(setup.part_fitter, part, every)
+    least = ranking[0].chi2 if ranking else part.chi2
+    if least > CLOSE_CHI2 * part.dof:
+        lines = [h for h in line_hypotheses(part, ranges) if (h.place.name, h.quantity.name) not in there]
+        ranking = [*(s for s in rank(setup.part_fitter, part, lines)[:1] if s.chi2 < least), *ranking]
+    return _Start(part, ranking)
 
 
 def _learn(
@@ -231,7 +243,11 @@ def _chosen(fitted: Sequence[FittedLaw], noise: float) -> tuple[FittedLaw, ...]:
     ordered = sorted(fitted, key=lambda f: -f.log_evidence(noise))
     forms, tables = [f for f in ordered if not _is_table(f)], [f for f in ordered if _is_table(f)]
     if forms and (not tables or _comes_near(forms[0], tables[0], noise)):
-        return tuple(_simplest_first([f for f in forms if _does_as_well(f, forms[0], noise)]))
+        best = _simplest_first([f for f in forms if _does_as_well(f, forms[0], noise)])
+        # Where no likelihood separates formulas of two quantities, that of the better curve comes first.
+        curves = list(dict.fromkeys(f.hypothesis.key for f in fitted))
+        limit = best[0].fit.chi2 + 2.0 * SAME_NAT * noise
+        return tuple(sorted(best, key=lambda f: (f.fit.chi2 > limit, curves.index(f.hypothesis.key))))
     return tuple(tables[:1])
 
 
@@ -280,17 +296,35 @@ def _in_forms(
 ) -> list[FittedLaw]:
     """The best short forms of a flexible law, and its table, each refitted."""
     score = score_of(flexible)
-    options: list[FormFit | Table] = list(_promising(fitting_forms(score)))
-    table = table_of(score)
-    if table is not None:
-        options.append(table)
+    options: list[FormFit | Table | Line] = list(_promising(fitting_forms(score)))
+    options += [option for option in (table_of(score), line_of(score)) if option is not None]
     fitted = []
     for option in options:
+        if isinstance(option, FormFit) and option.form is not None and option.form.power_name == "sharpness":
+            option = _located(setup, fit, score.hypothesis, option)
         law = Law(score.hypothesis, option)
         tell(f"a form: {law.formula}")
         one = fit_law(setup, fit, law, name)
         fitted.append(replace(one, law=with_fitted_constants(one)))
     return fitted
+
+
+def _located(setup: DiagnosisSetup, fit: Fit, hypothesis: Hypothesis, step: FormFit) -> FormFit:
+    """A step where it removes most; the curve that proposed it is coarser than a sample by far."""
+    place, phases, quantity = hypothesis.place, hypothesis.phases, hypothesis.quantity
+    x, gradient = gradient_over(fit, place, phases, quantity)
+    values = [step.scale, *step_places(x, gradient, STEPS)]
+    x = np.unique(x)
+    for _ in range(2):
+        steps = [replace(hypothesis, basis=MemoryBasis("step", (value,))) for value in values]
+        best = rank(setup.fitter, fit, steps)[0]
+        assert isinstance(best.hypothesis.basis, MemoryBasis)
+        at, size = best.hypothesis.basis.values[0], float(best.coefficients[0])
+        nearest = int(np.searchsorted(x, at))
+        near = x[max(nearest - BESIDE, 0) : nearest + BESIDE]
+        values = [at, *map(float, 0.5 * (near[1:] + near[:-1]))]
+    edge = max(float(np.median(np.diff(near))), 2.0 * at / POWER_BOUNDS["sharpness"][2])
+    return replace(step, size=size, scale=at, power=at / edge)
 
 
 def _promising(forms: Sequence[FormFit]) -> list[FormFit]:

@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.discovery.bases import CurveBasis
+from orchestrator.discovery.forms import FormFit
 from orchestrator.discovery.hypotheses import ALL, PHASE_NAMES, Hypothesis
-from orchestrator.discovery.law import Law, Table
+from orchestrator.discovery.law import Law, Line, Table
 from orchestrator.discovery.places import READING, READING_BY_TIME
 from orchestrator.discovery.quantities import CURRENT, NEXT_CURRENT, PHASE_CURRENT, PREVIOUS_CURRENT
 from orchestrator.formatting.sentences import visible
@@ -25,6 +26,9 @@ INVERSION_ERROR: float = 5e-4
 """Part of a sensor's error to which the rounds that find the true current know it."""
 INVERSION_ROUNDS: tuple[int, int] = (4, 12)
 """Fewest and most of these rounds: each leaves as much of the error as its slope in A/A."""
+
+LONG_LAG_S: float = 0.02
+"""Time constant of a lag that the time between two segments may not have ended [s]."""
 
 
 @dataclass(frozen=True)
@@ -122,20 +126,32 @@ def _class(law: Law, name: str, summary: str, body: str, factors: Mapping[str, f
 
 
 def _random_directions(law: Law, three_sensors: bool) -> str:
-    """The method of a play's unknown beginning; empty of any other law."""
+    """The method of the unknown beginning of a play or of a long lag; empty of any other law."""
     hypothesis, place = law.hypothesis, law.hypothesis.place
-    if isinstance(law.form, Table) or law.form.form is not None or hypothesis.basis.kind != "play":
+    if not isinstance(law.form, FormFit) or law.form.form is not None:
         return ""
-    size, radius = (f"p.{parameter.name}" for parameter in law.parameters)
+    size, scale = (f"p.{parameter.name}" for parameter in law.parameters)
+    correction = place.code.format(sensors=_sensors(three_sensors))
+    x = f"{hypothesis.quantity.name}(signals)"
+    if hypothesis.basis.kind == "lag" and law.form.scale > LONG_LAG_S:
+        phases = "" if hypothesis.phases == ALL else f" * {list(hypothesis.phases)}"
+        return f'''
+
+    def random_directions(self, signals: Signals, p: Parameters) -> list[Correction]:
+        """What the lags remember when a segment begins, by one standard deviation."""
+        y = {size} * fading_memory({x}, {scale}, signals){phases}
+        return [{correction}]'''
+    if hypothesis.basis.kind != "play":
+        return ""
     two = place.name == "reading" and not three_sensors
     each = [phase for phase in _phases_of(hypothesis) if not (two and phase[2])]
     return f'''
 
     def random_directions(self, signals: Signals, p: Parameters) -> list[Correction]:
         """What each phase's play remembers when a segment begins, by one standard deviation."""
-        far = {size} * unknown_memory({hypothesis.quantity.name}(signals), {radius}, signals)
+        far = {size} * unknown_memory({x}, {scale}, signals)
         each = [far * phase for phase in {each}]
-        return [{place.code.format(sensors=_sensors(three_sensors))} for y in each]'''
+        return [{correction} for y in each]'''
 
 
 def _phases_of(hypothesis: Hypothesis) -> list[list[float]]:
@@ -151,6 +167,13 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
     size, *shapes = [f"p.{p.name}" for p in law.parameters]
     lines = [f"x = {quantity.name}(signals)"]
     form = law.form
+    if isinstance(form, Line):
+        lines = [f"turns = 2.0 * np.pi * {shapes[-1]} * {quantity.name}(signals)"]
+        pairs = zip([size, *shapes[1:-1:2]], shapes[:-1:2], strict=True)
+        waves = [f"{sine} * np.sin(turns) + {cosine} * np.cos(turns)" for sine, cosine in pairs]
+        lines += ["y = np.zeros((len(turns), 3))"] if len(waves) > 1 else [f"y = {waves[0]}"]
+        lines += [f"y[:, {phase}] = {wave}" for phase, wave in enumerate(waves) if len(waves) > 1]
+        return "\n".join([*lines, f"return {place.code.format(sensors=_sensors(three_sensors))}"])
     if isinstance(form, Table):
         u = f"np.interp({{x}} / {shapes[0]}, X{suffix}, Y{suffix})"
         if form.parity != "none":
@@ -164,7 +187,7 @@ def _body(law: Law, three_sensors: bool, suffix: str) -> str:
         code = re.sub(r"\bb\b", shapes[0], form.form.code) if form.form.has_scale else form.form.code
         code = re.sub(r"\bp\b(?!\.)", shapes[1], code) if form.form.has_power else code
         expression = f"{size} * {_bracketed(code)}"
-    is_memory = not isinstance(form, Table) and form.form is None
+    is_memory = isinstance(form, FormFit) and form.form is None
     if place.over_interval and not is_memory:
         lines += [f"y = _over_interval(lambda x: {expression}, x)"]
     else:
@@ -233,7 +256,8 @@ def _table_lines(table: Table, suffix: str) -> str:
 
 def _imports(code: str) -> str:
     frames = [n for n in ("from_phases", "from_two_phases", "to_dq", "to_phases") if re.search(rf"\b{n}\(", code)]
-    memory = [n for n in ("cooled", "lagged", "play", "slopes", "unknown_memory") if re.search(rf"\b{n}\(", code)]
+    kept = ("cooled", "fading_memory", "lagged", "play", "slopes", "unknown_memory")
+    memory = [n for n in kept if re.search(rf"\b{n}\(", code)]
     shapes = ", ".join(["amplitude", *(["shape"] if " shape(" in code else [])])
     return "\n".join(
         [

@@ -128,7 +128,9 @@ PLACES: Mapping[str, Sequence[Name]] = {
     "unlogged_bus_ripple": [("voltage_gain", _TIME, "")],
     "wandering_clock": [("voltage_gain", _TIME, ""), ("reading_gain", _TIME, "")],
     "coarse_pwm_counter": [("leg_voltage", "phase_voltages", "")],
-    "warming_dead_time": [("leg_voltage_by_time", _OWN, ""), *_LOST],
+    "warming_dead_time": [
+        ("leg_voltage_by_time", _OWN, ""), ("pulse_voltage_by_time", _OWN, ""), *_LOST,
+    ],
     "loose_phase": [("leg_resistance", _TIME, "b")],
     "brake_creep": [("angle", _TIME, "")],
     "brake_slip": [("angle", _TIME, "")],

@@ -103,7 +103,9 @@ def form_std(fit: Fit, rows: Sequence[tuple[SegmentData, Array]]) -> Array:
         For each training segment its projected columns, shape (rows, free).
     """
     extent = np.array([_extent(a, n) for a, n in fit.model.free])
-    return np.asarray(np.hypot(FORM_STD, RIPPLE_FORM_STD * ripple_share(rows)) * extent)
+    # No form is known less than before the recording: a line's frequency has a prior far narrower than a form's error.
+    relative = np.hypot(FORM_STD, RIPPLE_FORM_STD * ripple_share(rows))
+    return np.asarray(np.minimum(relative * extent, 1.0), dtype=np.float64)
 
 
 def _two_sided_refinements(active: EffectTerm) -> list[str]:

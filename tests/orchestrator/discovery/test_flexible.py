@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from orchestrator.discovery import cooled, lagged, play, slopes
+from orchestrator.discovery import FoundForm, cooled, fading_memory, form_values, lagged, play, slopes
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, MemoryBasis
+from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, LineBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
 from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns
 from orchestrator.discovery.laws import _over_true_current
 from orchestrator.discovery.ranking import Score, _solved
+from orchestrator.discovery.report import Constant
+from orchestrator.numerics.frames import to_phases
 from orchestrator.testing import exciting_signals
 from protocols import LossHistory, SignalBatch
 
@@ -154,6 +156,38 @@ def test_heat_cools_with_its_time_constant_over_the_whole_experiment() -> None:
     assert cooled(signals.heat_j, 8.0, signals)[0] == pytest.approx(left, rel=1e-3)
     unknown = replace(signals, losses=None)
     np.testing.assert_array_equal(cooled(unknown.heat_j, 8.0, unknown), unknown.heat_j)
+
+
+def test_what_a_lag_remembers_fades_and_is_part_of_the_last_way() -> None:
+    signals = exciting_signals()
+    x = 3.0 * of.phase_currents(signals)
+    change = fading_memory(x, 10.0 / signals.sampling_frequency_hz, signals)
+    assert signals.came_from_ab is not None
+    way = 3.0 * to_phases(signals.came_from_ab[-1:] - signals.i_ab[:1])[0]
+    np.testing.assert_allclose(change[0], way / np.sqrt(3.0))
+    np.testing.assert_allclose(change[10], change[0] / np.e)
+
+
+def test_a_line_has_amplitudes_of_its_own_in_two_phases() -> None:
+    batch = SignalBatch.of([exciting_signals()])
+    each = Hypothesis(at.READING, of.TIME, ALL, LineBasis(50.0, 0.1, True), 0.01)
+    y = each.values(each.columns(batch), np.array([1.0, 2.0, 3.0, 4.0]))
+    turns = 2.0 * np.pi * 50.0 * batch.time_s
+    np.testing.assert_allclose(y[:, 0], np.sin(turns) + 2.0 * np.cos(turns), atol=1e-12)
+    np.testing.assert_allclose(y[:, 1], 3.0 * np.sin(turns) + 4.0 * np.cos(turns), atol=1e-12)
+    assert not y[:, 2].any()
+    single = Hypothesis(at.VOLTAGE_GAIN, of.TIME, ALL, LineBasis(50.0, 0.1, False), 0.01)
+    np.testing.assert_allclose(single.values(single.columns(batch), np.array([1.0, 2.0])), y[:, 0], atol=1e-12)
+
+
+def test_a_line_is_drawn_by_the_first_phases_wave() -> None:
+    values = {"sine_of_a_a": 1.0, "cosine_of_a_a": 2.0, "sine_of_b_a": 3.0, "cosine_of_b_a": 4.0, "frequency_hz": 50.0}
+    constants = tuple(Constant(name=n, value=v, low=v, high=v, unit="A") for n, v in values.items())
+    form = FoundForm(
+        name="line", formula="", constants=constants, chi2=1.0, heldout=1.0, heldout_rms_v=None, log_evidence=0.0
+    )
+    drawn = form_values(form, np.array([0.0, 0.005]))
+    assert drawn == pytest.approx([2.0, 1.0])
 
 
 def test_the_slope_before_a_reading_is_that_of_its_own_segment() -> None:

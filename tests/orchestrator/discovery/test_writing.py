@@ -12,17 +12,17 @@ import pytest
 
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
-from orchestrator.discovery.bases import MEMORIES, CurveBasis, MemoryBasis
+from orchestrator.discovery.bases import MEMORIES, CurveBasis, LineBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, FormFit
 from orchestrator.discovery.hypotheses import ALL, KINDS, A, Hypothesis, Phases
-from orchestrator.discovery.law import Law, Table
+from orchestrator.discovery.law import Law, Line, Table
 from orchestrator.discovery.laws import loaded
 from orchestrator.discovery.places import Place, of_three_sensors
 from orchestrator.discovery.quantities import Quantity
 from orchestrator.discovery.writing import OF_READINGS, NamedLaw, sentence_of, source_of
 from orchestrator.registry.plugins import load_effects_file
 from orchestrator.testing import EffectConformance, exciting_signals
-from protocols import Correction, Effect, SignalBatch, Signals
+from protocols import Correction, Effect, ParameterRole, SignalBatch, Signals
 from tests.orchestrator.testing.kit_runner import failures
 
 FORMS = {form.name: form for form in CURVES}
@@ -43,9 +43,15 @@ def law_of(place: Place, quantity: Quantity, phases: Phases, form: str) -> Law:
     size = {"V": 0.5, "A": 0.05, "ohm": 0.3, "1": 0.02, "rad": 0.02}[place.unit.split("/")[0]]
     if place.factor is not None:
         size /= float(np.abs(place.factor.of(signals())).max())
-    if form in MEMORIES:
-        hypothesis = Hypothesis(place, quantity, phases, MemoryBasis(form, (1.0,)), size)
-        return Law(hypothesis, FormFit(None, size / top, 0.2 * top if form == "play" else 2e-3, 1.0, 0.0))
+    if form == "line":
+        basis = LineBasis(49.97, 0.01, place.of_phases)
+        sizes = tuple(size * part for part in (1.0, -0.4, 0.3, 0.8)[: basis.size])
+        return Law(Hypothesis(place, quantity, phases, basis, size), Line(sizes, 49.97, 0.01))
+    if form in (*MEMORIES, "long lag"):
+        kind = form.removeprefix("long ")
+        scale = 0.2 * top if kind == "play" else 2e-3 if kind == form else 0.2
+        hypothesis = Hypothesis(place, quantity, phases, MemoryBasis(kind, (1.0,)), size)
+        return Law(hypothesis, FormFit(None, size / top, scale, 1.0, 0.0))
     hypothesis = Hypothesis(place, quantity, phases, CurveBasis(0.0, top, 8, parity), size)  # type: ignore[arg-type]
     if form == "table":
         return Law(hypothesis, Table(np.linspace(0.0, 1.0, 9), np.linspace(0.0, 1.0, 9) ** 2, top, size, "odd"))
@@ -86,6 +92,11 @@ CASES = [
     (at.LEG_VOLTAGE_BY_TIME, of.PHASE_CURRENT, A, "tanh"),
     (at.LEG_VOLTAGE_BY_HEAT, of.PHASE_CURRENT, ALL, "logarithm"),
     (at.READING_BY_TIME, of.PHASE_CURRENT, A, "proportional"),
+    (at.PULSE_VOLTAGE_BY_TIME, of.PHASE_CURRENT, ALL, "tanh"),
+    (at.READING, of.TIME, ALL, "line"),
+    (at.LEG_VOLTAGE, of.TIME, ALL, "line"),
+    (at.VOLTAGE_GAIN, of.TIME, ALL, "line"),
+    (at.MAGNETISING, of.PHASE_FLUX, A, "long lag"),
 ]
 
 
@@ -114,6 +125,12 @@ def test_a_written_law_does_what_its_place_does(place: Place, quantity: Quantity
     effect, batch = effect_of(law), SignalBatch.of([signals()])
     values = {p.name: p.value for p in law.parameters}
     written = effect.correct(signals(), effect.Parameters(**values)).arrays
+    if isinstance(law.form, Line):
+        of_line = law.hypothesis
+        expected = place.apply(batch, of_line.values(of_line.columns(batch), np.array(law.form.sizes))).arrays
+        for name, array in expected.items():
+            np.testing.assert_allclose(written[name], array, atol=1e-12)
+        return
     if place.over_interval or isinstance(law.form, Table) or law.form.form is None:
         assert set(written) == set(place.apply(batch, _zeros(place, batch)).arrays)
         return
@@ -174,6 +191,35 @@ def test_a_law_may_be_called_like_what_its_file_needs(name: str) -> None:
     assert effect.name == name
     values = {p.name: p.typical for p in effect.Parameters.declared()}
     assert effect.correct(signals(), effect.Parameters(**values)).i_ab is not None
+
+
+def test_a_frequency_and_the_place_of_a_step_are_written_with_all_the_digits_that_are_known() -> None:
+    line = law_of(at.READING, of.TIME, ALL, "line")
+    assert isinstance(line.form, Line)
+    known = replace(line, form=replace(line.form, frequency_hz=49.969995))
+    step = law_of(at.ANGLE, of.TIME, ALL, "step")
+    assert isinstance(step.form, FormFit)
+    sharp = replace(step, form=replace(step.form, scale=26.89352, power=1.3e5))
+    for law, value in ((known, 49.969995), (sharp, 26.89352)):
+        shapes = [p for p in effect_of(law).Parameters.declared() if p.role is ParameterRole.SHAPE]
+        assert shapes[0].typical == pytest.approx(value, rel=1e-6)
+
+
+def test_a_long_lag_may_remember_any_part_of_the_last_way() -> None:
+    law = law_of(at.MAGNETISING, of.PHASE_FLUX, A, "long lag")
+    effect = effect_of(law)
+    values = {p.name: p.value for p in law.parameters}
+    (far,) = effect.random_directions(signals(), effect.Parameters(**values))  # type: ignore[attr-defined]
+    change = np.abs(far.i_m_ab - signals().i_m_ab)[:, 0]
+    after = int(values["lag_s"] * signals().sampling_frequency_hz)
+    if after < len(change):
+        assert change[after] == pytest.approx(change[0] / np.e, rel=0.01)
+    assert change[0] > 0.0
+    still = replace(signals(), came_from_ab=None)
+    (none,) = effect.random_directions(still, effect.Parameters(**values))  # type: ignore[attr-defined]
+    np.testing.assert_array_equal(none.i_m_ab, still.i_m_ab)
+    short = effect_of(law_of(at.MAGNETISING, of.PHASE_FLUX, A, "lag"))
+    assert not hasattr(short, "random_directions")
 
 
 def test_a_play_may_begin_anywhere_within_its_radius() -> None:

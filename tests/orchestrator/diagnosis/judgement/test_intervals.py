@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 
 import numpy as np
@@ -20,6 +21,7 @@ from orchestrator.diagnosis.judgement.intervals import (
     block_scatter,
     block_scatter_ratio,
     certainty,
+    form_std,
     is_none_significant,
     possibly_absent,
     projected_rows,
@@ -32,7 +34,7 @@ from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from plugins.effects.timing import VoltageDelay
-from protocols import Effect
+from protocols import Effect, ParameterRole
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import CRITERIA, fitter, free_model, plan, prepared, with_voltage
 
@@ -90,6 +92,17 @@ def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[
     (spread,) = standardised_std(fitter, fit)
     assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * RIPPLE_FORM_STD * abs(x)
     assert 0.98 * RIPPLE_FORM_STD * abs(x) < spread < 2.0 * RIPPLE_FORM_STD * abs(x)
+
+
+def test_a_forms_error_leaves_a_number_no_less_known_than_before(delayed: tuple[Fitter, Fit]) -> None:
+    _, fit = delayed
+    (term,) = fit.model.active
+    (shape,) = VoltageDelay.Parameters.declared()
+    narrow = dataclasses.replace(shape, role=ParameterRole.SHAPE, prior_width=1e-5)
+    known = dataclasses.replace(term, candidate=dataclasses.replace(term.candidate, parameters=(narrow,)))
+    model = fit.model.with_active([known])
+    rows = [(piece, columns) for piece, _, columns in projected_rows(fit)]
+    assert form_std(dataclasses.replace(fit, model=model), rows) == pytest.approx([1.0])
 
 
 def test_what_is_there_is_surely_there_and_what_is_not_may_be_absent(delayed: tuple[Fitter, Fit]) -> None:
