@@ -52,8 +52,8 @@ def remove_moves(state: SearchState) -> Iterator[Move]:
     out = [name for name in redundant_terms(state.fit) if name not in state.needed]
     if out:
         yield Move("remove", tuple(out), partial(_remove_redundant, state, out))
-    elif not state.is_part and (factors := log_bayes_factors(state.fit)):
-        # To first order all are needed; a nonlinear fit may have stopped where the others leave less without one.
+    elif not state.is_part and not state.is_explained and (factors := log_bayes_factors(state.fit)):
+        # To first order all are needed; the fit may have stopped where the others leave less without one.
         weakest = min(factors, key=lambda name: factors[name])
         if weakest not in state.needed:
             yield Move("remove", (weakest,), partial(_remove_redundant, state, [weakest]))

@@ -24,7 +24,7 @@ from orchestrator.diagnosis.selection.scoring import redundant_terms
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_state import SearchState
 from plugins.effects.frame import BrakeBacklash
-from plugins.effects.inverter import VoltageBias
+from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, many_holds, plan, prepared, timer, with_voltage
@@ -153,3 +153,17 @@ def test_a_kink_comes_and_goes_by_its_evidence(
     assert (after is not None) == taken
     assert after is None or after.fit.model.space.grid.kink != has_kink
     assert not list(kink_moves(replace(state, is_part=True)))
+
+
+@pytest.mark.parametrize(("chi2_per_dof", "again"), [(5.0, True), (50.0, False)])
+def test_a_finer_map_is_tried_for_each_set_of_effects_where_a_map_may_be_what_is_left(
+    chi2_per_dof: float, again: bool
+) -> None:
+    state = _biased()
+    fit = replace(state.fit, chi2=chi2_per_dof * state.fit.dof)
+    less = replace(fit, model=fit.model.with_active([]))
+    (first,) = map_moves(state.after(fit))
+    assert not list(map_moves(state.after(less)))
+    two = [*fit.model.active, *with_free(fit.model, state.fitter, DeadTime()).active]
+    (second,) = map_moves(state.after(replace(fit, model=fit.model.with_active(two))))
+    assert (first.key(state) != second.key(state)) == again
