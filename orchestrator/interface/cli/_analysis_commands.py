@@ -138,7 +138,7 @@ def discover_command(
     return discover(recording, write, name, effects, without or [], out, as_json)
 
 
-@commands.command("add", epilog="Example: fluxbench add runs/first dead_time")
+@commands.command("add", epilog="Example: fluxbench add runs/first hysteresis")
 def add_command(
     recording: RecordingArgument,
     effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
@@ -157,7 +157,7 @@ def add_command(
     return add(recording, effect, model, effects, out, as_json)
 
 
-@commands.command("remove", epilog="Example: fluxbench remove runs/first dead_time")
+@commands.command("remove", epilog="Example: fluxbench remove runs/first hysteresis")
 def remove_command(
     recording: RecordingArgument,
     effect: Annotated[str, typer.Argument(help="Name of the effect.")],
