@@ -163,7 +163,7 @@ def check_command(
     return check(procedure, drive, motor, settings or [], as_json, rehearsal)
 
 
-@commands.command("design", epilog="Example: fluxbench design demo dead_time device_drop --out shortest.yaml")
+@commands.command("design", epilog="Example: fluxbench design demo hysteresis --out shortest.yaml")
 def design_command(
     procedure: ProcedureArgument,
     effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
