@@ -46,6 +46,8 @@ def read_answers(file: Path) -> dict[str, BenchmarkAnswer]:
     answers = {}
     try:
         lines = file.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        raise InputError(str(file), "", "is not there; expected a file of answers, a line of JSON for each") from None
     except (OSError, UnicodeDecodeError):
         raise InputError(str(file), "", "cannot be read as a text") from None
     for number, line in enumerate(lines, 1):

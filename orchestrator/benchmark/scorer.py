@@ -215,7 +215,7 @@ def rows_of(scores: Sequence[Score]) -> list[tuple[str, ...]]:
         return f"{hits} of {count}" if count else "-"
 
     def number(value: float | None) -> str:
-        return "-" if value is None else f"{value:.2g}"
+        return "-" if value is None else f"{value:.0f}" if value >= 99.5 else f"{value:.2g}"
 
     return [
         (

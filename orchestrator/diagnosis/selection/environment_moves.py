@@ -100,7 +100,9 @@ def kink_moves(state: SearchState) -> Iterator[Move]:
 def _switch_kink(state: SearchState, kind: SearchMove) -> SearchState | None:
     other = with_kink_switched(state.setup, state.fitter, state.fit)
     gain, least = (map_log_evidence(other) - map_log_evidence(state.fit)) / state.noise, state.limits.tie
-    note = f"{'without' if state.fit.model.space.grid.kink else 'with'} a kink at i_q = 0"
+    note = (
+        "the same map without its kink at i_q = 0" if kind == "coarser_map" else "the same map with a kink at i_q = 0"
+    )
     state.record(kind, (), other, gain, least, taken=gain > least, note=note)
     return state.after(other) if gain > least else None
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from orchestrator.formatting.names import parameter_words
-from orchestrator.formatting.quantities import number, percent
+from orchestrator.formatting.quantities import number, percent, quantity
 from orchestrator.formatting.sentences import shown, visible
 from plugins.command_line import AsJson, entry_point
 from protocols import InputError
 
 if TYPE_CHECKING:
-    from plugins.commands.mystery._guessing import Effects, Verdict
+    from plugins.commands.mystery._guessing import Effects, GuessedSize, Verdict
     from protocols import Procedure
 
 WHOLE = "expected a whole number from 0 on"
@@ -143,7 +143,7 @@ def _print_verdict(verdict: Verdict) -> None:
     sizes = {size.name: size for size in verdict.sizes}
     for name in verdict.right:
         size = sizes.get(name)
-        suffix = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_error(size.ratio)}" if size else ""
+        suffix = f"; {_size(size)} is {_error(size.ratio)}" if size else ""
         _print_line(f"{name}: right{suffix}")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
@@ -153,6 +153,14 @@ def _print_verdict(verdict: Verdict) -> None:
         more = " more" if verdict.right else ""
         hidden = f"{verdict.still_hidden}{more} {'is' if verdict.still_hidden == 1 else 'are'} hidden."
         _print_line(hidden if verdict.right or verdict.wrong else f"nothing: wrong; {hidden}")
+
+
+def _size(size: GuessedSize) -> str:
+    from orchestrator.registry.plugins import PluginKind, load_plugin
+
+    declared = load_plugin(PluginKind.EFFECTS, size.name)().Parameters.declared()
+    unit = next(one.unit for one in declared if one.name == size.parameter)
+    return f"{parameter_words(size.parameter)} {quantity(size.guessed, unit)}"
 
 
 def _error(ratio: float | None) -> str:

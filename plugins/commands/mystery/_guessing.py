@@ -8,7 +8,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from orchestrator.registry.plugins import PluginKind, installed
+from orchestrator.formatting.names import parameter_words
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.runs import RunDirectory, private_directory
 from plugins.commands.mystery._drawing import MIN_ANGLE_RAD
 from protocols import InputError, Strict
@@ -49,7 +50,7 @@ class Verdict(Strict):
 
 
 def read_guess(words: str) -> tuple[Guess, ...]:
-    """Parse guesses such as `dead_time,hysteresis=0.03`; `nothing` gives an empty tuple.
+    """Parse guesses such as `dead_time,hysteresis=0.03`, or `dead time`; `nothing` gives an empty tuple.
 
     Raises
     ------
@@ -64,6 +65,7 @@ def read_guess(words: str) -> tuple[Guess, ...]:
         raise InputError("--guess", NOTHING, "cannot be combined: give it alone, or the names of the effects found")
     for word in filter(None, (part.strip() for part in words.split(","))):
         name, equals, size = (part.strip() for part in word.partition("="))
+        name = name.replace(" ", "_")
         if name not in names:
             near = difflib.get_close_matches(name, names, 1)
             hint = f"did you mean {near[0]}?" if near else f"expected {NOTHING} or one of {', '.join(names)}"
@@ -139,7 +141,7 @@ def _number(name: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(
-            "--guess", name, f"{text!r} is not a number; expected the size of its first parameter, in SI units"
-        )
+        first = load_plugin(PluginKind.EFFECTS, name)().Parameters.declared()[0]
+        text = f"{text!r} is not a number; expected its {parameter_words(first.name)} in {first.unit}"
+        raise InputError("--guess", name, f"{text}, for example {name}={first.typical:g}")
     return value

@@ -21,6 +21,7 @@ HIDDEN = {
 
 def test_names_and_sizes_are_read() -> None:
     assert read_guess(" dead_time, hysteresis=0.03 ") == (Guess(name="dead_time"), Guess(name="hysteresis", size=0.03))
+    assert read_guess("dead time=0.8") == (Guess(name="dead_time", size=0.8),)
     assert read_guess("nothing") == ()
 
 
@@ -28,7 +29,7 @@ def test_names_and_sizes_are_read() -> None:
     ("words", "message"),
     [
         ("dead_tim", "did you mean dead_time"),
-        ("dead_time=much", "not a number"),
+        ("dead_time=1.35us", "not a number; expected its voltage in V, for example dead_time="),
         ("dead_time,dead_time", "twice"),
         (",", "nothing"),
     ],
