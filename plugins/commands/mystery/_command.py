@@ -92,6 +92,7 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         _print_line("and say what it is, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
+        _print_line("A size may follow a name (NAME=0.8, in SI units); --reveal prints what is hidden.")
     return 0
 
 

@@ -76,7 +76,7 @@ def _remedy(causes: Sequence[FoundEffect]) -> str:
     others = [plain(cause.name) for cause in causes if not _is_compensable(cause.name)]
     if not others:
         return f"compensate {listed(in_drive)} in the drive, or use model.json, which includes that"
-    rest = f"use model.json for {listed(others)}, which no drive compensates"
+    rest = f"use model.json for {listed(others)}, which few drives compensate"
     return f"compensate {listed(in_drive)} in the drive, and {rest}" if in_drive else rest
 
 

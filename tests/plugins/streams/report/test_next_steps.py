@@ -54,11 +54,11 @@ def test_a_run_elsewhere_is_named_without_its_place(tmp_path: Path) -> None:
     ("causes", "advice"),
     [
         (["dead_time"], "compensate dead time (voltage 400 mV) in the drive, or use model.json, which includes that."),
-        (["hysteresis"], "use model.json for hysteresis, which no drive compensates."),
+        (["hysteresis"], "use model.json for hysteresis, which few drives compensate."),
         (
             ["current_offset", "rotor_misalignment", "skin_effect"],
             "compensate current offset (voltage 400 mV) and rotor misalignment (voltage 400 mV) in the drive, and use "
-            "model.json for skin effect, which no drive compensates.",
+            "model.json for skin effect, which few drives compensate.",
         ),
     ],
 )
