@@ -89,10 +89,12 @@ def _refine_map(state: SearchState, min_gain: float = 0.0) -> SearchState | None
 def kink_moves(state: SearchState) -> Iterator[Move]:
     """Give the map a kink at i_q = 0, or take it away.
 
-    On a smooth map a play about zero torque imitates iron that saturates from zero flux on.
+    On a smooth map a play about zero torque imitates iron that saturates from zero flux on. A large misfit is a missing
+    effect, to which a kink would adapt.
     """
     space = state.fit.model.space
-    if state.fit.model.active and space.is_free and not state.is_part:
+    may_be_map = state.fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP
+    if may_be_map and state.fit.model.active and space.is_free and not state.is_part:
         kind: SearchMove = "coarser_map" if space.grid.kink else "finer_map"
         yield Move(kind, ("kink",), partial(_switch_kink, state, kind), is_once=True)
 

@@ -153,6 +153,7 @@ def test_a_kink_comes_and_goes_by_its_evidence(
     assert (after is not None) == taken
     assert after is None or after.fit.model.space.grid.kink != has_kink
     assert not list(kink_moves(replace(state, is_part=True)))
+    assert not list(kink_moves(state.after(replace(state.fit, chi2=50.0 * state.fit.dof))))
 
 
 @pytest.mark.parametrize(("chi2_per_dof", "again"), [(5.0, True), (50.0, False)])
