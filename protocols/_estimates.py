@@ -58,6 +58,11 @@ class ResistanceEstimate(Lenient):
     """Inverter errors removed from the voltage, one for each PWM frequency; empty where not determined."""
     remarks: Remarks = ()
 
+    @property
+    def is_of_model(self) -> bool:
+        """Whether this is the R_s of a diagnosed model, before any current warms the winding."""
+        return any(remark.code == "model.of_the_model" for remark in self.remarks)
+
 
 class Basis(StrEnum):
     """Kind of data behind a flux map."""

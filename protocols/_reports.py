@@ -346,6 +346,9 @@ class SeenByInjection(Lenient):
     map_saliency_high: Number
     angle_error_rad: Number
     """The largest: how far cross-saturation turns the axis of least inductance, which a tracking takes for d."""
+    angle_error_i_d_a: Number = None
+    """Current at which it is the largest, likewise i_q."""
+    angle_error_i_q_a: Number = None
     left_by_map_rad: Number
     """The largest error that is left where this turn is taken from the map instead of from the ripple."""
 

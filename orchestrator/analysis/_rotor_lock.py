@@ -2,7 +2,7 @@
 
 The principal axes of the Hessian rotate with the rotor. Injections at rest, under positive torque, at rest, under
 negative torque and at rest measure the rotor's lasting rotation between the rests (a slipping brake, or no lock) and an
-apparent twist while the torque acts, since cross-saturation rotates the axes as well. The axes' angle is known modulo
+turn of the saliency while the torque acts, since cross-saturation rotates the axes as well. The axes' angle is known modulo
 half a turn; the axes of a rotor that follows the current vector rotate by that much.
 """
 
@@ -210,8 +210,10 @@ class _Twist:
         # A rotation changes the coupling by half the saliency at most: more is cross-saturation.
         if abs(self.angle_rad) > 0.5:
             return "cross-saturation under torque hides any twist"
-        size = f"twist under torque {math.degrees(self.angle_rad):+.2f} deg el."
-        return size if abs(self.angle_rad) <= tolerance_rad else f"apparent {size}, as cross-saturation causes it"
+        size = f"{math.degrees(self.angle_rad):+.2f} deg el."
+        if abs(self.angle_rad) <= tolerance_rad:
+            return f"twist under torque {size}"
+        return f"cross-saturation under torque turns the saliency by {size}, not the rotor"
 
 
 def _verdict(

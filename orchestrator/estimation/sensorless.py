@@ -39,6 +39,8 @@ def _comparison(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjecti
     # Axes have no direction: angles modulo half a turn.
     angle_difference = 0.5 * np.angle(np.exp(2j * (axes.angle_rad - large_signal.angle_rad)))
     (low, high), (map_low, map_high) = _range(axes), _range(large_signal)
+    turn = np.abs(axes.angle_rad)
+    worst_dq = np.asarray(ripple.i_dq)[known][int(turn.argmax())]
     return SeenByInjection(
         method=large.method,
         frequency_hz=ripple.frequency_hz,
@@ -50,7 +52,9 @@ def _comparison(large: FluxMap, ripple: IncrementalInductances) -> SeenByInjecti
         saliency_high=high,
         map_saliency_low=map_low,
         map_saliency_high=map_high,
-        angle_error_rad=float(np.abs(axes.angle_rad).max()),
+        angle_error_rad=float(turn.max()),
+        angle_error_i_d_a=float(worst_dq[0]),
+        angle_error_i_q_a=float(worst_dq[1]),
         left_by_map_rad=float(np.abs(angle_difference).max()),
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from orchestrator.formatting.names import OUTCOME_MOODS, VERDICTS, plain
+from orchestrator.formatting.names import OUTCOME_MOODS, VERDICTS, map_source, plain
 from orchestrator.formatting.quantities import duration, number, plural, quantity
 from orchestrator.formatting.results import resistance
 from orchestrator.formatting.sentences import typographic
@@ -21,6 +21,7 @@ from protocols import (
     Note,
     OperatorAnswered,
     OperatorAsked,
+    ResistanceEstimate,
     ResistanceEstimated,
     RunEnded,
     RunStarted,
@@ -82,10 +83,12 @@ def describe(message: Message) -> EventText | None:
             mood = "info" if message.locked is None else "good" if message.locked else "bad"
             return EventText("lock check", typographic(message.summary), mood)
         case ResistanceEstimated():
-            return EventText("R_s", resistance(message.estimate), "good")
+            return EventText("R_s", f"{resistance(message.estimate)}, {_resistance_source(message.estimate)}", "good")
         case MapEstimated():
             grid = message.estimate.map
-            return EventText("flux map", f"by {grid.method}, {len(grid.i_d)} × {len(grid.i_q)} currents", "good")
+            return EventText(
+                "flux map", f"{map_source(grid.method)}, {len(grid.i_d)} × {len(grid.i_q)} currents", "good"
+            )
         case Compared():
             return EventText("comparison", _comparison(message.report))
         case Diagnosed():
@@ -119,6 +122,11 @@ def describe(message: Message) -> EventText | None:
 def step_error_v(step: DiagnosisStep) -> float:
     """The error of a ladder step: that of held-out stages, where there are any."""
     return step.rms_v if step.heldout_rms_v is None else step.heldout_rms_v
+
+
+def _resistance_source(estimate: ResistanceEstimate) -> str:
+    """Of two values in one run, which is which: only the model takes out the winding's heating."""
+    return "of the diagnosed model at 0 s" if estimate.is_of_model else "by the estimators, over the whole run"
 
 
 def _comparison(report: CompareReport) -> str:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from orchestrator.formatting.names import plain
-from orchestrator.formatting.quantities import UNKNOWN, number, percent
+from orchestrator.formatting.quantities import UNKNOWN, number, percent, probability
 from orchestrator.formatting.sentences import listed
 from protocols import DiagnosisReport, EffectBasis, SearchEvent, SearchMeasure
 
@@ -18,6 +18,8 @@ BASIS_HEAD = (
 LOG_EVIDENCE_SCALE = (
     "log evidence in nat: 5 nat are odds of 150 to 1; each sample adds to it, so that large values are usual"
 )
+_MOVE_NAMES: Mapping[str, str] = {"free_shape": "fit its shape", "fix_shape": "hold its shape"}
+"""Moves whose names in `diagnosis.json` are not plain words."""
 _MAX_NAMES = 4
 """Effects of one step of the search that are written out."""
 
@@ -27,13 +29,13 @@ def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
     return [
         (
             str(event.step),
-            plain(event.move),
+            _MOVE_NAMES.get(event.move, plain(event.move)),
             event.data,
-            _names(event),
+            _names(event) if event.effects else event.note or UNKNOWN,
             _scored(event.score, event.measure),
             _scored(event.threshold, event.measure),
             " → ".join(number(x, 4) for x in (event.chi2_before, event.chi2_after) if x is not None) or UNKNOWN,
-            event.decision + (f": {event.note}" if event.note else ""),
+            event.decision + (f": {event.note}" if event.effects and event.note else ""),
         )
         for event in events
     ]
@@ -45,7 +47,7 @@ def search_lines(events: Sequence[SearchEvent]) -> list[str]:
     for event, row in zip(events, search_rows(events), strict=True):
         step, move, data, effects, gain, threshold, chi2, decision = row
         where = " on a part of the recording" if data == "part" else ""
-        parts = [f"{step}. {move}{where}" + (f": {effects}" if event.effects else "")]
+        parts = [f"{step}. {move}{where}" + (f": {effects}" if effects != UNKNOWN else "")]
         if event.score is not None:
             parts.append(f"gain {gain}" + ("" if event.threshold is None else f" (threshold {threshold})"))
         parts += [f"chi2 {chi2}"] if chi2 != UNKNOWN else []
@@ -61,7 +63,7 @@ def basis_rows(effects: Sequence[EffectBasis]) -> list[tuple[str, ...]]:
             percent(None if effect.relative_size is None else 100.0 * effect.relative_size),
             percent(None if effect.share is None else 100.0 * effect.share),
             _scored(effect.log_evidence, "log_evidence"),
-            percent(None if effect.probability is None else 100.0 * effect.probability, 4),
+            probability(effect.probability),
             {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
             ", ".join(map(str, effect.steps)) or UNKNOWN,
             listed([plain(twin) for twin in effect.twins]) or "nothing",
@@ -105,4 +107,4 @@ def _scored(value: float | None, measure: SearchMeasure | None) -> str:
         return percent(100.0 * value)
     # For large values, digits after the point decide nothing.
     text = number(round(value) if abs(value) >= 1000.0 and math.isfinite(value) else value, 3)
-    return {"log_evidence": f"{text} nat", "chi2_per_dof": f"chi2 {text}"}.get(measure, f"{text} of chi2")
+    return {"log_evidence": f"{text} nat", "chi2_per_dof": f"chi2 {text}"}.get(measure, f"Δchi2 {text}")

@@ -66,6 +66,11 @@ def rung_name(added: str | None, index: int) -> str:
     return f"+ {plain(added)}"
 
 
+def map_source(method: str) -> str:
+    """Where a flux map comes from: the diagnosed model, or an estimator by name."""
+    return "of the diagnosed model" if method == "model" else f"by {method}"
+
+
 def code_identifier(name: str) -> str:
     """A motor's name as a valid C and Modelica name: lower-case letters, digits, underscores."""
     identifier = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")[:32].strip("_")

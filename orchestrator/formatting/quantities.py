@@ -11,13 +11,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:  # the command line's help must start fast
-    from protocols import AxisPercent, NextExperiment
+    from protocols import AxisPercent, DriveRecord, NextExperiment
 
 UNKNOWN = "–"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 _RELATIVE_ZERO = 1e-6
 """Ratio below which a number counts as zero beside another."""
+_RELATIVE_UNITS = ("1/W", "1/K", "1/A^2")
+"""Units of relative changes, which are printed in per cent."""
+_MIN_IN_PERCENT = 1e-6
+"""Relative change below which per cent have too many zeros."""
 _MAX_POWER_OF_TEN = {
     "V": 3,
     "A": 3,
@@ -163,6 +167,15 @@ def percent(value: float | None, digits: int = 2) -> str:
     return f"{number(value if abs(value) >= 1e-5 else 0.0, digits)} %"
 
 
+def probability(value: float | None) -> str:
+    """A probability in per cent, as a bound where it is nearly one or nothing."""
+    if value is None:
+        return UNKNOWN
+    if value > 0.999:
+        return "> 99.9 %"
+    return "< 0.1 %" if value < 0.001 else f"{fixed(100.0 * value, 1)} %"
+
+
 def axes_percent(value: AxisPercent | None) -> str:
     """A check's figures by axis: ``d 0.41 %, q 1.2 %``."""
     if value is None:
@@ -189,6 +202,12 @@ def vector(d: float, q: float) -> str:
     return "({}, {}) A".format(*(_minus(f"{round(x, decimals) + 0.0:+.{decimals}f}") for x in (d, q)))
 
 
+def operating_point(drive: DriveRecord) -> str:
+    """PWM frequency and bus voltage of a drive: ``10 kHz and 540 V``."""
+    frequency = "" if drive.pwm_frequency_hz is None else f"{quantity(drive.pwm_frequency_hz, 'Hz')} and "
+    return f"{frequency}{quantity(drive.dc_bus_voltage_v, 'V')}"
+
+
 def plural(count: int, noun: str) -> str:
     """1 point, 2 points."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
@@ -198,6 +217,8 @@ def _prefixed(value: float, unit: str, digits: int = 4) -> tuple[int, str]:
     """Power of ten and printed unit in which a value has one to three digits before the point."""
     printed = unit_words(unit)
     size = abs(float(f"{value:.{digits - 1}e}"))
+    if unit in _RELATIVE_UNITS and size >= _MIN_IN_PERCENT:
+        return -2, f"% {printed}"
     power = 0 if size == 0.0 else 3 * (math.floor(math.log10(size)) // 3)
     if printed in _MAX_POWER_OF_TEN:
         power = min(max(power, min(_PREFIXES)), _MAX_POWER_OF_TEN[printed])

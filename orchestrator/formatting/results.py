@@ -14,6 +14,7 @@ from orchestrator.formatting.quantities import (
     number,
     percent,
     plural,
+    probability,
     quantity,
     value_and_error,
     value_and_interval,
@@ -156,7 +157,7 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
             plain(effect.name),
             size_in_words(effect),
             percent(None if effect.share is None else 100.0 * effect.share),
-            percent(None if effect.probability is None else 100.0 * effect.probability, 4),
+            probability(effect.probability),
             {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
         )
         for effect in effects

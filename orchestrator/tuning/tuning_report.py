@@ -78,6 +78,8 @@ class TuningReport(Strict):
     """Part of the measured plane within the current limit where a tracking by injection works."""
     injection_error_deg: Number
     """Largest position error of injection by cross-saturation there."""
+    injection_error_at_a: tuple[float, float] | None
+    """i_d and i_q of that error."""
     injection_left_by_map_deg: Number
     """Largest error at the references of least current that a compensation by the flux map leaves."""
     observer_speed_rpm: Number
@@ -97,7 +99,8 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
     inside = tuning.machine.inside(plane.reshape(-1, 2)).reshape(plane.shape[:2])
     inside &= np.linalg.norm(plane, axis=-1) <= limits.current_a
     works = sensorless.works & inside
-    error = np.abs(sensorless.injection_error_rad[works])
+    error = np.abs(np.where(works, sensorless.injection_error_rad, 0.0))
+    worst = plane[np.unravel_index(int(error.argmax()), error.shape)] if works.any() else None
     speeds = np.linspace(0.0, tuning.largest_speed_rad_s, MARGIN_SPEEDS).tolist()
     lost = np.abs(compensation.lost_v + limits.bus_v * compensation.lost_per_bus_v)
     return TuningReport(
@@ -131,7 +134,8 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         harmonics_percent=tuning.benefits.harmonics_percent,
         harmonics_without_percent=tuning.benefits.harmonics_without_percent,
         injection_works_percent=100.0 * float(works.sum()) / float(inside.sum()) if inside.any() else None,
-        injection_error_deg=math.degrees(float(error.max())) if error.size else None,
+        injection_error_deg=None if worst is None else math.degrees(float(error.max())),
+        injection_error_at_a=None if worst is None else (float(worst[0]), float(worst[1])),
         injection_left_by_map_deg=_finite(math.degrees(sensorless.left_by_map_rad)),
         observer_speed_rpm=_finite(tuning.rpm(sensorless.least_speed_rad_s)),
         observer_speed_warm_rpm=_finite(tuning.rpm(sensorless.least_speed_warm_rad_s)),

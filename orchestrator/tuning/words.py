@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.formatting.names import plain
-from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.quantities import number, quantity, vector
 from orchestrator.formatting.sentences import listed
 from orchestrator.tuning.tuning_report import TuningReport
 
@@ -56,10 +56,11 @@ def _harmonics_rows(report: TuningReport) -> list[tuple[str, str]]:
 
 
 def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
-    share, error = report.injection_works_percent, report.injection_error_deg
+    share, error, place = report.injection_works_percent, report.injection_error_deg, report.injection_error_at_a
     rows = []
     if share is not None:
-        worst = "" if error is None else f", position error up to {number(error, 3)}°"
+        at = "" if place is None else f" at {vector(*place)}"
+        worst = "" if error is None else f", position error up to {number(error, 3)}°{at}"
         rows.append(("tracking by injection", f"works in {share:.0f} % of the plane{worst}"))
     if report.injection_left_by_map_deg is not None:
         rows.append(

@@ -181,7 +181,7 @@ class DeadTime(BatchEffect, RemarkingEffect):
 
     name: ClassVar[str] = "dead_time"
     summary: ClassVar[str] = "The inverter's dead time takes voltage against the sign of each phase current."
-    signature: ClassVar[str] = "An odd step in each phase current that grows with the PWM frequency."
+    signature: ClassVar[str] = "A voltage step where a phase current changes sign; it grows with the PWM frequency."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = ""
@@ -290,7 +290,7 @@ class DeviceDrop(BatchEffect):
 
     name: ClassVar[str] = "device_drop"
     summary: ClassVar[str] = "The switches' forward drop takes voltage against the sign of each phase current."
-    signature: ClassVar[str] = "An odd step in each phase current, the same at every PWM frequency."
+    signature: ClassVar[str] = "A voltage step where a phase current changes sign, the same at every PWM frequency."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = "The switches' on-resistance counts as R_s; no measurement of this kind tells them apart."

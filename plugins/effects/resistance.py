@@ -17,6 +17,7 @@ from plugins.effects._vectors import doubles, minus_interval_means
 from protocols import (
     Contrast,
     Correction,
+    DriveRecord,
     EffectLayer,
     EffectParameters,
     LossHistory,
@@ -27,6 +28,10 @@ from protocols import (
     refinement,
     shape,
 )
+
+
+COPPER_PER_K = 0.00393
+"""Relative change of copper's resistance, at 20 degrees Celsius."""
 
 
 class PhaseResistanceImbalance(BatchEffect):
@@ -73,9 +78,7 @@ class WindingHeating(BatchEffect):
 
     name: ClassVar[str] = "winding_heating"
     summary: ClassVar[str] = "The winding warms up under its own loss, and its resistance rises."
-    signature: ClassVar[str] = (
-        "A residual along the current that grows with the loss so far, and is absent from the ripple."
-    )
+    signature: ClassVar[str] = "R_s rises as the winding's loss warms it; the ripple shows nothing of it."
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "R_s is the resistance at the temperature of the experiment's start."
@@ -85,6 +88,10 @@ class WindingHeating(BatchEffect):
         time_constant_s: float = shape("s", typical=200.0, prior_width=1.0, low=1.0, high=20000.0)
         slow_share: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.95)
         slow_ratio: float = refinement("1", neutral=6.0, prior_width=4.0, low=3.0, high=40.0)
+
+    def derived(self, p: Parameters, drive: DriveRecord) -> dict[str, tuple[float, str]]:
+        """The thermal resistance R_th = a / alpha, of a copper winding."""
+        return {"thermal_resistance": (p.rise_per_watt / COPPER_PER_K, "K/W")}
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Raise the resistance by the heating so far."""

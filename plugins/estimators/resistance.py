@@ -307,7 +307,7 @@ def _remarks(
     significant = [loss for loss in fit.losses() if loss.phase_v > max(min_loss_v, 3.0 * loss.std_v)]
     for loss in significant:
         at = " at {pwm_khz:.3g} kHz" if loss.pwm_frequency_hz else ""
-        text = f"each phase loses {{kept_v:.2f}} V in the inverter{at}, by dead time, device drops or both; corrected"
+        text = f"each phase loses {{kept_v:.2f}} V in the inverter{at}; corrected"
         remarks.append(Remark.of("inverter_loss", text, kept_v=loss.phase_v, pwm_khz=loss.pwm_frequency_hz / 1e3))
     if significant:
         text = "R_s includes the on-state resistance of the inverter's devices, which cannot be separated here"

@@ -15,10 +15,19 @@ from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, boun
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import percent, quantity, value_and_interval
+from orchestrator.formatting.quantities import operating_point, percent, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
-from protocols import Contrast, DiagnosisReport, DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
+from protocols import (
+    Contrast,
+    DiagnosisReport,
+    DiagnosisWords,
+    DriveRecord,
+    FoundEffect,
+    ParameterValue,
+    SegmentStage,
+    is_compensable,
+)
 
 _LOOKS = {
     "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
@@ -64,8 +73,9 @@ def _where(diagnosis: Diagnosis) -> str:
     floor = noise_rms_v(fit, partial(is_, piece))
     i_d, i_q = np.abs(to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)
     reach = f"|i_d| to {quantity(i_d, 'A', 2)}, |i_q| to {quantity(i_q, 'A', 2)}"
+    before = "before the effects were added, " if len(diagnosis.search.steps) > 1 else ""
     return (
-        f"worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms; "
+        f"{before}worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms; "
         f"noise floor of this segment {quantity(floor, 'V')}"
     )
 
@@ -111,7 +121,8 @@ def _cause(diagnosis: Diagnosis) -> str:
         return "none: the model fits within the noise"
     terms = {a.name: a for a in diagnosis.search.fit.model.active}
     better = _better_in_place(report)
-    named = [_named(e, terms.get(e.name), better.get(e.name)) for e in report.effects]
+    drive = diagnosis.search.fit.prepared.manifest.drive
+    named = [_named(e, terms.get(e.name), better.get(e.name), drive) for e in report.effects]
     if report.verdict == "unknown_remains":
         start = f"{listed(named)}, and " if named else ""
         if _time_constant_notes(report):
@@ -133,20 +144,22 @@ def _better_in_place(report: DiagnosisReport) -> dict[str, str]:
     return {str(values["effect"]): str(values["other"]) for values in found}
 
 
-def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None) -> str:
-    """The effect with its amplitudes as text, those at a bound, and the one that fits better in its place."""
+def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None, drive: DriveRecord) -> str:
+    """The effect with its amplitudes as text, those at a bound, and the one that fits better in its place.
+
+    An amplitude that stands for a setting of the drive, such as a dead time, is stated where it holds.
+    """
     amplitudes = () if term is None else term.candidate.amplitudes
     sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
+    settings = {name: found for name, found in effect.derived.items() if not _is_parameter(effect, found)}
+    of_drive = bool(settings) and term is not None and is_compensable(term.candidate.effect)
+    where = f" at {operating_point(drive)}" if of_drive else ""
     parts = []
     for name in sizes:
         found = effect.parameters[name]
         size, interval = value_and_interval(found.value, found.low, found.high, found.unit)
-        parts.append(f"{parameter_words(name)} {size}" + (f", 95 %: {interval}" if interval else ""))
-    parts += [
-        f"{plain(name)} {quantity(found.value, found.unit)}"
-        for name, found in effect.derived.items()
-        if not _is_parameter(effect, found)
-    ]
+        parts.append(f"{parameter_words(name)} {size}{where}" + (f", 95 %: {interval}" if interval else ""))
+    parts += [f"{plain(name)} {quantity(found.value, found.unit)}" for name, found in settings.items()]
     reached = {} if term is None else bounds_reached(term)
     parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
     parts += ["at this angle; other angles unknown"] if _is_of_one_angle(effect, term) else []

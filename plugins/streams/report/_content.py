@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.formatting.events import describe
-from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, symbol_of
+from orchestrator.formatting.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, map_source, symbol_of
 from orchestrator.formatting.quantities import duration, fixed, percent, plural, quantity, with_error
 from orchestrator.formatting.results import coefficient_rows
 from orchestrator.formatting.sentences import listed, typographic
@@ -230,9 +230,13 @@ def _symmetry(report: EstimationReport) -> tuple[AxisPercent | None, float | Non
     if best is None or best.basis is not Basis.ENERGY:
         return report.parity, report.reciprocity_percent, ""
     if other is None:
-        return report.parity, report.reciprocity_percent, " By construction: the map is an energy’s."
+        return report.parity, report.reciprocity_percent, " The map’s formula, an energy, obeys it exactly."
     own = report.maps[other].checks
-    return own.parity, own.reciprocity_percent, f" Of the {other} map; that by {report.method} has it by construction."
+    return (
+        own.parity,
+        own.reciprocity_percent,
+        f" Of the map by {other}: the formula of the map in use obeys it exactly.",
+    )
 
 
 def _bars(value: AxisPercent, limit: float) -> tuple[Bar, ...]:
@@ -332,7 +336,7 @@ def _map_lines(material: Material) -> Iterator[Line]:
     shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"
     use, kind = _USES[report.usability]
-    yield Line("Flux map", f"{use}: by {report.method}{size}", kind)
+    yield Line("Flux map", f"{use}: {map_source(report.method)}{size}", kind)
     if not report.usable:
         for place, remark in enumerate(report.remarks[:3]):
             yield Line("" if place else "because", typographic(remark.text))

@@ -5,7 +5,7 @@ Black is measured, vermilion is what the model with its effects says, grey is th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from orchestrator.formatting.drawing import (
     uri,
 )
 from orchestrator.formatting.names import plain, rung_name
-from orchestrator.formatting.quantities import number, percent
+from orchestrator.formatting.quantities import number
 from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, JointEntry, RealArray, ResistanceCourse, Rung
 
 if TYPE_CHECKING:
@@ -305,29 +305,29 @@ def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> st
     return uri(figure)
 
 
-def joint_figure(joint: Sequence[JointEntry], shares: Mapping[str, float]) -> str:
-    """The whole library fitted at once, over the standard deviation; those that chance could have made hollow.
+def joint_figure(joint: Sequence[JointEntry], added: Collection[str]) -> str:
+    """The whole library fitted at once, over the standard deviation; filled are the effects that the model has.
 
     Parameters
     ----------
     joint : sequence of JointEntry
-    shares : mapping
-        Parts of the error by effect, of those that the model has.
+    added : collection of str
+        Effects that the model has.
     """
     figure, axes = new_figure(STYLE.width_in, max(1.8, 0.9 + 0.32 * len(joint)))
     sizes = [max(abs(entry.z or 0.0), 1.0) for entry in joint]
     for place, (entry, size) in enumerate(zip(joint, sizes, strict=True)):
-        sure = size >= SURE_Z
+        is_added = entry.name in added
         axes.barh(
             place,
             size - 1.0,
             left=1.0,
             height=0.62,
-            color=MODEL if sure else "none",
-            edgecolor=MODEL if sure else GUIDE,
+            color=MODEL if is_added else "none",
+            edgecolor=MODEL if is_added else GUIDE,
         )
-        if entry.name in shares:
-            axes.text(size, place, f"  {percent(100.0 * shares[entry.name])}", va="center", fontsize=STYLE.small_pt - 1)
+        mark = "added" if is_added else "not added" if size >= SURE_Z else ""
+        axes.text(size, place, f"  {mark}", va="center", fontsize=STYLE.small_pt - 1)
     axes.axvline(SURE_Z, color=GUIDE, lw=1.2, ls="--")
     axes.set_xscale("log")
     axes.set_xlim(1.0, max(10.0, *sizes) ** 1.25)

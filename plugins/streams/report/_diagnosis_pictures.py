@@ -37,17 +37,12 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
 
 
 def _library(report: DiagnosisReport, most: int = 7) -> Picture:
-    """The effects that the joint fit is surest of, those of the model first, by their part of the error."""
+    """The effects that the joint fit is surest of, those of the model first, the largest part of the error first."""
     shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}
     order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
     caption = (
-        "All effects fitted at once. Those of the model come first, with their part of the first error"
-        + (
-            ", above 100 % where R_s and map had compensated a part of it"
-            if max(shares.values(), default=0.0) > 1.0
-            else ""
-        )
-        + f". Filled: at least {figures.SURE_Z:g} standard deviations (dashed). Hollow: not distinguishable from zero."
+        f"All effects fitted at once. From {figures.SURE_Z:g} standard deviations on (dashed) an effect is detected. "
+        "Filled: added to the model; beside these, adding another one improves the fit too little."
     )
     return Picture("The whole library, fitted together", caption, figures.joint_figure(order[:most], shares))
 

@@ -26,10 +26,14 @@ def motor_lines(material: Material) -> Iterator[Line]:
     """Label and text; nothing of what was not measured."""
     report, motor = material.estimates, motor_of(material)
     if report is not None and report.resistance is not None:
-        of_model = any(remark.code == "model.of_the_model" for remark in report.resistance.remarks)
         stated = motor.stator_resistance_ohm if motor is not None else None
         nameplate = "" if stated is None else f"; nameplate {quantity(stated, 'ohm', 4)}"
-        yield Line("R_s", resistance(report.resistance) + (" at 0 s, by the model" if of_model else "") + nameplate)
+        yield Line(
+            "R_s",
+            resistance(report.resistance)
+            + (" at 0 s, by the model" if report.resistance.is_of_model else "")
+            + nameplate,
+        )
         yield Line("R_s at 20 °C", _at_20_c(report.resistance, material))
         yield Line("R_s over the run", resistance_course(report.resistance))
     shown = material.maps.get(report.method) if report is not None and report.method is not None else None
@@ -102,8 +106,8 @@ def _torque(grid: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
     yield Line("Torque at rated current", f"{quantity(torque, 'Nm', 3)} at {where}{edge}{stated}")
 
 
-def torque_rows(grid: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str, ...]]:
-    """The best currents for torques from a part of the greatest that was measured up to that; see `TORQUE_HEAD`.
+def torque_rows(grid: FluxMap, motor: Motor) -> list[tuple[str, ...]]:
+    """The best currents for round torques up to the greatest that was measured; see `TORQUE_HEAD`.
 
     None where the magnet's flux is not known, of which most of the torque is.
     """
@@ -117,15 +121,21 @@ def torque_rows(grid: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str, 
     torque, i_dq = best.torque_nm[known], best.i_dq[known]
     rising = np.concatenate([[True], np.diff(np.maximum.accumulate(torque)) > 0.0]) if torque.size else known[:0]
     torque, i_dq = torque[rising], i_dq[rising]
-    if torque.size < 2:
+    if torque.size < 2 or torque[-1] <= 0.0:
         return []
     rows = []
-    for part in np.arange(1, steps + 1) / steps:
-        torque_nm = part * torque[-1]
+    step_nm = _round_step(float(torque[-1]))
+    for torque_nm in step_nm * np.arange(1, int(torque[-1] / step_nm) + 1):
         d, q = (float(np.interp(torque_nm, torque, i_dq[:, axis])) for axis in (0, 1))
         length, angle = math.hypot(d, q), math.degrees(math.atan2(q, d))
         rows.append((quantity(torque_nm, "Nm"), *(f"{fixed(x, 2)} A" for x in (d, q, length)), f"{fixed(angle, 1)}°"))
     return rows
+
+
+def _round_step(largest: float) -> float:
+    """One, two or five times a power of ten, of which four to ten are in the largest value."""
+    power = 10.0 ** math.floor(math.log10(largest / 4.0))
+    return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= largest / 4.0)
 
 
 def _at(grid: FluxMap, values: RealArray, i_d: float, i_q: float) -> float | None:

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import duration, predicted_separation, quantity
+from orchestrator.formatting.quantities import duration, operating_point, predicted_separation, quantity
 from orchestrator.formatting.sentences import listed, typographic
 from orchestrator.registry.plugins import PluginKind, load_plugin
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, typed
-from protocols import FoundEffect, PluginError, Usability, is_compensable
+from protocols import DriveRecord, FoundEffect, PluginError, Usability, is_compensable
 
 
 def next_steps(material: Material) -> list[Line]:
@@ -64,15 +64,16 @@ def _about_model(material: Material) -> str:
         return f"{to_decide}; compensate nothing until it is known whether it is {names}; model.json serves for either."
     if any(remark.code == "fits_better_in_place" for remark in report.remarks):
         return f"{to_decide}; compensate nothing until then."
-    remedy = _remedy([effect for effect in report.effects if effect.material is not False])
+    drive = None if material.manifest is None else material.manifest.drive
+    remedy = _remedy([effect for effect in report.effects if effect.material is not False], drive)
     return f"{'nothing is left to measure' if decide == NOTHING_TO_DECIDE else to_decide}; {remedy}."
 
 
-def _remedy(causes: Sequence[FoundEffect]) -> str:
+def _remedy(causes: Sequence[FoundEffect], drive: DriveRecord | None) -> str:
     """Compensation in the drive for those causes that allow it, with their sizes, and the model for all."""
     if not causes:
         return "no effect is large enough to be compensated; model.json includes them"
-    in_drive = [f"{plain(cause.name)} ({_size(cause)})" for cause in causes if _is_compensable(cause.name)]
+    in_drive = [f"{plain(cause.name)} ({_size(cause, drive)})" for cause in causes if _is_compensable(cause.name)]
     others = [plain(cause.name) for cause in causes if not _is_compensable(cause.name)]
     if not others:
         return f"compensate {listed(in_drive)} in the drive, or use model.json, which includes that"
@@ -80,14 +81,19 @@ def _remedy(causes: Sequence[FoundEffect]) -> str:
     return f"compensate {listed(in_drive)} in the drive, and {rest}" if in_drive else rest
 
 
-def _size(cause: FoundEffect) -> str:
-    """What the drive is set to: the first quantity as on its data sheet, and the parameters of the first one's unit."""
+def _size(cause: FoundEffect, drive: DriveRecord | None) -> str:
+    """What the drive is set to: the first quantity as on its data sheet, else the parameters of the first one's unit.
+
+    Beside a quantity of a data sheet, the parameters are stated with the PWM frequency and bus voltage that they are at.
+    """
     sizes = {name: p for name, p in cause.parameters.items() if not p.bends_form}
     unit = next((p.unit for p in sizes.values()), "")
     shown = {parameter_words(name): quantity(p.value, p.unit, 4) for name, p in sizes.items() if p.unit == unit}
     first = next(iter(cause.derived.items()), None)
     if first is not None and quantity(first[1].value, first[1].unit, 4) not in shown.values():
-        shown = {plain(first[0]): quantity(first[1].value, first[1].unit, 4), **shown}
+        where = "" if drive is None else f" at {operating_point(drive)}"
+        same = ", ".join(f"{name} {size}" for name, size in shown.items())
+        return f"set {quantity(first[1].value, first[1].unit, 4)}; {same}{where}"
     return ", ".join(f"{name} {size}" for name, size in shown.items())
 
 

@@ -13,7 +13,7 @@ from orchestrator.extras import require
 from orchestrator.flux_maps.exporting import Trajectory, mtpa, mtpv
 from orchestrator.formatting.drawing import BASIS_LINES
 from orchestrator.formatting.explaining import accuracy_sentences, search_rows
-from orchestrator.formatting.names import MAP_QUANTITIES, VERDICTS, plain, slots
+from orchestrator.formatting.names import MAP_QUANTITIES, VERDICTS, map_source, plain, slots
 from orchestrator.formatting.quantities import percent, quantity
 from orchestrator.formatting.sentences import cut, typographic, visible
 from orchestrator.recording import replace_file
@@ -100,7 +100,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         formulas=list(content.formulas(material)),
         pictures=list(_pictures(material, main)) if draws else [Picture("Pictures", stopped)],
         quantities=list(MAP_QUANTITIES.values()),
-        map_method=main.method if main is not None else "",
+        map_method=map_source(main.method).capitalize() if main is not None else "",
         map_rows=content.map_rows(main, motor) if main is not None else [],
         provenance=list(content.provenance(material)),
         events=events[:most_events],
@@ -181,7 +181,7 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
         if main is None or not np.isfinite(getattr(main, name)).any():
             yield Picture(title, "Not drawn: not measured.")
         else:
-            text = f"In mH, by {main.method}. White is outside what was measured."
+            text = f"In mH, {map_source(main.method)}. White is outside what was measured."
             yield Picture(title, text, figures.inductance_figure(main, name))
     if main is not None and np.isfinite(main.psi_d).any():
         yield from _plane_pictures(main, content.motor_of(material))

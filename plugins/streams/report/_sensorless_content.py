@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from orchestrator.formatting.quantities import fixed, number
+from orchestrator.formatting.names import map_source
+from orchestrator.formatting.quantities import fixed, number, vector
 from plugins.streams.report._collect import Material
 from protocols import SeenByInjection
 
@@ -33,8 +34,9 @@ def note(material: Material) -> str:
     if not ripples:
         return ""
     most = max(abs(value or 0.0) for one in ripples for value in (one.l_dd_percent, one.l_qq_percent))
-    worst, left = (max(getattr(one, name) or 0.0 for one in ripples) for name in ("angle_error_rad", "left_by_map_rad"))
-    map_ = f"the large-signal map (by {ripples[0].method})"
+    worst = max(ripples, key=lambda one: one.angle_error_rad or 0.0)
+    left = max(one.left_by_map_rad or 0.0 for one in ripples)
+    map_ = f"the large-signal map {map_source(ripples[0].method)}"
     if most <= AGREEMENT_PERCENT:
         first = f"A small ripple sees the slopes of {map_}, within {number(most, 1)} %: one map serves both."
     else:
@@ -45,7 +47,7 @@ def note(material: Material) -> str:
         )
     second = (
         f"Cross-saturation turns the axis of least inductance, which the tracking takes for the d axis, by up to "
-        f"{_degrees(worst)}; with that turn taken from the map, up to {_degrees(left)} is left."
+        f"{_degrees(worst.angle_error_rad or 0.0)}{_place(worst)}; with that turn taken from the map, up to {_degrees(left)} is left."
     )
     return f"{first} {second}"
 
@@ -65,6 +67,12 @@ def _row(ripple: SeenByInjection) -> tuple[str, ...]:
         _degrees(ripple.angle_error_rad),
         _degrees(ripple.left_by_map_rad),
     )
+
+
+def _place(ripple: SeenByInjection) -> str:
+    """The current of the largest turn; files of older versions do not have it."""
+    i_d, i_q = ripple.angle_error_i_d_a, ripple.angle_error_i_q_a
+    return "" if i_d is None or i_q is None else f" at {vector(i_d, i_q)}"
 
 
 def _percent(value: float | None) -> str:

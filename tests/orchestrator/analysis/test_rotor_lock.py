@@ -181,8 +181,8 @@ def test_cross_saturation_is_not_called_a_twist() -> None:
     some = judge_lock(captures([0.0] * 5, current_of=crossing), TOLERANCE)
     assert some.locked
     assert 0.1 < some.twist_rad < 0.5
-    assert "apparent twist" in some.summary
+    assert "turns the saliency by +" in some.summary
     more = judge_lock(captures([0.0] * 5, current_of=much), TOLERANCE)
     assert more.twist_rad > 0.5
     assert "deg el." not in more.summary.split("tolerance")[1].split(";")[1]
-    assert "apparent" not in judge_lock(captures([0.0] * 5, current_of=linear_current), TOLERANCE).summary
+    assert "saliency" not in judge_lock(captures([0.0] * 5, current_of=linear_current), TOLERANCE).summary

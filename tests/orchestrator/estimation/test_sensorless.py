@@ -57,6 +57,13 @@ def test_saliency_and_the_turn_of_its_axis_are_those_of_the_ripple() -> None:
     assert seen.left_by_map_rad == pytest.approx(np.abs(math.pi / 8 - 0.5 * np.arctan2(cross, 0.5 * (q - d))).max())
 
 
+def test_the_current_of_the_largest_turn_is_stated() -> None:
+    inductance = np.tile([0.04, 0.0, 0.06], (4, 1))
+    inductance[2, 1] = 0.01
+    (seen,) = seen_by_injection((made(Basis.INTEGRATION), made(Basis.INJECTION, ripple(inductance))))
+    assert (seen.angle_error_i_d_a, seen.angle_error_i_q_a) == tuple(POINTS[2])
+
+
 def test_half_a_turn_of_the_axis_is_none() -> None:
     """On either side of the q axis an axis is the same to a hair's breadth."""
     large = made(Basis.INTEGRATION)

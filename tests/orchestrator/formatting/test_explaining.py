@@ -23,7 +23,7 @@ def test_a_gain_stands_beside_its_threshold_in_one_unit() -> None:
     rows = search_rows(some_moves().events)
     assert rows[0][1:4] == ("full model", "whole", "effect 0, effect 1, effect 2 and 20 more")
     assert rows[1] == ("2", "add", "part", "dead time", "12820 nat", "16 nat", "–", "rejected: too small")
-    assert rows[2][4:6] == ("4.21 of chi2", "32 of chi2")
+    assert rows[2][4:6] == ("Δchi2 4.21", "Δchi2 32")
     assert rows[3][4:6] == ("31 %", "20 %")
     assert rows[4][3:6] == ("–", "chi2 1.23", "chi2 1.5")
 

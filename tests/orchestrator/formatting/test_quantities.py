@@ -17,6 +17,7 @@ from orchestrator.formatting.quantities import (
     number,
     percent,
     plural,
+    probability,
     quantity,
     significant_decimals,
     unit_words,
@@ -82,6 +83,14 @@ def test_the_ends_of_an_interval_differ_in_print_and_hold_their_value(
     assert scale.decimals == 0 or 10.0**-scale.decimals > 0.05 * least  # and no digit more than the interval bears
 
 
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1.0, "> 99.9 %"), (0.9991, "> 99.9 %"), (0.994, "99.4 %"), (0.5, "50.0 %"), (0.0, "< 0.1 %"), (None, "–")],
+)
+def test_no_probability_is_certain(value: float | None, text: str) -> None:
+    assert probability(value) == text
+
+
 @given(SIZES | st.just(0.0), SIZES, SIZES)
 def test_any_interval_is_printed_without_an_exponent(value: float, one: float, other: float) -> None:
     low, high = sorted((one, other))
@@ -98,6 +107,7 @@ def test_any_interval_is_printed_without_an_exponent(value: float, one: float, o
         (4.312345, 4.305, 4.32, "ohm", "4.312 Ω (95 %: 4.305 to 4.320)"),
         (25.2e-6, 24.7e-6, 25.7e-6, "s", "25.2 µs (95 %: 24.7 to 25.7)"),
         (0.5, 0.1, 8.0, "V", "500 mV (95 %: 100 to 8000)"),
+        (0.00298, 0.00289, 0.00307, "1/W", "0.298 % per W (95 %: 0.289 to 0.307)"),
         (2.5e-7, 2.4e-7, 2.6e-7, "1/W", "250·10⁻⁹ per W (95 %: 240 to 260)"),
         (1.04, 1.03, 1.06, "1", "1.040 (95 %: 1.030 to 1.060)"),
         (0.0, -1e-3, 1e-3, "A", "0.0 mA (95 %: −1.0 to 1.0)"),
@@ -127,7 +137,7 @@ def test_value_and_interval_are_one_scale_in_two_cells() -> None:
         (-0.0, "A", "0 A"),
         (12000.0, "s", "12000 s"),
         (0.0432, "H", "43.2 mH"),
-        (0.02, "1/A^2", "0.02 per A²"),
+        (0.02, "1/A^2", "2 % per A²"),
         (2e-5, "rad/Nm", "20·10⁻⁶ rad/Nm"),
         (-1.5e7, "1", "−15·10⁶"),
         (None, "V", "–"),

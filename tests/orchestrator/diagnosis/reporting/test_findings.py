@@ -19,6 +19,7 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.iron import SlotHarmonics
+from plugins.effects.resistance import WindingHeating
 from protocols import DriveRecord, Effect, FoundEffect, ParameterValue, PluginError, Remark
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_voltage
@@ -141,6 +142,11 @@ def test_the_charge_of_a_swing_is_reported_where_the_form_shows_it() -> None:
 def test_without_a_pwm_frequency_no_dead_time_is_reported() -> None:
     drive = DRIVE.model_copy(update={"pwm_frequency_hz": None})
     assert derived_quantities(active(DeadTime(), voltage_v=1.0), {}, drive) == {}
+
+
+def test_a_winding_that_warms_by_a_kelvin_per_watt_gains_the_resistance_of_copper_per_kelvin() -> None:
+    found = derived_quantities(active(WindingHeating(), rise_per_watt=0.00393), {}, DRIVE)
+    assert (found["thermal_resistance"].value, found["thermal_resistance"].unit) == (pytest.approx(1.0), "K/W")
 
 
 def test_a_drop_has_its_forward_voltage_and_other_effects_have_nothing() -> None:

@@ -14,6 +14,7 @@ from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.resemblance import inseparable_remark
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult
+from orchestrator.formatting.quantities import operating_point
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.iron import SlotHarmonics
 from plugins.effects.sensors import CurrentOffset
@@ -71,10 +72,25 @@ def test_what_was_found_is_named_with_its_size_and_its_signature(search: SearchR
     assert words.to_decide == "nothing left to decide"
 
 
+def test_the_size_of_a_setting_of_the_drive_is_stated_with_the_frequency_and_voltage_that_it_holds_at(
+    search: SearchResult,
+) -> None:
+    setting = {"dead_time": {"value": 2e-7, "low": None, "high": None, "unit": "s"}}
+    drive = MAKER.prepared.manifest.drive
+    assert stated(search, effects=[{**BIAS, "derived": setting}]).likely_cause == (
+        f"voltage_bias (bias a 300.0 mV at {operating_point(drive)}, 95 %: 299.0 to 301.0; dead time 200 ns)"
+    )
+
+
 def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: SearchResult) -> None:
     where = stated(search).where_it_fails
-    assert any(where.startswith(f"worst in {piece.segment.id} (") for piece in MAKER.prepared.pieces)
-    assert not where.startswith("worst in gates_off")
+    assert any(
+        where.startswith(f"before the effects were added, worst in {piece.segment.id} (")
+        for piece in MAKER.prepared.pieces
+    )
+    assert "gates_off" not in where
+    alone = stated(SearchResult([search.steps[0]]), verdict="unknown_remains", effects=[])
+    assert alone.where_it_fails.startswith("worst in ")
     assert "|i_d| to " in where
     assert "noise floor of this segment" in where
 

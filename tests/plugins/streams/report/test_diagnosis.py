@@ -139,7 +139,9 @@ def test_the_ladders_legend_is_whole_beside_long_names(monkeypatch: pytest.Monke
     assert 0.0 <= extent.x0 < extent.x1 <= figure.bbox.width
 
 
-def test_the_library_is_in_the_order_of_the_error_that_is_explained(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_library_begins_with_what_was_added_and_marks_what_was_detected_but_not_added(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     figures: list[Figure] = []
     monkeypatch.setattr(_diagnosis_figures, "uri", figures.append)
     shares = {"dead_time": 0.9, "winding_heating": 0.05}
@@ -155,7 +157,7 @@ def test_the_library_is_in_the_order_of_the_error_that_is_explained(monkeypatch:
     axes = figures[-1].axes[0]
     names = [text.get_text() for text in axes.get_yticklabels()]
     assert names == ["dead time", "winding heating", "bus sag", "hysteresis"]
-    assert [text.get_text().strip() for text in axes.texts] == ["90 %", "5 %"]
+    assert [text.get_text().strip() for text in axes.texts] == ["added", "added", "not added", ""]
 
 
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
@@ -275,7 +277,7 @@ def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: 
     assert text.index("Explained") < text.index("χ² is 1.02; noise makes up to 1.08.") < text.index("Where it fails")
     assert "0.4 % of its range (rms)" in text
     (folded,) = (part for part in re.findall(r"<details>.*?</details>", page, flags=re.S) if "Steps of" in part)
-    assert words_of(folded).split("decision ")[1].startswith("1 screen whole dead time 60000 of χ² 32 of χ² – tested 2")
+    assert words_of(folded).split("decision ")[1].startswith("1 screen whole dead time Δχ² 60000 Δχ² 32 – tested 2")
     assert "Steps of the search (2)" in folded
 
 

@@ -9,12 +9,31 @@ import pytest
 
 from orchestrator.diagnosis import SavedDiagnosis
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
+from orchestrator.formatting.quantities import quantity
 from plugins.streams.report._collect import Material, Paths
 from plugins.streams.report._motor_content import torque_rows
 from plugins.streams.report._next_steps import next_steps
-from protocols import DiagnosisWords, EstimationReport, FluxMap, Motor, NextExperiment, Remark
+from protocols import (
+    DiagnosisWords,
+    DriveRecord,
+    EstimationReport,
+    FluxMap,
+    Motor,
+    NextExperiment,
+    Manifest,
+    Remark,
+)
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
+MANIFEST = Manifest(
+    format="fluxbench-recording",
+    version=1,
+    name="m",
+    created="2026-01-01T00:00:00Z",
+    motor=Motor(name="m", pole_pairs=2),
+    drive=DriveRecord(name="d", sampling_frequency_hz=1e4, pwm_frequency_hz=1e4, dc_bus_voltage_v=540.0),
+    segments=(),
+)
 DECIDED = WORDS.model_copy(update={"to_decide": NOTHING_TO_DECIDE})
 
 
@@ -102,8 +121,10 @@ def test_what_the_drive_is_set_to_stands_first_as_on_its_data_sheet() -> None:
         "derived": {"dead_time": {"value": 2.03e-7, "low": None, "high": None, "unit": "s"}},
     }
     saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), WORDS, ())
-    lines = next_steps(Material(Path("run"), None, None, (), an_estimate(), {}, Paths(), saved, ()))
-    assert "compensate dead time (dead time 203 ns, voltage 400 mV) in the drive" in lines[-1].text
+    advice = "compensate dead time (set 203 ns; voltage 400 mV{}) in the drive"
+    for manifest, where in ((None, ""), (MANIFEST, " at 10 kHz and 540 V")):
+        lines = next_steps(Material(Path("run"), manifest, None, (), an_estimate(), {}, Paths(), saved, ()))
+        assert advice.format(where) in lines[-1].text
 
 
 def test_nothing_is_compensated_while_another_effect_fits_better_in_place() -> None:
@@ -158,7 +179,9 @@ def test_each_torque_has_its_shortest_current() -> None:
     )  # fmt: skip
     motor = Motor(name="m", pole_pairs=2, pm_flux_wb=0.3)
     rows = torque_rows(found, motor)
-    assert len(rows) == 5
+    torques_nm = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5]
+    assert [row[0] for row in rows] == [quantity(torque_nm, "Nm") for torque_nm in torques_nm]
+    lengths_a = [float(row[3].removesuffix(" A")) for row in rows]
+    assert lengths_a == pytest.approx([torque_nm / (1.5 * 2 * 0.3) for torque_nm in torques_nm], abs=0.01)
     assert all(abs(float(row[4].removesuffix("°").replace("−", "-")) - 90.0) < 2.0 for row in rows)  # no reluctance
-    assert rows[-1][0].endswith("Nm")
     assert torque_rows(found, motor.model_copy(update={"pm_flux_wb": None})) == []
