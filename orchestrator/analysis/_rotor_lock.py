@@ -2,7 +2,7 @@
 
 The principal axes of the Hessian rotate with the rotor. Injections at rest, under positive torque, at rest, under
 negative torque and at rest measure the rotor's lasting rotation between the rests (a slipping brake, or no lock) and an
-turn of the saliency while the torque acts, since cross-saturation rotates the axes as well. The axes' angle is known modulo
+apparent turn while the torque acts, since cross-saturation rotates the axes as well. The axes' angle is known modulo
 half a turn; the axes of a rotor that follows the current vector rotate by that much.
 """
 

@@ -45,6 +45,11 @@ NOISE_FLOOR_MEANING = (
     "A noise floor is the rms error that the noise of the readings alone would leave; it is averaged over the same "
     "samples as the error beside it."
 )
+PART_MEANING = (
+    "of the error: the rms error that returns without the effect, over the first model's; parts do not add up to "
+    "100 %, as each is of the kind of stage where it is largest"
+)
+REFIT_MEANING = "`add` and `remove` keep the model's noise and map grid, which a new diagnosis chooses anew: chi2 may differ a little"
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
     "needed": "add", "not_needed": None,
@@ -187,18 +192,19 @@ def sized_parameter(effect: FoundEffect) -> str | None:
     return min(values, key=lambda name: abs(values[name] - size), default=None)
 
 
-def large_share_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
-    """A note where an effect's part of the error is above 100 %."""
-    text = (
+def part_notes(effects: Iterable[FoundEffect | EffectBasis]) -> list[str]:
+    """What a part of the error is, and why one is above 100 %."""
+    parts = [effect.share for effect in effects if effect.share is not None]
+    large = (
         "above 100 % of the error: without this effect the model's error would exceed that of the first model, "
         "whose R_s and map compensated a part of it"
     )
-    return [text] if any((effect.share or 0.0) >= 1.005 for effect in effects) else []
+    return [PART_MEANING] * bool(parts) + [large] * any(part >= 1.005 for part in parts)
 
 
 def share_notes(report: DiagnosisReport) -> list[str]:
     """Notes on `share_rows`: parts above 100 %, and causes that are not material."""
-    notes = large_share_notes((*report.effects, *report.minor))
+    notes = part_notes((*report.effects, *report.minor))
     small = [plain(effect.name) for effect in report.effects if effect.material is False]
     if small and report.materiality is not None:
         flux, volts = percent(report.materiality.flux_percent), percent(report.materiality.voltage_percent)

@@ -68,6 +68,19 @@ def read_quantities(document: Document, sections: Collection[str] | None = None)
     return sentences
 
 
+def value_in(text: str, unit: str) -> float:
+    """A number, or a quantity such as ``385 mV``, in the unit; NaN where it is neither, per cent count for ``1/...``."""
+    try:
+        return float(text)
+    except ValueError:
+        match = _QUANTITY.fullmatch(text.strip())
+    if match is None:
+        return math.nan
+    is_percent = match[2] == "%" and (unit == "1" or unit.startswith("1/"))
+    factor = 0.01 if is_percent else _factor(match[2], unit)
+    return math.nan if factor is None else float(match[1]) * factor
+
+
 def _texts(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
     if isinstance(value, str):
         yield path, value

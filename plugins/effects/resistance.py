@@ -29,7 +29,6 @@ from protocols import (
     shape,
 )
 
-
 COPPER_PER_K = 0.00393
 """Relative change of copper's resistance, at 20 degrees Celsius."""
 

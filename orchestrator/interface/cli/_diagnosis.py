@@ -15,6 +15,7 @@ from orchestrator.formatting.results import (
     BENEFITS,
     CHI2_MEANING,
     NOISE_FLOOR_MEANING,
+    REFIT_MEANING,
     benefit_line,
     ladder_rows,
     parameter_rows,
@@ -173,6 +174,8 @@ def _print_refit(report: AddReport, path: Path, out: Path | None, as_json: bool)
     run = str(path) if out is None else f"{path} --out {out}"
     say("", *(benefit_line(remark, run) for remark in report.remarks if remark.code in BENEFITS))
     say_notes(remark.text for remark in report.remarks if remark.code not in BENEFITS)
+    if not any(remark.code == "in_model" for remark in report.remarks):
+        say_notes([REFIT_MEANING])
     if out is None:
         say(f"model: {path / 'model.json'}")
     else:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from orchestrator.formatting.explaining import BASIS_HEAD, LOG_EVIDENCE_SCALE, SEARCH_HEAD, basis_rows, search_rows
 from orchestrator.formatting.names import VERDICTS, plain
-from orchestrator.formatting.results import large_share_notes
+from orchestrator.formatting.results import part_notes
 from orchestrator.interface import api
 from orchestrator.interface.cli._output import say, say_document, say_notes, say_wide_table
 from protocols import Explanation
@@ -35,4 +35,4 @@ def _print(path: Path, explanation: Explanation) -> None:
     if explanation.effects:
         say("evidence for each named effect:")
         say_wide_table(BASIS_HEAD, basis_rows(explanation.effects))
-        say_notes((*large_share_notes(explanation.effects), LOG_EVIDENCE_SCALE))
+        say_notes((*part_notes(explanation.effects), LOG_EVIDENCE_SCALE))

@@ -30,7 +30,7 @@ def mystery(
     ] = None,
     reveal: Annotated[bool, typer.Option("--reveal", help="Print the hidden effects.")] = False,
     out: Annotated[Path | None, typer.Option(help="The run directory; by default runs/mystery-N.")] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only warnings and errors.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print the next command alone.")] = False,
     as_json: AsJson = False,
 ) -> int:
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
@@ -85,14 +85,17 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
             raise error
     if as_json:
         _print_json(path)
-    elif not quiet:
-        _print_line(f"{path} is a motor with something hidden in it, or nothing. Look at it:")
+    elif quiet:
+        _print_line(f"{path} is measured; next: fluxbench diagnose {path}")
+    else:
+        _print_line(f"{path} is a motor with something hidden in it, or nothing. How far the model without it is off:")
         _print_line(f"  fluxbench compare {path}")
+        _print_line("What is hidden, and its size:")
         _print_line(f"  fluxbench diagnose {path}")
-        _print_line("and say what it is, by the names that `fluxbench effects` lists:")
+        _print_line("Guess, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
-        _print_line("A size may follow a name (NAME=0.8, in SI units); --reveal prints what is hidden.")
+        _print_line("A size may follow a name (NAME=800mV, or a number in SI); --reveal prints what is hidden.")
     return 0
 
 
@@ -144,7 +147,7 @@ def _print_verdict(verdict: Verdict) -> None:
     sizes = {size.name: size for size in verdict.sizes}
     for name in verdict.right:
         size = sizes.get(name)
-        suffix = f"; {_size(size)} is {_error(size.ratio)}" if size else ""
+        suffix = f"; {_size(size)} is {_error(size.ratio)}" if size else "; no size was given"
         _print_line(f"{name}: right{suffix}")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
@@ -157,11 +160,17 @@ def _print_verdict(verdict: Verdict) -> None:
 
 
 def _size(size: GuessedSize) -> str:
+    whose = "" if size.is_given else "no size was given, and the diagnosis' "
+    return whose + _in_words(size.name, size.parameter, size.guessed)
+
+
+def _in_words(effect: str, parameter: str, value: float) -> str:
+    """A parameter as the report prints it: ``bias a 52.1 mV``."""
     from orchestrator.registry.plugins import PluginKind, load_plugin
 
-    declared = load_plugin(PluginKind.EFFECTS, size.name)().Parameters.declared()
-    unit = next(one.unit for one in declared if one.name == size.parameter)
-    return f"{parameter_words(size.parameter)} {quantity(size.guessed, unit)}"
+    declared = load_plugin(PluginKind.EFFECTS, effect)().Parameters.declared()
+    unit = next((one.unit for one in declared if one.name == parameter), "1")
+    return f"{parameter_words(parameter)} {quantity(value, unit)}"
 
 
 def _error(ratio: float | None) -> str:
@@ -189,7 +198,7 @@ def _print_hidden(hidden: Effects) -> None:
     if not hidden:
         _print_line("Nothing was hidden.")
     for name, parameters in hidden.items():
-        _print_line(f"{name}: " + ", ".join(f"{key} = {number(value)}" for key, value in parameters.items()))
+        _print_line(f"{name}: " + ", ".join(_in_words(name, key, value) for key, value in parameters.items()))
 
 
 def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | None = None) -> None:

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.formatting.names import parameter_words
+from orchestrator.formatting.sentences import listed
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.runs import RunDirectory, private_directory
+from orchestrator.validation.quantities import value_in
 from plugins.commands.mystery._drawing import MIN_ANGLE_RAD
 from protocols import InputError, Strict
 
@@ -31,6 +33,8 @@ class GuessedSize(Strict):
     name: str
     parameter: str
     guessed: float
+    is_given: bool
+    """Whether the guess gave it; else it is the size in the recording's model."""
     ratio: float | None
     """Guessed over true; None where the true one is zero."""
 
@@ -55,7 +59,7 @@ def read_guess(words: str) -> tuple[Guess, ...]:
     Raises
     ------
     InputError
-        For an unknown effect, a repeated name, or a size that is not a number.
+        For an unknown effect, a repeated name, or a size that is neither a number nor a quantity.
     """
     if words.strip() == NOTHING:
         return ()
@@ -126,22 +130,27 @@ def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, extra: Eff
 
 def _size(guess: Guess, true: Mapping[str, float], fitted: Mapping[str, float]) -> GuessedSize | None:
     """Size of a guess, by the first parameter or the larger one of two phases."""
-    phases = [name for name in true if name.startswith(("offset_", "bias_", "extra_a_", "extra_b_"))]
-    parameter = max(phases, key=lambda name: abs(true[name])) if phases else next(iter(true))
+    parameter = max(_of_phases(true), key=lambda name: abs(true[name]), default=next(iter(true)))
     guessed = guess.size if guess.size is not None else fitted.get(parameter)
     if guessed is None:
         return None
     ratio = guessed / true[parameter] if true[parameter] else None
-    return GuessedSize(name=guess.name, parameter=parameter, guessed=guessed, ratio=ratio)
+    is_given = guess.size is not None
+    return GuessedSize(name=guess.name, parameter=parameter, guessed=guessed, is_given=is_given, ratio=ratio)
+
+
+def _of_phases(names: Iterable[str]) -> list[str]:
+    """Parameters that there is one of for each phase."""
+    return [name for name in names if name.startswith(("offset_", "bias_", "extra_a_", "extra_b_"))]
 
 
 def _number(name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
+    declared = load_plugin(PluginKind.EFFECTS, name)().Parameters.declared()
+    first = declared[0]
+    value = value_in(text, first.unit)
     if not math.isfinite(value):
-        first = load_plugin(PluginKind.EFFECTS, name)().Parameters.declared()[0]
-        text = f"{text!r} is not a number; expected its {parameter_words(first.name)} in {first.unit}"
+        sizes = [parameter_words(one) for one in _of_phases(parameter.name for parameter in declared)]
+        size = f"the larger one of {listed(sizes)}" if len(sizes) > 1 else f"its {parameter_words(first.name)}"
+        text = f"{text!r} is not a size; expected {size} in {first.unit}"
         raise InputError("--guess", name, f"{text}, for example {name}={first.typical:g}")
     return value

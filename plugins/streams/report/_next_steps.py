@@ -84,7 +84,7 @@ def _remedy(causes: Sequence[FoundEffect], drive: DriveRecord | None) -> str:
 def _size(cause: FoundEffect, drive: DriveRecord | None) -> str:
     """What the drive is set to: the first quantity as on its data sheet, else the parameters of the first one's unit.
 
-    Beside a quantity of a data sheet, the parameters are stated with the PWM frequency and bus voltage that they are at.
+    Beside the former, the parameters are stated with the PWM frequency and bus voltage that they hold at.
     """
     sizes = {name: p for name, p in cause.parameters.items() if not p.bends_form}
     unit = next((p.unit for p in sizes.values()), "")

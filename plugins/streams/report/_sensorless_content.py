@@ -46,8 +46,9 @@ def note(material: Material) -> str:
             "by injection belong to the row of its own frequency."
         )
     second = (
-        f"Cross-saturation turns the axis of least inductance, which the tracking takes for the d axis, by up to "
-        f"{_degrees(worst.angle_error_rad or 0.0)}{_place(worst)}; with that turn taken from the map, up to {_degrees(left)} is left."
+        "Cross-saturation turns the axis of least inductance, which the tracking takes for the d axis, by up to "
+        f"{_degrees(worst.angle_error_rad or 0.0)}{_place(worst)}; with that turn taken from the map, up to "
+        f"{_degrees(left)} is left."
     )
     return f"{first} {second}"
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from orchestrator.formatting.results import (
+    PART_MEANING,
     benefit_line,
     ladder_rows,
     parameter_rows,
@@ -85,12 +86,14 @@ def test_the_course_of_the_resistance_says_when_it_was_read() -> None:
 def test_a_share_above_the_whole_error_and_a_cause_that_is_not_material_are_explained() -> None:
     limits = Materiality(flux_percent=0.2, voltage_percent=0.5)
     report = a_diagnosis().model_copy(update={"materiality": limits, "minor": ()})
-    first, second = share_notes(report.model_copy(update={"effects": (effect(share=2.28, material=False),)}))
+    meaning, first, second = share_notes(report.model_copy(update={"effects": (effect(share=2.28, material=False),)}))
+    assert meaning == PART_MEANING
     assert first.startswith("above 100 % of the error: without this effect")
     assert second.startswith("dead time: a cause of the measured error, but not material: ")
     assert "less than 0.2 % of the rated flux" in second
     for whole in (0.9, 1.004):  # the second is written as 100 %
-        assert share_notes(report.model_copy(update={"effects": (effect(share=whole, material=True),)})) == []
+        report = report.model_copy(update={"effects": (effect(share=whole, material=True),)})
+        assert share_notes(report) == [PART_MEANING]
 
 
 def test_a_size_is_stated_beside_what_is_typical() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.config import load_motor, read_procedure
+from orchestrator.validation.quantities import value_in
 from protocols import ProcedureError
 from tests.support.processes import called
 
@@ -53,3 +54,16 @@ def test_check_says_what_it_read() -> None:
         "limits.current_a: 4500 mA is read as 4.5 A"
         in called("check", "quick", "--set", "limits.current_a=4500 mA").stdout
     )
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [("0.8", "V", 0.8), ("385 mV", "V", 0.385), ("5.2 deg", "rad", math.radians(5.2)), ("0.3%", "1/W", 0.003)],
+)
+def test_one_value_is_read_in_a_unit(text: str, unit: str, value: float) -> None:
+    assert value_in(text, unit) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(("text", "unit"), [("385 mA", "V"), ("3 %", "V"), ("x", "V"), ("", "V")])
+def test_what_is_no_value_in_a_unit_is_none(text: str, unit: str) -> None:
+    assert math.isnan(value_in(text, unit))

@@ -145,8 +145,9 @@ def test_without_a_pwm_frequency_no_dead_time_is_reported() -> None:
 
 
 def test_a_winding_that_warms_by_a_kelvin_per_watt_gains_the_resistance_of_copper_per_kelvin() -> None:
-    found = derived_quantities(active(WindingHeating(), rise_per_watt=0.00393), {}, DRIVE)
-    assert (found["thermal_resistance"].value, found["thermal_resistance"].unit) == (pytest.approx(1.0), "K/W")
+    found = derived_quantities(active(WindingHeating(), rise_per_watt=0.00393), {}, DRIVE)["thermal_resistance"]
+    assert found.value == pytest.approx(1.0)
+    assert found.unit == "K/W"
 
 
 def test_a_drop_has_its_forward_voltage_and_other_effects_have_nothing() -> None:

@@ -22,6 +22,10 @@ HIDDEN = {
 def test_names_and_sizes_are_read() -> None:
     assert read_guess(" dead_time, hysteresis=0.03 ") == (Guess(name="dead_time"), Guess(name="hysteresis", size=0.03))
     assert read_guess("dead time=0.8") == (Guess(name="dead_time", size=0.8),)
+    assert read_guess("voltage bias=385 mV, winding_heating=0.3%") == (
+        Guess(name="voltage_bias", size=0.385),
+        Guess(name="winding_heating", size=0.003),
+    )
     assert read_guess("nothing") == ()
 
 
@@ -29,7 +33,8 @@ def test_names_and_sizes_are_read() -> None:
     ("words", "message"),
     [
         ("dead_tim", "did you mean dead_time"),
-        ("dead_time=1.35us", "not a number; expected its voltage in V, for example dead_time="),
+        ("dead_time=1.35us", "not a size; expected its voltage in V, for example dead_time="),
+        ("voltage_bias=x", "not a size; expected the larger one of bias a and bias b in V, for example voltage_bias="),
         ("dead_time,dead_time", "twice"),
         (",", "nothing"),
     ],
@@ -74,6 +79,7 @@ def test_a_size_is_judged_by_the_first_parameter_or_by_the_larger_phase() -> Non
 def test_sizes_that_are_not_stated_are_the_models() -> None:
     verdict = judge(read_guess("dead_time"), HIDDEN, {"dead_time": {"voltage_v": 2.2}})
     assert verdict.sizes[0].ratio == pytest.approx(1.1)
+    assert not verdict.sizes[0].is_given
 
 
 def test_nothing_stands_alone() -> None:

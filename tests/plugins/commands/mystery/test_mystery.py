@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import shutil
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
 
 from orchestrator.recording import open_recording
-from plugins.commands.mystery import draw, sealed_effects
-from plugins.commands.mystery._command import command
+from plugins.commands.mystery import draw, judge, read_guess, sealed_effects
+from plugins.commands.mystery._command import _print_hidden, _print_verdict, command
 from protocols import DriveFault, FaultCause, InputError, RecordingError, SegmentStage
 
 NUMBER = 7
@@ -19,7 +21,9 @@ NUMBER = 7
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("mystery") / "run"
-    assert command([str(NUMBER), "--out", str(path), "--quiet"]) == 0
+    with redirect_stdout(StringIO()) as printed:
+        assert command([str(NUMBER), "--out", str(path), "--quiet"]) == 0
+    assert printed.getvalue() == f"{path} is measured; next: fluxbench diagnose {path}\n"
     return path
 
 
@@ -52,7 +56,7 @@ def test_the_truth_never_enters_the_run_directory(run: Path) -> None:
 def test_a_guess_is_judged_and_the_rest_not_given_away(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, *others = draw(NUMBER).plant["effects"]
     printed = verdict_on(capsys, run, "--guess", first)
-    assert f"{first}: right" in printed
+    assert f"{first}: right; no size was given\n" in printed
     assert f"{len(others)} more" in printed
     assert not any(name in printed for name in others)
 
@@ -72,6 +76,22 @@ def test_reveal_tells_names_and_sizes(run: Path, capsys: pytest.CaptureFixture[s
     assert not found["guess"]["complete"]
     for name, parameters in draw(NUMBER).plant["effects"].items():
         assert found["hidden"][name].items() >= parameters.items()
+
+
+def test_a_hidden_effect_is_revealed_in_the_words_of_the_report(capsys: pytest.CaptureFixture[str]) -> None:
+    _print_hidden({"skin_effect": {"extra_ohm": 2.72}, "voltage_bias": {"bias_a_v": 0.0521, "bias_b_v": -0.385}})
+    assert capsys.readouterr().out == "skin_effect: extra 2.72 Ω\nvoltage_bias: bias a 52.1 mV, bias b −385 mV\n"
+
+
+def test_a_size_that_was_not_given_is_said_to_be_the_diagnosis_s(capsys: pytest.CaptureFixture[str]) -> None:
+    hidden = {"dead_time": {"voltage_v": 2.0, "threshold_a": 0.1}}
+    fitted = {"dead_time": {"voltage_v": 2.2}}
+    for guess, size in (
+        ("dead_time", "no size was given, and the diagnosis' voltage 2.2 V is 10 % too large"),
+        ("dead_time=1.9V", "voltage 1.9 V is 5 % too small"),
+    ):
+        _print_verdict(judge(read_guess(guess), hidden, fitted))
+        assert capsys.readouterr().out.startswith(f"dead_time: right; {size}\n")
 
 
 def test_reveal_tells_too_what_the_run_itself_caused(

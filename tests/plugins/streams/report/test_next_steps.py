@@ -18,9 +18,9 @@ from protocols import (
     DriveRecord,
     EstimationReport,
     FluxMap,
+    Manifest,
     Motor,
     NextExperiment,
-    Manifest,
     Remark,
 )
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
