@@ -49,7 +49,10 @@ PART_MEANING = (
     "of the error: the rms error that returns without the effect, over the first model's; parts do not add up to "
     "100 %, as each is of the kind of stage where it is largest"
 )
-REFIT_MEANING = "`add` and `remove` keep the model's noise and map grid, which a new diagnosis chooses anew: chi2 may differ a little"
+REFIT_MEANING = (
+    "`add` and `remove` start from the noise and map grid of the model, which a diagnosis chooses anew, so that chi2 "
+    "may differ a little from a diagnosis'"
+)
 UNDONE_BY = {
     "helps": None, "helps_at_bound": None, "helps_besides": "remove", "does_not_help": "remove",
     "needed": "add", "not_needed": None,

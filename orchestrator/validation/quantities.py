@@ -69,7 +69,10 @@ def read_quantities(document: Document, sections: Collection[str] | None = None)
 
 
 def value_in(text: str, unit: str) -> float:
-    """A number, or a quantity such as ``385 mV``, in the unit; NaN where it is neither, per cent count for ``1/...``."""
+    """A number, or a quantity such as ``385 mV``, in the unit; NaN where it is neither.
+
+    Per cent are read where the unit is a ratio, ``1`` or ``1/...``.
+    """
     try:
         return float(text)
     except ValueError:
