@@ -237,6 +237,7 @@ def report(scores: Sequence[Score]) -> str:
     lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
     answered = sum(score["answered"] for score in scores)
     lines += ["", f"{answered} of {len(scores)} recordings answered; median errors; missing answers count as wrong."]
+    lines += ["A dash: nothing to score, as no effect of the list is hidden, or the answer gives no size or no map."]
     furthest = worst(scores)
     if furthest:
         lines += ["", "The worst answers:"]

@@ -100,7 +100,11 @@ def score(
 
 
 app = typer.Typer(
-    add_completion=False, rich_markup_mode=None, no_args_is_help=True, help="The benchmark of missing physics."
+    add_completion=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="The benchmark of missing physics.",
+    epilog="Example: fluxbench benchmark run set --out answers.jsonl",
 )
 app.command("make", epilog="Example: fluxbench benchmark make set")(make)
 app.command("run", epilog="Example: fluxbench benchmark run set --out answers.jsonl")(run)

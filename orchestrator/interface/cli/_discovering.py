@@ -59,6 +59,8 @@ def _print(path: Path, found: Discovery, write: Path | None, results: Path) -> N
         ]
         say_table(("place", "over", "phase", "law", "log evidence", "of the error"), ranked)
     if found.outcome != "law":
+        if write is not None:
+            say(f"{write} was not written: there is no law to write")
         return
     for law in found.laws:
         _print_law(law)

@@ -120,4 +120,6 @@ def test_the_commands_of_the_page_have_the_options_that_it_says(capsys: pytest.C
         command([verb, "--help"])
         shown = capsys.readouterr().out
         assert all(word in shown for word in words.split() if word.startswith("--")), (verb, words)
+    command(["--help"])
+    assert "Example: fluxbench benchmark run" in capsys.readouterr().out
     assert {method for method in METHODS if f"--method {method}" in page} == set(METHODS)
