@@ -80,7 +80,9 @@ class WindingHeating(BatchEffect):
     signature: ClassVar[str] = "R_s rises as the winding's loss warms it; the ripple shows nothing of it."
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
-    gauge: ClassVar[str] = "R_s is the resistance at the temperature of the experiment's start."
+    gauge: ClassVar[str] = (
+        "R_s is the resistance at the temperature of the experiment's start; the thermal resistance is that of copper."
+    )
 
     class Parameters(EffectParameters):
         rise_per_watt: float = amplitude("1/W", typical=0.003, prior_width=0.005, low=0.0, high=0.1)
