@@ -81,7 +81,7 @@ class WindingHeating(BatchEffect):
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = (
-        "R_s is the resistance at the temperature of the experiment's start; the thermal resistance is that of copper."
+        "R_s is the resistance at the experiment's start temperature; the thermal resistance is a copper winding's."
     )
 
     class Parameters(EffectParameters):
