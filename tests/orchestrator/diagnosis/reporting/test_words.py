@@ -78,7 +78,8 @@ def test_the_size_of_a_setting_of_the_drive_is_stated_with_the_frequency_and_vol
     setting = {"dead_time": {"value": 2e-7, "low": None, "high": None, "unit": "s"}}
     drive = MAKER.prepared.manifest.drive
     assert stated(search, effects=[{**BIAS, "derived": setting}]).likely_cause == (
-        f"voltage_bias (bias a 300.0 mV at {operating_point(drive)}, 95 %: 299.0 to 301.0; dead time 200 ns)"
+        f"voltage_bias (bias a 300.0 mV at {operating_point(drive)}, 95 %: 299.0 to 301.0; "
+        "dead time 200 ns, to set in the drive)"
     )
 
 
