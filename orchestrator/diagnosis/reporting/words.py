@@ -160,7 +160,8 @@ def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None, dri
         size, interval = value_and_interval(found.value, found.low, found.high, found.unit)
         parts.append(f"{parameter_words(name)} {size}{where}" + (f", 95 %: {interval}" if interval else ""))
     derived = [f"{plain(name)} {quantity(found.value, found.unit)}" for name, found in settings.items()]
-    parts += [f"{derived[0]}, to set in the drive", *derived[1:]] if of_drive else derived
+    is_certain = not effect.twins and better is None
+    parts += [f"{derived[0]}, to set in the drive", *derived[1:]] if of_drive and is_certain else derived
     reached = {} if term is None else bounds_reached(term)
     parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
     parts += ["at this angle; other angles unknown"] if _is_of_one_angle(effect, term) else []
