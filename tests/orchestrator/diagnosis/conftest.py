@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, fit_baseline
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.recording import Recording, open_recording
 from plugins.drives.simulated import map_motor
 from tests.support.tiny import run_tiny
@@ -116,3 +117,9 @@ def sharp(tmp_path_factory: pytest.TempPathFactory) -> DiagnosisSetup:
     run = run_tiny(tmp_path_factory.mktemp("sharp"), drive=drive, motor=motor, limits=limits, stages=SWEEPS)
     assert run.outcome.ending == "finished", run.outcome.reason
     return open_for_diagnosis(open_recording(run.path))
+
+
+@pytest.fixture(scope="session")
+def sharp_fit(sharp: DiagnosisSetup) -> Fit:
+    """Its resistance and its map."""
+    return fit_baseline(sharp)

@@ -43,6 +43,18 @@ def setup() -> DiagnosisSetup:
     return setup_of(fitter(prepared(plan())))
 
 
+@pytest.fixture(scope="module")
+def linear_fit(setup: DiagnosisSetup) -> Fit:
+    return fit_baseline(setup)
+
+
+@pytest.fixture(scope="module")
+def sharp_fit_without_kink(sharp: DiagnosisSetup) -> Fit:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(baseline, "_refined_with_kink", lambda *_: None)
+        return fit_baseline(sharp)
+
+
 def _flux_map(reach: float, bend: float = 0.0) -> FluxMap:
     i = np.linspace(-reach, reach, 15)
     d, q = np.meshgrid(i, i, indexing="ij")
@@ -141,8 +153,8 @@ def _regridded(fit: Fit, cells: tuple[int, int], *, kink: bool = False) -> EvenS
     return replace(fit.model.space.grid, cells=cells, kink=kink)
 
 
-def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup) -> None:
-    fit = fit_baseline(setup)
+def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup, linear_fit: Fit) -> None:
+    fit = linear_fit
     coarsest = setup.criteria.intervals[0]
     assert fit.model.space.grid.cells == (coarsest, coarsest)
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=0.3)
@@ -186,8 +198,10 @@ def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_com
     assert finer.chi2 == pytest.approx(anew.chi2, rel=2e-3 if rests else 1e-12)
 
 
-def test_iron_that_saturates_from_zero_flux_on_gets_a_kink_and_hardly_a_finer_map(sharp: DiagnosisSetup) -> None:
-    fit = fit_baseline(sharp)
+def test_iron_that_saturates_from_zero_flux_on_gets_a_kink_and_hardly_a_finer_map(
+    sharp: DiagnosisSetup, sharp_fit: Fit
+) -> None:
+    fit = sharp_fit
     assert fit.model.space.grid.kink
     assert max(fit.model.space.grid.cells) <= 14
     finest = sharp.criteria.intervals[-1]
@@ -197,38 +211,29 @@ def test_iron_that_saturates_from_zero_flux_on_gets_a_kink_and_hardly_a_finer_ma
     assert fit.chi2_per_dof - 1.0 < 0.1 * (usual.chi2_per_dof - 1.0)
 
 
-def test_without_a_kink_such_iron_gets_a_finer_map_along_that_axis_alone(
-    sharp: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(baseline, "_refined_with_kink", lambda *_: None)
-    d, q = fit_baseline(sharp).model.space.grid.cells
+def test_without_a_kink_such_iron_gets_a_finer_map_along_that_axis_alone(sharp_fit_without_kink: Fit) -> None:
+    d, q = sharp_fit_without_kink.model.space.grid.cells
     assert q >= 20
     assert d < q
 
 
 def test_a_kink_has_more_evidence_on_such_iron_and_less_on_a_linear_machine(
-    sharp: DiagnosisSetup, setup: DiagnosisSetup
+    sharp: DiagnosisSetup, sharp_fit: Fit, setup: DiagnosisSetup, linear_fit: Fit
 ) -> None:
-    fit = fit_baseline(sharp)
-    smooth = with_kink_switched(sharp, sharp.fitter, fit)
+    smooth = with_kink_switched(sharp, sharp.fitter, sharp_fit)
     assert not smooth.model.space.grid.kink
-    assert map_log_evidence(fit) > map_log_evidence(smooth) + 100.0
-    linear = fit_baseline(setup)
-    assert map_log_evidence(with_kink_switched(setup, setup.fitter, linear)) < map_log_evidence(linear)
+    assert map_log_evidence(sharp_fit) > map_log_evidence(smooth) + 100.0
+    assert map_log_evidence(with_kink_switched(setup, setup.fitter, linear_fit)) < map_log_evidence(linear_fit)
 
 
 def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
-    sharp: DiagnosisSetup, setup: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
+    sharp: DiagnosisSetup, sharp_fit_without_kink: Fit, setup: DiagnosisSetup, linear_fit: Fit
 ) -> None:
-    monkeypatch.setattr(baseline, "_refined_with_kink", lambda *_: None)
-    fit = fit_baseline(sharp)
-    usual = sharp.fitter.fit(on_usual_grid(sharp, fit), relinearisations=0)
+    usual = sharp.fitter.fit(on_usual_grid(sharp, sharp_fit_without_kink), relinearisations=0)
     assert not has_fine_grid(usual)
-    assert keep_fine_grid(fit, usual)
-    linear = fit_baseline(setup)
-    rough = replace(
-        linear.model, space=replace(linear.model.space, roughness=9.0, prior=linear.model.space.prior / 9.0)
-    )
+    assert keep_fine_grid(sharp_fit_without_kink, usual)
+    space = linear_fit.model.space
+    rough = replace(linear_fit.model, space=replace(space, roughness=9.0, prior=space.prior / 9.0))
     needless = setup.fitter.fit(rough, relinearisations=0)
     assert has_fine_grid(needless)
     assert not keep_fine_grid(needless, setup.fitter.fit(on_usual_grid(setup, needless), relinearisations=0))
@@ -240,8 +245,8 @@ def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Mode
     return replace(fit.model, space=space, magnetics=fit.model.magnetics.on(grid))
 
 
-def test_a_map_that_was_let_be_rough_is_as_rough_when_it_is_read_back(sharp: DiagnosisSetup) -> None:
-    fit = fit_baseline(sharp)
+def test_a_map_that_was_let_be_rough_is_as_rough_when_it_is_read_back(sharp: DiagnosisSetup, sharp_fit: Fit) -> None:
+    fit = sharp_fit
     kept = kept_model(sharp, fit, Saturated(), (), [rung(AcceptedModel(None, fit))])
     again = restored(sharp, MotorModel.model_validate_json(kept.model_dump_json()), Saturated(), {})
     np.testing.assert_allclose(again.space.prior, fit.model.space.prior)
