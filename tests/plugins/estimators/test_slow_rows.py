@@ -14,6 +14,7 @@ from plugins.estimators.steps import StepResistanceEstimator, StepsEstimator
 from protocols import Capture, DriveRecord, EstimationContext, Manifest, Motor, Segment, SegmentStage
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.plant import Array
+from tests.support.cases import few
 
 OHM, HENRY = 0.45, (2.0e-4, 2.1e-4)
 RATE_HZ, ROWS = 1e3, 900
@@ -79,7 +80,7 @@ def at_rest(stepped: SteppedFlux) -> tuple[Array, Array]:
     return np.array([m.l_dd[d, q], m.l_qq[d, q]]), np.array([m.l_dd_std[d, q], m.l_qq_std[d, q]])
 
 
-@pytest.mark.parametrize("rows_a_constant", [0.5, 1.2, 4.0])
+@few("rows_a_constant", [0.5, 1.2, 4.0], fast=2)
 def test_rows_of_the_control_itself_give_the_inductance_however_slow_they_are(rows_a_constant: float) -> None:
     rate_hz = rows_a_constant * OHM / HENRY[0]
     v = stepped_voltage(max(5, round(4.0 * rows_a_constant)), 3000)
