@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sqlite3
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from orchestrator.runs import RunDirectory
 from orchestrator.shelf import count_stale, relabel
 from orchestrator.shelf.index import INDEX_NAME, RACY_NS, select
 from tests.orchestrator.shelf.example_runs import a_run, write_journal
+from tests.support.processes import start_fluxbench
 
 ALL = [("SELECT run, outcome, tags, resistance_ohm FROM runs ORDER BY run", ())]
 
@@ -192,11 +192,6 @@ def test_a_run_whose_name_is_no_text_is_listed_with_its_bytes_written_out(folder
 def test_processes_that_make_the_index_at_once_agree(folder: Path) -> None:
     for k in range(20):
         a_run(folder / f"more-{k:02d}", verdict=None, r_s=None)
-    program = (
-        "import sys; from pathlib import Path; from orchestrator.shelf.index import select;"
-        "print(len(select(Path(sys.argv[1]), [('SELECT * FROM runs', ())])[0]))"
-    )
-    words = [sys.executable, "-c", program, str(folder)]
-    started = [subprocess.Popen(words, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    assert [process.communicate()[0] for process in started] == ["22\n"] * 2
+    started = [start_fluxbench("runs", "--folder", folder, "--json") for _ in range(2)]
+    assert [len(json.loads(process.communicate()[0])) for process in started] == [22] * 2
     assert len(rows(folder)) == 22
