@@ -8,6 +8,7 @@ import pytest
 from hypothesis import settings
 
 from tests.support.budget import Budget
+from tests.support.undrawn import draw_nothing
 
 # A busy machine is no reason to fail: pytest's own timeout bounds a test. The fast suite draws the same examples every
 # time, so that a change is judged by what it changes; the thorough one draws new ones.
@@ -42,3 +43,9 @@ def pytest_collection_finish() -> None:
     """What is imported by now stays: it need not be looked through for garbage again and again."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages and files have their pictures, on which nothing is drawn."""
+    draw_nothing(monkeypatch)

@@ -13,6 +13,7 @@ import pytest
 from orchestrator.registry.plugins import PluginKind, installed
 from tests.support.processes import called
 from tests.support.tiny import all_effects_but
+from tests.support.undrawn import draw_nothing
 
 ROOT = Path(__file__).parents[1]
 MYSTERY = re.compile(r"\bmystery\b|mystery-4")
@@ -26,7 +27,7 @@ SHORT = (
     f" --set 'stages.11.without=[{','.join(OTHERS)}]' --set drive.watchdog_s=60"
 )
 """The demo with a few points of each stage, few effects to tell apart, and without the experiment that its diagnosis
-asks for; with patience, where the machine is busy."""
+asks for; with patience, where the machine is busy. Nothing is drawn."""
 
 
 def console_lines(page: Path) -> list[str]:
@@ -37,7 +38,9 @@ def console_lines(page: Path) -> list[str]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("added", [SHORT, pytest.param("", marks=pytest.mark.slow)], ids=["short", "as it stands"])
-def test_every_command_of_the_readme_works(added: str, tmp_path: Path) -> None:
+def test_every_command_of_the_readme_works(added: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if added:
+        draw_nothing(monkeypatch)
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     lines = console_lines(ROOT / "README.md")
     assert len(lines) > 5

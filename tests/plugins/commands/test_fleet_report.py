@@ -10,6 +10,8 @@ import pytest
 from orchestrator.interface.cli._running import run_app
 from tests.orchestrator.fleet.statistics.example_fleet import Fleet, written
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 @pytest.fixture
 def damaged(tmp_path: Path) -> Path:
@@ -24,7 +26,9 @@ def damaged(tmp_path: Path) -> Path:
     return table
 
 
-@pytest.mark.parametrize("words", [["report"], ["priors", "--out", "priors.json"]])
+@pytest.mark.parametrize(
+    "words", [["priors", "--out", "priors.json"], pytest.param(["report"], marks=pytest.mark.slow)], ids=lambda w: w[0]
+)
 def test_a_damaged_part_is_named_and_the_exit_code_is_3_unless_it_is_skipped(
     words: list[str], damaged: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

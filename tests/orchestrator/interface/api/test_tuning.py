@@ -79,6 +79,7 @@ def test_a_map_that_its_audit_refuses_is_not_tuned(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_is_tuned_with_its_own_drive_and_resistance_unless_its_map_is_not_usable(tmp_path: Path) -> None:
     run = run_tiny(tmp_path).path
     report = api.tune(run)
@@ -95,6 +96,7 @@ def test_a_run_is_tuned_with_its_own_drive_and_resistance_unless_its_map_is_not_
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_command_prints_the_main_figures(map_file: Path, tmp_path: Path) -> None:
     (tmp_path / "motor.yaml").write_text(json.dumps({"motor": MOTOR.model_dump(exclude_none=True)}))
     words: list[str | Path] = [
@@ -131,6 +133,7 @@ def test_resistance_holds_at_the_room_s_temperature_of_the_run_or_at_20_degrees(
     assert _winding_c(tmp_path / "map.nc") == 20.0
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_magnet_s_coefficient_makes_its_temperature_an_argument_of_the_code(map_file: Path, tmp_path: Path) -> None:
     magnet = MOTOR.model_copy(update={"pm_flux_wb": 0.3})
     api.tune(map_file, motor=magnet, magnet_percent_per_k=-0.11, out=tmp_path / "with", **DRIVE)

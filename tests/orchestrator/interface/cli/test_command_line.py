@@ -91,6 +91,7 @@ def test_a_procedure_for_another_motor_is_refused(tmp_path: Path) -> None:
     assert_one_line(called("check", procedure), 2, "400 W test PMSM")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_ends_with_its_numbers_and_where_they_are(tmp_path: Path) -> None:
     done = called("run", tiny_file(tmp_path), "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr

@@ -128,6 +128,7 @@ def killed_run_is_whole(tmp_path: Path, kills: int, seed: int) -> None:
         np.testing.assert_allclose(mine[name], values, atol=2e-3 * scale, err_msg=name)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_that_was_killed_is_whole_after_resuming(tmp_path: Path) -> None:
     killed_run_is_whole(tmp_path, kills=1, seed=1)
 

@@ -24,6 +24,7 @@ def test_a_run_that_was_not_tuned_has_no_such_section(run: Path) -> None:
     assert 'id="drive"' not in render(collect(run, reads_paths=False), draws=False)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_tuned_drive_has_its_figures_picture_and_files(run: Path) -> None:
     write_tuning(tune(machine(saturated()), LIMITS, no_compensation(2.0)), run / "tuning", "run")
     page = render(collect(run, reads_paths=False), draws=False)
