@@ -4,24 +4,28 @@ Such a process has a pid, signals, output and an exit code of its own, like any 
 imports. Whether the program starts by itself, and imports in time, is for tests that start it afresh.
 
 A server forks: it has imported modules, has done nothing else, and is one thread. For each command it forks a guardian,
-which forks the command, waits for it, and tells how it ended.
+which forks the command, waits for it, and tells how it ended. The workers of one run of the tests have one server.
 """
 
 from __future__ import annotations
 
 import atexit
+import errno
 import functools
 import gc
 import importlib
 import json
 import os
+import secrets
 import select
 import signal
 import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import threading
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -34,6 +38,8 @@ WITH_THREADS = "plugins.streams.rerun"
 """Its library starts threads when it is imported, and threads do not live through a fork."""
 FORKS_WELL = "jemalloc_bg_thd"
 """The one thread of pyarrow's allocator, which makes it anew after a fork."""
+RUN_OF_TESTS = "PYTEST_XDIST_TESTRUNUID"
+"""Variable by which pytest-xdist gives its workers the name of their run."""
 NUMBER = struct.Struct("i")
 LONGEST_REQUEST = 1 << 17
 
@@ -125,33 +131,77 @@ def _all_of(output: int) -> str:
 
 @functools.cache
 def _server(preload: Path | None) -> socket.socket:
-    """The way to a server of this process's own, which ends with it; `preload` is a library that comes first."""
-    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    with far:
-        words = [sys.executable, "-m", "tests.support.forking", str(far.fileno())]
-        nothing = subprocess.DEVNULL
-        around = {**os.environ, "LD_PRELOAD": str(preload)} if preload else None
-        process = subprocess.Popen(words, cwd=ROOT, env=around, stdin=nothing, stdout=nothing, pass_fds=[far.fileno()])
-    atexit.register(process.wait)
+    """The way to a server, which ends with the last process that has one; `preload` is a library that comes first."""
+    run = os.environ.get(RUN_OF_TESTS, secrets.token_hex(16)) if preload is None else secrets.token_hex(16)
+    address = str(Path(tempfile.gettempdir()) / f"fluxbench-{run}")
+    near = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as listening:
+        is_first = _is_first(listening, address)
+        connect(near, address)
+        if is_first:
+            words = [sys.executable, "-m", "tests.support.forking", str(listening.fileno())]
+            around = {**os.environ, "LD_PRELOAD": str(preload)} if preload else None
+            nothing, ways = subprocess.DEVNULL, [listening.fileno()]
+            process = subprocess.Popen(words, cwd=ROOT, env=around, stdin=nothing, stdout=nothing, pass_fds=ways)
+            atexit.register(process.wait)
     atexit.register(near.close)
     return near
 
 
-def serve(way: socket.socket) -> None:
-    """Fork a command for each request; returns in the forked command alone, and when nobody is left to ask."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who asks
+def _is_first(listening: socket.socket, address: str) -> bool:
+    """Whether nobody listens there yet; then this socket does, for this user alone."""
+    mask = os.umask(0o077)
+    try:
+        listening.bind(address)
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:
+            raise
+        return False
+    finally:
+        os.umask(mask)
+    listening.listen(64)
+    return True
+
+
+def connect(near: socket.socket, address: str, timeout_s: float = 10.0) -> None:
+    """Connect, where another process may just have bound its socket and not listen yet."""
+    deadline = time.monotonic() + timeout_s
     while True:
-        request, descriptors, _, _ = socket.recv_fds(way, LONGEST_REQUEST, 3)
-        if not request:
-            raise SystemExit
-        if os.fork() == 0:
-            way.close()
-            return guard(json.loads(request), *descriptors)
-        for descriptor in descriptors:
-            os.close(descriptor)
+        try:
+            return near.connect(address)
+        except ConnectionRefusedError:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.01)
+
+
+def serve(listening: socket.socket) -> None:
+    """Fork a command for each request; returns in the forked command alone, and ends when nobody is left to ask."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who asks
+    ways: list[socket.socket] = []
+    while True:
+        for way in select.select([listening, *ways], [], [])[0]:
+            if way is listening:
+                ways.append(listening.accept()[0])
+                continue
+            request, descriptors = b"", list[int]()
+            with suppress(ConnectionError):
+                request, descriptors, _, _ = socket.recv_fds(way, LONGEST_REQUEST, 3)
+            if request and os.fork() == 0:
+                for other in (listening, *ways):
+                    other.close()
+                return guard(json.loads(request), *descriptors)
+            for descriptor in descriptors:
+                os.close(descriptor)
+            if not request:
+                ways.remove(way)
+                way.close()
         with suppress(ChildProcessError):
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
+        if not ways:
+            Path(listening.getsockname()).unlink()
+            raise SystemExit
 
 
 def guard(request: dict[str, object], out: int, err: int, telling: int) -> None:
