@@ -80,7 +80,7 @@ def test_a_motor_is_measured_estimated_diagnosed_and_exported_without_extras(tmp
     ("words", "extra"),
     [
         (["report", "tests/data/pm400-reduced"], "report"),
-        (["view", "tests/data/pm400-reduced"], "viewer"),
+        pytest.param(["view", "tests/data/pm400-reduced"], "viewer", marks=pytest.mark.slow),
         (["serve"], "serve"),
         pytest.param(["run", "demo", "--view"], "viewer", marks=pytest.mark.slow),
     ],

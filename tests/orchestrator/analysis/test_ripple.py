@@ -229,11 +229,12 @@ def test_no_injection_or_too_little_of_it_is_refused() -> None:
         demodulate(short, 0.0, discard_s=0.0, where="injection-7")
 
 
-def along(axis: int, base: Array = POINTS) -> Run:
+@cache
+def along(axis: int) -> Run:
     """A square wave along one axis of the rotor, while the other is held."""
-    to_d = injection_voltage(R_S * base, 40.0, 500.0, 0.0)
-    voltage = to_d if axis == 0 else lambda k, i: R_S * base + (to_d(k, i) - R_S * base)[:, ::-1]
-    return integrate_motor(voltage, flux_for(base, saturated_current), 5000, saturated_current)
+    to_d = injection_voltage(R_S * POINTS, 40.0, 500.0, 0.0)
+    voltage = to_d if axis == 0 else lambda k, i: R_S * POINTS + (to_d(k, i) - R_S * POINTS)[:, ::-1]
+    return integrate_motor(voltage, flux_for(POINTS, saturated_current), 5000, saturated_current)
 
 
 @pytest.mark.parametrize("point", range(3))
@@ -263,6 +264,7 @@ def test_a_wave_that_turns_a_little_is_none_along_one_axis(turns: float) -> None
     assert off_percent(demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)) < 0.2
 
 
+@cache
 def rotating(frequency: float = 480.0) -> Run:
     """A voltage vector that rotates at the injected frequency itself, on what holds the points."""
 

@@ -292,6 +292,7 @@ def test_effect_taken_out_of_the_library_leaves_something_unknown(misaligned: Re
     assert report.verdict == "unknown_remains"
 
 
+@pytest.mark.slow
 def test_ladder_climbs_from_the_nameplate(misaligned: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(misaligned, LIBRARY, model="linear", out=tmp_path).report
     assert [r.added for r in report.ladder] == [None, "saturation", "cross_saturation", "rotor_misalignment"]

@@ -39,6 +39,7 @@ def _with(recording: Recording, directory: Path, wanted: Callable[[Segment], boo
     return open_recording(directory)
 
 
+@pytest.mark.slow
 def test_correlated_noise_is_no_effect(correlated: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(correlated, LIBRARY, out=tmp_path).report
     assert report.verdict == "clean"

@@ -103,7 +103,8 @@ class StopAfter(Interrupts):
 def decided(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run whose inverter loses 0.8 V: one PWM frequency cannot tell dead time from a drop of the devices."""
     others = all_effects_but("dead_time", "device_drop")
-    stages = [*STAGES, {**diagnose(rounds=1), "without": others}]
+    estimate = {"kind": "estimate", "estimators": ["resistance"]}
+    stages = [*STAGES[:-1], estimate, {**diagnose(rounds=1), "without": others}]
     result = run_tiny(tmp_path_factory.mktemp("decided"), drive={"plant": PLANT}, stages=stages)
     assert result.outcome.error is None, result.outcome
     return result.path

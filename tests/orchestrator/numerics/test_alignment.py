@@ -6,10 +6,11 @@ import pytest
 
 from orchestrator.numerics.alignment import alignment_of
 from tests.orchestrator.importing.test_findings import injection
+from tests.support.cases import few
 
 
 @pytest.mark.parametrize("sine", [False, True], ids=["edges", "phase"])
-@pytest.mark.parametrize("late", [0.0, 1.0, 1.4, -2.0])
+@few("late", [0.0, 1.0, 1.4, -2.0], fast=3)
 def test_the_lag_is_reported(late: float, sine: bool) -> None:
     found = alignment_of(*injection(late=late, sine=sine), ohm=4.25 if sine else None)
     assert found is not None

@@ -95,13 +95,6 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of the words: figures are made, but not rendered."""
-    for module in ("_figures", "_diagnosis_figures"):
-        monkeypatch.setattr(f"plugins.streams.report.{module}.uri", lambda figure: "data:image/svg+xml;base64,")
-
-
-@pytest.fixture
 def run(undrawn: None, finished: Path, tmp_path: Path) -> Path:
     """A copy of the finished run without its report."""
     copy = tmp_path / finished.name

@@ -13,6 +13,7 @@ import xarray as xr
 from orchestrator.interface import api
 from orchestrator.interface.cli._running import run_app
 from protocols import CheckOutcome, InputError, Motor, Remark, UsabilityCheck
+from tests.support.cases import few
 from tests.support.tiny import run_tiny
 
 FORMATS = ("csv", "npz", "netcdf", "c")
@@ -38,8 +39,8 @@ def test_a_map_file_takes_the_motor_that_is_named(run: Path, tmp_path: Path) -> 
     assert api.export(map_file, "csv", motor=motor, out=tmp_path / "out").files
 
 
-@pytest.mark.parametrize(
-    ("outcomes", "caution"),
+@few(
+    "outcomes, caution",
     [
         ((), ""),
         (
@@ -48,6 +49,7 @@ def test_a_map_file_takes_the_motor_that_is_named(run: Path, tmp_path: Path) -> 
         ),
         ((CheckOutcome.NOT_POSSIBLE, CheckOutcome.FAILED), "the map is not usable: "),
     ],
+    fast=2,
 )
 def test_a_map_that_is_not_to_be_relied_on_says_so_in_the_files_and_on_standard_error(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], outcomes: tuple[CheckOutcome, ...], caution: str

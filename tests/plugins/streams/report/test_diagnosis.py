@@ -27,24 +27,14 @@ from tests.plugins.streams.report.example_diagnosis import (
     inverter_residual,
     some_steps,
 )
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For tests of the words: figures are made, but not rendered."""
-    leave_undrawn(monkeypatch)
+from tests.support.undrawn import draw_nothing
 
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     with pytest.MonkeyPatch.context() as patch:
-        leave_undrawn(patch)
+        draw_nothing(patch)
         return a_page(tmp_path_factory.mktemp("diagnosed"))
-
-
-def leave_undrawn(patch: pytest.MonkeyPatch) -> None:
-    for module in ("_figures", "_diagnosis_figures"):
-        patch.setattr(f"plugins.streams.report.{module}.uri", lambda figure: "data:image/svg+xml;base64,")
 
 
 def a_page(folder: Path) -> str:
