@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 
+from orchestrator.diagnosis import add_effects
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, fit_baseline
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.recording import Recording, open_recording
 from plugins.drives.simulated import map_motor
+from plugins.effects.inverter import DeviceDrop
 from tests.support.tiny import run_tiny
 
 
@@ -91,6 +93,14 @@ def correlated(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 @pytest.fixture(scope="session")
 def jittering(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return _recording(tmp_path_factory, "jittering", jitter_s=8e-6)
+
+
+@pytest.fixture(scope="session")
+def kept(with_dead_time: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with the model of a recording whose inverter loses voltage; a drop says that too."""
+    out = tmp_path_factory.mktemp("model")
+    add_effects(with_dead_time, ["device_drop"], [DeviceDrop()], out=out)
+    return out
 
 
 SWEEPS: list[dict[str, Any]] = [

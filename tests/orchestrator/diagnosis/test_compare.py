@@ -6,21 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.diagnosis import add_effects, compare_recording
+from orchestrator.diagnosis import compare_recording
 from orchestrator.recording import Recording, read_model
-from plugins.effects.frame import RotorMisalignment
+from plugins.effects.inverter import DeviceDrop
 from protocols import MotorModel, RecordingError
 
 ALWAYS = ["one_pwm_frequency"]
 """What these recordings lack."""
-
-
-@pytest.fixture(scope="module")
-def linear(misaligned: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with a model without saturation, but with the misalignment that there is."""
-    out = tmp_path_factory.mktemp("linear")
-    add_effects(misaligned, ["rotor_misalignment"], [RotorMisalignment()], model="linear", out=out)
-    return out
 
 
 def test_comparison_says_where_the_model_fails(misaligned: Recording, tmp_path: Path) -> None:
@@ -57,16 +49,16 @@ def test_a_linear_model_s_flux_wanders_from_what_the_sweeps_integrate(clean: Rec
         assert getattr(linear, axis) > 3.0 * getattr(saturated, axis) > 0.0
 
 
-def test_the_model_that_lies_there_is_taken_as_it_is(misaligned: Recording, linear: Path) -> None:
-    report = compare_recording(misaligned, [RotorMisalignment()], out=linear)
-    assert report.model == "linear + rotor_misalignment"
-    assert report.chi2 == pytest.approx(read_model(linear).ladder[-1].chi2, rel=1e-9)
+def test_the_model_that_lies_there_is_taken_as_it_is(with_dead_time: Recording, kept: Path) -> None:
+    report = compare_recording(with_dead_time, [DeviceDrop()], out=kept)
+    assert report.model == "saturated + device_drop"
+    assert report.chi2 == pytest.approx(read_model(kept).ladder[-1].chi2, rel=1e-9)
     assert [remark.code for remark in report.remarks] == ALWAYS
 
 
-def test_a_model_of_another_recording_is_stated_to_be_one(clean: Recording, linear: Path) -> None:
-    model: MotorModel = read_model(linear).model_copy(update={"recording": "another"})
-    report = compare_recording(clean, [RotorMisalignment()], model=model)
+def test_a_model_of_another_recording_is_stated_to_be_one(clean: Recording, kept: Path) -> None:
+    model: MotorModel = read_model(kept).model_copy(update={"recording": "another"})
+    report = compare_recording(clean, [DeviceDrop()], model=model)
     assert [remark.code for remark in report.remarks] == [*ALWAYS, "model_of_another"]
     assert "fitted to another" in report.remarks[-1].text
 

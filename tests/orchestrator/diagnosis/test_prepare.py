@@ -104,6 +104,7 @@ def test_a_recording_sampled_too_slowly_is_refused(clean: Recording, tmp_path: P
         open_for_diagnosis(open_recording(tmp_path))
 
 
+@pytest.mark.slow
 def test_currents_ten_times_too_small_for_the_nameplate_are_diagnosed(clean: Recording, tmp_path: Path) -> None:
     (tmp_path / "captures").mkdir()
     for segment in clean.manifest.segments:

@@ -23,14 +23,6 @@ REFITTED = 3e-3
 """Relative: a fit ends a little before its noise model has followed it to the end."""
 
 
-@pytest.fixture(scope="module")
-def kept(with_dead_time: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with the model of a recording whose inverter loses voltage; a drop says that too."""
-    out = tmp_path_factory.mktemp("model")
-    add_effects(with_dead_time, ["device_drop"], LIBRARY, out=out)
-    return out
-
-
 @pytest.mark.slow
 def test_the_kept_model_holds_every_parameter_of_its_effects(kept: Path) -> None:
     (effect,) = read_model(kept).effects
@@ -41,13 +33,6 @@ def test_the_kept_model_holds_every_parameter_of_its_effects(kept: Path) -> None
     assert voltage.high is not None
     assert voltage.low < 0.8 < voltage.high
     assert all(p.low is None and p.high is None for p in unfitted)
-
-
-def test_a_kept_model_is_evaluated_as_it_was_saved(with_dead_time: Recording, kept: Path) -> None:
-    rung = read_model(kept).ladder[-1]
-    report = compare_recording(with_dead_time, LIBRARY, out=kept)
-    assert report.model == "saturated + device_drop"
-    assert report.chi2 == pytest.approx(rung.chi2, rel=SAME)
 
 
 def test_a_comparison_fits_nothing(with_dead_time: Recording, kept: Path, tmp_path: Path) -> None:
