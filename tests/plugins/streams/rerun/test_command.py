@@ -246,6 +246,7 @@ def got(port: int | None, path: str) -> tuple[int, str | None]:
         line.close()
 
 
+@pytest.mark.slow
 def test_a_killed_page_takes_its_server_with_it(tmp_path: Path, example: Path) -> None:
     if shutil.which("setpriv") is None:
         pytest.skip("there is no setpriv here")
