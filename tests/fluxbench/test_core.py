@@ -18,9 +18,12 @@ BEGIN = "from tests.support.without_extras import remove_extras; remove_extras()
 
 IMPORT_ALL = """
 import importlib
+import sys
+from importlib.machinery import PathFinder
 from pathlib import Path
-from tests.support.without_posix import own_modules
+from tests.support.without_posix import own_modules, remove_posix
 
+remove_posix()
 refused = []
 for name in own_modules(Path.cwd()):
     try:
@@ -28,7 +31,11 @@ for name in own_modules(Path.cwd()):
     except ModuleNotFoundError:
         refused.append(name)
 print(*refused, sep="\\n")
+sys.meta_path[:] = [PathFinder if isinstance(finder, PathFinder) else finder for finder in sys.meta_path]
+for name in refused:
+    importlib.import_module(name)
 """
+"""All modules without the extras, and those that need them with them again; both without what Windows lacks."""
 
 MEASURE = """
 import sys
@@ -57,7 +64,8 @@ def without_extras(program: str, *arguments: str) -> subprocess.CompletedProcess
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
 
 
-def test_all_but_the_viewer_the_page_and_the_kits_is_imported_without_extras() -> None:
+@pytest.mark.long
+def test_all_is_imported_without_posix_and_all_but_the_viewer_the_page_and_the_kits_without_extras() -> None:
     done = without_extras(IMPORT_ALL)
     assert done.returncode == 0, done.stderr
     refused = done.stdout.split()

@@ -1,4 +1,4 @@
-"""What Windows lacks is needed nowhere: all modules are imported, and a motor is measured, without POSIX."""
+"""What Windows lacks is needed nowhere: a motor is measured without POSIX. test_core.py imports all modules so."""
 
 from __future__ import annotations
 
@@ -16,16 +16,6 @@ ROOMS = (
     "plugins/streams/report",
 )  # fmt: skip
 """Folders of tests that have to pass so."""
-
-IMPORT_ALL = """
-import importlib
-from pathlib import Path
-from tests.support.without_posix import own_modules, remove_posix
-
-remove_posix()
-for name in own_modules(Path.cwd()):
-    importlib.import_module(name)
-"""
 
 MEASURE = """
 import sys
@@ -53,12 +43,6 @@ def finished(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", program, *arguments]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     return subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-
-
-@pytest.mark.long
-def test_every_module_is_imported_without_posix() -> None:
-    done = finished(IMPORT_ALL)
-    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.long
