@@ -73,7 +73,9 @@ def line_frequencies(time_s: Array, gradient: NDArray[np.inexact], interval_s: f
     while len(found) < count and height.max() > MIN_HEIGHT:
         top = int(np.argmax(height))
         before, here, after = power[top - 1 : top + 2]
-        found.append(step_hz * (top + 0.5 * float(after - before) / max(float(2.0 * here - before - after), 1e-300)))
+        # The vertex of a parabola through the three, at most half a step away.
+        bend = max(2.0 * here - before - after, abs(after - before), 1e-300)
+        found.append(step_hz * float(top + 0.5 * (after - before) / bend))
         height[max(top - apart, 0) : top + apart] = 0.0
     return found
 

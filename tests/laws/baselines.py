@@ -29,6 +29,7 @@ from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis, Ranges, S
 from orchestrator.discovery.laws import error_of
 from orchestrator.discovery.ranking import scales_voltage
 from orchestrator.numerics.types import Array
+from protocols import FluxbenchError
 from protocols import RecordingReader, SignalBatch
 from tests.blind.baselines import _fall, _solved, thresholded
 from tests.laws.symbolic import symbolic_law
@@ -133,9 +134,13 @@ def _chosen(
         EffectTerm(one.candidate(), {n: values.get(n, 0.0) for n in names(one)}, tuple(values))
         for one, values in terms.values()
     ]
-    whole = fit_with_frozen_jacobian(setup.fitter, bare.model.with_active(active), rounds=1, tolerance=1e-3)
     hypothesis = of[first][0]
     named = [hypothesis.place.name, hypothesis.quantity.name, PHASE_NAMES[hypothesis.phases]]
+    try:
+        whole = fit_with_frozen_jacobian(setup.fitter, bare.model.with_active(active), rounds=1, tolerance=1e-3)
+    except FluxbenchError:
+        # Powers of a reading that is corrected by itself may have no true current.
+        return Thresholded(named, len(best), None, 0.0)
     return Thresholded(named, len(best), error_of(whole), 0.0)
 
 

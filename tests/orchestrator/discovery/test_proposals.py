@@ -62,3 +62,11 @@ def test_a_step_is_proposed_at_its_sample() -> None:
     assert abs(first - t[after][0]) < 20 * INTERVAL_S
     exact = step_places(t, after - after.mean(), 1)
     assert exact == [t[after][0]]
+
+
+def test_a_line_at_half_the_sampling_frequency_is_found_there() -> None:
+    """Its power climbs to the end of the spectrum, without a maximum before."""
+    nyquist_hz = 0.5 / INTERVAL_S
+    found = line_frequencies(times(), (-1.0) ** np.round(times() / INTERVAL_S), INTERVAL_S, 2)
+    assert found[0] == pytest.approx(nyquist_hz, rel=1e-3)
+    assert all(0.0 < hz < nyquist_hz for hz in found)
