@@ -29,8 +29,7 @@ from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis, Ranges, S
 from orchestrator.discovery.laws import error_of
 from orchestrator.discovery.ranking import scales_voltage
 from orchestrator.numerics.types import Array
-from protocols import FluxbenchError
-from protocols import RecordingReader, SignalBatch
+from protocols import FluxbenchError, RecordingReader, SignalBatch
 from tests.blind.baselines import _fall, _solved, thresholded
 from tests.laws.symbolic import symbolic_law
 
