@@ -31,7 +31,7 @@ from orchestrator.diagnosis.weak_form.equations import (
     local_map,
     voltage_and_resistance,
 )
-from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
+from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rotation
@@ -398,12 +398,11 @@ def scatter_sizes(timer: QuantiserScatter, noise: ModelNoise) -> Array:
     return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])
 
 
-def _in_frame_of(piece: SegmentData, slopes: Array) -> Slopes:
+def _in_frame_of(piece: SegmentData, slopes: Array) -> Array:
     """Slopes in the believed rotor frame."""
     turn = rotation(-piece.segment.rotor_angle_rad)
     # One product with a 4 x 4 matrix; a product per reading takes ten times as long.
-    turned = slopes.reshape(-1, 4) @ np.kron(turn, turn).T
-    return Slopes(np.zeros((0, 2, 2)), turned.reshape(-1, 2, 2))
+    return np.asarray((slopes.reshape(-1, 4) @ np.kron(turn, turn).T).reshape(-1, 2, 2))
 
 
 def _beyond_rounding(change: Change, signals: SignalBatch) -> bool:

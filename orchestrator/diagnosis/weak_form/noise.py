@@ -2,11 +2,11 @@
 
 Sensor noise enters interval k through both of its samples,
 
-    xi_k = a_k n_k + b_k n_k+1,   a_k = (L_k - R Ts/2) T_k + Ts S_k,   b_k = -(L_k+1 + R Ts/2) T_k+1,
+    xi_k = a_k n_k + b_k n_k+1,   a_k = L_k - R Ts/2 + Ts S_k,   b_k = -(L_k+1 + R Ts/2),
 
-with T = d i_true / d i_measured and S = d v_impressed / d i_measured by the effects (an inverter's slope near
-zero current multiplies noise by tens of ohms). Windows of one segment share samples: the covariance of its
-rows is banded, and its Cholesky factor whitens them.
+with S = d v_impressed / d i_measured by the effects (an inverter's slope near zero current multiplies noise by tens of
+ohms; a sensor's own error changes its noise by a few percent, which is left out). Windows of one segment share
+samples: the covariance of its rows is banded, and its Cholesky factor whitens them.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def sensor_noise(pieces: Sequence[SegmentData]) -> SensorNoise:
     steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
     steady = steady or _quietest([s for s in of[SegmentStage.STEPS] if np.isfinite(s.covariance).all()])
     repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
-    rho = _correlation(steady, of[SegmentStage.GATES_OFF], MIN_CORRELATION)
+    rho = _correlation(steady, of[SegmentStage.GATES_OFF])
     # The variance of second differences is 6 - 8 rho + 2 rho^2 times the readings', not 6.
     seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
     covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)
@@ -133,13 +133,13 @@ def _typical(scatters: Sequence[Scatter]) -> Array:
     return np.asarray(covariance + (1e-12 + 1e-6 * float(np.trace(covariance))) * np.eye(2))
 
 
-def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], min_correlation: float) -> float:
+def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter]) -> float:
     """rho of the readings' noise as a first-order process; 0 where it may be chance."""
     # Current control responds to noise and correlates readings, so that gates-off readings are preferred. Where their
     # rho is insignificant (white noise has 1 / sqrt(n)) and nearer to zero than to that of the holds, it is zero.
     correlated, free = ([s for s in some if math.isfinite(s.correlation)] for some in (steady, off))
     rho = float(np.median([s.correlation for s in correlated])) if correlated else 0.0
-    if abs(rho) < min_correlation:
+    if abs(rho) < MIN_CORRELATION:
         return 0.0
     if free:
         held, rho = rho, float(np.median([s.correlation for s in free]))
@@ -149,24 +149,8 @@ def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], min_correlat
     return min(max(rho, -_MAX_CORRELATION), _MAX_CORRELATION)
 
 
-@dataclass(frozen=True)
-class Slopes:
-    """Sensitivities of a segment's effects to current noise.
-
-    Attributes
-    ----------
-    current : array, shape (n, 2, 2)
-        d i_true / d i_measured in the believed frame.
-    voltage : array, shape (n, 2, 2)
-        d v_impressed / d i_measured [ohm].
-    """
-
-    current: Array
-    voltage: Array
-
-
 def banded_covariance(
-    piece: SegmentData, local: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
+    piece: SegmentData, local: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Array | None
 ) -> Array:
     """Covariance of a segment's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
 
@@ -174,6 +158,8 @@ def banded_covariance(
     ----------
     resistance : array, shape (n,)
         Resistance of the corrected signals, in units of R_s.
+    slopes : array, shape (n, 2, 2), optional
+        d v_impressed / d i_measured in the believed frame [ohm].
     """
     w = piece.windows
     angle = float(piece.segment.rotor_angle_rad)
@@ -181,8 +167,7 @@ def banded_covariance(
     sums = _pair_sums(
         local.inductance,
         np.ascontiguousarray(resistance),
-        slopes.current if slopes is not None else np.zeros((0, 2, 2)),
-        slopes.voltage if slopes is not None else np.zeros((0, 2, 2)),
+        slopes if slopes is not None else np.zeros((0, 2, 2)),
         np.asarray(np.linalg.cholesky(turn @ noise.of(piece) @ turn.T), dtype=np.float64),
         r_s,
         1.0 / piece.signals.sampling_frequency_hz,
@@ -308,7 +293,6 @@ def _factored(covariance: Array) -> Array:
 def _pair_sums(
     inductance: Array,
     resistance: Array,
-    current_slope: Array,
     voltage_slope: Array,
     sensor_factor: Array,
     r_s: float,
@@ -339,14 +323,6 @@ def _pair_sums(
         b[0, 1] = -inductance[k, 1]
         b[1, 0] = -inductance[k, 1]
         b[1, 1] = -inductance[k, 2] - ohm
-        if current_slope.shape[0] > 0:
-            for x in range(2):
-                p0, p1 = a[x, 0], a[x, 1]
-                a[x, 0] = p0 * current_slope[k, 0, 0] + p1 * current_slope[k, 1, 0]
-                a[x, 1] = p0 * current_slope[k, 0, 1] + p1 * current_slope[k, 1, 1]
-                p0, p1 = b[x, 0], b[x, 1]
-                b[x, 0] = p0 * current_slope[k, 0, 0] + p1 * current_slope[k, 1, 0]
-                b[x, 1] = p0 * current_slope[k, 0, 1] + p1 * current_slope[k, 1, 1]
         if voltage_slope.shape[0] > 0:
             for x in range(2):
                 for y in range(2):

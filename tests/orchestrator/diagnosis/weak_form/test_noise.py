@@ -12,7 +12,6 @@ from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import LocalMap, flux_terms, local_map, voltage_and_resistance
 from orchestrator.diagnosis.weak_form.noise import (
     SensorNoise,
-    Slopes,
     Whitener,
     _correlation,
     _quietest,
@@ -61,7 +60,7 @@ def _local(one: SegmentData) -> LocalMap:
     return local_map(batch, batch.signals, TRUE_MAP)
 
 
-def _whitener(requested: Plan, slopes: Slopes | None = None) -> Whitener:
+def _whitener(requested: Plan, slopes: Array | None = None) -> Whitener:
     one = piece(requested)
     at = _local(one)
     noise = SensorNoise(COVARIANCE, COVARIANCE, 0.0)
@@ -118,7 +117,7 @@ def test_errors_in_common_are_whitened_too() -> None:
 def test_an_inverters_slope_multiplies_the_noise() -> None:
     ohm = 50.0
     n = len(HOLD.v_dq)
-    slopes = Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(np.broadcast_to(ohm * np.eye(2), (n, 2, 2))))
+    slopes = np.ascontiguousarray(np.broadcast_to(ohm * np.eye(2), (n, 2, 2)))
     plain, steep = _whitener(HOLD).variance, _whitener(HOLD, slopes).variance
     # A reading counts by L (w_k - w_k-1) and by Ts (slope - R) w_k; the mean square of a test function is a third.
     step = piece(HOLD).windows.step
@@ -149,8 +148,8 @@ def test_with_the_gates_off_readings_tell_what_current_control_does_and_chance_i
     off: float, readings: int, reported: float
 ) -> None:
     held, free = (Scatter(np.eye(2), rho, np.zeros(0), n) for rho, n in ((0.15, 10_000), (off, readings)))
-    assert _correlation([held], [free], 0.08) == reported
-    assert _correlation([held], [], 0.08) == 0.15
+    assert _correlation([held], [free]) == reported
+    assert _correlation([held], []) == 0.15
 
 
 def test_ripple_does_not_pass_for_noise() -> None:
