@@ -121,14 +121,13 @@ class ModelNoise(Strict):
     """Variation of the current readings' zero between segments (rms)."""
     voltage_scatter_v: Annotated[float, Field(ge=0)] = 0.0
     """Independent error of each held voltage per axis (rms), at the drive's own PWM frequency."""
-    dithered: bool = False
-    """Whether what trembles in a held voltage takes of that, as it does of the steps of a modulator's timer."""
 
     @model_validator(mode="before")
     @classmethod
     def _without_former_fields(cls, values: object) -> object:
-        """Files of earlier versions have a model error as noise too (`variance_factors`); it is read and not used."""
-        return {k: v for k, v in values.items() if k != "variance_factors"} if isinstance(values, dict) else values
+        """Files of earlier versions have two more fields, which are read and not used."""
+        former = ("variance_factors", "dithered")
+        return {k: v for k, v in values.items() if k not in former} if isinstance(values, dict) else values
 
     @property
     def scatters(self) -> bool:

@@ -21,7 +21,7 @@ from orchestrator.diagnosis.fitting.model import (
     SegmentRows,
 )
 from orchestrator.diagnosis.nuisances.carrier_ripple import carrier_ripple_voltage
-from orchestrator.diagnosis.nuisances.dwells import QuantiserScatter, dwells
+from orchestrator.diagnosis.nuisances.pwm_quantiser import dwells, scatter_sizes, scatter_units
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import (
     LocalMap,
@@ -38,7 +38,7 @@ from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rota
 from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import Correction, EffectLayer, ModelNoise, SignalBatch, Signals
+from protocols import Correction, EffectLayer, SignalBatch, Signals
 
 FLUX_ITERATIONS: int = 2
 """Fixed-point iterations of the flux that effects read, which itself depends on their rotor angle and magnetising
@@ -162,7 +162,7 @@ class WeakFormEquations:
             common, scatter = [rows[batch.rows_of(j)] for rows in directions], self.noise.of_model
             if scatter.scatters:
                 rows = self._common_rows(state, j, slopes)
-                common.append(rows * scatter_sizes(QuantiserScatter.of(piece), scatter))
+                common.append(rows * scatter_sizes(scatter_units(piece), scatter))
             whitener = Whitener.of(covariance, np.column_stack(common) if common else None)
             noises.append((whitener, means[j], noise_parameters))
         return noises
@@ -390,12 +390,6 @@ def _flux_of(signals: SignalBatch) -> dict[str, Array]:
 
 def _multiplies_noise(active: EffectTerm) -> bool:
     return active.candidate.effect.layer is EffectLayer.INVERTER and not active.is_absent
-
-
-def scatter_sizes(timer: QuantiserScatter, noise: ModelNoise) -> Array:
-    """Standard deviations of a segment's common errors: offsets of both phases [A], voltages of each dwell [V]."""
-    volts = timer.sizes(noise.voltage_scatter_v, dithered=noise.dithered)
-    return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])
 
 
 def _in_frame_of(piece: SegmentData, slopes: Array) -> Array:

@@ -5,8 +5,9 @@ plus the edge's phase; both phases are equal where one comparison makes both edg
 
     -q/2 (S(x - x_rise) + S(x - x_fall)),    S(x) = x - floor(x) - 1/2
 
-(B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661, chapter 1), exactly for each command. Zero
-sequences: D. G. Holmes, T. A. Lipo, Pulse Width Modulation for Power Converters, IEEE Press 2003,
+(B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661, chapter 1), exactly for each command. A
+varying voltage is dithered by its course; in a dwell, a stretch of constant current, the rounding does not average out.
+Zero sequences: D. G. Holmes, T. A. Lipo, Pulse Width Modulation for Power Converters, IEEE Press 2003,
 doi:10.1109/9780470546284, section 6.3.
 """
 
@@ -20,10 +21,17 @@ from typing import TypeVar
 import numpy as np
 from numba import njit
 
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, mean_between
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, block_means, mean_between
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from protocols import DriveRecord, ModulatorTimer, RealArray, TimerPhases
+from protocols import DriveRecord, ModelNoise, ModulatorTimer, RealArray, SegmentStage, TimerPhases
+
+MAX_STEP_OF_DWELL = 0.02
+"""Step of a constant current between windows, relative to a ramp's."""
+MAX_STEP_OF_DWELL_SIGMAS = 4.0
+"""The same in standard deviations of its noise, where that is more."""
+MIN_WINDOWS_OF_DWELL = 3
+"""Minimum number of windows in a stretch of constant current."""
 
 Numbers = TypeVar("Numbers", float, Array)
 
@@ -87,6 +95,43 @@ def leg_step_of(step_s: float, pwm_frequency_hz: Numbers, bus_v: float) -> Numbe
 def nominal_leg_step_of(step_s: float, drive: DriveRecord) -> float:
     """`leg_step_of` at the drive's nominal PWM frequency [V]."""
     return leg_step_of(step_s, drive.pwm_frequency_hz or drive.sampling_frequency_hz, drive.dc_bus_voltage_v)
+
+
+def leg_step_v(voltage_v: float) -> float:
+    """A leg's step whose uniform rounding error has this rms per axis [V]: sqrt(2/3) sqrt(1/12) of the step."""
+    return math.sqrt(18.0) * voltage_v
+
+
+def dwells(piece: SegmentData) -> tuple[slice, ...]:
+    """Slices of a segment's samples with constant current: all of a hold, the plateaus of a sweep."""
+    if piece.stage is SegmentStage.RESISTANCE:
+        return (slice(0, len(piece.signals.v_dc)),)
+    if piece.stage is not SegmentStage.CLASSICAL:
+        return ()
+    step = max(round(piece.windows.step), 1)
+    means = block_means(np.asarray(piece.signals.i_ab), step)
+    moved = np.hypot(*np.diff(means, axis=0).T)
+    noise_a = math.sqrt(2.0 * float(np.trace(piece.scatter.covariance)) / (step * piece.averaged))
+    stands = moved < max(MAX_STEP_OF_DWELL * float(moved.max(initial=0.0)), MAX_STEP_OF_DWELL_SIGMAS * noise_a)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stands, [False]]).astype(np.int8)))
+    runs = zip(edges[::2], edges[1::2] + 1, strict=True)
+    return tuple(slice(int(a) * step, int(b) * step) for a, b in runs if b - a >= MIN_WINDOWS_OF_DWELL)
+
+
+def scatter_units(piece: SegmentData) -> Array:
+    """Standard deviations of a segment's common errors for unit offset and voltage scatter, shape (2, 2 + 2 dwells).
+
+    The errors are offsets of two phases and two voltages of each dwell. A timer's step in volts, and with it the
+    voltages' scatter, is proportional to the PWM frequency.
+    """
+    s, held = piece.signals, len(dwells(piece))
+    drive_hz = (s.drive.pwm_frequency_hz if s.drive is not None else None) or s.pwm_frequency_hz
+    return np.repeat(np.diag([1.0, s.pwm_frequency_hz / drive_hz]), [2, 2 * held], axis=1)
+
+
+def scatter_sizes(units: Array, noise: ModelNoise) -> Array:
+    """Standard deviations of a segment's common errors [A] and [V], from its `scatter_units`."""
+    return np.asarray(np.array([noise.offset_scatter_a, noise.voltage_scatter_v]) @ units)
 
 
 def _impressed(piece: SegmentData, timer: ModulatorTimer | None, bus_v: float) -> SegmentData:

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.diagnosis.nuisances.dwells import dwells
-from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, leg_step_of, legs_of, rounded_by
+from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, dwells, leg_step_of, legs_of, rounded_by
 from orchestrator.diagnosis.nuisances.segment_scatter import Likelihood, is_same_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.types import Array, Indices
@@ -68,7 +67,7 @@ def _alternate(
         x = _minimise(held, estimate, x, *likelihood.held_volts(scatter))
         with_it = likelihood.with_volts(held.rounded_by(estimate.moved(x)))
         doubt = float(x @ estimate.curvature @ x) - 2.0 * estimate.gain
-        before, scatter = scatter, with_it.most_likely((True, True), dithered=False, near=scatter)
+        before, scatter = scatter, with_it.most_likely((True, True), near=scatter)
         if is_same_scatter(before, scatter):
             break
     return _JointEstimate(estimate.moved(x), scatter, with_it.cost(scatter) + doubt)

@@ -1,7 +1,7 @@
 """Random errors that are constant within a segment, with variances estimated by restricted likelihood.
 
 A current sensor's offset drifts during an experiment, and a constant voltage has the rounding error of the modulator's
-timer; a varying voltage is dithered, and one that responds to noise may be. With e the whitened residual of the
+timer (a varying voltage is dithered). With e the whitened residual of the
 training segments, X all columns (R_s, the map, every effect of the library) and U the columns of these two errors in
 each segment, per standard deviation,
 
@@ -24,11 +24,9 @@ import numpy as np
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Library
-from orchestrator.diagnosis.fitting.equations import scatter_sizes
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.nuisances.dwells import QuantiserScatter, leg_step_v
-from orchestrator.diagnosis.nuisances.pwm_quantiser import nominal_leg_step_of
+from orchestrator.diagnosis.nuisances.pwm_quantiser import leg_step_v, nominal_leg_step_of, scatter_sizes, scatter_units
 from orchestrator.diagnosis.nuisances.quantiser_search import MAX_TIMER_STEP_S
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
@@ -71,12 +69,12 @@ class Scatter:
 
 @dataclass(frozen=True)
 class _Segment:
-    """One segment's errors: information matrix, cross information with all columns, and gradient."""
+    """One segment's errors: information matrix, cross information with all columns, gradient, and `scatter_units`."""
 
     information: Array
     shared: Array
     pull: Array
-    timer: QuantiserScatter
+    units: Array
     pwm_hz: float
 
 
@@ -94,7 +92,7 @@ class Likelihood:
     @property
     def dwells(self) -> int:
         """Number of dwells."""
-        return sum(len(segment.timer.steps) for segment in self.segments)
+        return sum(len(segment.information) // 2 - 1 for segment in self.segments)
 
     def cost(self, noise: ModelNoise) -> float:
         """Minus twice the log likelihood of a scatter."""
@@ -136,7 +134,7 @@ class Likelihood:
         _, _, normal, gradient, _ = self._reduced(noise)
         information, shared, pull = [], [], []
         for segment in self.segments:
-            scale = scatter_sizes(segment.timer, noise)
+            scale = scatter_sizes(segment.units, noise)
             inside = np.linalg.inv(np.eye(len(scale)) + scale[:, None] * segment.information * scale)
             less = np.eye(len(scale)) - segment.information @ (scale[:, None] * inside * scale)
             information.append((less @ segment.information)[2:, 2:])
@@ -164,7 +162,7 @@ class Likelihood:
             squares += float(added @ (2.0 * segment.pull + segment.information @ added))
         return replace(self, segments=moved, gradient=self.gradient + shift, chi2=self.chi2 + squares)
 
-    def most_likely(self, which: tuple[bool, bool], *, dithered: bool, near: ModelNoise | None = None) -> ModelNoise:
+    def most_likely(self, which: tuple[bool, bool], *, near: ModelNoise | None = None) -> ModelNoise:
         """The likeliest scatter; of its two standard deviations those not in `which` are zero.
 
         The search starts at `near`, or scans all decades.
@@ -174,7 +172,7 @@ class Likelihood:
         def noise(decades: Array) -> ModelNoise:
             given = iter(decades.tolist())
             offset, voltage = (10.0 ** min(next(given), MAX_DECADE) if is_free else 0.0 for is_free in which)
-            return ModelNoise(offset_scatter_a=offset, voltage_scatter_v=voltage, dithered=dithered)
+            return ModelNoise(offset_scatter_a=offset, voltage_scatter_v=voltage)
 
         def cost(decades: Array) -> float:
             return self.cost(noise(decades))
@@ -204,7 +202,7 @@ class Likelihood:
         """Each segment's scales and factor, then the normal matrix, gradient and chi2 with the scatter eliminated."""
         parts = dict[int, tuple[Array, Array]]()
         for places, information, shared in self._groups:
-            scale = np.array([scatter_sizes(self.segments[k].timer, noise) for k in places])
+            scale = np.array([scatter_sizes(self.segments[k].units, noise) for k in places])
             inside = np.eye(scale.shape[1]) + scale[:, :, None] * information * scale[:, None, :]
             factor = np.linalg.cholesky(inside)
             root = np.linalg.solve(factor, scale[:, :, None] * shared)
@@ -239,8 +237,7 @@ def with_scatter_beside(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library
 def is_same_scatter(noise: ModelNoise, other: ModelNoise) -> bool:
     """Whether two scatters differ too little to matter for a fit."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
-    same = all(abs(a - b) <= MAX_SCATTER_CHANGE * max(a, b) for a, b in pairs)
-    return same and noise.dithered == other.dithered
+    return all(abs(a - b) <= MAX_SCATTER_CHANGE * max(a, b) for a, b in pairs)
 
 
 def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
@@ -259,29 +256,24 @@ def quantiser_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
     return leg_step_v(noise.voltage_scatter_v) / nominal_leg_step_of(1.0, setup.prepared.manifest.drive)
 
 
-def scatter_of(fitter: Fitter, fit: Fit, library: Library, *, may_be_dithered: bool = True) -> Scatter:
+def scatter_of(fitter: Fitter, fit: Fit, library: Library) -> Scatter:
     """The likeliest scatter around a fit's model, all effects of the library adapting.
 
     Parameters
     ----------
     fitter : Fitter
         Scatter that is already part of its noise is not estimated again.
-    may_be_dithered : bool
-        Whether noise in held voltages may reduce their scatter, where it differs between PWM frequencies.
     """
-    return _most_likely_scatter(likelihood_of(fitter, fit, library), may_be_dithered=may_be_dithered)
+    return _most_likely_scatter(likelihood_of(fitter, fit, library))
 
 
-def _most_likely_scatter(likelihood: Likelihood, *, may_be_dithered: bool = True) -> Scatter:
-    criteria = likelihood.criteria
-    min_gain = 2.0 * criteria.selection.log_evidence
+def _most_likely_scatter(likelihood: Likelihood) -> Scatter:
+    min_gain = 2.0 * likelihood.criteria.selection.log_evidence
     # The simpler scatter is kept unless the data require another.
     best = ModelNoise()
     cost = none = likelihood.cost(best)
     for which in ((True, False), (False, True), (True, True)):
-        found = likelihood.most_likely(which, dithered=False)
-        if may_be_dithered and likelihood.chance(found) <= criteria.uncertainty.scatter_chance:
-            found = likelihood.most_likely(which, dithered=True)
+        found = likelihood.most_likely(which)
         if cost - likelihood.cost(found) > min_gain:
             best, cost = found, likelihood.cost(found)
     return Scatter(best, 0.5 * (none - cost), likelihood.chi2_per_dof(best), likelihood.chance(best))
@@ -315,6 +307,6 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Library) -> Likelihood:
             )
     pieces = [(piece, common[k]) for k, piece in enumerate(loose.prepared.pieces) if not piece.held_out]
     for (piece, u), (linear, d, e) in zip(pieces, loose.training(), strict=True):
-        timer, pwm_hz = QuantiserScatter.of(piece), piece.signals.pwm_frequency_hz
-        segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e, timer, pwm_hz))
+        shared, pwm_hz = u.T @ np.column_stack([linear, d]), piece.signals.pwm_frequency_hz
+        segments.append(_Segment(u.T @ u, shared, u.T @ e, scatter_units(piece), pwm_hz))
     return Likelihood(fitter.prepared.criteria, segments, normal, gradient, loose.chi2, loose.dof)

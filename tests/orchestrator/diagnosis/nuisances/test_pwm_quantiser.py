@@ -1,24 +1,41 @@
-"""What a timer makes of commands: lines see whole steps, nobody is off by more than one, and on average nothing is."""
+"""What a timer makes of commands: lines see whole steps, no leg is off by more than one; and where currents rest."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.diagnosis.nuisances.pwm_quantiser import (
     QuantiserEstimate,
+    dwells,
     leg_step_of,
     nominal_leg_step_of,
     rounded_by,
+    scatter_sizes,
+    scatter_units,
     with_quantiser,
 )
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, mean_between
 from orchestrator.numerics.frames import from_phases, to_phases
-from protocols import SegmentStage
-from tests.orchestrator.diagnosis.pieces import FS, Array, plan, prepared, timer
+from protocols import ModelNoise, SegmentStage
+from tests.orchestrator.diagnosis.pieces import (
+    FS,
+    NOISE_A,
+    R_S,
+    Array,
+    Plan,
+    hold,
+    piece,
+    plan,
+    prepared,
+    ripple,
+    sweep,
+    timer,
+)
 
 STEP_S = 26e-9
 PART = st.floats(0.0, 0.999)
@@ -119,3 +136,45 @@ def test_a_timer_may_meet_commands_anywhere_at_a_frequency_of_which_readings_tel
     borne = QuantiserEstimate(timer(STEP_S, 0.2, 0.4), 1.0, np.eye(3)).at([FS, 2.0 * FS])
     assert [p.pwm_frequency_hz for p in borne.timer.phases] == [FS, 2.0 * FS]
     np.testing.assert_array_equal(borne.curvature, np.diag([1.0, 1.0, 1.0, 0.0, 0.0]))
+
+
+def _made(stage: SegmentStage, v_dq: Array, noise_a: float = NOISE_A) -> SegmentData:
+    noise = np.random.default_rng(1).normal(0.0, noise_a, v_dq.shape)
+    return piece(Plan(stage, v_dq, settings={"frequency_hz": 500.0, "rotation_hz": 4.0}), noise=noise)
+
+
+def _trapezoid(up: int, dwell: int) -> Array:
+    """Voltage of a current that ramps to 2.5 A, rests, ramps down, rests."""
+    ramp = np.linspace(-2.5, 2.5, up)
+    i_q = np.concatenate([ramp, np.full(dwell, 2.5), ramp[::-1], np.full(dwell, -2.5)])
+    return np.stack([np.zeros(len(i_q)), R_S * i_q], axis=1)
+
+
+def test_a_hold_rests_all_through() -> None:
+    assert dwells(_made(SegmentStage.RESISTANCE, hold(2.0, 0.0))) == (slice(0, 600),)
+
+
+@pytest.mark.parametrize("noise_a", [0.1 * NOISE_A, NOISE_A])
+def test_a_trapezoid_rests_at_its_ends(noise_a: float) -> None:
+    up, dwell = 4000, 3000
+    made = _made(SegmentStage.CLASSICAL, _trapezoid(up, dwell), noise_a)
+    found, window = dwells(made), made.windows.step
+    assert len(found) == 2
+    for stretch, start in zip(found, (up, 2 * up + dwell), strict=True):
+        # The current follows the voltage some time constants later: within a rest all of it has settled.
+        assert start - window <= stretch.start <= start + 800
+        assert abs(stretch.stop - (start + dwell)) <= 2 * window
+
+
+def test_what_moves_all_the_time_does_not_rest() -> None:
+    assert dwells(_made(SegmentStage.CLASSICAL, sweep(1, 2.5, 0.0))) == ()
+    assert dwells(_made(SegmentStage.INJECTION, ripple(1.0, 0.0, 40.0))) == ()
+    assert dwells(_made(SegmentStage.GATES_OFF, np.zeros((600, 2)))) == ()
+
+
+def test_a_held_voltage_scatters_with_the_pwm_frequency_and_the_readings_zeros_do_not() -> None:
+    made = _made(SegmentStage.RESISTANCE, hold(1.0, 0.0))
+    noise = ModelNoise(offset_scatter_a=0.001, voltage_scatter_v=0.02)
+    assert scatter_sizes(scatter_units(made), noise) == pytest.approx([0.001, 0.001, 0.02, 0.02])
+    twice = replace(made, signals=replace(made.signals, pwm_frequency_hz=2.0 * made.signals.pwm_frequency_hz))
+    assert scatter_sizes(scatter_units(twice), noise) == pytest.approx([0.001, 0.001, 0.04, 0.04])

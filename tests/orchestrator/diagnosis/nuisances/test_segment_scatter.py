@@ -10,7 +10,6 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS
-from orchestrator.diagnosis.nuisances.dwells import leg_step_v
 from orchestrator.diagnosis.nuisances.segment_scatter import scatter_of
 from orchestrator.diagnosis.weak_form.preparation import coarse
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -117,28 +116,3 @@ def test_voltages_scatter_as_a_timers_steps_do_or_are_no_noise(sizes_v: tuple[fl
     assert found.noise.voltage_scatter_v > 0.005
     # At twice the frequency a timer's step is twice the voltage.
     assert (found.chance > made.criteria.uncertainty.scatter_chance) is alike
-
-
-@pytest.mark.slow
-def test_steps_that_trembling_takes_away_at_one_pwm_frequency_are_a_timers_at_another() -> None:
-    made, rng = _campaign(), np.random.default_rng(6)
-    pieces, steps, step_v = list(made.pieces), {}, 0.1
-    for k, p in enumerate(pieces):
-        if p.stage is SegmentStage.RESISTANCE:
-            twice, shape = 1 + (k % 3 == 0), p.signals.v_ab.shape
-            trembling = rng.normal(0.0, 0.04, shape)
-            whole = rng.uniform(0.0, 1.0, 2) * twice * step_v + trembling
-            off = twice * step_v * np.round(whole / (twice * step_v)) - whole
-            pwm_hz = twice * p.signals.pwm_frequency_hz
-            v_ab = p.signals.v_ab + trembling - trembling.mean(axis=0)
-            pieces[k] = replace(p, signals=replace(p.signals, pwm_frequency_hz=pwm_hz, v_ab=v_ab))
-            steps[p.segment.id] = off.mean(axis=0)
-    maker = fitter(with_voltage(replace(made, pieces=tuple(pieces)), steps))
-    fit = maker.fit(free_model())
-    alike = made.criteria.uncertainty.scatter_chance
-    assert scatter_of(maker, fit, [], may_be_dithered=False).chance < alike
-    found = scatter_of(maker, fit, [])
-    assert found.noise.dithered
-    assert found.chance > alike
-    # Each axis is a quantiser of its own here: sqrt(3 / 2) of what it has of a leg's.
-    assert leg_step_v(found.noise.voltage_scatter_v) == pytest.approx(np.sqrt(1.5) * step_v, rel=0.3)
