@@ -20,7 +20,7 @@ from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.first_models import ModelChoice
-from orchestrator.diagnosis.selection.interim import InterimResult
+from orchestrator.diagnosis.selection.search_state import InterimResult
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
 
 __all__ = [

@@ -65,11 +65,9 @@ from orchestrator.diagnosis.selection.first_models import (
     include_measured,
     map_steps,
 )
-from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
-from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
-from orchestrator.diagnosis.selection.naming import MAX_SHARE_OF_ERROR
+from orchestrator.diagnosis.selection.naming import MAX_SHARE_OF_ERROR, joint_fit, other_opinion
 from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects, unfinished_search
-from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, InterimRecorder, InterimResult, SearchResult
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (

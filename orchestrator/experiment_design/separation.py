@@ -121,7 +121,7 @@ def _normal(
     space, model = pair.model.space, pair.model
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
     responding = pair.responding(wanted)
-    equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb, fitter.prepared.criteria)
+    equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
     for batch in in_batches(pieces)[1]:

@@ -8,11 +8,16 @@ from itertools import repeat
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
-from orchestrator.diagnosis.fitting.cascade import Cascade, Change, array_of, step_of
 from orchestrator.diagnosis.fitting.columns import ColumnProbe
-from orchestrator.diagnosis.fitting.corrections import apply_effects, has_random_directions
+from orchestrator.diagnosis.fitting.corrections import (
+    Cascade,
+    Change,
+    apply_effects,
+    array_of,
+    has_random_directions,
+    step_of,
+)
 from orchestrator.diagnosis.fitting.model import (
     BatchLinearisation,
     ColumnName,
@@ -72,7 +77,6 @@ class WeakFormEquations:
 
     noise: SensorNoise
     pm_flux_wb: float
-    criteria: Criteria
     ripples: bool = False
     """Whether the resistive drop of the ripple within a carrier period is included (`nuisances.carrier_ripple`)."""
     _raw_basis: dict[int, tuple[SegmentBatch, EvenSpline, list[Array]]] = field(default_factory=dict)
@@ -306,52 +310,45 @@ class WeakFormEquations:
             For each column, the inner effects that respond to it; all by default.
         """
         inner_effects = answering if answering is not None else repeat(None)
-        columns = _Columns.of(at.batch, len(parameters))
+        out = _empty(at.batch, len(parameters))
         for k, ((active, name), inner) in enumerate(zip(parameters, inner_effects, strict=False)):
-            self._column(at, active, name, columns.of_parameter(k), inner)
-        return self._white(at, columns)
+            step, change, _ = _changed(at, active, name, inner)
+            self._difference(at, change, step, out[:, 2 + k])
+        return self._white(at, out)
 
     def probed(
         self, at: BatchState, parameters: Sequence[tuple[EffectTerm, str]], answering: Sequence[frozenset[str] | None]
     ) -> tuple[list[SegmentRows], list[ColumnProbe]]:
         """`rows`, and the contribution of each inner effect to each column whose responses are not known yet."""
-        columns = _Columns.of(at.batch, len(parameters))
+        out = _empty(at.batch, len(parameters))
         keys, additions = [], []
         for k, ((active, name), inner) in enumerate(zip(parameters, answering, strict=True)):
-            for effect, added in self._column(at, active, name, columns.of_parameter(k), inner).items():
-                keys.append((k, effect))
-                additions.append(added)
-        rows = self._white(at, columns)
+            step, change, responses = _changed(at, active, name, inner)
+            self._difference(at, change, step, out[:, 2 + k])
+            for effect, response in responses.items():
+                if _beyond_rounding(response, at.cascade.corrected):
+                    keys.append((k, effect))
+                    additions.append(self._difference(at, response, step))
+        rows = self._white(at, out)
         together = np.stack(additions, axis=-1) if additions else np.zeros((int(at.batch.layout.rows[-1]), 0))
         probes = []
         for j, cached in enumerate(at.linearisation.pieces):
             power = np.sum(cached.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)
-            responses = {key: float(p) for key, p in zip(keys, power, strict=True)}
-            probes.append(ColumnProbe(rows[j].columns, responses))
+            probes.append(ColumnProbe(rows[j].columns, dict(zip(keys, power.tolist(), strict=True))))
         return rows, probes
 
-    def _white(self, at: BatchState, columns: _Columns) -> list[SegmentRows]:
-        """Each segment's equations at a model, whitened with the columns."""
+    def _white(self, at: BatchState, out: Array) -> list[SegmentRows]:
+        """Each segment's equations at a model, whitened with the columns in `out[:, 2:]`."""
         corrected, r_s = at.cascade.corrected, at.linearisation.r_s
         in_parts = corrected.replaced({"resistance_ohm": corrected.resistance_ohm / r_s})
         voltage, resistance = voltage_and_resistance(at.batch, in_parts, at.local, self.pm_flux_wb)
         known = voltage + flux_terms(at.batch, at.local)
-        columns.rows[:, 0], columns.rows[:, 1] = known, resistance
+        out[:, 0], out[:, 1] = known, resistance
         rows = []
         for j, cached in enumerate(at.linearisation.pieces):
             own_rows = at.batch.rows_of(j)
-            rows.append(SegmentRows(known[own_rows], resistance[own_rows], cached.whitener(columns.rows[own_rows])))
+            rows.append(SegmentRows(known[own_rows], resistance[own_rows], cached.whitener(out[own_rows])))
         return rows
-
-    def _column(
-        self, at: BatchState, active: EffectTerm, name: str, out: Array, answering: frozenset[str] | None = None
-    ) -> dict[str, Array]:
-        """Derivative of y by one standardised parameter into `out` (rows,); returns the inner effects' parts."""
-        step = step_of(active, name)
-        change, responses = at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
-        self._difference(at, change, step, out)
-        corrected = at.cascade.corrected
-        return {n: self._difference(at, c, step) for n, c in responses.items() if _beyond_rounding(c, corrected)}
 
     def _difference(self, at: BatchState, change: Change, step: float, out: Array | None = None) -> Array:
         rows = change_of_rows(at.batch, at.cascade.corrected, change, at.local, self.pm_flux_wb, out)
@@ -359,18 +356,17 @@ class WeakFormEquations:
         return rows
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """The equations of a batch before whitening, shape (rows, 2 + parameters), in column-major order."""
+def _empty(batch: SegmentBatch, parameters: int) -> Array:
+    """Array for the equations of a batch before whitening, shape (rows, 2 + parameters), column by column."""
+    return np.empty((int(batch.layout.rows[-1]), 2 + parameters), order="F")
 
-    rows: Array
 
-    @classmethod
-    def of(cls, batch: SegmentBatch, parameters: int) -> _Columns:
-        return cls(np.empty((int(batch.layout.rows[-1]), 2 + parameters), order="F"))
-
-    def of_parameter(self, k: int) -> Array:
-        return self.rows[:, 2 + k]
+def _changed(
+    at: BatchState, active: EffectTerm, name: str, answering: frozenset[str] | None
+) -> tuple[float, Change, dict[str, Change]]:
+    """Step of one standardised parameter, the signals' change by it, and the parts of inner effects in that."""
+    step = step_of(active, name)
+    return step, *at.cascade.change_by(active.moved(name, active.standardised_value(name) + step), answering)
 
 
 FLUX = ("psi_ab", "psi_smooth_ab", "i_smooth_ab", "inductance_ab")

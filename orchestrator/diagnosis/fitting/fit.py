@@ -23,7 +23,6 @@ from orchestrator.diagnosis.fitting.batch_evaluation import (
     RecordingBatches,
     evaluate_batch,
 )
-from orchestrator.diagnosis.fitting.budget import Budget
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
 from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, column_plan, known_responses
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
@@ -37,9 +36,9 @@ from orchestrator.diagnosis.fitting.model import (
     Responses,
     SegmentRows,
 )
+from orchestrator.diagnosis.fitting.progress import Budget, SearchRecorder
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.fitting.workers import Executor, SerialExecutor
-from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -107,7 +106,7 @@ class Fitter:
     def __post_init__(self) -> None:
         if self.batches.pieces is not self.prepared.pieces:
             self.batches = RecordingBatches.of(self.prepared)
-        self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
+        self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.ripples)
 
     def begin(self, text: str, evaluations: float) -> None:
         """Report the beginning of a phase, and an upper bound of the remaining time.

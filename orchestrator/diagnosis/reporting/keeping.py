@@ -12,7 +12,7 @@ from orchestrator.diagnosis.reporting.delivery import Delivery
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.first_models import ModelChoice
-from orchestrator.diagnosis.selection.interim import InterimResult
+from orchestrator.diagnosis.selection.search_state import InterimResult
 from orchestrator.recording import Recording
 from protocols import DiagnosisStep, Effect, EstimationReport, Remark, StorageError
 from protocols.fleet_priors import FleetPriors

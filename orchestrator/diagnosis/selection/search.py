@@ -22,7 +22,6 @@ from orchestrator.diagnosis.selection.environment_moves import (
     noise_moves,
     with_fixed_effects,
 )
-from orchestrator.diagnosis.selection.interim import Checkpoint, InterimRecorder
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
 from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
@@ -30,6 +29,8 @@ from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, r
 from orchestrator.diagnosis.selection.search_state import (
     MAX_SHAPE_ROUNDS,
     AcceptedModel,
+    Checkpoint,
+    InterimRecorder,
     Move,
     SearchResult,
     SearchState,

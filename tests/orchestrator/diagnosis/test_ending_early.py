@@ -10,9 +10,8 @@ import pytest
 from orchestrator.diagnosis import InterimResult, diagnose_recording, judge
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.selection.interim import Checkpoint
 from orchestrator.diagnosis.selection.search import unfinished_search
-from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchState
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, Checkpoint, SearchState
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeadTime, VoltageBias

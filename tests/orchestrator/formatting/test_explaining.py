@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.formatting.explaining import accuracy_sentences, search_lines, search_rows
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 

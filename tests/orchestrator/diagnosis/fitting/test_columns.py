@@ -19,7 +19,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
-from tests.orchestrator.diagnosis.fitting.test_cascade import ACTIVE, EFFECTS, SIZES
+from tests.orchestrator.diagnosis.fitting.test_corrections import ACTIVE, EFFECTS, SIZES
 from tests.orchestrator.diagnosis.pieces import CRITERIA, Plan, fitter, free_model, hold, plan, prepared, ripple
 
 LIMITS = CRITERIA.fitting

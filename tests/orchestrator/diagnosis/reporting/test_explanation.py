@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from orchestrator.diagnosis import Criteria, explanation_of, model_changes
+from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.diagnosis.reporting.convention import convention_report
-from orchestrator.diagnosis.search_recorder import SearchRecorder
 from protocols import Convention, ManifestCorrection, ModelEffect, MotorModel
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 

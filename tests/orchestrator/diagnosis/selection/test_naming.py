@@ -1,4 +1,4 @@
-"""Which effects of a final model are causes."""
+"""Which effects of a final model are causes, and where a joint fit disagrees with the search."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from dataclasses import replace
 import pytest
 
 from orchestrator.diagnosis._prepare import setup_of
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import naming
-from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
+from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, other_opinion, plain_ladder
 from orchestrator.diagnosis.selection.scoring import log_bayes_factors
 from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult, SearchState
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentGainMismatch
-from protocols import Effect
+from protocols import Effect, FoundEffect, JointEntry
 from tests.orchestrator.diagnosis import pieces as made_of
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
@@ -116,3 +117,30 @@ def test_where_nothing_is_sure_nothing_is_found(sure: bool, monkeypatch: pytest.
     after, doubtful = drop_confounded(setup.fitter, search)
     assert after.fit is (search.fit if sure else bare)
     assert doubtful == ([] if sure else list(whole.model.names))
+
+
+CRITERIA = Criteria().selection
+
+
+def found(name: str, size: float, *twins: str) -> FoundEffect:
+    return FoundEffect(name=name, parameters={}, twins=twins, relative_size=size, log_evidence=50.0)
+
+
+def entry(name: str, size: float, z: float = 20.0) -> JointEntry:
+    return JointEntry(name=name, relative_size=size, z=z)
+
+
+def test_a_larger_effect_that_was_not_named_is_spoken_of() -> None:
+    joint = [entry("voltage_delay", 0.21), entry("dead_time", 0.05)]
+    remarks = other_opinion(joint, [found("dead_time", 0.05)])
+    assert len(remarks) == 1
+    assert "voltage_delay is the largest, 0.21 of its typical size" in remarks[0].text
+
+
+def test_agreement_chance_and_small_differences_are_not_spoken_of() -> None:
+    named = [found("dead_time", 0.05, "device_drop")]
+    assert other_opinion([entry("dead_time", 0.05)], named) == []
+    assert other_opinion([entry("device_drop", 0.3)], named) == []
+    assert other_opinion([entry("bus_sag", 0.3, z=3.0)], named) == []
+    assert other_opinion([entry("bus_sag", 0.06)], named) == []
+    assert other_opinion([entry("bus_sag", 0.3)], []) == []

@@ -11,13 +11,18 @@ import pytest
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, Library, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.diagnosis.selection import search as search_module
 from orchestrator.diagnosis.selection.adding import full_model
-from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.scoring import linear_view
 from orchestrator.diagnosis.selection.search import best_first, result_of, search_effects
-from orchestrator.diagnosis.selection.search_state import AcceptedModel, Move, SearchResult, SearchState
+from orchestrator.diagnosis.selection.search_state import (
+    AcceptedModel,
+    InterimRecorder,
+    Move,
+    SearchResult,
+    SearchState,
+)
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.diagnosis import judge, save_diagnosis
-from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from orchestrator.interface.cli import _diagnosis
 from orchestrator.interface.cli._running import run_app
 from protocols import DiagnosisReport

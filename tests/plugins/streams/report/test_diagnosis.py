@@ -12,7 +12,7 @@ import yaml
 from matplotlib.figure import Figure
 
 from orchestrator.diagnosis import SavedDiagnosis, save_diagnosis
-from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _diagnosis_figures, write_report
 from plugins.streams.report._diagnosis_figures import _rising, ladder_figure, plane_figures, with_zero_sequence

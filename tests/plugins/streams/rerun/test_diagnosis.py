@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from orchestrator.diagnosis.search_recorder import SearchRecorder
+from orchestrator.diagnosis.fitting.progress import SearchRecorder
 from plugins.streams.rerun import _diagnosis, _words
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import Diagnosed, DiagnosisReport, LawLearned, Reason

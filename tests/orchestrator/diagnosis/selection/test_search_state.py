@@ -9,8 +9,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.interim import Checkpoint, InterimRecorder, InterimResult
-from orchestrator.diagnosis.selection.search_state import AcceptedModel
+from orchestrator.diagnosis.selection.search_state import AcceptedModel, Checkpoint, InterimRecorder, InterimResult
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.timing import VoltageDelay
 from protocols import Verdict
