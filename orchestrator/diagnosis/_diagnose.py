@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from orchestrator.config.time_constants import recording_notes
@@ -20,22 +21,20 @@ from orchestrator.diagnosis.fitting.candidates import (
 )
 from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.fitting.priors import contradicts_fleet, require_same_motor, with_priors
+from orchestrator.diagnosis.fitting.priors import contradicts_fleet, fleet_remarks, require_same_motor, with_priors
 from orchestrator.diagnosis.fitting.workers import Executor, executor_of
 from orchestrator.diagnosis.judgement.contributions import (
     contributions,
     left_of_excitation,
     mean_currents,
     rated_flux_wb,
-    unexplained_at_rest_v,
 )
 from orchestrator.diagnosis.judgement.form_mixture import mix_forms
 from orchestrator.diagnosis.judgement.judge import judge
 from orchestrator.diagnosis.judgement.map_band import MapUncertainty
 from orchestrator.diagnosis.judgement.sufficiency import solvable
 from orchestrator.diagnosis.judgement.verdict import residual_fraction_of, verdict_record
-from orchestrator.diagnosis.nuisances.pwm_quantiser import nominal_leg_step_of
-from orchestrator.diagnosis.nuisances.segment_scatter import quantiser_step_s
+from orchestrator.diagnosis.nuisances.segment_scatter import nuisance_remarks
 from orchestrator.diagnosis.reporting.convention import convention_report
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import (
@@ -58,16 +57,10 @@ from orchestrator.diagnosis.reporting.resemblance import (
     resembling_pairs,
     with_tied,
 )
-from orchestrator.diagnosis.selection.first_models import (
-    ModelChoice,
-    baseline_of,
-    include_expected,
-    include_measured,
-    map_steps,
-)
+from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_models
 from orchestrator.diagnosis.selection.naming import MAX_SHARE_OF_ERROR, joint_fit, other_opinion
 from orchestrator.diagnosis.selection.search import EVALUATIONS_LEFT_FROM_REPORT, search_effects, unfinished_search
-from orchestrator.diagnosis.selection.search_state import AcceptedModel, InterimRecorder, InterimResult, SearchResult
+from orchestrator.diagnosis.selection.search_state import InterimRecorder, InterimResult, SearchResult
 from orchestrator.recording import Recording, write_model
 from orchestrator.recording_checks import check_recording
 from protocols import (
@@ -75,8 +68,8 @@ from protocols import (
     DiagnosisStep,
     Effect,
     EstimationReport,
-    FoundEffect,
     Inseparable,
+    Judgement,
     Materiality,
     MotorModel,
     Nameplate,
@@ -84,11 +77,9 @@ from protocols import (
     NoiseFloor,
     Reason,
     Remark,
-    Rung,
     ShapeShare,
     StorageError,
     Unexplained,
-    Verdict,
 )
 from protocols.fleet_priors import FleetPriors
 
@@ -99,7 +90,6 @@ Proposer = Callable[[DiagnosisSetup, Fit, Library, str, str], NextExperiment | I
 """Proposes an experiment that separates two effects of the library, given the fit; None where no stage can."""
 
 ENDED_EARLY = Remark.of("ended_early", "ended early by the user: the search was not finished")
-REASON_ENDED_EARLY = Reason(quantity=ENDED_EARLY.code, value=None, limit=None, sentence=ENDED_EARLY.text)
 
 
 @dataclass(frozen=True)
@@ -190,30 +180,33 @@ def diagnose_recording(
     PluginError
         If `without` names an effect that is not in the library.
     """
+    require_known(without, effects)
+    if isinstance(model, MotorModel):
+        model = reduced(model, without)
     with executor_of(workers) as executor:
         request = _Request(
             effects, model, tuple(without), out, poll, tell, criteria, propose, executor, on_interim, report_early
         )
-        if priors is None:
-            return _diagnose(recording, request, on_step)
-        return _diagnose_in_fleet(recording, request, on_step, priors)
+        found = _diagnose(recording, request) if priors is None else _diagnose_in_fleet(recording, request, priors)
+        if on_step is not None and found.setup is not None:
+            from orchestrator.diagnosis.reporting.pictures import diagnosis_step
+
+            for index, (step, numbers) in enumerate(zip(found.search.steps, found.report.ladder, strict=True)):
+                on_step(diagnosis_step(index, step, found.setup, known=numbers))
+    return found
 
 
-def _diagnose_in_fleet(
-    recording: Recording, request: _Request, on_step: Callable[[DiagnosisStep], None] | None, priors: FleetPriors
-) -> Diagnosis:
+def _diagnose_in_fleet(recording: Recording, request: _Request, priors: FleetPriors) -> Diagnosis:
     """The diagnosis with the fleet's priors, repeated without those that this motor contradicts."""
     require_same_motor(priors, recording.manifest)
-    found = _diagnose(recording, request, None, priors)
+    found = _diagnose(recording, request, priors)
     if found.setup is None:
         return found
     unlike = contradicts_fleet(found.search.fit)
     if unlike and ENDED_EARLY not in found.report.remarks:
         request.tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
-        found = _diagnose(recording, request, None, priors.without(unlike))
-    if on_step is not None and found.setup is not None:
-        _show(found.setup, found.search, found.report.ladder, on_step)
-    remarks = (*found.report.remarks, *_fleet_remarks(priors, unlike, found.report))
+        found = _diagnose(recording, request, priors.without(unlike))
+    remarks = (*found.report.remarks, *fleet_remarks(priors, unlike, found.report))
     used = {**found.report.criteria, "fleet": priors.without(unlike).model_dump(mode="json")}
     return replace(found, report=found.report.model_copy(update={"remarks": remarks, "criteria": used}))
 
@@ -235,25 +228,9 @@ class _Request:
     report_early: bool
 
 
-@dataclass(frozen=True)
-class _FinishedSearch:
-    """A finished search, and the effects rejected at its end as doubtful."""
-
-    setup: DiagnosisSetup
-    search: SearchResult
-    doubtful: Sequence[str]
-    is_early: bool = False
-
-
-def _diagnose(
-    recording: Recording,
-    request: _Request,
-    on_step: Callable[[DiagnosisStep], None] | None,
-    priors: FleetPriors | None = None,
-) -> Diagnosis:
+def _diagnose(recording: Recording, request: _Request, priors: FleetPriors | None = None) -> Diagnosis:
     began = time.monotonic()
     model, without, poll, tell, criteria = request.model, request.without, request.poll, request.tell, request.criteria
-    require_known(without, request.effects)
     tell("checking signs, units and axes of the recording")
     checked = check_recording(recording, poll)
     if checked.convention is not None:
@@ -266,59 +243,38 @@ def _diagnose(
     if priors is not None:
         every = with_priors(every, priors, setup.prepared.criteria.selection)
     library = observable_effects(every, [p.signals for p in setup.prepared.pieces])
-    if isinstance(model, MotorModel):
-        model = reduced(model, without)
-
-    interim = InterimRecorder(request.on_interim)
+    interim, early = InterimRecorder(request.on_interim), list[Remark]()
     try:
-        found = _search(setup, request, model, every, library, interim)
+        # Only the search holds the first models: their memory is free once a timer's rounding replaces them.
+        setup, search = search_effects(setup, first_models(setup, model, every, library, without), library, interim)
     except KeyboardInterrupt:
         if not request.report_early or interim.checkpoint is None:
             raise
         tell("ended early: what was found so far is fitted to the whole recording")
-        search, doubtful = unfinished_search(interim.checkpoint)
-        found = _FinishedSearch(interim.checkpoint.state.setup, search, doubtful, is_early=True)
-    found.setup.fitter.begin("computing the intervals", EVALUATIONS_LEFT_FROM_REPORT)
+        early.append(ENDED_EARLY)
+        setup, search = interim.checkpoint.state.setup, unfinished_search(interim.checkpoint)
+    setup.fitter.begin("computing the intervals", EVALUATIONS_LEFT_FROM_REPORT)
+    finish = partial(_report, recording, request, setup, search, every, library, began, early)
     try:
-        return _report(recording, request, on_step, found, model, every, library, began)
+        return finish()
     except KeyboardInterrupt:
-        if not request.report_early or found.is_early:
+        if not request.report_early or early:
             raise
         # The search is over: an interrupt from here on still yields its report.
-        return _report(recording, request, on_step, found, model, every, library, began)
-
-
-def _search(
-    setup: DiagnosisSetup,
-    request: _Request,
-    model: ModelChoice,
-    every: Library,
-    library: Library,
-    interim: InterimRecorder,
-) -> _FinishedSearch:
-    """Search to the end."""
-
-    def first_models() -> list[AcceptedModel]:
-        steps = map_steps(setup, model, {c.name: c for c in every}, request.without)
-        setup.fitter.budget.calibrate()
-        return include_expected(setup, include_measured(setup, steps, library), library)
-
-    # Only the search holds the first models: their memory is free once a timer's rounding replaces them.
-    return _FinishedSearch(*search_effects(setup, first_models(), library, interim))
+        return finish()
 
 
 def _report(
     recording: Recording,
     request: _Request,
-    on_step: Callable[[DiagnosisStep], None] | None,
-    result: _FinishedSearch,
-    model: ModelChoice,
+    setup: DiagnosisSetup,
+    search: SearchResult,
     every: Library,
     library: Library,
     began: float,
+    early: Sequence[Remark],
 ) -> Diagnosis:
     """The report of a finished search; its model is written to `model.json`."""
-    setup, search, doubtful = result.setup, result.search, result.doubtful
     first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
@@ -353,32 +309,34 @@ def _report(
     )
     judgement = judge(record)
     verdict = judgement.verdict
+    ended = [Reason(quantity=one.code, value=None, limit=None, sentence=one.text) for one in early]
     residual = unexplained(setup, first.chi2_per_dof, last)
     if periodic and not residual.shape:
         residual = Unexplained(fraction=residual.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     rest = residual_fraction_of(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
     joint = joint_fit(setup.fitter, search, library)
     ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
-    if on_step is not None:
-        _show(setup, search, ladder, on_step)
-    suspects = [*doubtful, *search.detected_not_named]
-    proposal = _proposal(request.propose, setup, last, library, found, verdict, suspects)
+    suspects = (*search.doubtful, *search.detected_not_named)
+    confused = [(effect.name, twin) for effect in found for twin in effect.twins]
+    if verdict == "unknown_remains" and len(suspects) >= 2:
+        confused.append((suspects[0], suspects[1]))
+    proposal = request.propose(setup, last, library, *confused[0]) if request.propose and confused else None
     report = DiagnosisReport(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
         verdict=verdict,
-        reasons=(*([REASON_ENDED_EARLY] if result.is_early else []), *judgement.reasons),
+        reasons=(*ended, *judgement.reasons),
         verdict_record=record,
         effects=found,
         minor=credible_effects((e for e in active if e.name in search.below_materiality), rest, MAX_SHARE_OF_ERROR),
-        traces=tuple(dict.fromkeys([*search.below_materiality, *doubtful, *search.detected_not_named])),
+        traces=tuple(dict.fromkeys([*search.below_materiality, *suspects])),
         joint=joint,
         ladder=ladder,
         unexplained=residual,
         next_experiment=proposal if isinstance(proposal, NextExperiment) else None,
         remarks=(
-            *([ENDED_EARLY] if result.is_early else []),
-            *_remarks(setup, search, verdict, residual, doubtful),
+            *early,
+            *_remarks(setup, search, judgement, residual),
             *effect_remarks(last, {effect.name for effect in found}),
             *size_remarks(last),
             *bound_remarks(last),
@@ -400,7 +358,7 @@ def _report(
         criteria=setup.prepared.criteria.model_dump(mode="json"),
         search=tuple(setup.fitter.trace.events),
     )
-    baseline = baseline_of(model)
+    baseline = baseline_of(request.model)
     if isinstance(baseline, Nameplate):
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
     kept = kept_model(setup, last, baseline, (*of_map, *active), ladder)
@@ -413,54 +371,15 @@ def _report(
     return Diagnosis(report, setup, search, library, delivery)
 
 
-def _fleet_remarks(priors: FleetPriors, unlike: frozenset[str], report: DiagnosisReport) -> list[Remark]:
-    """Remarks on the use of fleet priors, and on effects that contradict them."""
-    text = "with what {count} recordings of a fleet let expect ({table})"
-    remarks = [Remark.of("fleet", text, count=priors.recordings, table=priors.table)]
-    for name in sorted(unlike):
-        text = "{effect}: its size is none of the fleet's, which had no say in it"
-        remarks.append(Remark.of("unlike_the_fleet", text, effect=name))
-    here = {name for effect in (*report.effects, *report.minor) for name in (effect.name, *effect.twins)}
-    for name, prior in priors.effects.items():
-        if prior.probability > 0.9 and name not in here:
-            text = "{effect}: in {found} of {asked} recordings of the fleet, not found here"
-            remarks.append(Remark.of("not_found_here", text, effect=name, found=prior.found, asked=prior.asked))
-    return remarks
-
-
-def _remarks(
-    setup: DiagnosisSetup, search: SearchResult, verdict: Verdict, residual: Unexplained, doubtful: Sequence[str]
-) -> list[Remark]:
+def _remarks(setup: DiagnosisSetup, search: SearchResult, judgement: Judgement, residual: Unexplained) -> list[Remark]:
     """Remarks beside the findings."""
-    limits, chi2 = search.fit.criteria.verdict, search.fit.chi2_per_dof
-    remarks = list(setup.remarks)
-    scatter = setup.fitter.noise.of_model
-    if scatter.offset_scatter_a > 0.0:
-        text = "the readings' zero differs as if by {scatter_ma:.2g} mA rms between segments: modelled as noise"
-        remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * scatter.offset_scatter_a))
-    timer = setup.prepared.quantiser
-    if timer is not None:
-        text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: corrected"
-        sizes = {
-            "step_ns": 1e9 * timer.step_s,
-            "leg_mv": 0.5e3 * nominal_leg_step_of(timer.step_s, setup.prepared.manifest.drive),
-        }
-        remarks.append(Remark.of("timer", text, **sizes))
-    if scatter.voltage_scatter_v > 0.0 and timer is not None:
-        text = "held voltages are off as if by another {scatter_mv:.2g} mV rms each: modelled as noise"
-        remarks.append(Remark.of("voltage_scatter", text, scatter_mv=1e3 * scatter.voltage_scatter_v))
-    elif scatter.voltage_scatter_v > 0.0:
-        text = (
-            "held voltages are off by {scatter_mv:.2g} mV rms, as by a timer's step of {step_ns:.2g} ns: modelled "
-            "as noise"
-        )
-        sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * quantiser_step_s(scatter, setup)}
-        remarks.append(Remark.of("voltage_scatter", text, **sizes))
+    limits, chi2, verdict = search.fit.criteria.verdict, search.fit.chi2_per_dof, judgement.verdict
+    remarks = [*setup.remarks, *nuisance_remarks(setup)]
     if verdict in ("unknown_remains", "cannot_tell"):
         notes = recording_notes(setup.prepared.manifest)
         remarks += [Remark.of("time_constant", "{note}", note=note) for note in notes]
     unsteady = "{effect} resembles a part of what is left, but not steadily"
-    remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
+    remarks += [Remark.of("unsteady", unsteady, effect=n) for n in search.doubtful]
     is_beyond_noise = chi2 - 1.0 > limits.noise_accuracy_excess_chi2
     if verdict in ("explained", "explained_in_another_form", "mostly_explained") and is_beyond_noise and residual.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
@@ -471,38 +390,10 @@ def _remarks(
     # A joint fit has no limit on its number of effects.
     if setup.fitter.budget.is_spent and not search.contributions:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
-    if (at_rest := unexplained_at_rest_v(search.fit)) > 0.0:
-        text = "with the gates off the sensors read what the model denies: {reading_ma:.2g} mA rms"
-        remarks.append(Remark.of("gates_off", text, reading_ma=1e3 * at_rest / search.fit.model.r_s))
+    text = "with the gates off the sensors read what the model denies: {reading_ma:.2g} mA rms"
+    at_rest = [reason.value for reason in judgement.reasons if reason.quantity == "gates_off_v" and reason.value]
+    remarks += [Remark.of("gates_off", text, reading_ma=1e3 * volts / search.fit.model.r_s) for volts in at_rest]
     if chi2 < LEAST_CHI2_OF_RANDOM_NOISE:
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
         remarks.append(Remark.of("too_quiet", text, chi2=chi2))
     return remarks
-
-
-def _show(
-    setup: DiagnosisSetup, search: SearchResult, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]
-) -> None:
-    from orchestrator.diagnosis.reporting.pictures import diagnosis_step
-
-    for index, (step, numbers) in enumerate(zip(search.steps, ladder, strict=True)):
-        on_step(diagnosis_step(index, step, setup, known=numbers))
-
-
-def _proposal(
-    propose: Proposer | None,
-    setup: DiagnosisSetup,
-    fit: Fit,
-    library: Library,
-    found: Sequence[FoundEffect],
-    verdict: Verdict,
-    suspects: Sequence[str],
-) -> NextExperiment | Inseparable | None:
-    if propose is None:
-        return None
-    for effect in found:
-        for twin in effect.twins:
-            return propose(setup, fit, library, effect.name, twin)
-    if verdict == "unknown_remains" and len(suspects) >= 2:
-        return propose(setup, fit, library, *suspects[:2])
-    return None

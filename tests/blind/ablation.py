@@ -56,10 +56,6 @@ def _given(*names: str) -> Callable[[Mapping[str, Any]], Any]:
     return lambda given: given[names[0]] if len(names) == 1 else tuple(given[name] for name in names)
 
 
-def _given_and(extra: Callable[[], Any], *names: str) -> Callable[[Mapping[str, Any]], Any]:
-    return lambda given: (*(given[name] for name in names), extra())
-
-
 def _always(value: Any) -> Callable[[Mapping[str, Any]], Any]:
     return lambda _: value
 
@@ -81,7 +77,7 @@ RULES = (
     Rule("nuisances.segment_scatter", "with_scatter_beside", _always(None)),
     Rule("selection.quantiser", "with_detected_quantiser", _given("setup")),
     Rule("selection.quantiser", "with_quantiser_of_dwells", _given("setup")),
-    Rule("selection.naming", "drop_confounded", _given_and(list, "search")),
+    Rule("selection.naming", "drop_confounded", _given("search")),
 )
 BY_LABEL = {rule.label: rule for rule in RULES}
 

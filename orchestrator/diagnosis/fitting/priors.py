@@ -18,7 +18,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import EffectParameter, InputError, Manifest, ParameterRole
+from protocols import DiagnosisReport, EffectParameter, InputError, Manifest, ParameterRole, Remark
 from protocols.fleet_priors import EffectPrior, FleetPriors, NormalPrior
 
 MIN_PROBABILITY_OF_INCLUSION = 0.8
@@ -115,3 +115,18 @@ def _narrowed(p: EffectParameter, size: NormalPrior) -> EffectParameter:
     if not p.strong_when_small:
         return replace(p, prior_width=size.std)
     return replace(p, prior_width=p.typical**2 * size.std / size.mean**2)
+
+
+def fleet_remarks(priors: FleetPriors, unlike: frozenset[str], report: DiagnosisReport) -> list[Remark]:
+    """Remarks on the use of fleet priors, and on effects that contradict them."""
+    text = "with what {count} recordings of a fleet let expect ({table})"
+    remarks = [Remark.of("fleet", text, count=priors.recordings, table=priors.table)]
+    for name in sorted(unlike):
+        text = "{effect}: its size is none of the fleet's, which had no say in it"
+        remarks.append(Remark.of("unlike_the_fleet", text, effect=name))
+    here = {name for effect in (*report.effects, *report.minor) for name in (effect.name, *effect.twins)}
+    for name, prior in priors.effects.items():
+        if prior.probability > 0.9 and name not in here:
+            text = "{effect}: in {found} of {asked} recordings of the fleet, not found here"
+            remarks.append(Remark.of("not_found_here", text, effect=name, found=prior.found, asked=prior.asked))
+    return remarks

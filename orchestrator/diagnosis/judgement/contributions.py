@@ -110,17 +110,6 @@ def gates_off_error(fit: Fit) -> GatesOffError | None:
     )
 
 
-def unexplained_at_rest_v(fit: Fit) -> float:
-    """Error at the readings with the gates off [V], if it is significant and material; else 0.
-
-    These few equations have little weight among thousands, so that they are tested separately.
-    """
-    error, limits = gates_off_error(fit), fit.criteria
-    if error is None or error.least_excitation_v is None or error.probability >= limits.verdict.chance_probability:
-        return 0.0
-    return error.rms_v if error.rms_v > limits.materiality.material_voltage * error.least_excitation_v else 0.0
-
-
 def _without_current(piece: SegmentData) -> bool:
     return piece.stage is SegmentStage.GATES_OFF
 

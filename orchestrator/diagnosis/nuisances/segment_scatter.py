@@ -29,7 +29,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.nuisances.pwm_quantiser import leg_step_v, nominal_leg_step_of, scatter_sizes, scatter_units
 from orchestrator.diagnosis.nuisances.quantiser_search import MAX_TIMER_STEP_S
 from orchestrator.numerics.types import Array
-from protocols import ModelNoise
+from protocols import ModelNoise, Remark
 
 MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH: float = 1.0
 """chi2 - 1 up to which a search takes its effects as complete; beyond, a form must be wrong."""
@@ -310,3 +310,30 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Library) -> Likelihood:
         shared, pwm_hz = u.T @ np.column_stack([linear, d]), piece.signals.pwm_frequency_hz
         segments.append(_Segment(u.T @ u, shared, u.T @ e, scatter_units(piece), pwm_hz))
     return Likelihood(fitter.prepared.criteria, segments, normal, gradient, loose.chi2, loose.dof)
+
+
+def nuisance_remarks(setup: DiagnosisSetup) -> list[Remark]:
+    """Remarks on the scatters that are modelled as noise, and on the timer whose rounding is corrected."""
+    scatter, remarks = setup.fitter.noise.of_model, list[Remark]()
+    if scatter.offset_scatter_a > 0.0:
+        text = "the readings' zero differs as if by {scatter_ma:.2g} mA rms between segments: modelled as noise"
+        remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * scatter.offset_scatter_a))
+    timer = setup.prepared.quantiser
+    if timer is not None:
+        text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: corrected"
+        sizes = {
+            "step_ns": 1e9 * timer.step_s,
+            "leg_mv": 0.5e3 * nominal_leg_step_of(timer.step_s, setup.prepared.manifest.drive),
+        }
+        remarks.append(Remark.of("timer", text, **sizes))
+    if scatter.voltage_scatter_v > 0.0 and timer is not None:
+        text = "held voltages are off as if by another {scatter_mv:.2g} mV rms each: modelled as noise"
+        remarks.append(Remark.of("voltage_scatter", text, scatter_mv=1e3 * scatter.voltage_scatter_v))
+    elif scatter.voltage_scatter_v > 0.0:
+        text = (
+            "held voltages are off by {scatter_mv:.2g} mV rms, as by a timer's step of {step_ns:.2g} ns: modelled "
+            "as noise"
+        )
+        sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * quantiser_step_s(scatter, setup)}
+        remarks.append(Remark.of("voltage_scatter", text, **sizes))
+    return remarks

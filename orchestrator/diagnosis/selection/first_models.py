@@ -84,6 +84,25 @@ def with_map_step(setup: DiagnosisSetup, fit: Fit, baseline: Nameplate) -> Fit:
     return setup.fitter.fit(with_freed_map(setup, fit.model, baseline))
 
 
+def first_models(
+    setup: DiagnosisSetup, model: ModelChoice, every: Library, library: Library, excluded: Sequence[str]
+) -> list[AcceptedModel]:
+    """The models before a search; the budget is calibrated with the first of them.
+
+    Parameters
+    ----------
+    every : sequence of CandidateEffect
+        The effects of a whole model are among these.
+    library : sequence of CandidateEffect
+        The effects that are searched.
+    excluded : sequence of str
+        Effects, or steps that free the map, which no model has.
+    """
+    steps = map_steps(setup, model, {c.name: c for c in every}, excluded)
+    setup.fitter.budget.calibrate()
+    return include_expected(setup, include_measured(setup, steps, library), library)
+
+
 def map_steps(
     setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, CandidateEffect], excluded: Sequence[str]
 ) -> list[AcceptedModel]:

@@ -100,8 +100,8 @@ def _beside(state: SearchState) -> tuple[list[str], dict[str, list[str]]]:
     return detected, {name: list(others) for name, others in state.indistinguishable.items() if name in present}
 
 
-def drop_confounded(fitter: Fitter, search: SearchResult) -> tuple[SearchResult, list[str]]:
-    """Reject doubtful causes of a joint fit; returns the search and the names rejected.
+def drop_confounded(fitter: Fitter, search: SearchResult) -> SearchResult:
+    """The search without doubtful causes of a joint fit.
 
     While something unknown remains, a cause is rejected if its size varies between blocks by more than the residual
     allows, if it explains less than the residual, if its interval contains its absence, or if it removes so much that
@@ -110,14 +110,11 @@ def drop_confounded(fitter: Fitter, search: SearchResult) -> tuple[SearchResult,
     first, last = search.steps[0].fit, search.fit
     if search.contributions and is_none_significant(fitter, search.fit):
         fitter.trace.record("remove", last.model.names, before=last, taken=True, note="no effect is certain")
-        return SearchResult(baseline_models(search.steps), search.detected_not_named), list(last.model.names)
+        return SearchResult(baseline_models(search.steps), search.detected_not_named, doubtful=last.model.names)
     if not search.contributions or fitted_verdict(first, last) == "explained":
-        return search, []
+        return search
     drift, residual = block_scatter_ratio(search.fit), residual_fraction_of(first.chi2_per_dof, last)
-    causes, absent = (
-        [n for n in last.model.names if n not in search.below_materiality],
-        possibly_absent(fitter, search.fit),
-    )
+    causes, absent = [n for n in last.model.names if n not in search.below_materiality], possibly_absent(fitter, last)
     taken = {n: search.contributions[n].relative_to_error for n in causes}
     limit = MAX_RELATIVE_SCATTER
     unsteady = [n for n in causes if drift[n] > limit and residual > limit * min(taken[n], 1.0)]
@@ -143,7 +140,8 @@ def drop_confounded(fitter: Fitter, search: SearchResult) -> tuple[SearchResult,
     added = next((n for n in reversed(causes) if n not in doubtful), None)
     steps = [s for s in steps if s.added != added or added is None]
     steps.append(replace(search.steps[-1], added=added))
-    return replace(search, steps=steps, below_materiality=(*doubtful, *search.below_materiality)), doubtful
+    below = (*doubtful, *search.below_materiality)
+    return replace(search, steps=steps, below_materiality=below, doubtful=tuple(doubtful))
 
 
 MAX_CORRELATION: float = 0.995

@@ -73,7 +73,7 @@ EVALUATIONS_LEFT_FROM_REPORT: float = 22.0
 
 def search_effects(
     setup: DiagnosisSetup, steps: Sequence[AcceptedModel], library: Library, interim: InterimRecorder
-) -> tuple[DiagnosisSetup, SearchResult, list[str]]:
+) -> tuple[DiagnosisSetup, SearchResult]:
     """Search for missing effects, from the last of the first models.
 
     Returns
@@ -82,8 +82,6 @@ def search_effects(
         With the nuisances that the search has accepted.
     search : SearchResult
         The ladder, fitted to the whole recording.
-    doubtful : list of str
-        Effects that are not separable from the remaining error.
     """
     is_clean = steps[-1].fit.chi2_per_dof <= setup.prepared.criteria.selection.detected_chi2
     expected = EVALUATIONS_LEFT_IF_CLEAN if is_clean else EVALUATIONS_LEFT_FROM_SEARCH
@@ -92,7 +90,7 @@ def search_effects(
         setup, steps = _with_quantiser(setup, steps, library)
     state = on_whole(_search_part(setup, steps, library, interim), steps)
     state = best_first(state, steps, library, interim)
-    return state.setup, *result_of(state, steps)
+    return state.setup, result_of(state, steps)
 
 
 def _search_part(
@@ -212,15 +210,15 @@ def on_whole(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchState:
     return replace(state.after(fit), is_part=False, refused=(), late=frozenset())
 
 
-def result_of(state: SearchState, steps: Sequence[AcceptedModel]) -> tuple[SearchResult, list[str]]:
-    """The ladder of a whole recording's model, and the effects that are not separable from the remaining error."""
+def result_of(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResult:
+    """The ladder of a whole recording's model."""
     steps = refit_steps(state.setup, steps)
     if state.is_joint and state.fit.model.active:
         return drop_confounded(state.fitter, build_ladder(state, steps))
     if not state.is_joint and state.fit.model.active:
         fit = state.fitter.fit(state.fit.model, state.fit.linearisation, steps=8, relinearisations=3, tolerance=3e-4)
         state = replace(state, fit=fit)
-    return plain_ladder(state, steps), []
+    return plain_ladder(state, steps)
 
 
 def with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> Fit:
@@ -231,16 +229,8 @@ def with_effect(setup: DiagnosisSetup, fit: Fit, candidate: CandidateEffect) -> 
     return with_best_shapes(state.after(state.minimum(rough.model, rough))).fit
 
 
-def unfinished_search(checkpoint: Checkpoint) -> tuple[SearchResult, list[str]]:
-    """The result of an unfinished search, from its last checkpoint.
-
-    Returns
-    -------
-    search : SearchResult
-        Fits to the whole recording, with the noise of the checkpoint's setup.
-    doubtful : list of str
-        Effects that are not separable from the remaining error.
-    """
+def unfinished_search(checkpoint: Checkpoint) -> SearchResult:
+    """The result of an unfinished search: fits to the whole recording, with the noise of the last checkpoint."""
     state, fit = checkpoint.state, checkpoint.state.fit
     if state.is_part:
         out = redundant_terms(fit) if state.is_joint else []

@@ -193,6 +193,8 @@ class SearchResult:
     """Effects of the last fit that are too small to be causes."""
     contributions: Mapping[str, Contribution] = field(default_factory=dict)
     """Contribution of each effect of a joint model; empty where effects were added one by one."""
+    doubtful: tuple[str, ...] = ()
+    """Effects that are not separable from the remaining error."""
 
     @property
     def fit(self) -> Fit:

@@ -126,7 +126,7 @@ def test_effects_that_were_fitted_together_to_a_part_have_a_ladder_of_the_whole(
     first = (AcceptedModel(None, bare),)
     for is_part, fit in ((True, both), (False, setup.fitter.fit(both.model))):
         state = SearchState(setup, fit, bare.chi2_per_dof, is_part=is_part, is_joint=True)
-        found, doubtful = unfinished_search(Checkpoint(state, first))
+        found = unfinished_search(Checkpoint(state, first))
         assert [step.added for step in found.steps] == [None, "voltage_bias"]
         assert all(step.fit.prepared is setup.prepared for step in found.steps)
-        assert not doubtful
+        assert not found.doubtful
