@@ -124,7 +124,7 @@ def _normal(
     equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
-    for batch in in_batches(pieces)[1]:
+    for batch in in_batches(pieces).others:
         state = equations.relinearise(model, batch, None)
         for rows_of, kept in zip(equations.rows(state, wanted, responding), state.linearisation.pieces, strict=True):
             rows = np.column_stack([rows_of.white[:, 1], kept.white_basis, rows_of.white[:, 2:]])

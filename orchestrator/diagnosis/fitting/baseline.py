@@ -110,7 +110,7 @@ class DiagnosisSetup:
     def _with_voltages(self, change: Callable[[PreparedRecording], PreparedRecording]) -> DiagnosisSetup:
         def changed(fitter: Fitter) -> Fitter:
             prepared = change(fitter.prepared)
-            batches = fitter.batches.with_voltages_of(prepared)
+            batches = fitter.batches.with_voltages_of(prepared.pieces)
             # A linearisation at the old voltages is invalid at the new ones: a new noise object marks it as such.
             return replace(fitter, prepared=prepared, noise=replace(fitter.noise), batches=batches)
 

@@ -70,6 +70,11 @@ class BatchState:
     def batch(self) -> SegmentBatch:
         return self.linearisation.batch
 
+    @property
+    def is_held_out(self) -> bool:
+        """Whether the batch is of held-out segments, which need no columns."""
+        return self.batch.pieces[0].held_out
+
 
 @dataclass
 class WeakFormEquations:

@@ -10,22 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
-from orchestrator.diagnosis.fitting.batch_evaluation import (
-    NO_BATCHES,
-    BatchResult,
-    BatchTask,
-    Columns,
-    RecordingBatches,
-    evaluate_batch,
-)
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm
-from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, column_plan, known_responses
-from orchestrator.diagnosis.fitting.equations import WeakFormEquations
+from orchestrator.diagnosis.fitting.columns import (
+    PROBE_EVERY,
+    ColumnPlan,
+    ColumnProbe,
+    column_plan,
+    known_responses,
+    probe_segments,
+)
+from orchestrator.diagnosis.fitting.equations import BatchState, WeakFormEquations
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import (
     BatchLinearisation,
@@ -39,7 +37,7 @@ from orchestrator.diagnosis.fitting.model import (
 from orchestrator.diagnosis.fitting.progress import Budget, SearchRecorder
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.fitting.workers import Executor, SerialExecutor
-from orchestrator.diagnosis.weak_form.batches import SegmentBatch
+from orchestrator.diagnosis.weak_form.batches import RecordingBatches, SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModelNoise
@@ -66,6 +64,11 @@ FEW_COLUMNS: int = 6
 """Columns up to which all are renewed without a probe."""
 COLUMNS_PER_EVALUATION: int = 3
 """Cost of an evaluation without effects, in columns."""
+
+Columns = Sequence[tuple[EffectTerm, str]]
+"""Pairs of an effect and a parameter to differentiate by."""
+_Linearised = tuple[SegmentBatch, BatchLinearisation | None]
+"""A batch, and its linearisation in an earlier evaluation."""
 
 
 @dataclass
@@ -100,12 +103,12 @@ class Fitter:
     tell: Callable[[str], None] = lambda _: None
     executor: Executor = field(default_factory=SerialExecutor)
     trace: SearchRecorder = field(default_factory=SearchRecorder)
-    batches: RecordingBatches = NO_BATCHES
+    batches: RecordingBatches = field(default_factory=RecordingBatches)
     equations: WeakFormEquations = field(init=False)
 
     def __post_init__(self) -> None:
         if self.batches.pieces is not self.prepared.pieces:
-            self.batches = RecordingBatches.of(self.prepared)
+            self.batches = in_batches(self.prepared.pieces, probe_segments(self.prepared.pieces))
         self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.ripples)
 
     def begin(self, text: str, evaluations: float) -> None:
@@ -217,8 +220,8 @@ class Fitter:
 
     def linearise(self, model: Model) -> Linearisation:
         """Linearise at the model."""
-        results = self._evaluate(model, [BatchTask(batch, None, True, None) for batch in self.batches.all])
-        return self._linearisation_of(model, [result.linearisation for result in results], None)
+        states = self.executor.map(lambda batch: self.equations.relinearise(model, batch, None), self.batches.all)
+        return self._linearisation_of(model, [state.linearisation for state in states], None)
 
     def relinearise(
         self,
@@ -282,9 +285,7 @@ class Fitter:
             b.batch is a for a, b in zip(ours, linearisation.batches, strict=True)
         )
 
-    def _with_linearisations(
-        self, linearisation: Linearisation | None
-    ) -> list[tuple[SegmentBatch, BatchLinearisation | None]]:
+    def _with_linearisations(self, linearisation: Linearisation | None) -> list[_Linearised]:
         ours = self.batches.all
         return list(zip(ours, linearisation.batches if linearisation is not None else [None] * len(ours), strict=True))
 
@@ -302,8 +303,12 @@ class Fitter:
                 gram += segment_linearisation.white_basis.T @ segment_linearisation.white_basis
         return replace(linearisation, gram=gram)
 
-    def _evaluate(self, model: Model, tasks: Sequence[BatchTask]) -> list[BatchResult]:
-        return self.executor.map(partial(evaluate_batch, self.equations, model), tasks)
+    def _state(self, model: Model, one: _Linearised, renew: bool) -> BatchState:
+        """A batch at the model, linearised anew where the model has moved, else with the earlier linearisation."""
+        batch, before = one
+        if renew or before is None:
+            return self.equations.relinearise(model, batch, before)
+        return self.equations.at(model, before)
 
     def _rows(
         self, model: Model, linearisation: Linearisation | None, renew: bool, wanted: Columns, known: Fit | None
@@ -315,15 +320,19 @@ class Fitter:
         if len(wanted) > FEW_COLUMNS:
             return self._rows_by_plan(model, ours, renew, wanted, known, samples)
         self.budget.spend(samples * len(wanted))
-        results = self._evaluate(model, [BatchTask(batch, before, renew, wanted) for batch, before in ours])
-        rows = {k: row for result in results for k, row in result.rows_by_place.items()}
+
+        def evaluate(one: _Linearised) -> tuple[BatchLinearisation, list[SegmentRows]]:
+            state = self._state(model, one, renew)
+            return state.linearisation, self.equations.rows(state, () if state.is_held_out else wanted)
+
+        results = self.executor.map(evaluate, ours)
         responses = Responses() if known is None else known.responses
-        return [result.linearisation for result in results], [rows[k] for k in sorted(rows)], responses
+        return [linearisation for linearisation, _ in results], _in_order(results), responses
 
     def _rows_by_plan(
         self,
         model: Model,
-        ours: Sequence[tuple[SegmentBatch, BatchLinearisation | None]],
+        ours: Sequence[_Linearised],
         renew: bool,
         wanted: Columns,
         known: Fit | None,
@@ -334,18 +343,27 @@ class Fitter:
         before = known_responses(model, known)
         answering = [before.of.get(n) for n in names]
         first, later = ours[: len(self.batches.probes)], ours[len(self.batches.probes) :]
-        probed = self._evaluate(model, [BatchTask(b, f, renew, wanted, answering, probing=True) for b, f in first])
-        probes = {k: p for result in probed for k, p in result.probes_by_place.items()}
+
+        def probe(one: _Linearised) -> tuple[BatchLinearisation, list[SegmentRows], list[ColumnProbe]]:
+            state = self._state(model, one, renew)
+            return state.linearisation, *self.equations.probed(state, wanted, answering)
+
+        probed = self.executor.map(probe, first)
+        probes = {k: p for one, _, found in probed for k, p in zip(one.batch.places, found, strict=True)}
         plan = column_plan(names, probes, known, before.of)
         moved, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
         self.budget.spend(samples * (len(moved) + len(wanted) / PROBE_EVERY))
-        others = self._evaluate(model, [BatchTask(b, f, renew, moved, inner) for b, f in later])
-        rows = {k: row for result in probed for k, row in result.rows_by_place.items()}
-        for result in others:
-            for k, row in result.rows_by_place.items():
-                rows[k] = row if self.prepared.pieces[k].held_out else _with_columns(row, plan, known, k)
+
+        def complete(one: _Linearised) -> tuple[BatchLinearisation, list[SegmentRows]]:
+            state = self._state(model, one, renew)
+            if state.is_held_out:
+                return state.linearisation, self.equations.rows(state)
+            rows = zip(state.batch.places, self.equations.rows(state, moved, inner), strict=True)
+            return state.linearisation, [_with_columns(row, plan, known, k) for k, row in rows]
+
+        results = [*((one, rows) for one, rows, _ in probed), *self.executor.map(complete, later)]
         responses = Responses({**before.of, **dict(zip(names, plan.answering, strict=True))}, before.sizes)
-        return [result.linearisation for result in (*probed, *others)], [rows[k] for k in sorted(rows)], responses
+        return [linearisation for linearisation, _ in results], _in_order(results), responses
 
     def hold(self, model: Model) -> Fit:
         """Evaluate a model without fitting anything.
@@ -353,6 +371,12 @@ class Fitter:
         The degrees of freedom of chi2 are those of a fit with the same free parameters.
         """
         return self.relinearise(model, held=True)
+
+
+def _in_order(results: Sequence[tuple[BatchLinearisation, Sequence[SegmentRows]]]) -> list[SegmentRows]:
+    """Each segment's equations, in the recording's order."""
+    rows = {k: row for one, found in results for k, row in zip(one.batch.places, found, strict=True)}
+    return [rows[k] for k in sorted(rows)]
 
 
 def _with_columns(row: SegmentRows, plan: ColumnPlan, known: Fit | None, k: int) -> SegmentRows:

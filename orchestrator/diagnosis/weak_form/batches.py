@@ -159,9 +159,35 @@ MAX_BATCH_SAMPLES = 20_000
 """Samples of a batch beyond which its arrays leave a processor's cache; far below, call overhead is noticeable."""
 
 
+@dataclass(frozen=True)
+class RecordingBatches:
+    """A recording's segments grouped for evaluation.
+
+    Attributes
+    ----------
+    pieces : tuple of SegmentData
+        All segments of the recording.
+    probes, others : tuple of SegmentBatch
+        Those that are evaluated first, and all others.
+    """
+
+    pieces: tuple[SegmentData, ...] = ()
+    probes: tuple[SegmentBatch, ...] = ()
+    others: tuple[SegmentBatch, ...] = ()
+
+    @property
+    def all(self) -> tuple[SegmentBatch, ...]:
+        return (*self.probes, *self.others)
+
+    def with_voltages_of(self, pieces: tuple[SegmentData, ...]) -> RecordingBatches:
+        """The groups of the same recording with other voltages, which share all other arrays."""
+        probes, others = (tuple(b.with_voltages_of(pieces) for b in part) for part in (self.probes, self.others))
+        return RecordingBatches(pieces, probes, others)
+
+
 def in_batches(
     pieces: Sequence[SegmentData], first: Iterable[int] = (), samples: int = MAX_BATCH_SAMPLES
-) -> tuple[tuple[SegmentBatch, ...], tuple[SegmentBatch, ...]]:
+) -> RecordingBatches:
     """A recording's segments in batches of at most so many samples, with separate batches for those in `first`.
 
     Held-out segments and those with the bridge off also have separate batches, as they need fewer computations.
@@ -173,7 +199,7 @@ def in_batches(
     early, late = list[SegmentBatch](), list[SegmentBatch]()
     for (is_ahead, _, _), places in kinds.items():
         (early if is_ahead else late).extend(SegmentBatch.of(pieces, part) for part in _split(pieces, places, samples))
-    return tuple(early), tuple(late)
+    return RecordingBatches(tuple(pieces), tuple(early), tuple(late))
 
 
 def _split(pieces: Sequence[SegmentData], places: Sequence[int], samples: int) -> list[list[int]]:

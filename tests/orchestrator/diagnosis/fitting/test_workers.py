@@ -15,7 +15,6 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.batch_evaluation import RecordingBatches
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.columns import probe_segments
@@ -183,7 +182,7 @@ def alone() -> Fitter:
     """In batches so small that there are some for each thread."""
     made = with_voltage(prepared(plan()), np.array([0.3, -0.2]))
     first = probe_segments(made.pieces)
-    batches = RecordingBatches(made.pieces, *in_batches(made.pieces, first, 2500))
+    batches = in_batches(made.pieces, first, 2500)
     assert len(batches.all) > 6
     return replace(fitter(made), batches=batches)
 

@@ -211,7 +211,8 @@ MADE = prepared([*plan(), *(Plan(SegmentStage.RESISTANCE, hold(0.2 * k, 0.0, 450
 @pytest.mark.parametrize("samples", [1, 1000, 4000, 10**9])
 def test_every_segment_is_dealt_out_exactly_once(samples: int) -> None:
     first = [1, 4, 9]
-    ahead, others = in_batches(MADE, first, samples)
+    batches = in_batches(MADE, first, samples)
+    ahead, others = batches.probes, batches.others
     assert sorted(k for batch in ahead for k in batch.places) == first
     assert sorted(k for batch in (*ahead, *others) for k in batch.places) == list(range(len(MADE)))
     for batch in (*ahead, *others):
@@ -220,7 +221,7 @@ def test_every_segment_is_dealt_out_exactly_once(samples: int) -> None:
 
 
 def test_what_is_held_out_and_what_was_read_with_the_bridge_off_is_by_itself() -> None:
-    batches = [batch for part in in_batches(MADE, [], 10**9) for batch in part]
+    batches = in_batches(MADE, [], 10**9).all
     kinds = [{(p.held_out, p.signals.bridge_on) for p in batch.pieces} for batch in batches]
     assert all(len(kind) == 1 for kind in kinds)
     assert sorted(kind.pop() for kind in kinds) == [(False, False), (False, True), (True, True)]
@@ -228,7 +229,7 @@ def test_what_is_held_out_and_what_was_read_with_the_bridge_off_is_by_itself() -
 
 @pytest.mark.parametrize("samples", [3000, 6000, 20_000])
 def test_a_batch_is_of_about_the_size_that_was_requested(samples: int) -> None:
-    _, others = in_batches(MADE, [], samples)
+    others = in_batches(MADE, [], samples).others
     lengths = [len(p.signals.v_dc) for p in MADE]
     kinds: dict[tuple[bool, bool], list[int]] = {}
     for batch in others:
@@ -246,7 +247,7 @@ def test_a_batch_is_of_about_the_size_that_was_requested(samples: int) -> None:
 
 
 def test_a_segment_longer_than_a_batch_is_one_by_itself() -> None:
-    batches = [batch for part in in_batches(MADE, [], 100) for batch in part]
+    batches = in_batches(MADE, [], 100).all
     assert [len(batch.pieces) for batch in batches] == [1] * len(MADE)
 
 
