@@ -77,37 +77,21 @@ def left_of_excitation(fit: Fit) -> float:
     return max((beyond[kind] / volts[kind] for kind in beyond if volts[kind] > 0.0), default=0.0)
 
 
-@dataclass(frozen=True)
-class GatesOffError:
-    """Error of a model at the readings with the gates off.
+def gates_off_error(fit: Fit) -> dict[str, float | None]:
+    """The fields of a `VerdictRecord` on the model's error with the gates off: R_s times the current's, its chance.
 
-    Attributes
-    ----------
-    rms_v : float
-        rms current error times R_s [V].
-    probability : float
-        Probability of so large an error by chance.
-    least_excitation_v : float or None
-        Smallest rms voltage of an excited kind of stage [V]; None without excitation.
+    Empty where there are no such readings.
     """
-
-    rms_v: float
-    probability: float
-    least_excitation_v: float | None
-
-
-def gates_off_error(fit: Fit) -> GatesOffError | None:
-    """Error of a model at the readings with the gates off; None where there are none."""
     residuals = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if _without_current(p)]
     if not residuals:
-        return None
+        return {}
     together = np.concatenate(residuals)
     excited = [v for v in _by_kind(fit, _voltages(fit)).values() if v > 0.0]
-    return GatesOffError(
-        rms_v=fit.rms_v(_without_current) or 0.0,
-        probability=float(chdtrc(len(together), float(together @ together))),
-        least_excitation_v=min(excited, default=None),
-    )
+    return {
+        "gates_off_v": fit.rms_v(_without_current) or 0.0,
+        "gates_off_probability": float(chdtrc(len(together), float(together @ together))),
+        "least_excitation_v": min(excited, default=None),
+    }
 
 
 def _without_current(piece: SegmentData) -> bool:

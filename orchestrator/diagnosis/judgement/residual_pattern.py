@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import get_args
+from functools import partial
 
 import numpy as np
 
@@ -31,7 +31,6 @@ Field = Callable[[Signals, float], Array]
 class _Addition:
     """A signal of `size` added to one quantity in a free amount: an effect without metadata."""
 
-    name: str
     quantity: str
     field: Field
     current_a: float
@@ -41,32 +40,28 @@ class _Addition:
     class Parameters(EffectParameters):
         amount: float = amplitude("1", typical=1.0, prior_width=100.0, low=-1e9, high=1e9)
 
+    @property
+    def name(self) -> str:
+        return f"addition to {self.quantity}"
+
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Add the signal."""
         added = p.amount * self.size * self.field(signals, self.current_a)
         return Correction(**{self.quantity: getattr(signals, self.quantity) + added})
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """A pattern: signals added to one quantity in free amounts."""
+Columns = list[tuple[EffectTerm, str]]
+"""Amounts of a pattern's signals, for `Fitter.evaluate`'s `extra`."""
 
-    name: str
-    quantity: str
-    fields: tuple[Field, ...]
-    current_a: float
-    size: float
-    layer: EffectLayer = EffectLayer.INVERTER
 
-    @property
-    def columns(self) -> list[tuple[EffectTerm, str]]:
-        """Each signal's amount, for `Fitter.evaluate`'s `extra`."""
-        parameters = _Addition.Parameters.declared()
-        additions = [
-            _Addition(self.name, self.quantity, field, self.current_a, self.size, self.layer) for field in self.fields
-        ]
-        # The fit reads no more of an effect than an addition has.
-        return absent_columns([CandidateEffect(addition, parameters) for addition in additions])  # type: ignore[arg-type]
+def _added(
+    quantity: str, size: float, current_a: float, *fields: Field, layer: EffectLayer = EffectLayer.INVERTER
+) -> Columns:
+    """The amounts of signals that are added to one quantity."""
+    additions = [_Addition(quantity, field, current_a, size, layer) for field in fields]
+    parameters = _Addition.Parameters.declared()
+    # The fit reads no more of an effect than an addition has.
+    return absent_columns([CandidateEffect(addition, parameters) for addition in additions])  # type: ignore[arg-type]
 
 
 def residual_pattern(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[ShapeGroup, float]]:
@@ -80,30 +75,24 @@ def residual_pattern(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[S
     excess = fit.chi2 - fit.dof
     if excess <= 0.0:
         return []
-    shapes = _shapes(current_a, max(fit.model.r_s, 1e-3))
-    wanted: list[tuple[EffectTerm, str]] = []
-    index: dict[str, list[int]] = {}
-    for shape in shapes:
-        index[shape.name] = list(range(len(wanted), len(wanted) + len(shape.fields)))
-        wanted += shape.columns
-    normal, right = fitter.evaluate(fit.model, fit.linearisation, wanted, known=fit).projected()
+    wanted: Columns = []
+    remaining: dict[ShapeGroup, list[int]] = {}
     fitted = len(fit.model.free)
+    for group, columns in _patterns(current_a, max(fit.model.r_s, 1e-3)).items():
+        remaining[group] = list(range(fitted + len(wanted), fitted + len(wanted) + len(columns)))
+        wanted += columns
+    normal, right = fitter.evaluate(fit.model, fit.linearisation, wanted, known=fit).projected()
     chosen = list(range(fitted))
     shares: list[tuple[ShapeGroup, float]] = []
-    remaining = dict(index)
     explained = _explained(normal, right, chosen)
     while remaining:
-        gains = {
-            name: _explained(normal, right, chosen + [fitted + k for k in columns]) - explained
-            for name, columns in remaining.items()
-        }
-        name = max(gains, key=lambda n: gains[n])
-        if gains[name] < max(MIN_PATTERN_SHARE * excess, LEAST_PATTERN_CHI2):
+        gains = {group: _explained(normal, right, chosen + columns) - explained for group, columns in remaining.items()}
+        group = max(gains, key=lambda n: gains[n])
+        if gains[group] < max(MIN_PATTERN_SHARE * excess, LEAST_PATTERN_CHI2):
             break
-        chosen += [fitted + k for k in remaining.pop(name)]
-        explained += gains[name]
-        group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
-        shares.append((group, min(gains[name] / excess, 1.0)))
+        chosen += remaining.pop(group)
+        explained += gains[group]
+        shares.append((group, min(gains[group] / excess, 1.0)))
     rest = 1.0 - sum(share for _, share in shares)
     if rest > MIN_PATTERN_SHARE:
         shares.append(("other", rest))
@@ -121,46 +110,33 @@ def _explained(normal: Array, right: Array, which: Sequence[int]) -> float:
     return float(b @ np.linalg.solve(scaled, b))
 
 
-def _shapes(current_a: float, r_s: float) -> list[_Shape]:
-    volts = 0.01 * r_s * current_a
-    amps = 0.01 * current_a
-    layer = EffectLayer.IRON
-
-    def of_phases(function: Callable[[Array, float], Array]) -> Field:
-        def field(s: Signals, a: float) -> Array:
-            return from_phases(function(to_phases(s.i_ab), a))
-
-        return field
-
-    shapes = [
-        _Shape(
-            "odd_phase_current",
-            "v_ab",
-            (*(of_phases(_step(w)) for w in (0.01, 0.05, 0.3)), of_phases(lambda i, a: (i / a) ** 3)),
-            current_a,
-            volts,
+def _patterns(current_a: float, r_s: float) -> dict[ShapeGroup, Columns]:
+    volts, amps = 0.01 * r_s * current_a, 0.01 * current_a
+    voltage = partial(_added, "v_ab", volts, current_a)
+    current = partial(_added, "i_m_ab", amps, current_a, layer=EffectLayer.IRON)
+    return {
+        "odd_phase_current": voltage(
+            *(_of_phases(_step(w)) for w in (0.01, 0.05, 0.3)), _of_phases(lambda i, a: (i / a) ** 3)
         ),
-        _Shape(
-            "even_phase_current",
-            "v_ab",
-            (of_phases(lambda i, a: np.abs(i) / a), of_phases(lambda i, a: (i / a) ** 2)),
-            current_a,
-            volts,
+        "even_phase_current": voltage(
+            _of_phases(lambda i, a: np.abs(i) / a), _of_phases(lambda i, a: np.asarray((i / a) ** 2))
         ),
-        _Shape("constant", "v_ab", tuple(_constant(k, t) for t in (0, 1) for k in (0, 1)), current_a, volts),
-        _Shape("anisotropic_resistance", "v_ab", (_stretched, _sheared), current_a, volts),
-        _Shape("time_resistance", "v_ab", tuple(_in_time(p) for p in (1, 2, 3)), current_a, volts),
-        _Shape("power_voltage", "v_ab", (_power_voltage,), current_a, volts),
-        _Shape("sweep_direction", "i_m_ab", tuple(_direction(w) for w in (0.02, 0.2)), current_a, amps, layer=layer),
-        _Shape("ripple_in_phase", "v_ab", (_ripple,), current_a, volts),
-        _Shape("ripple_edges", "v_ab", (_edges,), current_a, 1e-3),
-        _Shape("map_not_even", "i_m_ab", (_mixed(1.0), _mixed_cubic), current_a, amps, layer=layer),
-        _Shape("reciprocity_broken", "i_m_ab", (_mixed(-1.0),), current_a, amps, layer=layer),
-        _Shape("map_detail", "i_m_ab", tuple(_wave(k) for k in (3, 5, 8)), current_a, amps, layer=layer),
-        _Shape("periodic", "v_ab", tuple(_hum(f, k) for f in (50.0, 60.0) for k in (0, 1)), current_a, volts),
-    ]
-    known = set(get_args(ShapeGroup))
-    return [shape for shape in shapes if shape.name in known]
+        "constant": voltage(*(_constant(k, t) for t in (0, 1) for k in (0, 1))),
+        "anisotropic_resistance": voltage(_stretched, _sheared),
+        "time_resistance": voltage(*(_in_time(p) for p in (1, 2, 3))),
+        "power_voltage": voltage(_power_voltage),
+        "sweep_direction": current(*(_direction(w) for w in (0.02, 0.2))),
+        "ripple_in_phase": voltage(_ripple),
+        "ripple_edges": _added("v_ab", 1e-3, current_a, _edges),
+        "map_not_even": current(_mixed(1.0), _mixed_cubic),
+        "reciprocity_broken": current(_mixed(-1.0)),
+        "map_detail": current(*(_wave(k) for k in (3, 5, 8))),
+        "periodic": voltage(*(_hum(f, k) for f in (50.0, 60.0) for k in (0, 1))),
+    }
+
+
+def _of_phases(function: Callable[[Array, float], Array]) -> Field:
+    return lambda s, a: from_phases(function(to_phases(s.i_ab), a))
 
 
 def _step(width: float) -> Callable[[Array, float], Array]:
@@ -259,14 +235,13 @@ def map_asymmetry(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[flo
     reciprocity : float
         dpsi_d/di_q - dpsi_q/di_d over the mean inductance.
     """
-    layer = EffectLayer.IRON
-    shape = _Shape("breaks", "i_m_ab", (_mixed(1.0), _mixed(-1.0)), current_a, 0.01 * current_a, layer=layer)
-    normal, right = fitter.evaluate(fit.model, fit.linearisation, shape.columns, known=fit).projected()
+    size = 0.01 * current_a
+    columns = _added("i_m_ab", size, current_a, _mixed(1.0), _mixed(-1.0), layer=EffectLayer.IRON)
+    normal, right = fitter.evaluate(fit.model, fit.linearisation, columns, known=fit).projected()
     regular = normal + 1e-12 * np.diag(np.diag(normal) + 1e-300)
     fitted = len(fit.model.free)
     regular[:fitted, :fitted] += np.eye(fitted)
-    x = -np.linalg.solve(regular, right)[fitted:] * _Addition.Parameters.declared()[0].prior_width * shape.size
+    x = -np.linalg.solve(regular, right)[fitted:] * _Addition.Parameters.declared()[0].prior_width * size
     inductance = fit.model.magnetics.flux_and_inductance(np.zeros((1, 2)))[1][0]
-    mean = 0.5 * (inductance[0] + inductance[2])
     even, odd = abs(float(x[0])), abs(float(x[1])) / current_a
-    return (inductance[0] * even, inductance[2] * even), 2.0 * odd * mean / mean
+    return (inductance[0] * even, inductance[2] * even), 2.0 * odd

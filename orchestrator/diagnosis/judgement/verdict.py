@@ -57,13 +57,10 @@ def verdict_record(
     mixture : FormMixture, optional
         Mixture of the named effects' forms, where the effects leave more than noise.
     """
-    gates_off = gates_off_error(after)
     return VerdictRecord(
         **_of_fitted_stages(before, after, effects),
         held_out_chi2=held_out_chi2(after),
-        gates_off_v=None if gates_off is None else gates_off.rms_v,
-        gates_off_probability=None if gates_off is None else gates_off.probability,
-        least_excitation_v=None if gates_off is None else gates_off.least_excitation_v,
+        **gates_off_error(after),
         effect_widths={a.name: _widths(a, a.candidate.amplitudes) for a in after.model.active},
         periodic_lines=periodic_lines,
         noise_v=noise_v,
