@@ -11,7 +11,6 @@ import numpy as np
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.fitting.progress import Budget, SearchRecorder
 from orchestrator.diagnosis.judgement.sufficiency import missing_contrasts, require_enough
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
@@ -170,26 +169,16 @@ ripple's effect is its square over 24, and 2e-5 of the voltage is the smallest t
 
 def with_carrier_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
     """The setup with switching ripple, where it matters and does not worsen the fit of the map alone."""
-    if not _matters(setup):
-        return setup
-    rippling = setup.with_ripple(ripples=True)
-    plain, other = (_fitted(one, baseline_model(one, Saturated())) for one in (setup, rippling))
-    return setup if _does_better(plain, other) else rippling
-
-
-def _matters(setup: DiagnosisSetup) -> bool:
     drive, ohm = setup.prepared.manifest.drive, setup.prepared.manifest.motor.stator_resistance_ohm or 0.0
     period_s = 1.0 / (drive.pwm_frequency_hz or drive.sampling_frequency_hz)
-    return ohm * period_s > MIN_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h)
-
-
-def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:
-    return setup.part_fitter.fit(model, relinearisations=1)
-
-
-def _does_better(one: Fit, other: Fit) -> bool:
-    threshold = 2.0 * one.criteria.selection.log_evidence * max(one.chi2_per_dof, 1.0)
-    return other.objective - one.objective > threshold
+    if ohm * period_s <= MIN_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h):
+        return setup
+    rippling = setup.with_ripple(ripples=True)
+    plain, other = (
+        one.part_fitter.fit(baseline_model(one, Saturated()), relinearisations=1) for one in (setup, rippling)
+    )
+    threshold = 2.0 * plain.criteria.selection.log_evidence * max(plain.chi2_per_dof, 1.0)
+    return setup if other.objective - plain.objective > threshold else rippling
 
 
 FIRST_NUMBERS_CHECKED = 2000

@@ -94,13 +94,10 @@ class DiagnosisSetup:
         whole, part = (f.with_noise(of_model) for f in (self.fitter, self.part_fitter))
         return replace(self, fitter=whole, part_fitter=part)
 
-    @property
-    def without_quantiser(self) -> DiagnosisSetup:
-        """A copy with the voltages as commanded."""
-        return self if self.prepared.quantiser is None else self.with_quantiser(None)
-
     def with_quantiser(self, timer: ModulatorTimer | None) -> DiagnosisSetup:
         """A copy with the voltages rounded by a modulator's timer, or as commanded (None)."""
+        if timer is self.prepared.quantiser:
+            return self
         return self._with_voltages(lambda prepared: with_quantiser(prepared, timer))
 
     def with_ripple(self, ripples: bool) -> DiagnosisSetup:
@@ -207,7 +204,7 @@ def given_model(setup: DiagnosisSetup, flux_map: FluxMap) -> Model:
     good &= (i_dq[:, 0] >= grid.low) & (i_dq[:, 0] <= grid.high)
     if good.sum() < 4:
         raise NotMeasuredError(flux_map.method, "psi_d, psi_q", "the map does not cover the recording's currents")
-    rows = _flux_rows(grid, i_dq[good])
+    rows = np.concatenate([grid.rows(i_dq[good], 1, 0), grid.rows(i_dq[good], 0, 1)])
     inductance_h = math.sqrt(setup.l_d_h * setup.l_q_h)
     prior = 1e-3 * smoothness_prior(grid, inductance_h, setup.current_a, setup.criteria.roughness)
     scale = 1.0 / (GIVEN_MAP_STD * inductance_h * setup.current_a)
@@ -215,15 +212,6 @@ def given_model(setup: DiagnosisSetup, flux_map: FluxMap) -> Model:
     target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
     coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
     return Model(_held(grid, coefficients), Magnetics(grid, coefficients), _resistance(setup))
-
-
-def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
-    columns = []
-    for k in range(grid.size):
-        unit = np.zeros(grid.size)
-        unit[k] = 1.0
-        columns.append(Magnetics(grid, unit).flux_and_inductance(i_dq)[0].T.ravel())
-    return np.stack(columns, axis=1)
 
 
 def fit_baseline(setup: DiagnosisSetup) -> Fit:

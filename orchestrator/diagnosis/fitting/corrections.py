@@ -250,7 +250,7 @@ class Cascade:
         -------
         change : dict
         responses : dict
-            Contribution of each inner effect to the change, where `answering` is None.
+            Contribution of each inner effect to the change beyond rounding, where `answering` is None.
         """
         at = next((k for k, a in enumerate(self.effects) if a.name == moved.name), None)
         if at is None:
@@ -283,7 +283,9 @@ class Cascade:
                 continue
             carried = _less(other.signals, self.stages[k + 1].signals, names | change.keys())
             if answering is None:
-                responses[inner.name] = {n: d - change[n] if n in change else d for n, d in carried.items()}
+                part = {n: d - change[n] if n in change else d for n, d in carried.items()}
+                if _exceeds_rounding(part, self.corrected):
+                    responses[inner.name] = part
             change = carried
         return change, responses
 
@@ -316,14 +318,22 @@ def _within(active: EffectTerm, name: str, step: float) -> float:
 
 
 def _plus(signals: SignalBatch, change: Change) -> SignalBatch:
-    return signals.replaced({name: array_of(signals, name) + d for name, d in change.items()})
+    return signals.replaced({name: _array_of(signals, name) + d for name, d in change.items()})
 
 
 def _less(one: SignalBatch, other: SignalBatch, names: frozenset[str]) -> Change:
-    return {name: np.ascontiguousarray(array_of(one, name) - array_of(other, name)) for name in names}
+    return {name: np.ascontiguousarray(_array_of(one, name) - _array_of(other, name)) for name in names}
 
 
-def array_of(signals: SignalBatch, name: str) -> Array | float:
+def _exceeds_rounding(change: Change, signals: SignalBatch) -> bool:
+    """Whether a change exceeds the rounding of an addition followed by a subtraction."""
+    return any(
+        float(np.abs(array).max()) > 1e3 * np.finfo(np.float64).eps * float(np.max(np.abs(_array_of(signals, name))))
+        for name, array in change.items()
+    )
+
+
+def _array_of(signals: SignalBatch, name: str) -> Array | float:
     """An array of the signals; 0 where it is absent."""
     array: Array | None = getattr(signals, name)
     return 0.0 if array is None else array

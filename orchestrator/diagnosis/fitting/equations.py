@@ -14,7 +14,6 @@ from orchestrator.diagnosis.fitting.corrections import (
     Cascade,
     Change,
     apply_effects,
-    array_of,
     has_random_directions,
     step_of,
 )
@@ -43,7 +42,7 @@ from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rota
 from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import Correction, EffectLayer, SignalBatch, Signals
+from protocols import Correction, EffectLayer, SignalBatch
 
 FLUX_ITERATIONS: int = 2
 """Fixed-point iterations of the flux that effects read, which itself depends on their rotor angle and magnetising
@@ -128,10 +127,7 @@ class WeakFormEquations:
 
     def _without_flux(self, model: Model, batch: SegmentBatch) -> BatchLinearisation:
         """The measured signals with the model's resistance, its copper losses and the ripple within a period."""
-        s = batch.signals
-        # R_s may be negative during a descent, but a loss may not.
-        ratio = max(model.r_s, 0.0) / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
-        plain = BatchLinearisation(batch, model.r_s, ratio, _with_losses(s.segments, ratio))
+        plain = BatchLinearisation.of(batch, model.r_s)
         if not self.ripples:
             return plain
         base = plain.base
@@ -331,9 +327,8 @@ class WeakFormEquations:
             step, change, responses = _changed(at, active, name, inner)
             self._difference(at, change, step, out[:, 2 + k])
             for effect, response in responses.items():
-                if _beyond_rounding(response, at.cascade.corrected):
-                    keys.append((k, effect))
-                    additions.append(self._difference(at, response, step))
+                keys.append((k, effect))
+                additions.append(self._difference(at, response, step))
         rows = self._white(at, out)
         together = np.stack(additions, axis=-1) if additions else np.zeros((int(at.batch.layout.rows[-1]), 0))
         probes = []
@@ -378,13 +373,6 @@ FLUX = ("psi_ab", "psi_smooth_ab", "i_smooth_ab", "inductance_ab")
 """Names of the signals that hold the model's flux for the effects."""
 
 
-def _with_losses(segments: Sequence[Signals], scale: float) -> tuple[Signals, ...]:
-    """The segments with losses scaled; segments that share a loss history share the scaled one."""
-    histories = {id(s.losses): s.losses for s in segments}
-    scaled = {k: h and replace(h, power_w=h.power_w * scale) for k, h in histories.items()}
-    return tuple(replace(s, losses=scaled[id(s.losses)]) for s in segments)
-
-
 def _flux_of(signals: SignalBatch) -> dict[str, Array]:
     return {name: getattr(signals, name) for name in FLUX}
 
@@ -398,11 +386,3 @@ def _in_frame_of(piece: SegmentData, slopes: Array) -> Array:
     turn = rotation(-piece.segment.rotor_angle_rad)
     # One product with a 4 x 4 matrix; a product per reading takes ten times as long.
     return np.asarray((slopes.reshape(-1, 4) @ np.kron(turn, turn).T).reshape(-1, 2, 2))
-
-
-def _beyond_rounding(change: Change, signals: SignalBatch) -> bool:
-    """Whether a change exceeds the rounding of an addition followed by a subtraction."""
-    return any(
-        float(np.abs(array).max()) > 1e3 * np.finfo(np.float64).eps * float(np.max(np.abs(array_of(signals, name))))
-        for name, array in change.items()
-    )

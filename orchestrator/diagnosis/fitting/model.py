@@ -114,6 +114,17 @@ class BatchLinearisation:
     changed: Mapping[str, RealArray] = field(default_factory=dict)
     pieces: tuple[SegmentLinearisation, ...] = ()
 
+    @classmethod
+    def of(cls, batch: SegmentBatch, r_s: float) -> BatchLinearisation:
+        """A batch with a model's resistance and its losses, without flux."""
+        s = batch.signals
+        # R_s may be negative during a descent, but a loss may not.
+        ratio = max(r_s, 0.0) / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
+        # Segments that share a loss history share the scaled one.
+        histories = {id(one.losses): one.losses for one in s.segments}
+        scaled = {k: h and replace(h, power_w=h.power_w * ratio) for k, h in histories.items()}
+        return cls(batch, r_s, ratio, tuple(replace(one, losses=scaled[id(one.losses)]) for one in s.segments))
+
     @property
     def base(self) -> SignalBatch:
         """Measured signals with the model's resistance, losses and flux."""

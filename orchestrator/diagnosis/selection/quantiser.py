@@ -40,7 +40,7 @@ def with_detected_quantiser(setup: DiagnosisSetup, fit: Fit, library: Library) -
 
 def _by_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
     """The setup with the likeliest timer beside a fit near the readings' estimates."""
-    likelihood = likelihood_of(setup.without_quantiser.part_fitter, fit, library)
+    likelihood = likelihood_of(setup.with_quantiser(None).part_fitter, fit, library)
     scatter = likelihood.most_likely((True, True))
     timer, _ = quantiser_of_dwells(setup.part_fitter.prepared, likelihood, scatter, setup.quantisers)
     return setup.with_quantiser(timer)
