@@ -74,7 +74,7 @@ RULES = (
         for name in names
     ),
     Rule("selection.adding", "_is_indistinguishable", _always(False)),
-    Rule("nuisances.segment_scatter", "with_scatter_beside", _always(None)),
+    Rule("nuisances.segment_scatter", "with_scatter", _always(None)),
     Rule("selection.quantiser", "with_detected_quantiser", _given("setup")),
     Rule("selection.quantiser", "with_quantiser_of_dwells", _given("setup")),
     Rule("selection.naming", "drop_confounded", _given("search")),

@@ -36,7 +36,7 @@ from orchestrator.diagnosis.fitting.model import (
 )
 from orchestrator.diagnosis.fitting.progress import Budget, SearchRecorder
 from orchestrator.diagnosis.fitting.solution import solved
-from orchestrator.diagnosis.fitting.workers import Executor, SerialExecutor
+from orchestrator.diagnosis.fitting.workers import Executor
 from orchestrator.diagnosis.weak_form.batches import RecordingBatches, SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -87,7 +87,7 @@ class Fitter:
     tell : callable
         Called with a short description of the current operation.
     executor : Executor
-        Evaluates the batches, serially or in worker processes.
+        Evaluates the batches, serially or in threads.
     trace : SearchRecorder
         Records every model that is tried.
     batches : RecordingBatches
@@ -101,7 +101,7 @@ class Fitter:
     budget: Budget = field(default_factory=Budget)
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
-    executor: Executor = field(default_factory=SerialExecutor)
+    executor: Executor = field(default_factory=Executor)
     trace: SearchRecorder = field(default_factory=SearchRecorder)
     batches: RecordingBatches = field(default_factory=RecordingBatches)
     equations: WeakFormEquations = field(init=False)

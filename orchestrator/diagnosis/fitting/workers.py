@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Protocol, TypeVar
+from dataclasses import dataclass
+from typing import TypeVar
 
 from orchestrator.operating_system.processes import available_cores
 
@@ -19,32 +20,19 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-class Executor(Protocol):
-    """Evaluates a function for every batch."""
+@dataclass(frozen=True)
+class Executor:
+    """Evaluates a function for every batch: in the threads of a pool, which the caller shuts down, or in its own."""
+
+    pool: ThreadPoolExecutor | None = None
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """The function's results in the items' order; its first exception is raised."""
-
-
-class SerialExecutor:
-    """Evaluates one item after the other in the caller's thread."""
-
-    def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """As `Executor` has it."""
-        return [function(item) for item in items]
-
-
-class ThreadExecutor:
-    """Evaluates items in the threads of a pool, which the caller shuts down."""
-
-    def __init__(self, pool: ThreadPoolExecutor) -> None:
-        self._pool = pool
-
-    def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
-        """As `Executor` has it."""
+        if self.pool is None:
+            return [function(item) for item in items]
         futures: list[Future[Result]] = []
         try:
-            futures.extend(self._pool.submit(function, item) for item in items)
+            futures.extend(self.pool.submit(function, item) for item in items)
             return [future.result() for future in futures]
         finally:
             # After an exception, wait until no task of this evaluation is running.
@@ -64,10 +52,10 @@ def workers_here() -> int:
 def executor_of(workers: int) -> Iterator[Executor]:
     """An executor with so many threads, which end with the block."""
     if workers <= 1:
-        yield SerialExecutor()
+        yield Executor()
         return
     with ThreadPoolExecutor(workers, thread_name_prefix="fluxbench-equations") as pool:
         try:
-            yield ThreadExecutor(pool)
+            yield Executor(pool)
         finally:
             pool.shutdown(wait=True, cancel_futures=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from orchestrator.diagnosis.nuisances.pwm_quantiser import leg_step_of
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, delayed
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentData, mean_between
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -99,7 +99,7 @@ def _trace(piece: SegmentData, rows: slice, per_volt_dq: Array, decay_dq: Array)
     turn = rotation(piece.segment.rotor_angle_rad)
     per_volt, decay = (turn @ np.diag(x) @ turn.T for x in (per_volt_dq, decay_dq))
     residual, readings, commands, variance_by = _arx_residual(
-        i_ab, delayed(command_ab, math.floor(piece.delay_samples))
+        i_ab, mean_between(command_ab, 1, math.floor(piece.delay_samples))
     )
     floor = np.spacing(np.abs(i_ab).max()) ** 2 + np.finfo(np.float64).tiny
     weight = np.linalg.inv(residual.T @ residual / len(residual) + floor * np.eye(2))

@@ -14,6 +14,7 @@ with the priors P and the gradient h at b = 0: the restricted likelihood (H. D. 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -21,7 +22,6 @@ from itertools import product
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
@@ -82,7 +82,6 @@ class _Segment:
 class Likelihood:
     """Restricted likelihood of a scatter; costs are minus twice its logarithm."""
 
-    criteria: Criteria
     segments: Sequence[_Segment]
     normal: Array
     gradient: Array
@@ -221,17 +220,18 @@ class Likelihood:
         return squares, log_det + float(np.linalg.slogdet(normal)[1])
 
 
-def with_scatter_as_noise(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup | None:
-    """The setup with a scatter as noise, where that and effects to first order explain a part's misfit; else None."""
-    scatter = _most_likely_scatter(likelihood)
-    is_complete = scatter.chi2 <= 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
-    return setup.with_noise(scatter.noise) if is_complete and _is_noise(scatter, setup) else None
+def with_scatter(
+    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Library, *, max_chi2: float = math.inf
+) -> DiagnosisSetup | None:
+    """The setup with a scatter as noise, where one is found around a fit; else None.
 
-
-def with_scatter_beside(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Library) -> DiagnosisSetup | None:
-    """The setup with a scatter as noise, where one is found around a fit; else None."""
+    Parameters
+    ----------
+    max_chi2 : float
+        chi2 per degree of freedom that the scatter and effects to first order may leave.
+    """
     scatter = scatter_of(fitter, fit, library)
-    return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
+    return setup.with_noise(scatter.noise) if scatter.chi2 <= max_chi2 and _is_noise(scatter, setup) else None
 
 
 def is_same_scatter(noise: ModelNoise, other: ModelNoise) -> bool:
@@ -264,11 +264,7 @@ def scatter_of(fitter: Fitter, fit: Fit, library: Library) -> Scatter:
     fitter : Fitter
         Scatter that is already part of its noise is not estimated again.
     """
-    return _most_likely_scatter(likelihood_of(fitter, fit, library))
-
-
-def _most_likely_scatter(likelihood: Likelihood) -> Scatter:
-    min_gain = 2.0 * likelihood.criteria.selection.log_evidence
+    likelihood, min_gain = likelihood_of(fitter, fit, library), 2.0 * fit.criteria.selection.log_evidence
     # The simpler scatter is kept unless the data require another.
     best = ModelNoise()
     cost = none = likelihood.cost(best)
@@ -309,7 +305,7 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Library) -> Likelihood:
     for (piece, u), (linear, d, e) in zip(pieces, loose.training(), strict=True):
         shared, pwm_hz = u.T @ np.column_stack([linear, d]), piece.signals.pwm_frequency_hz
         segments.append(_Segment(u.T @ u, shared, u.T @ e, scatter_units(piece), pwm_hz))
-    return Likelihood(fitter.prepared.criteria, segments, normal, gradient, loose.chi2, loose.dof)
+    return Likelihood(segments, normal, gradient, loose.chi2, loose.dof)
 
 
 def nuisance_remarks(setup: DiagnosisSetup) -> list[Remark]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -17,7 +18,7 @@ from orchestrator.diagnosis.fitting.baseline import (
 )
 from orchestrator.diagnosis.fitting.candidates import Library
 from orchestrator.diagnosis.fitting.model import Model
-from orchestrator.diagnosis.nuisances.segment_scatter import likelihood_of, with_scatter_as_noise, with_scatter_beside
+from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH, with_scatter
 from orchestrator.diagnosis.selection.quantiser import refine_quantiser_by_fit
 from orchestrator.diagnosis.selection.search_state import Move, SearchState
 from protocols import SearchMove
@@ -32,11 +33,9 @@ def noise_moves(state: SearchState, library: Library) -> Iterator[Move]:
 
 
 def _count_scatter(state: SearchState, library: Library) -> SearchState | None:
-    if state.is_part:
-        wider = with_scatter_as_noise(state.setup, likelihood_of(state.fitter, state.fit, library))
-    else:
-        # An unresolved quantiser or drifting sensor offsets may be the only misfit beside the effects.
-        wider = with_scatter_beside(state.setup, state.fitter, state.fit, library)
+    # On the whole, an unresolved quantiser or drifting sensor offsets may be the only misfit beside the effects.
+    max_chi2 = 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH if state.is_part else math.inf
+    wider = with_scatter(state.setup, state.fitter, state.fit, library, max_chi2=max_chi2)
     after = None if wider is None else replace(state, setup=wider)
     fit = None if after is None else after.minimum(state.fit.model)
     state.record("noise", (), fit, None, None, taken=after is not None)

@@ -204,21 +204,11 @@ def loss_without(fit: Fit, active: EffectTerm, names: Sequence[str]) -> float:
 
     Wald's test, in units of the residual's variance.
     """
-    away, block = _away(fit, active, names)
-    return float(away @ np.linalg.solve(block, away))
-
-
-def log_density_ratio(mean: Array, covariance: Array) -> float:
-    """Log of the density ratio at zero of a unit normal prior over a normal posterior (Savage and Dickey)."""
-    return 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
-
-
-def _away(fit: Fit, active: EffectTerm, names: Sequence[str]) -> tuple[Array, Array]:
-    """Standardised values of some parameters, and their covariance."""
     free = fit.model.free
     which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
     away = np.array([active.standardised_value(free[k][1]) for k in which])
-    return away, fit.covariance(max(fit.chi2_per_dof, 1.0))[np.ix_(which, which)]
+    block = fit.covariance(max(fit.chi2_per_dof, 1.0))[np.ix_(which, which)]
+    return float(away @ np.linalg.solve(block, away))
 
 
 def log_bayes_factors(fit: Fit) -> dict[str, float]:
@@ -270,7 +260,8 @@ def without_effect(fitter: Fitter, fit: Fit, name: str) -> Fit:
 
 def _log_bayes_factor(mean: Array, covariance: Array, candidate: CandidateEffect) -> float:
     """Savage and Dickey's density ratio at zero, for amplitudes with priors of unit variance."""
-    return log_density_ratio(mean, covariance) - 0.5 * float(candidate.standing @ candidate.standing)
+    posterior = np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean)
+    return 0.5 * float(posterior) - 0.5 * float(candidate.standing @ candidate.standing)
 
 
 def _posterior(fit: Fit) -> tuple[Array, Array, list[str]]:

@@ -150,7 +150,7 @@ def read_segment(
     i_ab = np.ascontiguousarray(capture.i_ab[:samples], dtype=np.float64)
     current_ab, command_ab = i_ab, np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
     delay = drive.voltage_delay_samples or 0.0
-    v_ab = delayed(command_ab, delay)
+    v_ab = mean_between(command_ab, 1, delay)
     v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
     if len(i_ab) < MIN_SEGMENT_SAMPLES:
         return None
@@ -219,6 +219,8 @@ def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormC
 
 def mean_between(command_ab: Array, width: int, delay_samples: float) -> Array:
     """The voltage that acts between the middles of means of `width` readings, shape (readings // width, 2).
+
+    With a width of one, the mean voltage over [t_k, t_k+1) when each command is delayed by so many samples.
 
     dpsi/dt = v - R i holds for means as for samples: the mean currents of successive blocks differ by the voltage's
     integral, where each v_k of 2 width - 1 intervals is weighted by the share of readings that it moves.
@@ -294,14 +296,6 @@ def injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | No
     frequency = 0.5 * (ahead + behind) * fs / n
     # A line within a Hann window's width of zero belongs to the mean.
     return fs / frequency if 4.0 * fs / n < frequency < highest else None
-
-
-def delayed(v_ab: Array, samples: float) -> Array:
-    """The mean voltage over [t_k, t_k+1) when each command is delayed by `samples`."""
-    if samples == 0.0:
-        return v_ab
-    late_by = math.floor(samples)
-    return np.asarray(delayed_means(np.ascontiguousarray(v_ab, dtype=np.float64), 1, late_by, samples - late_by))
 
 
 def late_beside(v_ab: Array, samples: float) -> Array | None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
+from orchestrator.diagnosis.weak_form.segments import late_beside, mean_between
 from orchestrator.numerics.types import Array
 from plugins.effects.iron import EddyCurrents, Hysteresis, MagnetHeating, SlotHarmonics
 from plugins.effects.timing import VoltageDelay
@@ -65,7 +65,7 @@ def test_a_delay_that_the_drive_declares_is_felt_as_one_that_is_found() -> None:
     beside = late_beside(command, 0.4)
     assert beside is not None
     assert found.v_late_ab is not None
-    assert_close(delayed(command, 0.4), found.v_ab, 1e-12, of=found.v_ab)
+    assert_close(mean_between(command, 1, 0.4), found.v_ab, 1e-12, of=found.v_ab)
     assert_close(beside, found.v_late_ab, 1e-12, of=found.v_ab)
     assert late_beside(command, 1.0) is None
 

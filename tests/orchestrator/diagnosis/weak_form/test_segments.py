@@ -14,7 +14,6 @@ from orchestrator.diagnosis.weak_form.preparation import coarse, prepare
 from orchestrator.diagnosis.weak_form.segments import (
     block_means,
     clarke_of_three,
-    delayed,
     injection_period,
     logged_fields,
     mean_between,
@@ -40,9 +39,9 @@ def test_flux_changes_between_means_by_what_the_averaged_voltage_does() -> None:
 
 def test_a_late_voltage_is_a_part_of_each_of_two_commands() -> None:
     v = np.random.default_rng(2).normal(size=(50, 2))
-    assert delayed(v, 0.0) is v
-    np.testing.assert_array_equal(delayed(v, 1.0)[1:], v[:-1])
-    np.testing.assert_allclose(delayed(v, 1.25)[2:], 0.75 * v[1:-1] + 0.25 * v[:-2])
+    assert mean_between(v, 1, 0.0) is v
+    np.testing.assert_array_equal(mean_between(v, 1, 1.0)[1:], v[:-1])
+    np.testing.assert_allclose(mean_between(v, 1, 1.25)[2:], 0.75 * v[1:-1] + 0.25 * v[:-2])
 
 
 @pytest.mark.parametrize(("axis", "number"), [("d", 0), ("q", 1)])
