@@ -194,10 +194,6 @@ class Fitter:
                 damping = 0.1 * damping if damping > MIN_DAMPING else 0.0
         return best
 
-    def predicted_reduction(self, fit: Fit) -> float:
-        """Fall of the objective that the linear model predicts for one more Gauss-Newton step."""
-        return newton_step(fit, fit.projected(), 0.0)[1]
-
     def correct_step(self, trial: Fit, wanted: float) -> Fit:
         """Correct a failed trial step that has left a curved valley of the objective.
 
@@ -277,17 +273,9 @@ class Fitter:
         """`old` if it has the same noise, segments and freedom of the map, else None."""
         if old is None or old.noise is not self.noise or not _is_equally_free(old.space, model.space):
             return None
-        return old if self._has_same_batches(old) else None
-
-    def _has_same_batches(self, linearisation: Linearisation) -> bool:
-        ours = self.batches.all
-        return len(ours) == len(linearisation.batches) and all(
-            b.batch is a for a, b in zip(ours, linearisation.batches, strict=True)
-        )
-
-    def _with_linearisations(self, linearisation: Linearisation | None) -> list[_Linearised]:
-        ours = self.batches.all
-        return list(zip(ours, linearisation.batches if linearisation is not None else [None] * len(ours), strict=True))
+        ours, theirs = self.batches.all, [one.batch for one in old.batches]
+        is_same = len(ours) == len(theirs) and all(a is b for a, b in zip(ours, theirs, strict=True))
+        return old if is_same else None
 
     def _linearisation_of(
         self, model: Model, linearisations: Sequence[BatchLinearisation], old: Linearisation | None
@@ -316,7 +304,8 @@ class Fitter:
         """Each batch's linearisation, each segment's equations (with columns unless held out), and the responses."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.budget.spend(samples * COLUMNS_PER_EVALUATION)
-        ours = self._with_linearisations(linearisation)
+        batches, earlier = self.batches.all, None if linearisation is None else linearisation.batches
+        ours = list(zip(batches, earlier or [None] * len(batches), strict=True))
         if len(wanted) > FEW_COLUMNS:
             return self._rows_by_plan(model, ours, renew, wanted, known, samples)
         self.budget.spend(samples * len(wanted))

@@ -53,8 +53,6 @@ class Scatter:
     ----------
     noise : ModelNoise
         Model-error noise with the components that the data require.
-    log_likelihood : float
-        Gain over no scatter.
     chi2 : float
         chi2 per degree of freedom with the scatter as noise, all effects adapting to first order.
     chance : float
@@ -62,7 +60,6 @@ class Scatter:
     """
 
     noise: ModelNoise
-    log_likelihood: float
     chi2: float
     chance: float
 
@@ -267,12 +264,12 @@ def scatter_of(fitter: Fitter, fit: Fit, library: Library) -> Scatter:
     likelihood, min_gain = likelihood_of(fitter, fit, library), 2.0 * fit.criteria.selection.log_evidence
     # The simpler scatter is kept unless the data require another.
     best = ModelNoise()
-    cost = none = likelihood.cost(best)
+    cost = likelihood.cost(best)
     for which in ((True, False), (False, True), (True, True)):
         found = likelihood.most_likely(which)
         if cost - likelihood.cost(found) > min_gain:
             best, cost = found, likelihood.cost(found)
-    return Scatter(best, 0.5 * (none - cost), likelihood.chi2_per_dof(best), likelihood.chance(best))
+    return Scatter(best, likelihood.chi2_per_dof(best), likelihood.chance(best))
 
 
 def likelihood_of(fitter: Fitter, fit: Fit, library: Library) -> Likelihood:

@@ -46,7 +46,6 @@ def test_scatter_is_found_as_large_as_it_is() -> None:
     found = scatter_of(maker, fit, [])
     # Some hundred offsets tell their standard deviation to a fourteenth; three of these.
     assert found.noise.offset_scatter_a == pytest.approx(float(offsets.std()), rel=0.2)
-    assert found.log_likelihood > 100.0
     assert fit.chi2_per_dof > 2.0
     assert found.chi2 == pytest.approx(1.0, abs=0.1)
     # With it as noise a fit has as much error as noise makes, and tells the same scatter again.
@@ -76,7 +75,6 @@ def test_no_scatter_is_found_where_there_is_none() -> None:
     maker = fitter(_campaign())
     found = scatter_of(maker, maker.fit(free_model()), [])
     assert not found.noise.scatters
-    assert found.log_likelihood == 0.0
 
 
 @pytest.mark.slow
