@@ -67,16 +67,16 @@ RULES = (
             ("adding", ("_add_to_joint",)),
             ("shape_moves", ("_free", "_fix", "_switch")),
             ("removing", ("_remove_minor", "_swap", "_merge")),
-            ("environment_moves", ("_count_scatter", "_estimate_quantiser", "_refine_map", "_coarsen_map")),
-            ("quantiser", ("refine_quantiser_by_fit",)),
+            ("environment_moves", ("_count_scatter", "refine_quantiser_by_fit", "_estimate_quantiser")),
+            ("environment_moves", ("_refine_map", "_coarsen_map")),
             ("search", ("_add_all",)),
         )
         for name in names
     ),
     Rule("selection.adding", "_is_indistinguishable", _always(False)),
     Rule("nuisances.segment_scatter", "with_scatter", _always(None)),
-    Rule("selection.quantiser", "with_detected_quantiser", _given("setup")),
-    Rule("selection.quantiser", "with_quantiser_of_dwells", _given("setup")),
+    Rule("selection.environment_moves", "with_detected_quantiser", _given("setup")),
+    Rule("selection.environment_moves", "with_quantiser_of_dwells", _given("setup")),
     Rule("selection.naming", "drop_confounded", _given("search")),
 )
 BY_LABEL = {rule.label: rule for rule in RULES}

@@ -13,13 +13,13 @@ def test_a_rule_s_function_is_there_and_is_given_what_it_gives_back(rule: Rule) 
 
 
 def test_rules_are_themselves_again_afterwards() -> None:
-    quantiser = import_module(f"{ROOM}.selection.quantiser")
-    before = quantiser.with_detected_quantiser
-    with observing(without=["quantiser.with_detected_quantiser"]) as seen:
-        assert quantiser.with_detected_quantiser is not before
-        assert quantiser.with_detected_quantiser("setup", None, []) == "setup"
-        assert seen["quantiser.with_detected_quantiser"].calls == 0
-    assert quantiser.with_detected_quantiser is before
+    moves = import_module(f"{ROOM}.selection.environment_moves")
+    before = moves.with_detected_quantiser
+    with observing(without=["environment_moves.with_detected_quantiser"]) as seen:
+        assert moves.with_detected_quantiser is not before
+        assert moves.with_detected_quantiser("setup", None, []) == "setup"
+        assert seen["environment_moves.with_detected_quantiser"].calls == 0
+    assert moves.with_detected_quantiser is before
 
 
 def test_results_are_the_same_that_lead_on_in_the_same_way() -> None:

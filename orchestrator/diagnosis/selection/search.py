@@ -20,10 +20,10 @@ from orchestrator.diagnosis.selection.environment_moves import (
     kink_moves,
     map_moves,
     noise_moves,
+    with_detected_quantiser,
     with_fixed_effects,
 )
 from orchestrator.diagnosis.selection.naming import build_ladder, drop_confounded, plain_ladder
-from orchestrator.diagnosis.selection.quantiser import with_detected_quantiser
 from orchestrator.diagnosis.selection.removing import merge_moves, remove_moves, swap_moves
 from orchestrator.diagnosis.selection.scoring import gain_of_all, linear_view, redundant_terms, score
 from orchestrator.diagnosis.selection.search_state import (
