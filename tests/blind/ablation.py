@@ -76,7 +76,7 @@ RULES = (
     Rule("selection.adding", "_is_indistinguishable", _always(False)),
     Rule("nuisances.segment_scatter", "with_scatter", _always(None)),
     Rule("selection.environment_moves", "with_detected_quantiser", _given("setup")),
-    Rule("selection.environment_moves", "with_quantiser_of_dwells", _given("setup")),
+    Rule("selection.environment_moves", "_by_dwells", _given("setup")),
     Rule("selection.naming", "drop_confounded", _given("search")),
 )
 BY_LABEL = {rule.label: rule for rule in RULES}

@@ -48,19 +48,20 @@ def quantiser_of_dwells(
     """
     if not likelihood.dwells:
         return estimate[0].timer, scatter
-    found = list[_JointEstimate]()
+    found = list[tuple[float, ModulatorTimer, ModelNoise]]()
     for one in estimate:
         held = _HeldCommands.of(prepared, one.timer.centred)
         known = one.at(np.unique(held.pwm_hz).tolist())
         found.append(_alternate(likelihood, held, known, scatter))
-    best = min(found, key=lambda one: one.cost)
-    return best.timer, best.scatter
+    _, timer, scatter = min(found, key=lambda one: one[0])
+    return timer, scatter
 
 
 def _alternate(
     likelihood: Likelihood, held: _HeldCommands, estimate: QuantiserEstimate, scatter: ModelNoise
-) -> _JointEstimate:
-    """The most likely timer near an estimate, and the scatter, each estimated given the other."""
+) -> tuple[float, ModulatorTimer, ModelNoise]:
+    """The most likely timer near an estimate and the scatter, each given the other, after minus twice their log
+    likelihood."""
     doubt = 0.0
     x = _scan_phases(held, estimate, *likelihood.held_volts(scatter))
     for _ in range(MAX_ALTERNATIONS):
@@ -70,7 +71,7 @@ def _alternate(
         before, scatter = scatter, with_it.most_likely((True, True), near=scatter)
         if is_same_scatter(before, scatter):
             break
-    return _JointEstimate(estimate.moved(x), scatter, with_it.cost(scatter) + doubt)
+    return with_it.cost(scatter) + doubt, estimate.moved(x), scatter
 
 
 @dataclass(frozen=True)
@@ -127,20 +128,6 @@ class _HeldCommands:
         return 1.0 / max(float(steps.max()), 1.0)
 
 
-@dataclass(frozen=True)
-class _JointEstimate:
-    """A timer, the scatter beside it, and minus twice the log likelihood of both."""
-
-    timer: ModulatorTimer
-    scatter: ModelNoise
-    cost: float
-
-
-def _log_likelihood_gain(volts: Array, normal: Array, pull: Array) -> float:
-    """Gain in log likelihood by voltages in the dwells, all else adapting."""
-    return -float(volts @ pull + 0.5 * volts @ normal @ volts)
-
-
 def _scan_phases(held: _HeldCommands, estimate: QuantiserEstimate, normal: Array, pull: Array) -> Array:
     """The likeliest of the phases tried, for one PWM frequency after the other, in two passes."""
     x = np.zeros(len(estimate.curvature))
@@ -158,10 +145,9 @@ def _with_phase(x: Array, at: int, rise: float, fall: float) -> Array:
 
 
 def _cost(held: _HeldCommands, estimate: QuantiserEstimate, x: Array, normal: Array, pull: Array) -> float:
-    """Minus the log likelihood of a timer that differs by x from the readings' estimate."""
-    return 0.5 * float(x @ estimate.curvature @ x) - _log_likelihood_gain(
-        held.rounded_by(estimate.moved(x)), normal, pull
-    )
+    """Minus the log likelihood of a timer that differs by x from the readings' estimate, all else adapting."""
+    volts = held.rounded_by(estimate.moved(x))
+    return 0.5 * float(x @ estimate.curvature @ x) + float(volts @ pull + 0.5 * volts @ normal @ volts)
 
 
 def _minimise(held: _HeldCommands, estimate: QuantiserEstimate, start: Array, normal: Array, pull: Array) -> Array:

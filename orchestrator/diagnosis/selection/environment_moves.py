@@ -167,16 +167,6 @@ def _by_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSe
     return setup.with_quantiser(timer)
 
 
-def with_quantiser_of_dwells(setup: DiagnosisSetup, fit: Fit, library: Library) -> DiagnosisSetup:
-    """The setup with the timer estimated from the dwells beside a fit; unchanged where there is none."""
-    if not setup.quantisers:
-        return setup
-    setup.fitter.tell("the modulator's timer, by the voltages that hold the currents")
-    timed = _by_dwells(setup, fit, library)
-    setup.part_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
-    return timed
-
-
 def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -> tuple[DiagnosisSetup, Fit] | None:
     """The setup with the timer estimated from all equations of a part's fit, and the fit with it.
 
@@ -186,7 +176,9 @@ def refine_quantiser_by_fit(setup: DiagnosisSetup, fit: Fit, library: Library) -
     if not setup.quantisers or fit.chi2_per_dof <= limits.detected_chi2:
         return None
     # Rounding makes the objective discontinuous in the timer's phase: the estimate by dwells is a second start.
-    beside = with_quantiser_of_dwells(setup, fit, library)
+    setup.fitter.tell("the modulator's timer, by the voltages that hold the currents")
+    beside = _by_dwells(setup, fit, library)
+    setup.part_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
     starts = (setup, fit), (beside, beside.part_fitter.relinearise(fit.model))
     timed, sharper = min(starts, key=lambda start: start[1].objective)
     gained = fit.objective - sharper.objective
