@@ -116,17 +116,10 @@ def _two_sided_refinements(active: EffectTerm) -> list[str]:
 
 def projected_rows(fit: Fit) -> list[tuple[SegmentData, Array, Array]]:
     """For each training segment: residual (rows,) and columns (rows, columns), with R_s and the map eliminated."""
-    width, count = fit.normal.shape[0], len(fit.parameters)
-    cross = np.zeros((width, count))
-    parts = list(
-        zip(fit.prepared.pieces, fit.linearisation.pieces, fit.columns, fit.resistance, fit.residual, strict=True)
-    )
-    parts = [part for part in parts if not part[0].held_out]
-    for _, linearisation, d, r, _ in parts:
-        cross[0] += r @ d
-        cross[1:] += linearisation.white_basis.T @ d
-    follow = np.linalg.solve(fit.normal, cross)
-    return [(p, e, d - np.outer(r, follow[0]) - f.white_basis @ follow[1:]) for p, f, d, r, e in parts]
+    parts = list(fit.training())
+    follow = np.linalg.solve(fit.normal, sum(linear.T @ d for linear, d, _ in parts))
+    pieces = [piece for piece in fit.prepared.pieces if not piece.held_out]
+    return [(piece, e, d - linear @ follow) for piece, (linear, d, e) in zip(pieces, parts, strict=True)]
 
 
 def ripple_share(rows: Sequence[tuple[SegmentData, Array]]) -> Array:

@@ -55,13 +55,10 @@ class Scatter:
         Model-error noise with the components that the data require.
     chi2 : float
         chi2 per degree of freedom with the scatter as noise, all effects adapting to first order.
-    chance : float
-        Probability that equal voltage scatters differ so much between PWM frequencies; 1 for a single frequency.
     """
 
     noise: ModelNoise
     chi2: float
-    chance: float
 
 
 @dataclass(frozen=True)
@@ -238,11 +235,11 @@ def is_same_scatter(noise: ModelNoise, other: ModelNoise) -> bool:
 
 
 def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
-    """Whether a scatter is significant, equal at all PWM frequencies, and plausible for sensors and modulator."""
-    limits, noise = setup.prepared.criteria, scatter.noise
+    """Whether a scatter is significant, and plausible for sensors and modulator."""
+    noise = scatter.noise
     small = noise.offset_scatter_a <= MAX_OFFSET_SCATTER * setup.current_a
     small = small and quantiser_step_s(noise, setup) <= MAX_TIMER_STEP_S
-    return small and noise.scatters and scatter.chance > limits.uncertainty.scatter_chance
+    return small and noise.scatters
 
 
 def quantiser_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
@@ -267,9 +264,12 @@ def scatter_of(fitter: Fitter, fit: Fit, library: Library) -> Scatter:
     cost = likelihood.cost(best)
     for which in ((True, False), (False, True), (True, True)):
         found = likelihood.most_likely(which)
+        # A timer's step in volts is proportional to the PWM frequency; voltages that scatter otherwise are no timer's.
+        if likelihood.chance(found) <= fit.criteria.uncertainty.scatter_chance:
+            continue
         if cost - likelihood.cost(found) > min_gain:
             best, cost = found, likelihood.cost(found)
-    return Scatter(best, likelihood.chi2_per_dof(best), likelihood.chance(best))
+    return Scatter(best, likelihood.chi2_per_dof(best))
 
 
 def likelihood_of(fitter: Fitter, fit: Fit, library: Library) -> Likelihood:

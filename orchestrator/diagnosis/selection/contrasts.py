@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,17 +35,8 @@ DIRECTIONS: int = 12
 """Number of directions of held currents in a full turn: twice the axes of a three-phase winding."""
 
 
-@dataclass(frozen=True)
-class Recognition:
-    """Description of a contrast, and its test.
-
-    Attributes
-    ----------
-    text : str
-        The measurement that provides the contrast.
-    holds : callable
-        Whether a recording contains that measurement.
-    """
+class Recognition(NamedTuple):
+    """The measurement that provides a contrast, in words, and whether a recording contains it."""
 
     text: str
     holds: Callable[[PreparedRecording], bool]
