@@ -217,7 +217,7 @@ class Likelihood:
 def with_scatter(
     setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Library, *, max_chi2: float = math.inf
 ) -> DiagnosisSetup | None:
-    """The setup with a scatter as noise, where one is found around a fit; else None.
+    """The setup with a scatter around a fit as noise, if sensors and modulator may have it; else None.
 
     Parameters
     ----------
@@ -225,21 +225,16 @@ def with_scatter(
         chi2 per degree of freedom that the scatter and effects to first order may leave.
     """
     scatter = scatter_of(fitter, fit, library)
-    return setup.with_noise(scatter.noise) if scatter.chi2 <= max_chi2 and _is_noise(scatter, setup) else None
+    noise = scatter.noise
+    small = noise.offset_scatter_a <= MAX_OFFSET_SCATTER * setup.current_a
+    is_plausible = small and quantiser_step_s(noise, setup) <= MAX_TIMER_STEP_S
+    return setup.with_noise(noise) if noise.scatters and is_plausible and scatter.chi2 <= max_chi2 else None
 
 
 def is_same_scatter(noise: ModelNoise, other: ModelNoise) -> bool:
     """Whether two scatters differ too little to matter for a fit."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
     return all(abs(a - b) <= MAX_SCATTER_CHANGE * max(a, b) for a, b in pairs)
-
-
-def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
-    """Whether a scatter is significant, and plausible for sensors and modulator."""
-    noise = scatter.noise
-    small = noise.offset_scatter_a <= MAX_OFFSET_SCATTER * setup.current_a
-    small = small and quantiser_step_s(noise, setup) <= MAX_TIMER_STEP_S
-    return small and noise.scatters
 
 
 def quantiser_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
