@@ -35,12 +35,13 @@ class EddyCurrents(BatchEffect):
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
     A sample just before the voltage changes responds to the voltage of the interval before, at its end where commands
-    are delayed. In the flexible form the eddy current's path has an inductance, with a time constant `lag_s` of zero or
-    a few sample periods: read in the zero vector, a current without a lag has almost decayed. The part `diffused`
-    diffuses into a sheet, as a ladder of `EDDY_PATHS`: path m has 1/m^2 of the conductance and the time constant
-    lag_s / m^2. The conductance is (1 + `saliency`) / R_c on d, (1 - `saliency`) / R_c on q: at +-1 on one axis only.
-    Sources: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238; the
-    ladder is the diffusion equation's, the sum over m of 6 / (pi m)^2 / (1 + s tau / m^2).
+    are delayed. The eddy current's path has an inductance, with the time constant `lag_s`: read in the zero vector, a
+    current of a short one has almost decayed. In the flexible form the time constants are spread: a path with
+    lag_s 4^k has `slower`^k of the middle one's conductance, one with lag_s / 4^k has `faster`^k. At 2 and 1/2 the
+    field diffuses into thick iron, as the root of frequency. The conductance is (1 + `saliency`) / R_c on d,
+    (1 - `saliency`) / R_c on q: at +-1 on one axis only. What came before a segment is taken to be like its beginning.
+    Sources: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238; spread
+    time constants for a root of frequency: A. Oustaloup et al., doi:10.1109/81.817385.
     """
 
     name: ClassVar[str] = "eddy_currents"
@@ -54,8 +55,9 @@ class EddyCurrents(BatchEffect):
         core_loss_ohm: float = amplitude(
             "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
         )
-        lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=3e-3, other_form=4e-5)
-        diffused: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
+        lag_s: float = shape("s", typical=5e-5, prior_width=1.5, low=1e-6, high=5e-3)
+        slower: float = refinement("1", neutral=0.0, prior_width=1.0, low=0.0, high=4.0)
+        faster: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
@@ -69,26 +71,21 @@ class EddyCurrents(BatchEffect):
             doubles(batch.theta_rad) if p.saliency != 0.0 else np.zeros(0),
             batch.starts,
             np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
-            per_segment(p.lag_s * batch.sampling_frequency_hz, lambda late: _paths(late, p.diffused)),
+            per_segment(p.lag_s * batch.sampling_frequency_hz, lambda late: _paths(late, p.slower, p.faster)),
         )
         return Correction(i_m_ab=i_m_ab, v_ab=v_ab)
 
 
-EDDY_PATHS = 4
-"""Number of paths of a field that diffuses into a sheet; the last one includes all faster ones."""
+EDDY_PATHS = np.arange(-4.0, 4.0)
+"""Paths of spread time constants, each with four times the time constant of the one before; 0 is the middle one."""
 
 
-def _paths(late: float, diffused: float) -> Array:
+def _paths(late: float, slower: float, faster: float) -> Array:
     """Each path's share of the conductance, decay, curvature and end response, shape (paths, 4)."""
-    # `late` is the slowest path's lag in sample periods; at zero the first path has the whole conductance.
-    rungs = np.arange(1.0, EDDY_PATHS + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
-    parts = diffused * 6.0 / (math.pi * rungs) ** 2
-    parts[-1] = 0.0
-    parts[-1] = diffused - parts.sum()
-    parts[0] += 1.0 - diffused
-    paths = np.zeros((EDDY_PATHS if diffused > 0.0 else 1, 4))
-    paths[: len(rungs)] = [(part, *_path(late / rung**2)) for part, rung in zip(parts, rungs, strict=True)]
-    return paths
+    # `late` is the middle path's lag in sample periods.
+    shares = np.where(EDDY_PATHS > 0.0, slower, faster) ** np.abs(EDDY_PATHS)
+    rows = zip(shares / shares.sum(), late * 4.0**EDDY_PATHS, strict=True)
+    return np.array([(share, *_path(lag)) for share, lag in rows if share > 0.0])
 
 
 def _path(late: float) -> tuple[float, float, float]:
@@ -135,7 +132,7 @@ def _without_eddies(
             part, decay, bend, felt = paths[s, m]
             if part == 0.0:
                 continue
-            felt_a, felt_b = 0.0, 0.0
+            felt_a, felt_b = _before(v_ab, i_ab, ohm, first, starts[s + 1], decay)
             late_a, late_b, next_a, next_b = 0.0, 0.0, 0.0, 0.0
             for k in range(first, starts[s + 1]):
                 # The sample responds to the voltage of the interval before.
@@ -144,9 +141,9 @@ def _without_eddies(
                     late_a, late_b = felt * late_ab[before, 0], felt * late_ab[before, 1]
                     next_a, next_b = felt * late_ab[k, 0], felt * late_ab[k, 1]
                 drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
-                carry = decay if k > first else 0.0
-                felt_a = carry * felt_a + (1.0 - carry) * (v_ab[before, 0] + late_a - drop_a)
-                felt_b = carry * felt_b + (1.0 - carry) * (v_ab[before, 1] + late_b - drop_b)
+                if k > first:
+                    felt_a = decay * felt_a + (1.0 - decay) * (v_ab[before, 0] + late_a - drop_a)
+                    felt_b = decay * felt_b + (1.0 - decay) * (v_ab[before, 1] + late_b - drop_b)
                 step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
                 step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
                 cos, sin = (axis[k - first, 0], axis[k - first, 1]) if salient else (1.0, 0.0)
@@ -157,6 +154,17 @@ def _without_eddies(
                 v_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
                 v_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
     return i_out, v_out
+
+
+@njit(cache=True, nogil=True)
+def _before(v_ab: Array, i_ab: Array, ohm: Array, first: int, end: int, decay: float) -> tuple[float, float]:
+    """Mean voltage that a path has felt before a segment: that of its beginning, weighted as by the path."""
+    felt_a, felt_b, weight, total, k = 0.0, 0.0, 1.0, 0.0, first
+    while weight > 1e-4 and k < end:
+        felt_a += weight * (v_ab[k, 0] - ohm[k] * i_ab[k, 0])
+        felt_b += weight * (v_ab[k, 1] - ohm[k] * i_ab[k, 1])
+        total, weight, k = total + weight, weight * decay, k + 1
+    return felt_a / total, felt_b / total
 
 
 INITIAL_STATE_STD_RATIO = 0.25

@@ -181,11 +181,11 @@ def _value(parameters: dict[str, Any], name: str, absent: float) -> float:
 
 
 def _in_phase(parameters: dict[str, Any], omega: float) -> float:
-    """Part of the stated conductance that is left in phase at a frequency, by the stated lag and sheet."""
-    lag, sheet = _value(parameters, "lag_s", 0.0), _value(parameters, "diffused", 0.0)
-    m = np.arange(1, 9)
-    ladder = 6 / (np.pi * m) ** 2 / (1 + (omega * lag / m**2) ** 2)
-    return float((1 - sheet) / (1 + (omega * lag) ** 2) + sheet * ladder.sum() / (6 / (np.pi * m) ** 2).sum())
+    """Part of the stated conductance that is left in phase at a frequency, by the stated time constants."""
+    lag, slower, faster = (_value(parameters, name, 0.0) for name in ("lag_s", "slower", "faster"))
+    step = np.arange(-4.0, 4.0)
+    shares = np.where(step > 0.0, slower, faster) ** np.abs(step)
+    return float(np.sum(shares / (1 + (omega * lag * 4.0**step) ** 2)) / shares.sum())
 
 
 def _rise_percent(parameters: dict[str, Any], watts: np.ndarray[Any, Any]) -> float:

@@ -20,7 +20,7 @@ from tests.support.close import assert_close
 
 def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
     signals = readings()
-    out = corrected(EddyCurrents(), signals, core_loss_ohm=1000.0)
+    out = corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=1e-7)
     eddy = (signals.v_ab[9] - 4.0 * signals.i_ab[10]) / 1000.0
     np.testing.assert_allclose(signals.i_m_ab[10] - out.i_m_ab[10], eddy)
 
@@ -40,7 +40,7 @@ def test_a_late_eddy_current_bends_between_samples_as_an_exponential(lag_s: floa
     assert_close(eddy[1:], after[:-1], 1e-12, of=eddy)
 
 
-@pytest.mark.parametrize(("lag_s", "part", "within"), [(0.0, 0.3, 1e-9), (5e-5, 0.5, 1e-9), (5e-5, 0.2, 0.1)])
+@pytest.mark.parametrize(("lag_s", "part", "within"), [(1e-7, 0.3, 1e-9), (5e-5, 0.5, 1e-9), (5e-5, 0.2, 0.1)])
 def test_eddies_behind_a_late_voltage_follow_what_it_was_at_the_reading(
     lag_s: float, part: float, within: float
 ) -> None:
@@ -50,7 +50,7 @@ def test_eddies_behind_a_late_voltage_follow_what_it_was_at_the_reading(
     signals = replace(readings(), v_ab=v, i_ab=nil, i_m_ab=nil)
     late = corrected(VoltageDelay(), signals, delay_s=part / FS)
     eddy = -1000.0 * corrected(EddyCurrents(), late, core_loss_ohm=1000.0, lag_s=lag_s).i_m_ab
-    old, new = (math.exp(-share / (lag_s * FS)) if lag_s > 0.0 else 0.0 for share in (part, 1.0 - part))
+    old, new = (math.exp(-share / (lag_s * FS)) for share in (part, 1.0 - part))
     expected = np.zeros((400, 2))
     for k in range(1, 399):
         midway = v[k - 1] + (expected[k] - v[k - 1]) * old
@@ -74,7 +74,9 @@ def test_what_eddies_feel_of_a_small_delay_is_small() -> None:
     """Early or late: a search walks through none at all without a step."""
     signals = readings()
     felt = [
-        corrected(EddyCurrents(), corrected(VoltageDelay(), signals, delay_s=by), core_loss_ohm=1000.0).i_m_ab
+        corrected(
+            EddyCurrents(), corrected(VoltageDelay(), signals, delay_s=by), core_loss_ohm=1000.0, lag_s=1e-7
+        ).i_m_ab
         for by in (-1e-9, 0.0, 1e-9)
     ]
     assert_close(felt[0], felt[1], 1e-4, of=signals.i_m_ab)
@@ -90,26 +92,43 @@ def test_a_damper_may_be_on_one_axis_alone() -> None:
     assert np.abs(damped @ np.array([-axis_d[1], axis_d[0]])).max() < 1e-12 * np.abs(both).max()
 
 
-@pytest.mark.parametrize("lag_s", [3e-5, 1.5e-4])
-def test_eddies_that_diffuse_rise_as_a_field_sinks_into_a_sheet(lag_s: float) -> None:
-    """A step's answer by the diffusion equation's own series, of many more terms than the ladder has."""
-    v = np.where(np.arange(400) < 100, 0.0, 1.0)[:, None] * np.array([1.0, 0.5])
-    signals = replace(readings(), v_ab=v, i_ab=np.zeros((400, 2)), i_m_ab=np.zeros((400, 2)))
-    eddy = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s, diffused=1.0).i_m_ab[100:, 0]
-    m, t = np.arange(1.0, 400.0), np.arange(300)[:, None] / FS
-    series = 1.0 - np.sum(6.0 / (np.pi * m) ** 2 * np.exp(-(m**2) * t / lag_s), axis=1)
-    assert_close(eddy[1:], series[1:], 5e-3)
-    single = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s).i_m_ab[100:, 0]
-    assert np.abs(single[1:] - series[1:]).max() > 4.0 * np.abs(eddy[1:] - series[1:]).max()
+def _felt(v: Array, **values: float) -> Array:
+    """The eddy current (n,) of a voltage without any other current, for a conductance of one."""
+    nil = np.zeros((len(v), 2))
+    signals = replace(readings(len(v)), v_ab=np.outer(v, [1.0, 0.0]), i_ab=nil, i_m_ab=nil)
+    out: Array = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, **values).i_m_ab[:, 0]
+    return out
 
 
-def test_half_of_eddies_that_diffuse_is_half_way() -> None:
-    signals = readings()
-    none, half, all_of_it = (
-        corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=8e-5, diffused=part) for part in (0.0, 0.5, 1.0)
-    )
-    assert_close(half.i_m_ab, 0.5 * (none.i_m_ab + all_of_it.i_m_ab), 1e-12)
-    assert_close(half.v_ab, 0.5 * (none.v_ab + all_of_it.v_ab), 1e-12)
+def test_spread_eddies_are_those_of_their_time_constants() -> None:
+    v = np.random.default_rng(3).normal(size=400)
+    both = _felt(v, lag_s=2e-4, faster=0.5)
+    shares = 0.5 ** np.arange(5.0)
+    single = [_felt(v, lag_s=2e-4 / 4.0**k) for k in range(5)]
+    assert_close(both, np.tensordot(shares / shares.sum(), single, axes=1), 1e-12)
+
+
+@pytest.mark.parametrize("hz", [40.0, 160.0])
+def test_eddies_in_thick_iron_fall_with_the_root_of_frequency(hz: float) -> None:
+    """Four times the frequency, half the current, an eighth of a turn behind the voltage."""
+    t = np.arange(20_000) / FS
+    waves = [np.exp(2j * np.pi * f * t) for f in (hz, 4.0 * hz)]
+    felt = [_felt(wave.real, lag_s=1e-3, slower=2.0, faster=0.5) for wave in waves]
+    there, at_four_times = (2.0 * np.mean((i / wave)[10_000:]) for i, wave in zip(felt, waves, strict=True))
+    assert abs(there) / abs(at_four_times) == pytest.approx(2.0, rel=0.1)
+    # The voltage of an interval is felt at its end.
+    assert np.angle(there) + np.pi * hz / FS == pytest.approx(-0.25 * np.pi, abs=0.1)
+
+
+def test_a_constant_voltage_was_there_before_a_segment() -> None:
+    assert_close(_felt(np.ones(100), lag_s=5e-3), np.ones(100), 1e-12)
+
+
+def test_a_wave_was_there_before_a_segment() -> None:
+    """Its slow current is near zero, not what the first voltage alone would have made of it."""
+    v = np.where(np.arange(6000) % 20 < 10, 1.0, -1.0)
+    whole, part = _felt(v, lag_s=5e-3)[4000:], _felt(v[4000:], lag_s=5e-3)
+    assert np.abs(part - whole)[1:].max() < 0.2 < 0.2 * np.abs(v[4000] - whole[1])
 
 
 def _with_flux(signals: Signals) -> Signals:
