@@ -30,6 +30,7 @@ from orchestrator.diagnosis.nuisances.segment_scatter import (
     with_scatter,
 )
 from orchestrator.diagnosis.selection.search_state import Move, SearchState
+from orchestrator.formatting.names import plain
 from protocols import SearchMove
 
 
@@ -72,13 +73,21 @@ def map_moves(state: SearchState) -> Iterator[Move]:
         yield Move("finer_map", effects, partial(_refine_map, state), is_once=True)
 
 
-def first_map_moves(state: SearchState, min_gain: float) -> Iterator[Move]:
-    """Refine the map before an effect is added, where that lowers the objective by more than a minimum."""
+def first_map_moves(state: SearchState, best: Move | None) -> Iterator[Move]:
+    """Refine the map, or make the best other move: whichever lowers the objective by more."""
     if state.fit.model.space.is_free:
-        yield Move("finer_map", ("first",), partial(_refine_map, state, min_gain))
+        yield Move("finer_map", ("first",), partial(_refine_map_or, state, best))
 
 
-def _refine_map(state: SearchState, min_gain: float = 0.0) -> SearchState | None:
+def _refine_map_or(state: SearchState, best: Move | None) -> SearchState | None:
+    other = None if best is None else best.make()
+    if best is None or other is None:
+        return _refine_map(state)
+    finer = _refine_map(state, state.fit.objective - other.fit.objective, f"in place of the {plain(best.kind)} before")
+    return finer or other
+
+
+def _refine_map(state: SearchState, min_gain: float = 0.0, note: str = "") -> SearchState | None:
     # There are many maps to try: those of a joint model are compared with the effects fixed.
     fit = (
         state.fitter.fit(with_fixed_effects(state.fit.model), state.fit.linearisation) if state.is_joint else state.fit
@@ -90,8 +99,9 @@ def _refine_map(state: SearchState, min_gain: float = 0.0) -> SearchState | None
     if state.is_joint:
         finer = state.minimum(finer.model.with_active(state.fit.model.active), finer)
     gain = state.fit.objective - finer.objective
-    state.record("finer_map", (), finer, gain, min_gain, measure="objective", taken=gain > min_gain)
-    return state.after(finer) if gain > min_gain else None
+    taken = gain > min_gain
+    state.record("finer_map", (), finer, gain, min_gain, measure="objective", taken=taken, note=note if taken else "")
+    return state.after(finer) if taken else None
 
 
 def kink_moves(state: SearchState) -> Iterator[Move]:

@@ -50,9 +50,6 @@ FEW_EFFECTS: int = 2
 """Number of effects added one by one to an unexplained part; after these, all are fitted together."""
 MIN_SHARE_OF_ALL: float = 0.5
 """Part of the gain of all absent effects that the best one has to bring; else many are missing."""
-MIN_SHARE_OF_MAP: float = 0.9
-"""Part of the misfit that a finer map removes, where no effect removes half, to come before the first two effects. On
-sharp iron it removed 0.90 to 0.999, beside a hysteresis of another form 0.8."""
 MAX_CHI2_RATIO_WITH_QUANTISER: float = 1.2
 """Largest ratio of chi2 with a detected timer's rounding to that without; a false detection had a ratio of 3.2."""
 
@@ -136,7 +133,7 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     waiting = [m for m in cheap if is_open and m.kind == "add" and (not few or m.gain < MIN_SHARE_OF_ALL * everything)]
     excess = state.fit.chi2 - state.fit.dof
     if is_open and few and state.is_part and all(m.gain < MIN_SHARE_OF_ALL * excess for m in cheap):
-        yield from first_map_moves(state, MIN_SHARE_OF_MAP * excess)
+        yield from first_map_moves(state, next((m for m in cheap if m not in waiting), None))
     yield from (m for m in cheap if m not in waiting)
     if not state.is_explained:
         yield from noise_moves(state, library)

@@ -24,7 +24,7 @@ from orchestrator.diagnosis.selection.environment_moves import (
 )
 from orchestrator.diagnosis.selection.scoring import redundant_terms
 from orchestrator.diagnosis.selection.search import with_effect
-from orchestrator.diagnosis.selection.search_state import SearchState
+from orchestrator.diagnosis.selection.search_state import Move, SearchState
 from plugins.effects.frame import BrakeBacklash
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import SegmentStage
@@ -80,18 +80,24 @@ def test_a_fine_map_that_no_longer_gains_is_a_usual_one(
     assert not list(coarser_map_moves(state))
 
 
-@pytest.mark.parametrize(("gain", "taken"), [(100.0, True), (40.0, False)])
-def test_before_an_effect_a_finer_map_has_to_gain_what_is_requested(
-    gain: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("gain", [100.0, 40.0])
+def test_a_finer_map_is_made_in_place_of_an_effect_that_gains_less(
+    gain: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state = _biased()
+    with_effect = state.after(replace(state.fit, objective=state.fit.objective - 50.0))
 
     def with_finest_map(_: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
         return replace(fit, objective=fit.objective - gain)
 
     monkeypatch.setattr(environment_moves, "with_finest_map", with_finest_map)
-    (move,) = first_map_moves(state, 50.0)
-    assert (move.make() is not None) == taken
+    (move,) = first_map_moves(state, Move("add", ("some",), lambda: with_effect))
+    after = made(move)
+    assert state.fit.objective - after.fit.objective == max(gain, 50.0)
+    assert (after is with_effect) == (gain < 50.0)
+    # Nothing else to do: any gain will do.
+    (alone,) = first_map_moves(state, None)
+    assert made(alone).fit.objective < state.fit.objective
 
 
 @pytest.mark.parametrize(("gain", "taken"), [(100.0, True), (-100.0, False)])
