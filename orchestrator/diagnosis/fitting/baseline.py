@@ -39,8 +39,6 @@ MAX_ROUGHNESS_FACTOR: float = 100.0
 """Largest roughness of a finer map, relative to the usual one."""
 MIN_REMOVED_SHARE_OF_FINER_MAP: float = 0.1
 """Part of the excess chi2 that a finer map has to remove; it removes little where an effect is missing."""
-MIN_FINAL_SHARE_OF_FINE_MAP: float = 0.5
-"""Part of the excess chi2 that a fine map has to remove at the end, when all forms and the scatter are known."""
 GIVEN_MAP_INTERVALS: int = 28
 """Spline intervals on each axis for a given map."""
 MIN_AXIS_RANGE: float = 0.05
@@ -292,12 +290,6 @@ def on_usual_grid(setup: DiagnosisSetup, fit: Fit) -> Model:
 
 def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float) -> Model:
     return replace(fit.model, space=_free(setup, grid, roughness), magnetics=fit.model.magnetics.on(grid))
-
-
-def keep_fine_grid(sharp: Fit, usual: Fit) -> bool:
-    """Whether a fit on a fine map is sufficiently better than one on a usual map, both with all effects refitted."""
-    removes_enough = _excess_chi2(sharp) <= (1.0 - MIN_FINAL_SHARE_OF_FINE_MAP) * _excess_chi2(usual)
-    return removes_enough and is_finer_map_justified(sharp, usual)
 
 
 def _removes_much(finer: Fit, fit: Fit) -> bool:

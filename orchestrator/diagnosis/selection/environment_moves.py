@@ -11,7 +11,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     MAX_CHI2_FOR_FINER_MAP,
     DiagnosisSetup,
     has_fine_grid,
-    keep_fine_grid,
+    is_finer_map_justified,
     map_log_evidence,
     on_usual_grid,
     with_finest_map,
@@ -135,7 +135,7 @@ def coarser_map_moves(state: SearchState) -> Iterator[Move]:
 
 def _coarsen_map(state: SearchState) -> SearchState | None:
     usual = state.minimum(on_usual_grid(state.setup, state.fit))
-    keeps = keep_fine_grid(state.fit, usual)
+    keeps = is_finer_map_justified(state.fit, usual)
     state.record("coarser_map", (), usual, None, None, taken=not keeps)
     return None if keeps else state.after(usual)
 

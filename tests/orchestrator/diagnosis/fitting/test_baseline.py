@@ -15,7 +15,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     fit_baseline,
     given_model,
     has_fine_grid,
-    keep_fine_grid,
+    is_finer_map_justified,
     map_log_evidence,
     map_space,
     on_usual_grid,
@@ -231,12 +231,12 @@ def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
 ) -> None:
     usual = sharp.fitter.fit(on_usual_grid(sharp, sharp_fit_without_kink), relinearisations=0)
     assert not has_fine_grid(usual)
-    assert keep_fine_grid(sharp_fit_without_kink, usual)
+    assert is_finer_map_justified(sharp_fit_without_kink, usual)
     space = linear_fit.model.space
     rough = replace(linear_fit.model, space=replace(space, roughness=9.0, prior=space.prior / 9.0))
     needless = setup.fitter.fit(rough, relinearisations=0)
     assert has_fine_grid(needless)
-    assert not keep_fine_grid(needless, setup.fitter.fit(on_usual_grid(setup, needless), relinearisations=0))
+    assert not is_finer_map_justified(needless, setup.fitter.fit(on_usual_grid(setup, needless), relinearisations=0))
 
 
 def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Model:

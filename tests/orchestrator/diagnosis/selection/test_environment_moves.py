@@ -70,7 +70,7 @@ def test_a_fine_map_that_no_longer_gains_is_a_usual_one(
     rough = replace(space, roughness=9.0, prior=space.prior / 9.0)
     fine = state.after(state.minimum(replace(state.fit.model, space=rough)))
     assert has_fine_grid(fine.fit)
-    monkeypatch.setattr(environment_moves, "keep_fine_grid", lambda *_: keeps)
+    monkeypatch.setattr(environment_moves, "is_finer_map_justified", lambda *_: keeps)
     (move,) = coarser_map_moves(fine)
     after = move.make()
     assert (after is None) == keeps
