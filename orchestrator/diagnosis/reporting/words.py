@@ -161,7 +161,10 @@ def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None, dri
         parts.append(f"{parameter_words(name)} {size}{where}" + (f", 95 %: {interval}" if interval else ""))
     derived = [f"{plain(name)} {quantity(found.value, found.unit)}" for name, found in settings.items()]
     is_certain = not effect.twins and better is None
-    parts += [f"{derived[0]}, to set in the drive", *derived[1:]] if of_drive and is_certain else derived
+    if of_drive and is_certain:
+        # The same words name the time that an inverter waits between its switches, which no estimate may shorten.
+        derived[0] += f", to enter as compensation; leave the inverter's own {plain(next(iter(settings)))} as it is"
+    parts += derived
     reached = {} if term is None else bounds_reached(term)
     parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
     parts += ["at this angle; other angles unknown"] if _is_of_one_angle(effect, term) else []

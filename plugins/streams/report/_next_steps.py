@@ -82,18 +82,19 @@ def _remedy(causes: Sequence[FoundEffect], drive: DriveRecord | None) -> str:
 
 
 def _size(cause: FoundEffect, drive: DriveRecord | None) -> str:
-    """What the drive is set to: the first quantity as on its data sheet, else the parameters of the first one's unit.
+    """What the drive's compensation is set to: the first quantity as on a data sheet, else parameters of one unit.
 
-    Beside the former, the parameters are stated with the PWM frequency and bus voltage that they hold at.
+    Beside the former, the parameters are stated with the PWM frequency and bus voltage that they hold at. The inverter
+    may have a setting of the same name, such as the dead time that protects its switches: that one stays.
     """
     sizes = {name: p for name, p in cause.parameters.items() if not p.bends_form}
     unit = next((p.unit for p in sizes.values()), "")
     shown = {parameter_words(name): quantity(p.value, p.unit, 4) for name, p in sizes.items() if p.unit == unit}
     first = next(iter(cause.derived.items()), None)
-    if first is not None and quantity(first[1].value, first[1].unit, 4) not in shown.values():
+    if first is not None and (entered := quantity(first[1].value, first[1].unit, 4)) not in shown.values():
         where = "" if drive is None else f" at {operating_point(drive)}"
         same = ", ".join(f"{name} {size}" for name, size in shown.items())
-        return f"set {quantity(first[1].value, first[1].unit, 4)}; {same}{where}"
+        return f"enter {entered} as compensation, or {same}{where}; leave the inverter's own {plain(first[0])} as it is"
     return ", ".join(f"{name} {size}" for name, size in shown.items())
 
 

@@ -79,10 +79,10 @@ def test_the_size_of_a_setting_of_the_drive_is_stated_with_the_frequency_and_vol
     drive = MAKER.prepared.manifest.drive
     assert stated(search, effects=[{**BIAS, "derived": setting}]).likely_cause == (
         f"voltage_bias (bias a 300.0 mV at {operating_point(drive)}, 95 %: 299.0 to 301.0; "
-        "dead time 200 ns, to set in the drive)"
+        "dead time 200 ns, to enter as compensation; leave the inverter's own dead time as it is)"
     )
     with_twin = {**BIAS, "derived": setting, "twins": ["current_offset"]}
-    assert "to set" not in stated(search, effects=[with_twin]).likely_cause
+    assert "to enter" not in stated(search, effects=[with_twin]).likely_cause
 
 
 def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: SearchResult) -> None:

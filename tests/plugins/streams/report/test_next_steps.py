@@ -113,7 +113,7 @@ def test_twins_and_immaterial_effects_are_not_to_be_compensated(
     assert lines[-1].text.startswith(advice)
 
 
-def test_what_the_drive_is_set_to_stands_first_as_on_its_data_sheet() -> None:
+def test_what_is_entered_as_compensation_is_never_a_value_for_the_inverter_s_own_dead_time() -> None:
     found = a_diagnosis().effects[0].model_dump()
     effect = {
         **found,
@@ -121,7 +121,10 @@ def test_what_the_drive_is_set_to_stands_first_as_on_its_data_sheet() -> None:
         "derived": {"dead_time": {"value": 2.03e-7, "low": None, "high": None, "unit": "s"}},
     }
     saved = SavedDiagnosis(a_diagnosis(effects=[effect], next_experiment=None), WORDS, ())
-    advice = "compensate dead time (set 203 ns; voltage 400 mV{}) in the drive"
+    advice = (
+        "compensate dead time (enter 203 ns as compensation, or voltage 400 mV{}; "
+        "leave the inverter's own dead time as it is) in the drive"
+    )
     for manifest, where in ((None, ""), (MANIFEST, " at 10 kHz and 540 V")):
         lines = next_steps(Material(Path("run"), manifest, None, (), an_estimate(), {}, Paths(), saved, ()))
         assert advice.format(where) in lines[-1].text
