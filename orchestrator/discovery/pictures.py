@@ -39,7 +39,7 @@ def draw_law(axes: Axes, law: FoundLaw) -> None:
     for form in law.forms[:2]:
         values = form_values(form, x)
         if values is not None:
-            axes.plot(x, values, color=FORM_COLOUR, ls="--" if form is law.forms[0] else ":", label=form.name)
+            axes.plot(x, values, color=FORM_COLOUR, ls="--" if form is law.forms[0] else ":", label=form.formula)
     unit = f" [{law.unit}]" if law.unit != "1" else ""
     symbol = law.symbol.replace("_", " ")
     name_axes(axes, f"{symbol} [{law.quantity_unit}]", f"{law.place.replace('_', ' ')}{unit}")

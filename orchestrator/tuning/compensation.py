@@ -2,7 +2,7 @@
 
 `tuning.probes` tells what each effect does to a drive. The effects of the winding's resistance and of the iron belong
 to the motor, those of a brake to the bench, and a drive measures its own bus: they are not in the tables. Nor is an
-effect that drifts with time.
+effect that drifts with time, or one that acts in some of the legs only.
 """
 
 from __future__ import annotations
@@ -17,12 +17,17 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, scaled_library
 from orchestrator.diagnosis.reporting.motor_model import term_of
+from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.types import Array
 from orchestrator.tuning.probes import TRACE_RATIO, Probes, Response, without_rounding
 from protocols import Effect, EffectLayer, Manifest, ModelEffect, MotorModel, is_compensable
 
 MAX_OUTSIDE_RATIO = 0.1
 """Part of what an effect changes (rms) that the tables may lack without a remark."""
+MAX_LEG_DIFFERENCE_RATIO = 0.5
+"""Difference of the legs' losses from their mean (rms, over the losses) up to which one table serves all three."""
+MIN_LEG_SHARE = 0.1
+"""Part of the largest leg's loss (rms) from which a leg takes part."""
 
 REASONS = {
     EffectLayer.BUS: "the drive measures its bus voltage",
@@ -30,9 +35,12 @@ REASONS = {
     EffectLayer.FRAME: "it is the bench's: a drive in use has no locked rotor",
     EffectLayer.IRON: "it is the motor's iron",
 }
+OF_WINDING = "it is the motor's winding"
+OF_RIPPLE = "it acts on ripple only"
 NO_TRACE = "it changes neither constant readings, nor a constant voltage, nor an angle or a delay"
 NOT_COMPENSABLE = "a drive cannot take it out"
 DRIFTS = "it changes with time, which no table can follow"
+UNLIKE_LEGS = "{where}; the code has one table for all legs"
 PARTLY = "it is compensated in part: {part} of what it changes depends on more than the tables know"
 
 
@@ -167,9 +175,11 @@ def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | 
     """Why an effect is left out, wholly or in part, and its response where it is compensated."""
     effect = term.candidate.effect
     if effect.layer is EffectLayer.BUS or not is_compensable(effect):
-        return REASONS.get(effect.layer, NOT_COMPENSABLE), None
+        return _reason(probes, term), None
     if probes.drifts(term):
         return DRIFTS, None
+    if effect.layer is EffectLayer.INVERTER and (where := _unlike_legs(probes.leg_losses(term), probes.bus_v)):
+        return UNLIKE_LEGS.format(where=where), None
     response = probes.response(term)
     if not response.leaves_trace:
         return NO_TRACE, None
@@ -180,6 +190,28 @@ def _assess(probes: Probes, term: EffectTerm, kept: ModelEffect) -> tuple[str | 
     ]
     part = response.outside_ratio
     return PARTLY.format(part=f"{part:.0%}") if part > MAX_OUTSIDE_RATIO else None, response.with_variances(ends)
+
+
+def _reason(probes: Probes, term: EffectTerm) -> str:
+    """Why an effect is not the drive's to take out."""
+    layer = term.candidate.effect.layer
+    if layer is EffectLayer.RESISTANCE:
+        of_constant, of_changing = probes.voltages_taken(term)
+        if of_changing > 0.0:
+            return OF_RIPPLE if of_constant < TRACE_RATIO * of_changing else OF_WINDING
+    return REASONS.get(layer, NOT_COMPENSABLE)
+
+
+def _unlike_legs(lost_v: Array, bus_v: float) -> str:
+    """In which phases a loss (3, k) acts, where it is not nearly the same function in all of them; else empty."""
+    size, difference = (float(np.sqrt(np.mean(x**2))) for x in (lost_v, lost_v - lost_v.mean(axis=0)))
+    if size <= TRACE_RATIO * bus_v or difference <= MAX_LEG_DIFFERENCE_RATIO * size:
+        return ""
+    rms = np.sqrt(np.mean(lost_v**2, axis=1))
+    phases = [phase for phase, loss in zip("abc", rms, strict=True) if loss >= MIN_LEG_SHARE * rms.max()]
+    if len(phases) == 3:
+        return "its loss differs from phase to phase"
+    return f"in phase {phases[0]} alone" if len(phases) == 1 else f"in phases {listed(phases)} alone"
 
 
 def _at(term: EffectTerm, name: str, value: float) -> EffectTerm:

@@ -86,12 +86,13 @@ def limits_of(
     rated = machine.motor.rated_current_a
     given = {"current_a": current_a, "bus_v": bus_v, "speed_rpm": speed_rpm, "sampling_hz": sampling_hz}
     for name, value in given.items():
+        option = f"(--{name.replace('_', '-')})"
         if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise InputError(WHERE, name, f"expected a positive number, not {value:g}")
+            raise InputError(WHERE, name, f"expected a positive number, not {value:g} {option}")
         low, high = PLAUSIBLE.get(name, (MIN_CURRENT_RATIO * measured, math.inf))
         if value is not None and not low <= value <= high:
             bound = f"{low:.3g} or more" if value < low else f"{high:.3g} or less"
-            raise InputError(WHERE, name, f"expected {bound}, not {value:g}: is it in the right unit?")
+            raise InputError(WHERE, name, f"expected {bound}, not {value:g} {option}: is it in the right unit?")
     if current_a is not None and current_a > measured * (1.0 + 1e-6):
         wanted, reached = quantity(current_a, "A"), quantity(measured, "A")
         raise InputError(WHERE, "current_a", f"{wanted} peak is beyond the map, which was measured up to {reached}")

@@ -208,6 +208,22 @@ class Probes:
         changes = [np.abs(getattr(late, name) - getattr(early, name)).max() / size for name, size in sizes.items()]
         return bool(max(changes) > TRACE_RATIO)
 
+    def leg_losses(self, term: EffectTerm) -> Array:
+        """Voltage that each leg loses over its own current at the nominal bus voltage [V], odd, shape (3, k)."""
+        holds = self._both_holds[0]
+        lost_ab = _middle(holds.v_ab - apply_effect(holds, term).signals.v_ab).reshape(3, -1, 2)
+        odd = 0.5 * (lost_ab - lost_ab[:, ::-1])
+        # Each direction shows two legs by two components: six equations for three losses.
+        legs = np.concatenate([from_phases(np.diag(signs)).T for signs in to_phases(DIRECTIONS)])
+        return np.asarray(np.linalg.pinv(legs) @ odd.transpose(0, 2, 1).reshape(6, -1))
+
+    def voltages_taken(self, term: EffectTerm) -> tuple[float, float]:
+        """Largest voltage that an effect takes from constant currents, and from one that changes [V]."""
+        constant, changing = self._both_holds[0], self._triangles[0]
+        of_constant = _middle(constant.v_ab - apply_effect(constant, term).signals.v_ab)
+        of_changing = changing.v_ab - apply_effect(changing, term).signals.v_ab
+        return float(np.abs(of_constant).max()), float(np.abs(of_changing).max())
+
     def _legs(self, lost_ab: Array) -> tuple[Array, Array, float]:
         """Loss of a leg (k,), bias (2,) and the part of lost vectors (3 k, 2) that these do not describe."""
         bias = lost_ab.mean(axis=0)

@@ -33,7 +33,7 @@ def figure_rows(report: TuningReport) -> list[tuple[str, str]]:
         ("... at the largest speed", f"at least {report.margins_deg[-1]:.0f}°"),
         ("... its integral part", f"{number(report.integral_hz)} Hz, up to {quantity(report.integral_limit_v, 'V')}"),
         ("compensated", listed([plain(name) for name in report.compensated]) or "nothing"),
-        ("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg"),
+        *([("inverter's loss", f"up to {quantity(report.lost_v, 'V')} a leg")] if report.lost_v else []),
         *_harmonics_rows(report),
         ("with constant inductances", f"torque off by {number(report.constant_inductance_error_percent, 2)} % rms"),
         *_sensorless_rows(report),
@@ -61,7 +61,9 @@ def _sensorless_rows(report: TuningReport) -> list[tuple[str, str]]:
     if share is not None:
         at = "" if place is None else f" at {vector(*place)}"
         worst = "" if error is None else f", position error up to {number(error, 3)}°{at}"
-        rows.append(("tracking by injection", f"works in {share:.0f} % of the plane{worst}"))
+        currents = "every current" if share == 100.0 else f"{number(share, 2)} % of the currents"
+        limit = quantity(report.current_limit_a, "A")
+        rows.append(("tracking by injection", f"works at {currents} within the limit of {limit}{worst}"))
     if report.injection_left_by_map_deg is not None:
         rows.append(
             ("... corrected by the map", f"position error up to {number(report.injection_left_by_map_deg, 3)}°")

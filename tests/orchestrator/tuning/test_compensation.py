@@ -16,7 +16,7 @@ from orchestrator.numerics.types import Array
 from orchestrator.tuning.compensation import Compensation
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, DeviceDrop, VoltageBias
-from plugins.effects.resistance import WindingHeating
+from plugins.effects.resistance import PhaseResistanceImbalance, SkinEffect, WindingHeating
 from plugins.effects.sampling import SamplingOffset
 from plugins.effects.sensors import (
     CurrentGainMismatch,
@@ -269,6 +269,8 @@ def test_a_misaligned_rotor_is_an_angle() -> None:
     [
         (BrakeCompliance(), {"rad_per_nm": 0.01}, "a drive in use has no locked rotor"),
         (WindingHeating(), {"rise_per_watt": 0.003}, "temperature of the winding"),
+        (PhaseResistanceImbalance(), {"extra_a_ohm": 0.2}, "the motor's winding"),
+        (SkinEffect(), {"extra_ohm": 1.0}, "acts on ripple only"),
         (BusSag(), {"per_watt": 1e-4}, "measures its bus voltage"),
         (CurrentOffsetDrift(), {"rate_a_a_per_s": 1e-4}, "changes with time"),
         (SamplingOffset(), {"offset_s": 5e-6}, "neither constant readings"),
@@ -344,6 +346,39 @@ def test_an_effect_that_nobody_knows_is_probed_as_well() -> None:
     assert found.lost_per_bus_v == pytest.approx(0.01 * np.tanh(found.current_a), abs=1e-12)
     assert found.delay_s == pytest.approx(1e-5, rel=1e-6)
     assert found.sources == ("channel",)
+
+
+class PoorJoint(LegOnResistance):
+    """A loss in some of the legs."""
+
+    name: ClassVar[str] = "poor_joint"
+
+    def __init__(self, *legs: float) -> None:
+        self.legs = legs
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        lost = p.channel_ohm * np.tanh(to_phases(signals.i_ab)) * self.legs
+        return Correction(v_ab=signals.v_ab - from_phases(lost))
+
+
+@pytest.mark.parametrize(
+    ("legs", "where"),
+    [
+        ((1.0, 0.0, 0.0), "in phase a alone"),
+        ((0.0, 1.0, 1.0), "in phases b and c alone"),
+        ((3.0, 1.0, 0.5), "its loss differs from phase to phase"),
+    ],
+)
+def test_a_loss_of_some_legs_is_not_spread_over_all(legs: tuple[float, ...], where: str) -> None:
+    found = one(PoorJoint(*legs), channel_ohm=0.2)
+    neutral(found)
+    assert found.sources == ()
+    (left,) = found.left_out
+    assert left.reason == f"{where}; the code has one table for all legs"
+
+
+def test_a_loss_that_is_nearly_alike_in_all_legs_is_compensated() -> None:
+    assert one(PoorJoint(1.1, 1.0, 0.9), channel_ohm=0.2).sources == ("poor_joint",)
 
 
 def test_an_effect_that_is_not_installed_is_named() -> None:
