@@ -35,6 +35,10 @@ ShapeGroup = Literal[
 ]
 
 
+MOST = 0.5
+"""Part of the first error, beyond the noise, above which most of it is left."""
+
+
 class Remarked(Lenient):
     """A report with remarks; `notes` has their sentences alone."""
 
@@ -220,6 +224,12 @@ class DiagnosisReport(Remarked):
     """The thresholds that it was made with, by room."""
     search: tuple[SearchEvent, ...] = ()
     """Every move of the search, in order."""
+
+    @property
+    def leaves_most(self) -> bool:
+        """Whether most of the first error remains unknown: an effect that takes up a part is no cause then."""
+        fraction = self.unexplained.fraction
+        return self.verdict == "unknown_remains" and fraction is not None and fraction > MOST
 
 
 class EffectBasis(Lenient):

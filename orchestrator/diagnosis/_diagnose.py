@@ -68,6 +68,7 @@ from protocols import (
     DiagnosisStep,
     Effect,
     EstimationReport,
+    FoundEffect,
     Inseparable,
     Judgement,
     Materiality,
@@ -361,6 +362,9 @@ def _report(
     baseline = baseline_of(request.model)
     if isinstance(baseline, Nameplate):
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
+    if report.leaves_most:
+        # A probability holds among models of which one fits; none does.
+        report = report.model_copy(update={"effects": tuple(_without_probability(e) for e in report.effects)})
     kept = kept_model(setup, last, baseline, (*of_map, *active), ladder)
     try:
         write_model(request.out or recording.path, kept)
@@ -369,6 +373,10 @@ def _report(
     moved = {name: share.relative_to_flux for name, share in sizes.items()}
     delivery = delivery_of(uncertainty, last, kept, verdict, 100.0 * map_error, moved)
     return Diagnosis(report, setup, search, library, delivery)
+
+
+def _without_probability(effect: FoundEffect) -> FoundEffect:
+    return effect.model_copy(update={"probability": None})
 
 
 def _remarks(setup: DiagnosisSetup, search: SearchResult, judgement: Judgement, residual: Unexplained) -> list[Remark]:

@@ -223,10 +223,13 @@ def setting_rows(stage: Mapping[str, object]) -> list[tuple[str, str]]:
     return [(plain(name), str(value)) for name, value in stage.items() if value is not None]
 
 
-def benefit_line(remark: Remark, run: str) -> str:
-    """A remark of `add` or `remove` on one effect, with the command that undoes the change where that is advised."""
+def benefit_line(remark: Remark, run: str, options: str = "") -> str:
+    """A remark of `add` or `remove` on one effect, with the command that undoes the change where that is advised.
+
+    The command gets the same `options`, such as a file of own effects, each with a space before it.
+    """
     command = UNDONE_BY[remark.code]
     if command is None:
         return typographic(f"{remark.text}.")
     undoes = {"remove": "removes it again", "add": "puts it back"}[command]
-    return typographic(f"{remark.text}; `fluxbench {command} {run} {remark.values['effect']}` {undoes}.")
+    return typographic(f"{remark.text}; `fluxbench {command} {run} {remark.values['effect']}{options}` {undoes}.")

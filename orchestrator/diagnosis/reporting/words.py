@@ -15,7 +15,7 @@ from orchestrator.diagnosis.reporting.parameter_bounds import bound_advice, boun
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separating_contrasts
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
-from orchestrator.formatting.quantities import operating_point, percent, quantity, value_and_interval
+from orchestrator.formatting.quantities import number, operating_point, percent, quantity, value_and_interval
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
 from protocols import (
@@ -123,6 +123,10 @@ def _cause(diagnosis: Diagnosis) -> str:
     better = _better_in_place(report)
     drive = diagnosis.search.fit.prepared.manifest.drive
     named = [_named(e, terms.get(e.name), better.get(e.name), drive) for e in report.effects]
+    if report.effects and report.leaves_most:
+        before, after, chi2 = *_error_before_and_after(report), number(report.ladder[-1].chi2)
+        names, takes = listed([plain(e.name) for e in report.effects]), "take" if len(report.effects) > 1 else "takes"
+        return f"none can be named while chi2 is {chi2}; {names} {takes} up a part ({before} -> {after})"
     if report.verdict == "unknown_remains":
         start = f"{listed(named)}, and " if named else ""
         if _time_constant_notes(report):
@@ -186,16 +190,16 @@ def _is_parameter(effect: FoundEffect, quantity: ParameterValue) -> bool:
 
 
 def _gain(diagnosis: Diagnosis) -> str:
-    ladder = diagnosis.report.ladder
+    report, ladder = diagnosis.report, diagnosis.report.ladder
     if len(ladder) < 2:
         return "nothing was added"
-    before, after, noise = ladder[0], ladder[-1], diagnosis.report.noise_floor
+    before, after, noise = ladder[0], ladder[-1], report.noise_floor
     fits = [diagnosis.search.steps[0].fit, diagnosis.search.fit]
+    sizes = "error {} -> {}".format(*_error_before_and_after(report))
     if before.heldout_rms_v is None or after.heldout_rms_v is None:
-        sizes = f"error {quantity(before.rms_v, 'V')} -> {quantity(after.rms_v, 'V')}"
         floor = f"noise floor {quantity(noise.rms_v, 'V')}"
     else:
-        sizes = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
+        sizes = f"held-out {sizes}"
         floor = f"noise floor of the held-out error {quantity(noise.heldout_rms_v, 'V')}"
     first, last = (quantity(fit.model.r_s, "ohm", 4) for fit in fits)
     resistance = f"stays {last}" if first == last else f"{first} -> {last}"
@@ -204,6 +208,14 @@ def _gain(diagnosis: Diagnosis) -> str:
     gauges = [f"{plain(name)}: {limit}." if several else f"{limit}." for name, limit in limits.items()]
     text = f"{sizes} ({floor}); the model's R_s {resistance}"
     return " ".join([f"{text}.", *gauges]) if gauges else text
+
+
+def _error_before_and_after(report: DiagnosisReport) -> tuple[str, str]:
+    """The error without and with the effects: held out, or else fitted."""
+    before, after = report.ladder[0], report.ladder[-1]
+    if before.heldout_rms_v is None or after.heldout_rms_v is None:
+        return quantity(before.rms_v, "V"), quantity(after.rms_v, "V")
+    return quantity(before.heldout_rms_v, "V"), quantity(after.heldout_rms_v, "V")
 
 
 def _next(diagnosis: Diagnosis) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -99,7 +100,7 @@ def add(
         tell = _progress(as_json).result
         report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
-    _print_refit(report, path, out, as_json)
+    _print_refit(report, path, effects, out, as_json)
     return 0
 
 
@@ -108,7 +109,7 @@ def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_jso
     with prompt_interrupt():
         report = api.remove(path, name, effects=effects or (), out=out, tell=_progress(as_json).result)
         refresh_report(path, out)
-    _print_refit(report, path, out, as_json)
+    _print_refit(report, path, effects, out, as_json)
     return 0
 
 
@@ -140,9 +141,12 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
         _print_ladder(report)
         say_notes([NOISE_FLOOR_MEANING])
     heads = ("size", "of the error", "probability", "material")
-    for head, effects in (("cause", report.effects), ("below materiality, and in the model", report.minor)):
-        if effects:
-            say_table((head, *heads), share_rows(effects))
+    if report.leaves_most and report.effects:
+        say_table(("takes up a part", *heads[:2]), [row[:3] for row in share_rows(report.effects)])
+    elif report.effects:
+        say_table(("cause", *heads), share_rows(report.effects))
+    if report.minor:
+        say_table(("below materiality, and in the model", *heads), share_rows(report.minor))
     say_notes(share_notes(report))
     traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
     if traces:
@@ -166,13 +170,15 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     say(f"flux map: {in_capitals(estimates.usability)}: {why}")
 
 
-def _print_refit(report: AddReport, path: Path, out: Path | None, as_json: bool) -> None:
+def _print_refit(report: AddReport, path: Path, effects: Path | None, out: Path | None, as_json: bool) -> None:
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return
     _print_ladder(report)
-    run = str(path) if out is None else f"{path} --out {out}"
-    say("", *(benefit_line(remark, run) for remark in report.remarks if remark.code in BENEFITS))
+    given = (("out", out), ("effects", effects))
+    options = "".join(f" --{name} {shlex.quote(str(value))}" for name, value in given if value is not None)
+    run = shlex.quote(str(path))
+    say("", *(benefit_line(remark, run, options) for remark in report.remarks if remark.code in BENEFITS))
     say_notes(remark.text for remark in report.remarks if remark.code not in BENEFITS)
     if not any(remark.code == "in_model" for remark in report.remarks):
         say_notes([REFIT_MEANING])

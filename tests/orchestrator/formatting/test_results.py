@@ -121,3 +121,4 @@ def test_a_size_is_stated_beside_what_is_typical() -> None:
 def test_a_change_that_did_not_help_says_how_to_undo_it(code: str, line: str) -> None:
     remark = Remark(code=code, values={"effect": "dead_time"}, text="It did")
     assert benefit_line(remark, "runs/a") == line
+    assert benefit_line(remark, "runs/a", " --effects f.py") == line.replace("dead_time`", "dead_time --effects f.py`")

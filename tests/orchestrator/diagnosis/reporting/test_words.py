@@ -143,6 +143,13 @@ def test_what_is_left_unexplained_is_stated(search: SearchResult, verdict: str, 
     assert words.to_decide.startswith(next_step)
 
 
+def test_no_cause_is_named_while_most_of_the_error_remains(search: SearchResult) -> None:
+    words = stated(search, verdict="unknown_remains", unexplained={"fraction": 0.8, "shape": []})
+    assert words.likely_cause.startswith("none can be named while chi2 is ")
+    before, after = words.if_added.removeprefix("held-out error ").split(" (")[0].split(" -> ")
+    assert words.likely_cause.endswith(f"; voltage bias takes up a part ({before} -> {after})")
+
+
 def test_what_a_recording_lacks_stands_in_the_words(search: SearchResult) -> None:
     reasons = [
         {"quantity": "map_error_percent", "value": 0.5, "limit": 0.2, "sentence": "The map is uncertain by 0.5 %."},
