@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import numpy as np
-
+from orchestrator.numerics.tables import value_at
 from protocols import Basis, CheckOutcome, EstimationReport, FluxMap, MapCriteria, Motor, Remark, UsabilityCheck
 
 
@@ -63,7 +62,7 @@ def _remark(name: str, found: float, stated: float, *, questioned: bool) -> Rema
 def _pairs(
     report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor
 ) -> list[tuple[str, float, float | None]]:
-    """Name, estimate and nameplate; inductances at the smallest current."""
+    """Name, estimate and nameplate; inductances at no current."""
     pairs = []
     if report.resistance is not None:
         pairs.append(("R_s", report.resistance.value_ohm, motor.stator_resistance_ohm))
@@ -80,12 +79,8 @@ def _compared_map(report: EstimationReport, maps: Mapping[str, FluxMap]) -> Flux
 
 
 def _unsaturated(found: FluxMap) -> tuple[float, float]:
-    """L_dd and L_qq at the smallest current [H]; zero where the 95 % band exceeds half the value."""
-    known = np.isfinite(found.l_dd) & np.isfinite(found.l_qq)
-    if not known.any():
-        return 0.0, 0.0
-    size = np.hypot(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
-    nearest = np.unravel_index(int(np.argmin(np.where(known, size, np.inf))), size.shape)
-    pairs = (found.l_dd[nearest], found.l_dd_std[nearest]), (found.l_qq[nearest], found.l_qq_std[nearest])
-    l_d, l_q = (float(value) if not 1.96 * std > 0.5 * value else 0.0 for value, std in pairs)
+    """L_dd and L_qq at no current [H]; zero where unknown there, or where the 95 % band exceeds half the value."""
+    pairs = ((found.l_dd, found.l_dd_std), (found.l_qq, found.l_qq_std))
+    at_zero = [[value_at((found.i_d, found.i_q), table, 0.0, 0.0) for table in pair] for pair in pairs]
+    l_d, l_q = (value if value and not 1.96 * (std or 0.0) > 0.5 * value else 0.0 for value, std in at_zero)
     return l_d, l_q

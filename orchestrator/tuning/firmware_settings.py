@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.numerics.types import Array
+from orchestrator.numerics.tables import value_at
 from orchestrator.tuning.current_control import CurrentControl
 from orchestrator.tuning.limits import DriveLimits
-from protocols import InputError
+from protocols import FluxMap, InputError
 
 WHERE = "firmware settings"
 
@@ -32,7 +32,9 @@ class _Setting:
     formula: str
 
 
-def settings_for_firmware(control: CurrentControl, limits: DriveLimits) -> dict[str, bytes]:
+def settings_for_firmware(
+    control: CurrentControl, limits: DriveLimits, flux_map: FluxMap | None = None
+) -> dict[str, bytes]:
     """One text of `name = value` lines for each firmware, by file name; comments begin with #.
 
     Parameters
@@ -40,6 +42,8 @@ def settings_for_firmware(control: CurrentControl, limits: DriveLimits) -> dict[
     control : CurrentControl
     limits : DriveLimits
         The settings hold within its current limit and at its sampling frequency.
+    flux_map : FluxMap, optional
+        For the inductances without current; by default, and where it has none, they are the control's.
 
     Raises
     ------
@@ -48,7 +52,7 @@ def settings_for_firmware(control: CurrentControl, limits: DriveLimits) -> dict[
     """
     d, q = _least(control, limits)
     least = min(d, q)
-    rest = _at_rest(control)
+    rest_d, rest_q = _at_rest(control, flux_map)
     alpha, r_s = control.bandwidth_rad_s, control.r_s_ohm
     texts = {
         "odrive": (
@@ -68,8 +72,8 @@ def settings_for_firmware(control: CurrentControl, limits: DriveLimits) -> dict[
             _Setting("foc_current_kp", alpha * least, "alpha L, the least [V/A]"),
             _Setting("foc_current_ki", alpha * r_s, "alpha R_s [V/(A s)]"),
             _Setting("foc_motor_r", r_s, "R_s [ohm]"),
-            _Setting("foc_motor_l", 0.5 * float(rest[0] + rest[2]), "(L_d + L_q) / 2 without current [H]"),
-            _Setting("foc_motor_ld_lq_diff", float(rest[2] - rest[0]), "L_q - L_d without current [H]"),
+            _Setting("foc_motor_l", 0.5 * (rest_d + rest_q), "(L_d + L_q) / 2 without current [H]"),
+            _Setting("foc_motor_ld_lq_diff", rest_q - rest_d, "L_q - L_d without current [H]"),
         ),
     }
     return {f"{name}.txt": _text(name, settings, control, limits) for name, settings in texts.items()}
@@ -90,14 +94,17 @@ def _least(control: CurrentControl, limits: DriveLimits) -> tuple[float, float]:
     return float((determinant / qq).min()), float((determinant / dd).min())
 
 
-def _at_rest(control: CurrentControl) -> Array:
-    """L_dd, L_dq, L_qq without current [H], shape (3,)."""
-    from scipy.interpolate import RegularGridInterpolator
-
-    axes = (control.gain_i_d_a, control.gain_i_q_a)
-    origin = np.array([np.clip(0.0, axis[0], axis[-1]) for axis in axes])
-    rest: Array = RegularGridInterpolator(axes, control.inductance_h)(origin)[0]
-    return rest
+def _at_rest(control: CurrentControl, flux_map: FluxMap | None) -> tuple[float, float]:
+    """L_dd and L_qq without current [H], as the report has them."""
+    if flux_map is not None:
+        axes = (flux_map.i_d, flux_map.i_q)
+        l_d, l_q = (value_at(axes, table, 0.0, 0.0) for table in (flux_map.l_dd, flux_map.l_qq))
+        if l_d is not None and l_q is not None:
+            return l_d, l_q
+    nodes = (control.gain_i_d_a, control.gain_i_q_a)
+    origin = [float(np.clip(0.0, axis[0], axis[-1])) for axis in nodes]
+    l_d, l_q = (value_at(nodes, control.inductance_h[..., k], *origin) for k in (0, 2))
+    return l_d or 0.0, l_q or 0.0
 
 
 def _text(firmware: str, settings: tuple[_Setting, ...], control: CurrentControl, limits: DriveLimits) -> bytes:

@@ -163,7 +163,7 @@ def write_tuning(tuning: DriveTuning, out: Path, recording: str, remarks: Sequen
         "compensation.csv": _compensation_csv(tuning),
         "tuning.svg": tuning_picture(tuning),
         **code,
-        **settings_for_firmware(tuning.control, tuning.limits),
+        **settings_for_firmware(tuning.control, tuning.limits, tuning.machine.flux_map),
     }
     report = report_of(tuning, recording)
     known = {"files": ("tuning.json", *contents), "remarks": (*remarks, *report.remarks, *on_code)}

@@ -13,6 +13,7 @@ import numpy as np
 from orchestrator.flux_maps.exporting import mtpa, saliency
 from orchestrator.formatting.quantities import fixed, number, quantity, vector
 from orchestrator.formatting.results import resistance, resistance_course
+from orchestrator.numerics.tables import value_at
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, inductance_line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
@@ -70,7 +71,7 @@ def _at_20_c(estimate: ResistanceEstimate, material: Material) -> str:
 def _of_map(grid: FluxMap, motor: Motor, magnet: tuple[float, float] | None) -> Iterator[Line]:
     l_d, l_q = (_at(grid, getattr(grid, name), 0.0, 0.0) for name in ("l_dd", "l_qq"))
     if l_d is not None and l_q is not None:
-        yield Line("L_d, L_q unsaturated", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}")
+        yield Line("L_d, L_q at no current", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}")
     if magnet is not None:
         measured = f"{quantity(magnet[0], 'Wb', 4)} ± {quantity(1.96 * magnet[1], 'Wb', 1)} (95 %), by the back-EMF"
         nameplate = "" if motor.pm_flux_wb is None else f"; nameplate {quantity(motor.pm_flux_wb, 'Wb', 4)}"
@@ -139,11 +140,4 @@ def _round_step(largest: float) -> float:
 
 
 def _at(grid: FluxMap, values: RealArray, i_d: float, i_q: float) -> float | None:
-    """The map's value at its node nearest to a current; None where that is more than a step away, or not measured."""
-    d, q = (int(np.abs(np.asarray(axis) - x).argmin()) for axis, x in ((grid.i_d, i_d), (grid.i_q, i_q)))
-    for axis, k, x in ((grid.i_d, d, i_d), (grid.i_q, q, i_q)):
-        steps = np.diff(axis)
-        if len(steps) and abs(float(axis[k]) - x) > float(steps.max()):
-            return None
-    value = float(values[d, q])
-    return value if math.isfinite(value) else None
+    return value_at((grid.i_d, grid.i_q), values, i_d, i_q)

@@ -59,7 +59,7 @@ def test_torque_is_the_map_s_at_the_best_angle_of_the_rated_current(material: Ma
     # Magnet alone, all of the current on q: reluctance adds a little to that, or nothing.
     magnet = 1.5 * motor.pole_pairs * motor.pm_flux_wb * motor.rated_current_a
     assert 0.95 * magnet < found < 1.3 * magnet
-    assert {"R_s", "L_d, L_q unsaturated", "Saliency", "ψ of the magnet"} <= set(lines(material))
+    assert {"R_s", "L_d, L_q at no current", "Saliency", "ψ of the magnet"} <= set(lines(material))
 
 
 def test_the_model_s_resistance_says_when_it_holds(material: Material) -> None:
