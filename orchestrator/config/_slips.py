@@ -70,6 +70,7 @@ SLIPS = (
     *(_times(fields, 10.0, "a decimal point off") for fields in ((_L_D, _L_Q), (_R,), (_PSI,))),
     Slip((_L_D, _L_Q), "d and q exchanged", lambda v: {_L_D: v[_L_Q], _L_Q: v[_L_D]}, HABIT, needed=(_PSI,)),
     _times((_R,), 1e-3, "in milliohm"),
+    _times((_R, _L_D, _L_Q), 1e-3, "in milliohm and mH"),
     _times((_PSI,), 1e-3, "in mWb"),
     _times((_PSI,), math.sqrt(2.0), "the rms, not the peak value", HABIT),
     _times((_PSI,), 1.0 / math.sqrt(3.0), _BETWEEN_LINES, HABIT),

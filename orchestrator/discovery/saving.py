@@ -5,6 +5,7 @@ from __future__ import annotations
 import keyword
 import os
 import re
+import tempfile
 from collections.abc import Collection
 from pathlib import Path
 
@@ -50,7 +51,9 @@ def _require_writable(target: Path) -> None:
         target.lstat()
     except (FileNotFoundError, NotADirectoryError):
         folder = next(folder for folder in (target.parent, *target.absolute().parents) if os.path.lexists(folder))
-        if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        try:  # permissions alone do not tell: root has them on a file system that is read only
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError:
             raise InputError(str(target), "", f"cannot be written: {folder} is no folder to write to") from None
     except OSError as error:
         raise InputError(str(target), "", f"cannot be written: {error.strerror or error}") from error

@@ -119,6 +119,12 @@ def test_a_name_that_cannot_be_an_effects_is_refused(name: str, target: Path | N
         require_name(name, target, {"dead_time"})
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="this system has no /proc")
+def test_a_folder_that_takes_no_files_is_refused_whatever_its_permissions() -> None:
+    with pytest.raises(InputError, match="/proc is no folder to write to"):
+        require_name("mine", Path("/proc/none/mine.py"))
+
+
 def test_a_file_that_exists_is_not_replaced(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("mine")
     with pytest.raises(InputError, match="exists already"):
