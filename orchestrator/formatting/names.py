@@ -21,6 +21,9 @@ MAP_QUANTITIES = {
 """A flux map's variables: symbol, and the unit in which they are shown."""
 _PARAMETER_UNITS = ("_a", "_v", "_s", "_hz", "_ohm", "_rad", "_wb", "_per_watt", "_per_a2")
 
+_PARAMETER_MEANINGS = {"threshold_a": "current below which it fades"}
+"""Parameters whose names alone do not say what they are of."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -84,5 +87,7 @@ def symbol_of(name: str) -> str:
 
 def parameter_words(name: str) -> str:
     """A parameter's name without its unit: bias_a_v is bias a, rise_per_watt is rise."""
+    if name in _PARAMETER_MEANINGS:
+        return _PARAMETER_MEANINGS[name]
     suffix = next((s for s in _PARAMETER_UNITS if name.endswith(s) and len(name) > len(s)), "")
     return plain(name.removesuffix(suffix))

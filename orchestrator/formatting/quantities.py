@@ -91,11 +91,16 @@ class Scale:
 
 
 def value_and_interval(value: float | None, low: float | None, high: float | None, unit: str) -> tuple[str, str]:
-    """A value with its unit and, on the same scale, its interval, which is empty where an end is missing."""
+    """A value with its unit and, on the same scale, its interval, which is empty where an end is missing.
+
+    The interval leaves out the unit and its prefix, but not a power of ten: ``(−24 to −2)·10⁻⁶``.
+    """
     if value is None or low is None or high is None:
         return quantity(value, unit, 4), ""
     scale = Scale.of(value, low, high, unit)
-    return scale.quantity(value), f"{scale.number(low)} to {scale.number(high)}"
+    interval = f"{scale.number(low)} to {scale.number(high)}"
+    factor = scale.unit.partition(" ")[0]
+    return scale.quantity(value), f"({interval}){factor}" if factor.startswith("·") else interval
 
 
 def measured(value: float | None, low: float | None, high: float | None, unit: str) -> str:

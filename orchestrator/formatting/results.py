@@ -13,7 +13,6 @@ from orchestrator.formatting.quantities import (
     measured,
     number,
     percent,
-    plural,
     probability,
     quantity,
     value_and_error,
@@ -155,7 +154,7 @@ def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
         holds_zero = p.low is not None and p.high is not None and p.low <= 0.0 <= p.high
         rows.append((parameter_words(name), value, f"{interval}; zero fits too" if holds_zero else interval))
     of_form = len(effect.parameters) - len(sizes)
-    return [*rows, ("its form", f"{plural(of_form, 'more parameter')} in model.json", "")] if of_form else rows
+    return [*rows, ("form", f"{of_form} more in model.json", "")] if of_form else rows
 
 
 def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:

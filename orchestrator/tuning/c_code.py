@@ -15,6 +15,7 @@ from orchestrator.numerics.types import Array
 from orchestrator.tuning.compensation import Compensation
 from orchestrator.tuning.current_control import CurrentControl, loop_gains
 from orchestrator.tuning.limits import VOLTAGE_RESERVE, DriveLimits
+from orchestrator.tuning.machine import ROOM_C
 from orchestrator.tuning.references import CurrentReferences
 from protocols import InputError, Motor
 
@@ -60,12 +61,13 @@ def source_values(
     InputError
         Where a number is not finite, an axis is not evenly spaced, or the losses are not odd functions of the current.
     """
+    winding_c = ROOM_C if control.winding_c is None else control.winding_c
     gain, observer = loop_gains(control.bandwidth_rad_s, control.integral_rad_s, control.period_s)
     scalars = {
         "pole_pairs": motor.pole_pairs,
         "r_s_ohm": control.r_s_ohm,
-        "r_s_at_c": control.winding_c,
-        "r_s_per_k": 1.0 / (1.0 / COPPER_PER_K + control.winding_c - 20.0),
+        "r_s_at_c": winding_c,
+        "r_s_per_k": 1.0 / (1.0 / COPPER_PER_K + winding_c - 20.0),
         "current_a": limits.current_a,
         "period_s": control.period_s,
         "delay_s": control.delay_s,
@@ -88,6 +90,7 @@ def source_values(
     return {
         **scalars,
         **vectors,
+        "winding_is_assumed": control.winding_c is None,
         "p": symbol,
         "P": symbol.upper(),
         "name": _comment(motor.name),

@@ -69,7 +69,7 @@ class CurrentControl:
     period_s : float
         Of sampling.
     r_s_ohm, winding_c : float
-        Resistance of a phase, and the temperature of the winding at which it holds [°C].
+        Resistance of a phase, and the temperature of the winding at which it holds [°C]; None where it is not known.
     """
 
     i_d_a: Array
@@ -86,7 +86,7 @@ class CurrentControl:
     model_factor: float
     period_s: float
     r_s_ohm: float
-    winding_c: float
+    winding_c: float | None
 
 
 def current_control(machine: Machine, limits: DriveLimits, extra_delay_s: float = 0.0) -> CurrentControl:

@@ -32,8 +32,9 @@ class Machine:
     flux_map : FluxMap
     r_s_ohm, r_s_std_ohm : float
         Resistance of a phase and its standard deviation [ohm].
-    winding_c : float
-        Temperature of the winding at which the resistance holds, and of the magnet at which the map does [°C].
+    winding_c : float, optional
+        Temperature of the winding at which the resistance holds, and of the magnet at which the map does [°C]; without,
+        it is assumed to be `ROOM_C`.
     magnet_per_k : float, optional
         Change of the magnet's flux over its temperature, relative to it [1/K]; without, its temperature is no argument.
     """
@@ -42,7 +43,7 @@ class Machine:
     flux_map: FluxMap
     r_s_ohm: float
     r_s_std_ohm: float
-    winding_c: float = ROOM_C
+    winding_c: float | None = None
     magnet_per_k: float | None = None
 
     def __post_init__(self) -> None:

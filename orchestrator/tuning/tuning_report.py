@@ -19,6 +19,7 @@ from orchestrator.tuning.c_code_int32 import c_files_int32
 from orchestrator.tuning.current_control import MIN_PHASE_MARGIN_RAD, phase_margin_at
 from orchestrator.tuning.drive_tuning import DriveTuning
 from orchestrator.tuning.firmware_settings import settings_for_firmware
+from orchestrator.tuning.machine import ROOM_C
 from orchestrator.tuning.pictures import tuning_picture
 from protocols import InputError, Number, RecordingError, Remark, StorageError, Strict
 
@@ -124,7 +125,7 @@ def report_of(tuning: DriveTuning, recording: str) -> TuningReport:
         integral_hz=control.integral_rad_s / (2.0 * math.pi),
         integral_limit_v=limits.voltage_v,
         r_s_ohm=control.r_s_ohm,
-        r_s_at_c=control.winding_c,
+        r_s_at_c=ROOM_C if control.winding_c is None else control.winding_c,
         delay_s=control.delay_s,
         compensated=compensation.sources,
         left_out={one.name: one.reason for one in compensation.left_out},

@@ -96,13 +96,11 @@ def tune(
     return write_tuning(tuning, folder, recording, remarks)
 
 
-def _winding_c(path: Path) -> float:
-    """Temperature of the winding when a run began [°C]: that of the room; without one, that of data sheets."""
+def _winding_c(path: Path) -> float | None:
+    """Temperature of the winding when a run began [°C]: that of the room; None where it is not known."""
     from orchestrator.runs import RunDirectory, is_run
-    from orchestrator.tuning.machine import ROOM_C
 
-    ambient = RunDirectory.open(path).record.procedure.about.ambient_c if is_run(path) else None
-    return ROOM_C if ambient is None else ambient
+    return RunDirectory.open(path).record.procedure.about.ambient_c if is_run(path) else None
 
 
 def _injection_map(path: Path) -> FluxMap | None:

@@ -145,7 +145,7 @@ def resistance_figure(
     time = np.array([r.start_s for r in readings])
     value = np.array([r.value_ohm for r in readings])
     std = np.array([r.std_ohm for r in readings])
-    axes.axhspan(*interval, color=SKY, alpha=0.35, lw=0, label="estimate, 95 %")
+    axes.axhspan(*interval, color=SKY, alpha=0.35, lw=1.5, label="estimate, 95 %")
     axes.errorbar(time, value, 1.96 * std, fmt="o", color=BLACK, ms=3.5, lw=1, label="reading, 95 %")
     if nameplate_ohm is not None:
         axes.axhline(nameplate_ohm, color=ORANGE, ls=":", lw=1.5, label="nameplate")

@@ -15,7 +15,7 @@ from orchestrator.formatting.drawing import BASIS_LINES
 from orchestrator.formatting.explaining import accuracy_sentences, search_rows
 from orchestrator.formatting.names import MAP_QUANTITIES, VERDICTS, map_source, plain, slots
 from orchestrator.formatting.quantities import percent, quantity
-from orchestrator.formatting.sentences import cut, typographic, visible
+from orchestrator.formatting.sentences import cut, listed, typographic, visible
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
 from plugins.streams.report import _diagnosis_content as findings
@@ -199,7 +199,9 @@ def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
                 best.append(trajectory(main, motor.pole_pairs))
             except FluxbenchError:  # no point with i_q > 0, or one line of points alone
                 best.append(None)
-        text = "In Nm, with the largest torque per ampere (MTPA) and per volt (MTPV), as far as they were measured."
+        lines = zip(best, ("per ampere (MTPA)", "per volt (MTPV)"), strict=True)
+        drawn = [words for line, words in lines if line is not None and line.interior.any()]
+        text = f"In Nm, with the largest torque {listed(drawn)}, as far as measured." if drawn else "In Nm."
         yield Picture("Torque", text, figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
     for axis in ("d", "q"):
         yield Picture(f"ψ_{axis} over the current plane", "In mWb.", figures.flux_plane_figure(main, axis))

@@ -108,7 +108,7 @@ def test_any_interval_is_printed_without_an_exponent(value: float, one: float, o
         (25.2e-6, 24.7e-6, 25.7e-6, "s", "25.2 µs (95 %: 24.7 to 25.7)"),
         (0.5, 0.1, 8.0, "V", "500 mV (95 %: 100 to 8000)"),
         (0.00298, 0.00289, 0.00307, "1/W", "0.298 % per W (95 %: 0.289 to 0.307)"),
-        (2.5e-7, 2.4e-7, 2.6e-7, "1/W", "250·10⁻⁹ per W (95 %: 240 to 260)"),
+        (2.5e-7, 2.4e-7, 2.6e-7, "1/W", "250·10⁻⁹ per W (95 %: (240 to 260)·10⁻⁹)"),
         (1.04, 1.03, 1.06, "1", "1.040 (95 %: 1.030 to 1.060)"),
         (0.0, -1e-3, 1e-3, "A", "0.0 mA (95 %: −1.0 to 1.0)"),
         (0.4, None, None, "V", "400 mV"),
@@ -120,6 +120,10 @@ def test_a_value_stands_beside_its_interval(
     value: float | None, low: float | None, high: float | None, unit: str, text: str
 ) -> None:
     assert measured(value, low, high, unit) == text
+
+
+def test_a_power_of_ten_stands_beside_the_interval_too() -> None:
+    assert value_and_interval(-13e-6, -24e-6, -2e-6, "V/A^3") == ("−13·10⁻⁶ V/A³", "(−24 to −2)·10⁻⁶")
 
 
 def test_value_and_interval_are_one_scale_in_two_cells() -> None:

@@ -46,7 +46,7 @@ def test_sizes_and_what_they_mean_for_the_drive_are_listed_and_the_rest_is_count
     assert parameter_rows(effect()) == [
         ("voltage", "800 mV", "700 to 900"),
         ("dead time", "148 ns", "130 to 167"),
-        ("its form", "2 more parameters in model.json", ""),
+        ("form", "2 more in model.json", ""),
     ]
 
 

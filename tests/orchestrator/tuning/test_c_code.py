@@ -186,6 +186,16 @@ def test_resistance_is_that_of_copper_at_the_winding_s_temperature(tables: Table
     assert at_60_c.number("r_s_ohm", -1e5) == pytest.approx(0.5 * PLANT.r_s)
 
 
+@pytest.mark.parametrize("winding_c", [None, 20.0])
+def test_a_temperature_that_nobody_gave_is_marked_as_assumed(tables: Tables, winding_c: float | None) -> None:
+    held = replace(tables, control=replace(tables.control, winding_c=winding_c))
+    for files, name, value in ((held.files(), "R_S_AT_C", "20.0f"), (held.int32_files(), "R_S_AT_MDEG_C", "20000")):
+        header = next(text.decode() for file, text in files.items() if file.endswith(".h"))
+        (line,) = (line for line in header.splitlines() if line.startswith(f"#define MOTOR_{name} "))
+        assert value in line
+        assert ("/* assumed: no --ambient was given */" in line) == (winding_c is None)
+
+
 def test_an_invalid_resistance_counts_as_the_known_one(drive: Functions) -> None:
     known = drive.vector("current_reference_a", 2, 8.0, 2500.0, 300.0, PLANT.r_s)[1]
     warm = drive.vector("current_reference_a", 2, 8.0, 2500.0, 300.0, 1.5 * PLANT.r_s)[1]

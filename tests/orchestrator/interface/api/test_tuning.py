@@ -124,13 +124,13 @@ def test_the_command_prints_the_main_figures(map_file: Path, tmp_path: Path) -> 
     assert "beyond the map" in refused.stderr
 
 
-def test_resistance_holds_at_the_room_s_temperature_of_the_run_or_at_20_degrees(tmp_path: Path) -> None:
+def test_resistance_holds_at_the_room_s_temperature_of_the_run_where_it_is_known(tmp_path: Path) -> None:
     plain = a_procedure("motor")
     warm = plain.model_copy(update={"about": plain.about.model_copy(update={"ambient_c": 35.0})})
-    for name, procedure, expected in (("plain", plain, 20.0), ("warm", warm, 35.0)):
+    for name, procedure, expected in (("plain", plain, None), ("warm", warm, 35.0)):
         RunDirectory.create(tmp_path / name, procedure, CAPABILITIES)
         assert _winding_c(tmp_path / name) == expected
-    assert _winding_c(tmp_path / "map.nc") == 20.0
+    assert _winding_c(tmp_path / "map.nc") is None
 
 
 @pytest.mark.usefixtures("undrawn")

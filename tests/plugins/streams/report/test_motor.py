@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orchestrator.flux_maps.exporting import mtpa, mtpv
 from orchestrator.runs import RunDirectory
 from plugins.streams.report._collect import Material, Paths, collect
 from plugins.streams.report._motor_content import COPPER_COEFFICIENT_PER_K, motor_lines
@@ -46,6 +47,14 @@ def test_the_page_opens_with_the_motor_and_says_where_what_is(material: Material
         assert f'id="{target}"' in page, target
     titles = re.findall(r"<h3>([^<]+)</h3>", page)
     assert {"Torque", "ψ_d over the current plane", "ψ_q over the current plane", "Saliency angle"} <= set(titles)
+
+
+def test_the_torque_picture_names_the_curves_that_it_draws(material: Material) -> None:
+    shown = next(iter(material.maps.values()))
+    caption = re.search(r"In Nm[^<]*", render(material))
+    assert caption is not None
+    for name, curve in (("MTPA", mtpa(shown, 4)), ("MTPV", mtpv(shown, 4))):
+        assert (name in caption[0]) == bool(curve.interior.any())
 
 
 def test_torque_is_the_map_s_at_the_best_angle_of_the_rated_current(material: Material) -> None:
