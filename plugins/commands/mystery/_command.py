@@ -60,8 +60,9 @@ def mystery(
         _print_verdict(verdict)
     if hidden is not None:
         _print_hidden(hidden)
-        for name in caused_effects(path):
-            _print_line(f"{name}: not hidden; the run itself caused it")
+        for name, parameters in caused_effects(path).items():
+            sizes = ", ".join(_in_words(name, key, value) for key, value in parameters.items())
+            _print_line(f"{name}: not hidden; the run itself caused it: {sizes}")
     return 0
 
 
@@ -147,7 +148,7 @@ def _print_verdict(verdict: Verdict) -> None:
     sizes = {size.name: size for size in verdict.sizes}
     for name in verdict.right:
         size = sizes.get(name)
-        suffix = f"; {_size(size)} is {_error(size.ratio)}" if size else "; no size was given"
+        suffix = f"; {_graded(size)}" if size else "; no size was given"
         _print_line(f"{name}: right{suffix}")
     for name in verdict.wrong:
         _print_line(f"{name}: not in this motor")
@@ -157,6 +158,12 @@ def _print_verdict(verdict: Verdict) -> None:
         more = " more" if verdict.right else ""
         hidden = f"{verdict.still_hidden}{more} {'is' if verdict.still_hidden == 1 else 'are'} hidden."
         _print_line(hidden if verdict.right or verdict.wrong else f"nothing: wrong; {hidden}")
+
+
+def _graded(size: GuessedSize) -> str:
+    if size.is_of_one_angle:
+        return f"{_size(size)} belongs to this angle alone, and is not graded"
+    return f"{_size(size)} is {_error(size.ratio)}"
 
 
 def _size(size: GuessedSize) -> str:

@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from orchestrator.formatting.names import parameter_words
+from orchestrator.formatting.quantities import unit_words
 from orchestrator.formatting.sentences import listed
 from orchestrator.registry.plugins import PluginKind, installed, load_plugin
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.validation.quantities import value_in
 from plugins.commands.mystery._drawing import MIN_ANGLE_RAD
-from protocols import InputError, Strict
+from protocols import Contrast, InputError, ParameterRole, Strict
 
 NOTHING = "nothing"
+_POWER = re.compile("·10([⁻⁰¹²³⁴-⁹]+)")
+_DIGITS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻", "0123456789-")
+_KEYS = {ord("−"): "-"}
 Effects = Mapping[str, Mapping[str, float]]
 
 
@@ -36,7 +41,9 @@ class GuessedSize(Strict):
     is_given: bool
     """Whether the guess gave it; else it is the size in the recording's model."""
     ratio: float | None
-    """Guessed over true; None where the true one is zero."""
+    """Guessed over true; None where the true one is zero, or `is_of_one_angle`."""
+    is_of_one_angle: bool = False
+    """Whether size and sign belong to the angle at which the rotor was locked: the true ones are of a whole turn."""
 
 
 class Verdict(Strict):
@@ -134,9 +141,22 @@ def _size(guess: Guess, true: Mapping[str, float], fitted: Mapping[str, float]) 
     guessed = guess.size if guess.size is not None else fitted.get(parameter)
     if guessed is None:
         return None
-    ratio = guessed / true[parameter] if true[parameter] else None
-    is_given = guess.size is not None
-    return GuessedSize(name=guess.name, parameter=parameter, guessed=guessed, is_given=is_given, ratio=ratio)
+    is_of_one_angle = _is_of_one_angle(guess.name, true)
+    return GuessedSize(
+        name=guess.name,
+        parameter=parameter,
+        guessed=guessed,
+        is_given=guess.size is not None,
+        ratio=guessed / true[parameter] if true[parameter] and not is_of_one_angle else None,
+        is_of_one_angle=is_of_one_angle,
+    )
+
+
+def _is_of_one_angle(name: str, true: Mapping[str, float]) -> bool:
+    """Whether an effect has amplitudes that only a second rotor angle would show, beside those that were hidden."""
+    effect = load_plugin(PluginKind.EFFECTS, name)()
+    amplitudes = [p.name for p in effect.Parameters.declared() if p.role is ParameterRole.AMPLITUDE]
+    return Contrast.SECOND_ANGLE in effect.needs and any(amplitude not in true for amplitude in amplitudes)
 
 
 def _of_phases(names: Iterable[str]) -> list[str]:
@@ -144,10 +164,16 @@ def _of_phases(names: Iterable[str]) -> list[str]:
     return [name for name in names if name.startswith(("offset_", "bias_", "extra_a_", "extra_b_"))]
 
 
+def _as_typed(text: str, unit: str) -> str:
+    """A quantity as it is printed, such as ``−0.26 % per W``, in the characters of a keyboard: ``-0.26 %``."""
+    plain = text.translate(_KEYS).removesuffix(unit_words(unit) if unit.startswith("1/") else "")
+    return _POWER.sub(lambda power: f"e{power[1].translate(_DIGITS)}", plain).strip()
+
+
 def _number(name: str, text: str) -> float:
     declared = load_plugin(PluginKind.EFFECTS, name)().Parameters.declared()
     first = declared[0]
-    value = value_in(text, first.unit)
+    value = value_in(_as_typed(text, first.unit), first.unit)
     if not math.isfinite(value):
         sizes = [parameter_words(one) for one in _of_phases(parameter.name for parameter in declared)]
         size = f"the larger one of {listed(sizes)}" if len(sizes) > 1 else f"its {parameter_words(first.name)}"

@@ -30,6 +30,21 @@ def test_names_and_sizes_are_read() -> None:
 
 
 @pytest.mark.parametrize(
+    ("words", "size"),
+    [
+        ("bus_sag=0.001 % per W", 1e-5),
+        ("winding_heating=0.264 % per W", 0.00264),
+        ("winding_heating=250·10⁻⁹ per W", 250e-9),
+        ("slot_harmonics=−2.5·10⁻³", -0.0025),
+        ("phase_resistance_imbalance=−3.07 mΩ", -0.00307),
+    ],
+)
+def test_sizes_are_read_as_a_diagnosis_prints_them(words: str, size: float) -> None:
+    (guess,) = read_guess(words)
+    assert guess.size == pytest.approx(size)
+
+
+@pytest.mark.parametrize(
     ("words", "message"),
     [
         ("dead_tim", "did you mean dead_time"),

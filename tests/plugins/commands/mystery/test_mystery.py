@@ -94,13 +94,20 @@ def test_a_size_that_was_not_given_is_said_to_be_the_diagnosis_s(capsys: pytest.
         assert capsys.readouterr().out.startswith(f"dead_time: right; {size}\n")
 
 
+def test_a_size_of_one_rotor_angle_is_not_graded(capsys: pytest.CaptureFixture[str]) -> None:
+    hidden = {"slot_harmonics": {"relative": 0.03}}
+    _print_verdict(judge(read_guess("slot_harmonics=-0.02"), hidden, {}))
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first == "slot_harmonics: right; relative −0.02 belongs to this angle alone, and is not graded"
+
+
 def test_reveal_tells_too_what_the_run_itself_caused(
     run: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     turned = {"rotor_misalignment": {"angle_rad": 0.02}}
     monkeypatch.setattr("plugins.commands.mystery._guessing.caused_effects", lambda _: turned)
     reported = verdict_on(capsys, run, "--reveal")
-    assert "rotor_misalignment: not hidden; the run itself caused it" in reported
+    assert "rotor_misalignment: not hidden; the run itself caused it: angle 20 mrad" in reported
 
 
 def test_a_run_that_a_fault_ended_says_how_to_go_on(
