@@ -14,6 +14,7 @@ from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._point_queue import PointQueue
 from orchestrator.engine._power import PowerStage
 from orchestrator.engine._states import StateMachine, Trigger, table_of
+from orchestrator.formatting.events import DISARMED_WHILE
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import RunDirectory
 from protocols import (
@@ -93,7 +94,7 @@ class EngineContext:
 
     def enter(self, state: StageState) -> None:
         # Disarm first: the duration of a computation on a busy machine is unknown.
-        self._engine.stand_down("the drive is disarmed while the computer works on what was measured")
+        self._engine.stand_down(f"{DISARMED_WHILE} the computer works on what was measured")
         self._engine.machine.fire(state.trigger)
 
     def publish(self, message: Message, *, durable: bool = False) -> None:
@@ -103,7 +104,7 @@ class EngineContext:
     """The former name, for stages that call it."""
 
     def ask(self, prompt: str, *, answered: bool) -> None:
-        self._engine.stand_down("the drive is disarmed while the operator answers")
+        self._engine.stand_down(f"{DISARMED_WHILE} the operator answers")
         self._engine.machine.fire(Trigger.ASK_OPERATOR)
         self._engine.questions.put(prompt, answered=answered)
 

@@ -32,6 +32,9 @@ from protocols import (
     UnderWay,
 )
 
+DISARMED_WHILE = "the drive is disarmed while"
+"""Begin of the reason of a stop after which the run goes on by itself."""
+
 
 @dataclass(frozen=True)
 class EventText:
@@ -72,7 +75,8 @@ def describe(message: Message) -> EventText | None:
             )
         case StateChanged():
             mood = OUTCOME_MOODS.get(message.target, "info")
-            return EventText(plain(message.target), message.reason, "bad" if mood == "warning" else mood)
+            subject = "pausing" if message.reason.startswith(DISARMED_WHILE) else plain(message.target)
+            return EventText(subject, message.reason, "bad" if mood == "warning" else mood)
         case OperatorAsked():
             return EventText("question", message.prompt)
         case OperatorAnswered():

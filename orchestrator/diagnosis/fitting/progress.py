@@ -14,6 +14,9 @@ from protocols import SearchDecision, SearchEvent, SearchMeasure, SearchMove
 if TYPE_CHECKING:
     from orchestrator.diagnosis.fitting.model import Fit
 
+MIN_CALIBRATING_EVALUATIONS: int = 5
+"""Evaluations whose median time is robust against the slow first ones of a process."""
+
 
 @dataclass
 class Budget:
@@ -30,6 +33,8 @@ class Budget:
     """Time [s] and cost of each evaluation before `calibrate`."""
     _cost_s: float | None = field(init=False, default=None)
     """Time per unit of cost [s]."""
+    _is_calibrating: bool = field(init=False, default=False)
+    """Whether the time per unit of cost is wanted, but too few evaluations have been made."""
     _ends_s: float = field(init=False, default=-math.inf)
 
     @property
@@ -43,17 +48,18 @@ class Budget:
             self._calls.append((self.clock(), cost))
 
     def calibrate(self) -> None:
-        """Set the time per unit of cost to the median over the evaluations so far.
-
-        The median is robust against the first evaluations of a process, which are slow.
-        """
-        ends = [begin for begin, _ in self._calls[1:]] or [self.clock()]
-        costs = [(end - begin) / cost for (begin, cost), end in zip(self._calls, ends, strict=False)]
-        self._cost_s = median(costs) if costs else None
+        """Set the time per unit of cost to the median over the evaluations so far, as soon as these are enough."""
+        self._is_calibrating = len(self._calls) <= MIN_CALIBRATING_EVALUATIONS
+        if self._is_calibrating:
+            return
+        ends = [begin for begin, _ in self._calls[1:]]
+        self._cost_s = median((end - begin) / cost for (begin, cost), end in zip(self._calls, ends, strict=False))
         self._calls.clear()
 
     def expect(self, cost: float) -> None:
         """Set the expected remaining cost of the diagnosis."""
+        if self._is_calibrating:
+            self.calibrate()
         if self._cost_s is not None:
             self._ends_s = self.clock() + self._cost_s * cost
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -30,13 +30,21 @@ def probe(
     as_json: AsJson = False,
 ) -> int:
     """Find drives on this machine's serial ports and CAN buses, and say what they can do. Moves nothing."""
-    from plugins.commands.probe._finding import Found, can_bus, found_on, links_of_this_machine, serial_line
+    from plugins.commands.probe._finding import (
+        Found,
+        can_bus,
+        found_on,
+        links_of_this_machine,
+        missing_package,
+        serial_line,
+    )
     from protocols import DriveError
 
     named = [serial_line(port, baud_rate) for port in serial or ()]
     named += [can_bus(*_split(bus), bitrate, fd) for bus in can or ()]
     drives: list[Found] = []
     silent: list[tuple[LinkName, str]] = []
+    unsearched: dict[str, str] = {}
     for link in named or links_of_this_machine(baud_rate, bitrate, fd):
         try:
             for drive in found_on(link):
@@ -45,10 +53,14 @@ def probe(
                 else:
                     silent.append((link, str(drive)))
         except DriveError as error:
-            silent.append((link, str(error)))
+            if (package := missing_package(error)) is None:
+                silent.append((link, str(error)))
+            else:
+                unsearched[link.text.partition(":")[0]] = package
     if named and not drives:
-        raise DriveError("; ".join(why for _, why in silent))
-    _print(drives, silent, as_json)
+        lacking = [_not_searched(interface, package) for interface, package in unsearched.items()]
+        raise DriveError("; ".join([*(why for _, why in silent), *lacking]))
+    _print(drives, silent, unsearched, as_json)
     return 0
 
 
@@ -64,14 +76,18 @@ def _split(bus: str) -> tuple[str, str]:
     return interface, channel
 
 
-def _print(drives: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
+def _print(
+    drives: Sequence[Found], silent: Sequence[tuple[LinkName, str]], unsearched: Mapping[str, str], as_json: bool
+) -> None:
+    """Print what was found, or not; `unsearched` has the missing package of each interface that was not searched."""
     from orchestrator.formatting.sentences import cut, one_line, visible
 
     if as_json:
         import json
 
         looked = [{"link": link.text, "why": why} for link, why in silent]
-        print(visible(json.dumps({"drives": [drive.as_json() for drive in drives], "no_drive": looked})))
+        found = [drive.as_json() for drive in drives]
+        print(visible(json.dumps({"drives": found, "no_drive": looked, "not_searched": unsearched})))
         return
     for drive in drives:
         print("\n".join(one_line(cut(line)) for line in _description(drive)))
@@ -79,6 +95,12 @@ def _print(drives: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_j
         print("No drive answered.")
     for link, why in silent:
         print(one_line(cut(f"no drive on {link.text}: {why}")))
+    for interface, package in unsearched.items():
+        print(_not_searched(interface, package))
+
+
+def _not_searched(interface: str, package: str) -> str:
+    return f"{interface}: not searched, Python package {package} is missing"
 
 
 def _description(drive: Found) -> list[str]:

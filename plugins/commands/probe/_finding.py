@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,6 +17,9 @@ from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultC
 
 _NOT_PROBED = ("serial", "virtual")
 """Interfaces of python-can that are not probed: any serial port, and buses within this process."""
+
+_NOT_INSTALLED = re.compile(r"(\w+) not installed")
+"""python-can's words for a package that one of its interfaces needs."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +157,18 @@ def found_on(name: LinkName) -> list[Found | DriveError]:
     if silence is not None and not results:
         raise silence
     return results
+
+
+def missing_package(error: BaseException) -> str | None:
+    """The Python package without which a bus cannot be opened, where that is the cause of an error."""
+    import can
+
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, can.CanInterfaceNotImplementedError) and (found := _NOT_INSTALLED.fullmatch(str(cause))):
+            return found[1]
+        cause = cause.__cause__
+    return None
 
 
 def _found(name: LinkName, node: int) -> Found:

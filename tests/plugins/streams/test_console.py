@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, ValidationError
 
+from orchestrator.formatting.events import DISARMED_WHILE
 from orchestrator.formatting.sentences import visible
 from orchestrator.testing._messages import MOTOR, a_run, one_of_each, points_done
 from plugins.streams.console import ConsoleOptions, ConsoleStream
@@ -124,7 +125,7 @@ def test_stages_without_points_are_counted_too_and_say_what_is_under_way(
     stream._progress.clock = lambda: now[0]
     messages: list[tuple[float, Message]] = [
         (0.0, StageStarted(index=10, stage="estimate", points=0)),
-        (0.0, StateChanged(source="measuring", target="stopping", reason="the computer works")),
+        (0.0, StateChanged(source="measuring", target="stopping", reason=f"{DISARMED_WHILE} the computer works")),
         (2.0, StageStarted(index=11, stage="diagnose", points=0)),
         (2.1, UnderWay(text="trying dead time (some 40 s more)")),
         (2.2, UnderWay(text="trying bus sag (some 40 s more)")),
@@ -137,7 +138,7 @@ def test_stages_without_points_are_counted_too_and_say_what_is_under_way(
         stream.receive(message)
     assert [line for line in output.getvalue().splitlines() if "outcome" not in line and line][:-1] == [
         "stage 11, estimate: begins",
-        "stopping: the computer works",
+        "pausing: the drive is disarmed while the computer works",
         "stage 11, estimate: done in 2 s",
         "stage 12, diagnose: begins",
         "  trying dead time (some 40 s more)",

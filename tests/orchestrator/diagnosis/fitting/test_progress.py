@@ -40,6 +40,21 @@ def test_what_is_left_takes_as_long_as_most_evaluations_in_proportion(
     assert budget.remaining_time == left
 
 
+def test_a_few_slow_first_evaluations_predict_nothing() -> None:
+    now = [0.0]
+    budget = Budget(clock=lambda: now[0])
+    budget.spend(10.0)
+    now[0] += 70.0
+    budget.calibrate()
+    budget.expect(40.0)
+    assert budget.remaining_time == ""
+    for _ in range(10):
+        budget.spend(10.0)
+        now[0] += 2.0
+    budget.expect(40.0)
+    assert budget.remaining_time == " (some 8 s more)"
+
+
 def test_nothing_is_reported_before_anything_was_computed() -> None:
     now = [100.0]
     budget = Budget(clock=lambda: now[0])

@@ -64,6 +64,27 @@ def test_where_nobody_answers_it_says_so() -> None:
         command(["--can", "can0"])
 
 
+def test_a_bus_that_needs_a_missing_package_is_not_searched(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import can
+
+    def opened(**_: object) -> None:
+        raise can.CanInterfaceNotImplementedError("msgpack not installed")
+
+    buses = [{"interface": "udp_multicast", "channel": channel} for channel in ("ff15::1", "239.74.163.2")]
+    monkeypatch.setattr("can.detect_available_configs", lambda: buses)
+    monkeypatch.setattr("serial.tools.list_ports.comports", list)
+    monkeypatch.setattr("can.Bus", opened)
+    assert command([]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["No drive answered.", "udp_multicast: not searched, Python package msgpack is missing"]
+    command(["--json"])
+    assert json.loads(capsys.readouterr().out)["not_searched"] == {"udp_multicast": "msgpack"}
+    with pytest.raises(DriveError, match="package msgpack is missing"):
+        command(["--can", "udp_multicast:239.74.163.2"])
+
+
 def test_links_of_this_machine_leave_out_what_is_no_bus() -> None:
     names = [link.text for link in links_of_this_machine(115200, 500_000, False)]
     assert len(names) == len(set(names))
