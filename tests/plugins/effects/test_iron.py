@@ -96,8 +96,8 @@ def _felt(v: Array, **values: float) -> Array:
     """The eddy current (n,) of a voltage without any other current, for a conductance of one."""
     nil = np.zeros((len(v), 2))
     signals = replace(readings(len(v)), v_ab=np.outer(v, [1.0, 0.0]), i_ab=nil, i_m_ab=nil)
-    out: Array = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, **values).i_m_ab[:, 0]
-    return out
+    eddy = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, **values).i_m_ab
+    return np.asarray(eddy[:, 0], dtype=np.float64)
 
 
 def test_spread_eddies_are_those_of_their_time_constants() -> None:
