@@ -134,7 +134,7 @@ def _verdict(setup: DiagnosisSetup, before: Fit, outcome: SearchOutcome) -> tupl
         why = f"nothing to learn here: {100 * share:.0f} % of the gain is by the segment {segment}; measure it again"
         return "nothing_to_learn", why
     if now - 1.0 > (1.0 - MIN_FALL) * (was - 1.0):
-        why = f"the held-out error falls from {number(was)} to {number(now)} times its noise, which is not by half"
+        why = f"the held-out error, {number(was)} times its noise, is {number(now)} times with the best law: not halved"
         return "no_law", why
     volts, floor = [mean_rms_v(fit, held_out) for fit in (before, outcome.fit)], noise_rms_v(outcome.fit, held_out)
     if volts[0] is not None and volts[1] is not None and volts[1] > max(volts[0], 1.2 * (floor or 0.0)):

@@ -25,7 +25,7 @@ from orchestrator.discovery.hypotheses import Hypothesis, term_of
 from orchestrator.discovery.law import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Line, Parameter, Table
 from orchestrator.discovery.places import READING, of_three_sensors
 from orchestrator.discovery.quantities import PHASE_CURRENT
-from orchestrator.discovery.ranking import Score
+from orchestrator.discovery.ranking import MAX_CHANGE_OF_RESISTANCE, Score, scales_voltage
 from orchestrator.discovery.writing import NamedLaw, source_of
 from orchestrator.numerics.types import Array
 from orchestrator.registry.plugins import load_effects_file
@@ -76,6 +76,12 @@ def error_of(fit: Fit) -> float:
     """rms of the held-out residual, in units of its noise; of the fitted one where nothing is held out."""
     chi2 = fit.chi2_of(held_out)
     return float(np.sqrt(fit.chi2_per_dof if chi2 is None else chi2))
+
+
+def keeps_scale(fitted: FittedLaw, before: Fit) -> bool:
+    """Whether a law leaves the equations their size; one of the voltage's gain may make all of them vanish."""
+    moved = abs(fitted.fit.model.r_s - before.model.r_s)
+    return not scales_voltage(fitted.hypothesis) or moved <= MAX_CHANGE_OF_RESISTANCE * abs(before.model.r_s)
 
 
 def fit_flexible(fitter: Fitter, fit: Fit, score: Score) -> FittedLaw:

@@ -22,6 +22,7 @@ from orchestrator.discovery.laws import (
     FittedLaw,
     fit_flexible,
     fit_law,
+    keeps_scale,
     line_of,
     score_of,
     table_of,
@@ -221,6 +222,9 @@ def _formed(
     for score in scores:
         tell(f"a curve: {score.hypothesis.key}")
         flexible.append(fit_flexible(setup.fitter, fit, score))
+    flexible = [f for f in flexible if keeps_scale(f, fit)]
+    if not flexible:
+        return None
     noise = max(1.0, min(f.chi2 for f in flexible))
     flexible.sort(key=lambda f: -f.log_evidence(noise))
     best = flexible[0]
@@ -228,7 +232,7 @@ def _formed(
     tied = flexible if best.chi2 > CLOSE_CHI2 else [f for f in flexible if _does_as_well(f, best, noise)]
     fitted = []
     for one in tied:
-        fitted += _in_forms(setup, fit, one, name, tell)
+        fitted += [f for f in _in_forms(setup, fit, one, name, tell) if keeps_scale(f, fit)]
     if not fitted:
         return None
     noise = max(1.0, min(f.chi2 for f in (*fitted, best)))

@@ -14,12 +14,13 @@ from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, LineBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
 from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns
-from orchestrator.discovery.laws import _over_true_current
+from orchestrator.discovery.laws import FittedLaw, _over_true_current, keeps_scale
 from orchestrator.discovery.ranking import Score, _solved
 from orchestrator.discovery.report import Constant
 from orchestrator.numerics.frames import to_phases
 from orchestrator.testing import exciting_signals
 from protocols import LossHistory, SignalBatch
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, many_holds, prepared
 
 TOP = 4.0
 
@@ -214,3 +215,15 @@ def test_hypotheses_that_differ_by_their_phase_alone_share_their_columns() -> No
     assert shared.of(other, batch) is columns
     assert shared.of(replace(one, place=at.READING), batch) is not columns
     assert shared.of(one, SignalBatch.of([exciting_signals()])) is not columns
+
+
+def test_a_law_that_makes_voltage_and_resistance_vanish_is_none() -> None:
+    """Without voltage, resistance and flux any current obeys the equations; a resistance may change otherwise."""
+    recording = prepared(many_holds())
+    before = fitter(recording).fit(free_model())
+    score = score_of(next(f for f in CURVES if f.parity == "none"), 0.3 * TOP, 1.0)
+    for r_s, kept in ((0.0, False), (1.01 * before.model.r_s, True)):
+        after = replace(before, model=replace(before.model, r_s=r_s))
+        gain = replace(score.hypothesis, place=at.VOLTAGE_GAIN)
+        assert keeps_scale(FittedLaw(None, gain, after), before) == kept
+        assert keeps_scale(FittedLaw(None, score.hypothesis, after), before)
