@@ -198,6 +198,23 @@ def fitting_forms(score: Score) -> list[FormFit]:
     return sorted(fits, key=lambda fit: fit.misfit + 2.0 * (fit.form.constants if fit.form else 2))
 
 
+def without_gauge(hypothesis: Hypothesis, x: Array, y: Array) -> Array:
+    """A curve without what R_s or the map take up: zero where its quantity is, or of no slope at its median.
+
+    A gain that all sensors have in common shows nowhere, but moves the map.
+    """
+    for gauge in _gauges(hypothesis, x):
+        if np.ptp(gauge) == 0.0:
+            return np.asarray(y - y[np.argmin(np.abs(x))])
+        at = np.flatnonzero(x)
+        slope = y[at] / x[at]
+        order = np.argsort(slope)
+        weight = np.cumsum(np.abs(x[at][order]))
+        # The slope that leaves the least sum of absolute values: of a corner, that before it.
+        return np.asarray(y - x * slope[order][np.searchsorted(weight, 0.5 * weight[-1])])
+    return y
+
+
 def _gauges(hypothesis: Hypothesis, grid: Array) -> list[Array]:
     """Functions that R_s or the map take up, whatever the law is."""
     name, everywhere = hypothesis.place.name, all(hypothesis.phases)

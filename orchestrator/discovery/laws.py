@@ -20,7 +20,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out
 from orchestrator.diagnosis.selection.scoring import log_evidence
 from orchestrator.discovery.bases import Basis, CurveBasis, LineBasis
-from orchestrator.discovery.forms import FormFit
+from orchestrator.discovery.forms import FormFit, without_gauge
 from orchestrator.discovery.hypotheses import Hypothesis, term_of
 from orchestrator.discovery.law import POWER_BOUNDS, WIDTH_OF_UNIT, Law, Line, Parameter, Table
 from orchestrator.discovery.places import READING, of_three_sensors
@@ -130,7 +130,7 @@ def table_of(score: Score) -> Table | None:
     if not isinstance(basis, CurveBasis):
         return None
     x = basis.grid(TABLE_POINTS)
-    y = basis.design(x) @ score.coefficients
+    y = without_gauge(score.hypothesis, x, basis.design(x) @ score.coefficients)
     top, size = float(np.abs(x).max()), float(np.abs(y).max())
     return Table(x / top, y / size, top, size, basis.parity) if size > 0.0 and top > 0.0 else None
 

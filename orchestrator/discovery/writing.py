@@ -99,6 +99,8 @@ def gauge_of(hypothesis: Hypothesis) -> str:
         return "Only the ratio of the voltage's gain to the current's shows: either may be the cause."
     if name in ("leg_voltage", "pulse_voltage") and everywhere and hypothesis.quantity.name == "phase_currents":
         return "A part in proportion to the current counts as R_s."
+    if name == "reading" and everywhere and hypothesis.quantity.name == "phase_currents":
+        return "A part in proportion to the current counts as R_s and map."
     if name == "resistance":
         return "A constant part counts as R_s."
     return ""

@@ -14,7 +14,7 @@ from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, LineBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
 from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns
-from orchestrator.discovery.laws import FittedLaw, _over_true_current, keeps_scale
+from orchestrator.discovery.laws import FittedLaw, _over_true_current, keeps_scale, table_of
 from orchestrator.discovery.ranking import Score, _solved
 from orchestrator.discovery.report import Constant
 from orchestrator.numerics.frames import to_phases
@@ -227,3 +227,19 @@ def test_a_law_that_makes_voltage_and_resistance_vanish_is_none() -> None:
         gain = replace(score.hypothesis, place=at.VOLTAGE_GAIN)
         assert keeps_scale(FittedLaw(None, gain, after), before) == kept
         assert keeps_scale(FittedLaw(None, score.hypothesis, after), before)
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.3, -0.2])
+def test_a_table_of_all_sensors_has_no_gain_in_common(gain: float) -> None:
+    """R_s and the map take up any, which no recording shows; of one sensor it is one, and stays."""
+    power = next(f for f in CURVES if f.parity == "odd" and f.has_power and f.power_name == "exponent")
+    basis = CurveBasis(0.0, TOP, 24, "odd", np.inf)
+    x = np.linspace(1e-3, TOP, 2000)
+    y = 0.03 * power.of(x, TOP, 6.0)
+    fitted = np.linalg.lstsq(basis.design(x), y + gain * x, rcond=None)[0]
+    for phases, left in ((ALL, 0.0), (A, gain)):
+        hypothesis = Hypothesis(at.READING, of.PHASE_CURRENT, phases, basis, 1.0)
+        table = table_of(Score(hypothesis, 0.0, 0.0, np.asarray(fitted), 1e-6 * np.eye(basis.size), 1.0, 1.0))
+        assert table is not None
+        slope = (table.size * table.y[8]) / (table.top * table.x[8])
+        assert slope == pytest.approx(left, abs=2e-3)
