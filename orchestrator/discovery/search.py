@@ -173,8 +173,13 @@ def _on_finer_map(setup: DiagnosisSetup, law: LearnedLaw, tell: Callable[[str], 
     finer = with_finest_map(setup, setup.fitter, best.fit)
     if finer is best.fit:
         return law
+    kept = replace(best, fit=finer)
+    kept = replace(kept, law=with_fitted_constants(kept))
     bare = setup.fitter.fit(finer.model.with_active(finer.model.active[:-1]), finer.linearisation)
-    return _formed(setup, bare, [law.flexible], best.term.name, tell) or law
+    anew = _formed(setup, bare, [law.flexible], best.term.name, tell)
+    if anew is not None and anew.best.chi2 < kept.chi2:
+        return anew
+    return replace(law, forms=(kept,))
 
 
 def _without_laws(setup: DiagnosisSetup, laws: Sequence[LearnedLaw]) -> Fit:

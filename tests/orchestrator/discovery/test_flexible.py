@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
 
-from orchestrator.discovery import FoundForm, cooled, fading_memory, form_values, lagged, play, slopes
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.discovery import FoundForm, cooled, fading_memory, form_values, lagged, play, search, slopes
 from orchestrator.discovery import places as at
 from orchestrator.discovery import quantities as of
 from orchestrator.discovery.bases import CurveBasis, HarmonicBasis, LineBasis, MemoryBasis
 from orchestrator.discovery.forms import CURVES, Form, fitting_forms
-from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns
+from orchestrator.discovery.hypotheses import ALL, A, Hypothesis, SharedColumns, term_of
 from orchestrator.discovery.laws import FittedLaw, _over_true_current, keeps_scale, table_of
 from orchestrator.discovery.ranking import Score, _solved
 from orchestrator.discovery.report import Constant
+from orchestrator.discovery.search import LearnedLaw
 from orchestrator.numerics.frames import to_phases
 from orchestrator.testing import exciting_signals
 from protocols import LossHistory, SignalBatch
@@ -243,3 +247,25 @@ def test_a_table_of_all_sensors_has_no_gain_in_common(gain: float) -> None:
         assert table is not None
         slope = (table.size * table.y[8]) / (table.top * table.x[8])
         assert slope == pytest.approx(left, abs=2e-3)
+
+
+@pytest.mark.parametrize(("chi2_anew", "kept"), [(39.0, True), (1.05, False)])
+def test_a_law_found_anew_on_a_finer_map_has_to_leave_less(
+    chi2_anew: float, kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = prepared(many_holds())
+    fitted = fitter(recording).fit(free_model())
+    score = score_of(next(f for f in CURVES if f.parity == "none"), 0.3 * TOP, 1.0)
+
+    def law(chi2: float) -> LearnedLaw:
+        fit = replace(fitted, chi2=chi2 * fitted.dof, model=fitted.model.with_active([term_of(score.hypothesis, zero)]))
+        return LearnedLaw(score, (FittedLaw(None, score.hypothesis, fit),), ())
+
+    zero = np.zeros(score.hypothesis.basis.size)
+    before, finer, anew = law(1.3), law(1.2).best.fit, law(chi2_anew)
+    monkeypatch.setattr(search, "with_finest_map", lambda *_: finer)
+    monkeypatch.setattr(search, "with_fitted_constants", lambda one: one.law)
+    monkeypatch.setattr(search, "_formed", lambda *_: anew)
+    setup = cast(DiagnosisSetup, SimpleNamespace(fitter=SimpleNamespace(fit=lambda *_: fitted)))
+    after = search._on_finer_map(setup, before, lambda _: None)
+    assert after.best.fit is (finer if kept else anew.best.fit)
