@@ -15,7 +15,8 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, MachineScale, scaled_library
-from orchestrator.diagnosis.fitting.fit import Fitter, fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import held_out
 from orchestrator.diagnosis.selection.scoring import log_evidence

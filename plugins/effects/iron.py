@@ -76,7 +76,7 @@ class EddyCurrents(BatchEffect):
         return Correction(i_m_ab=i_m_ab, v_ab=v_ab)
 
 
-EDDY_PATHS = np.arange(-4.0, 5.0)
+EDDY_PATHS = np.arange(-4.0, 4.0)
 """Paths of spread time constants, each with four times the time constant of the one before; 0 is the middle one."""
 
 

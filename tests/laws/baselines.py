@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, fit_baseline
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
-from orchestrator.diagnosis.fitting.fit import fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.discovery.bases import CurveBasis
 from orchestrator.discovery.hypotheses import PHASE_NAMES, Hypothesis, Ranges, SharedColumns, hypotheses, names

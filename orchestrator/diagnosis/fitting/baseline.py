@@ -253,7 +253,7 @@ def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
 def _fit_on_map(fitter: Fitter, model: Model, fit: Fit) -> Fit:
     """Fit a model that differs from a fit's only by its map."""
     # Free effects may have moved since the linearisation and change the current; without any, only map columns are new.
-    return fitter.fit(model, None if fit.model.free else fit.linearisation, steps=4, relinearisations=0)
+    return fitter.fit(model, None if fit.model.free else fit.linearisation, steps=2, relinearisations=0)
 
 
 def _widened_grid(fit: Fit) -> EvenSpline:

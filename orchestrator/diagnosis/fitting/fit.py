@@ -24,7 +24,7 @@ from orchestrator.diagnosis.fitting.columns import (
     probe_segments,
 )
 from orchestrator.diagnosis.fitting.equations import BatchState, WeakFormEquations
-from orchestrator.diagnosis.fitting.gauss_newton import MAX_STEP, MIN_STEP, STEP_FACTOR, frozen_steps
+from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import (
     BatchLinearisation,
     Fit,
@@ -40,15 +40,26 @@ from orchestrator.diagnosis.fitting.workers import Executor
 from orchestrator.diagnosis.weak_form.batches import RecordingBatches, SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.formatting.quantities import number, plural
 from protocols import ModelNoise
 
 MIN_GAIN: float = 0.2
 """Fall of the objective below which a step is not worth its evaluation: a tenth in log evidence."""
+OBJECTIVE_SLACK: float = 0.05
+"""Rise of the objective that rounding and a relinearised noise covariance explain."""
 MIN_RELINEARISATION_CHANGE: float = 1e-3
 """Relative change of chi2 below which relinearisation ends."""
-MIN_JOINT_GAIN: float = 2.0
-"""Fall of the objective below which a round with all effects ends; a round costs as much as a fit of one effect."""
+FIRST_DAMPING: float = 0.1
+"""Levenberg-Marquardt damping with which a failed step is tried again; it grows tenfold each time."""
+MIN_DAMPING: float = 2e-3
+"""Damping falls to a tenth after each good step, and to zero below this value."""
+MAX_DAMPING: float = 50.0
+"""Damping beyond which no further step is tried."""
+GOOD_REDUCTION_RATIO: float = 0.75
+"""Ratio of actual to predicted reduction of a damped step from which the next one may be damped less."""
+MIN_PREDICTED_REDUCTION: float = 2.0
+"""Predicted reduction below which a failed step is not tried again: one in log evidence."""
+MAX_RETURNS: int = 5
+"""Steps after a failed one in which a fit may come back to a curved valley further on."""
 FEW_COLUMNS: int = 6
 """Columns up to which all are renewed without a probe."""
 COLUMNS_PER_EVALUATION: int = 3
@@ -128,7 +139,7 @@ class Fitter:
         model: Model,
         linearisation: Linearisation | None = None,
         *,
-        steps: int = 16,
+        steps: int = 8,
         relinearisations: int = 2,
         tolerance: float = 1e-4,
     ) -> Fit:
@@ -139,7 +150,7 @@ class Fitter:
         linearisation : Linearisation, optional
             An earlier fit's; reused if it has the same map, else renewed as far as the map changes it.
         steps : int
-            Maximum number of times that the columns are renewed with one linearisation.
+            Maximum number of Gauss-Newton steps with one linearisation.
         relinearisations : int
             Maximum number of relinearisations.
         tolerance : float
@@ -152,28 +163,56 @@ class Fitter:
         best = self._descend(best, steps, tolerance)
         for _ in range(relinearisations):
             old = best
-            known = best if best.model.free else None
-            best = self._descend(self.relinearise(best.model, best.linearisation, known=known), steps, tolerance)
+            best = self._descend(self.relinearise(best.model, best.linearisation), steps, tolerance)
             if abs(best.chi2 - old.chi2) < MIN_RELINEARISATION_CHANGE * best.chi2:
                 break
         return best
 
     def _descend(self, best: Fit, steps: int, tolerance: float) -> Fit:
-        """At most so many times frozen steps, each with new columns."""
+        damping = 0.0
         for _ in range(steps if best.model.free else 0):
+            system = best.projected()
             min_gain = MIN_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
-            trial, _ = frozen_steps(best, self.with_columns_of, min_gain)
-            if trial is best:
+            predicted = newton_step(best, system, 0.0)[1]
+            if predicted < min_gain:
                 break
-            renewed = self.evaluate(trial.model, trial.linearisation, known=trial)
-            gain, best = best.objective - renewed.objective, renewed
+            first_damping = damping
+            while True:
+                move, damped_reduction = newton_step(best, system, damping)
+                trial = self.correct_step(self.evaluate(moved_by(best.model, move), best.linearisation), best.objective)
+                missed = trial.objective >= best.objective + OBJECTIVE_SLACK
+                if not missed or damping > MAX_DAMPING or predicted < MIN_PREDICTED_REDUCTION:
+                    break
+                damping = 10.0 * damping or FIRST_DAMPING
+            gain = best.objective - trial.objective
+            if gain > -OBJECTIVE_SLACK:
+                best = trial
             if gain < min_gain:
                 break
+            # A step that needed more damping is usually followed by one that does.
+            if damping == first_damping and gain > GOOD_REDUCTION_RATIO * damped_reduction:
+                damping = 0.1 * damping if damping > MIN_DAMPING else 0.0
         return best
 
-    def with_columns_of(self, model: Model, known: Fit) -> Fit:
-        """`evaluate` with all columns of a fit, which has the same parameters."""
-        return self.evaluate(model, known.linearisation, known=known, renew=False)
+    def correct_step(self, trial: Fit, wanted: float) -> Fit:
+        """Correct a failed trial step that has left a curved valley of the objective.
+
+        An effect's amplitude and shape lie along such a valley (a heating's size and its time constant), as do the
+        parameters of a flexible form. First only the amplitudes are refitted, in which the residual is nearly linear;
+        then full steps follow, while each one's predicted reduction reaches `wanted`.
+        """
+        sizes = np.array([name in active.candidate.amplitudes for active, name in trial.model.free])
+        for which in (sizes, *[None] * MAX_RETURNS):
+            if trial.objective < wanted:
+                break
+            move, predicted = newton_step(trial, trial.projected(), 0.0, which)
+            if which is None and trial.objective - predicted > wanted:
+                break
+            again = self.evaluate(moved_by(trial.model, move), trial.linearisation)
+            if again.objective >= trial.objective:
+                break
+            trial = again
+        return trial
 
     def linearise(self, model: Model) -> Linearisation:
         """Linearise at the model."""
@@ -321,51 +360,6 @@ class Fitter:
         The degrees of freedom of chi2 are those of a fit with the same free parameters.
         """
         return self.relinearise(model, held=True)
-
-
-def fit_with_frozen_jacobian(
-    fitter: Fitter, model: Model, *, rounds: int, tolerance: float, known: Fit | None = None
-) -> Fit:
-    """Fit many effects: columns and linearisation are renewed together, and a round that does not hold is undone.
-
-    Parameters
-    ----------
-    known : Fit, optional
-        Fit of a similar model, whose columns are reused where they have not changed.
-    rounds : int
-        Number of relinearisations, each with new columns.
-    tolerance : float
-        Fall of the objective in a round over the excess chi2, below which the fit ends.
-    """
-    radius = widest = MAX_STEP
-    if known is not None and known.model.space is not model.space:
-        known = None
-    # Slightly old columns do no harm; a linearisation older than its map leads away from the minimum.
-    best = fitter.relinearise(model, known.linearisation if known else None, known=known)
-    for _ in range(rounds if model.free else 0):
-        fitter.under_way(f"{plural(len(model.active), 'effect')} together: chi2 {number(best.chi2_per_dof)}")
-        min_gain = MIN_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
-        trial, radius = frozen_steps(best, fitter.with_columns_of, min_gain, min(radius, widest), widest)
-        if trial is best:
-            break
-        renewed = fitter.relinearise(trial.model, best.linearisation, known=trial)
-        gain = best.objective - renewed.objective
-        if gain < 0.0:
-            # The linearisation does not hold that far; repeating the steps would not help.
-            widest = STEP_FACTOR * min(radius, widest)
-            if widest < MIN_STEP:
-                break
-            continue
-        best = renewed
-        if gain < min_gain:
-            break
-    return best
-
-
-def trial_step(fitter: Fitter, model: Model, known: Fit) -> Fit:
-    """Improve a model similar to an earlier fit's with that fit's columns and linearisation."""
-    best = fitter.evaluate(model, known.linearisation, known=known)
-    return frozen_steps(best, fitter.with_columns_of, MIN_GAIN)[0]
 
 
 def _in_order(results: Sequence[tuple[BatchLinearisation, Sequence[SegmentRows]]]) -> list[SegmentRows]:

@@ -1,14 +1,12 @@
-"""Gauss-Newton steps of the free standardised parameters, within their bounds and a trust radius.
-
-Columns are frozen: they are reused for several steps while the predicted reductions are reached.
-"""
+"""One Gauss-Newton step of the free standardised parameters within their bounds."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, standardised
@@ -20,57 +18,38 @@ MAX_POWER_EXPONENT = 1.25
 """Largest exponent with which an amplitude follows a shape; at one their quotient stays constant."""
 
 
-MAX_STEP: float = 1.0
-"""Largest change of a shape in one step, in standard deviations of its prior."""
-GOOD_REDUCTION_RATIO: float = 0.5
-"""Ratio of actual to predicted reduction from which the next step reuses the columns and may be longer."""
-STEP_FACTOR: float = 0.3
-"""Factor on the step length after a step below that ratio."""
-MIN_STEP: float = 0.01
-"""Step length below which the descent ends, in standard deviations of the prior."""
+def newton_step(
+    fit: Fit, system: tuple[Array, Array], damping: float, which: NDArray[np.bool_] | None = None
+) -> tuple[Array, float]:
+    """Step of all free coordinates (or of some) with map and R_s eliminated, and its predicted reduction.
 
-
-def frozen_steps(
-    best: Fit,
-    evaluate: Callable[[Model, Fit], Fit],
-    min_gain: float,
-    radius: float = MAX_STEP,
-    widest: float = MAX_STEP,
-) -> tuple[Fit, float]:
-    """Steps with the columns of a fit while the predicted reductions are reached; the best fit, and the trust radius.
-
-    A column costs as much as the residual itself, and all effects together have dozens.
-
-    Parameters
-    ----------
-    evaluate : callable
-        The residual of a model, with the columns and the linearisation of a fit.
-    min_gain : float
-        Predicted fall of the objective below which no step is made.
+    Damping is Levenberg and Marquardt's (doi:10.1137/0111030), relative to each coordinate's curvature. A parameter
+    that would leave its bound is held there, and the others are solved for without it.
     """
-    while radius >= MIN_STEP:
-        move, predicted = bounded_step(best, best.projected(), radius)
-        if predicted < min_gain:
+    free = fit.model.free
+    x = np.array([a.standardised_value(n) for a, n in free])
+    normal, gradient = system
+    count = len(x)
+    slope = gradient[:count] + _prior_residuals(fit)
+    curvature = normal[:count, :count] + np.eye(count)
+    curvature += damping * np.diag(np.diag(curvature))
+    moving = np.flatnonzero(which) if which is not None else np.arange(count)
+    move = np.zeros(count)
+    while moving.size:
+        move[:] = 0.0
+        move[moving] = np.linalg.solve(curvature[np.ix_(moving, moving)], -slope[moving])
+        stuck = np.array([is_stuck(*free[k], float(x[k] + move[k])) for k in moving])
+        if not stuck.any():
             break
-        # Amplitudes are damped too: hysteresis loops do not scale with an amplitude.
-        part = min(radius, 1.0)
-        predicted *= part * (2.0 - part)
-        trial = evaluate(moved_by(best.model, part * move), best)
-        reduction_ratio = (best.objective - trial.objective) / predicted
-        if reduction_ratio > GOOD_REDUCTION_RATIO:
-            best, radius = trial, min(2.0 * radius, widest)
-            continue
-        radius *= STEP_FACTOR
-        if reduction_ratio > 0.0:
-            return trial, radius
-    return best, radius
+        moving = moving[~stuck]
+        move[:] = 0.0
+    return move, -float(slope @ move)
 
 
 def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[Array, float]:
     """Best step within the bounds, with shapes limited to a trust radius, and its predicted reduction.
 
-    Amplitudes, in which the residual is nearly linear, are not limited by the radius (bounded least squares;
-    P. B. Stark, R. L. Parker, Computational Statistics 10 (1995) 129).
+    Amplitudes, in which the residual is nearly linear, are not limited by the radius (bounded least squares).
     """
     free = fit.model.free
     x = np.array([a.standardised_value(n) for a, n in free])

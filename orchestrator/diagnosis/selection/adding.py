@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm, Library
-from orchestrator.diagnosis.fitting.fit import trial_step
+from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.contrasts import inseparable_from, separating_contrasts
 from orchestrator.diagnosis.selection.scoring import (
@@ -85,7 +85,7 @@ def added(state: SearchState, scored: Score) -> Fit:
     active = _best_start(state, scored).release(*scored.candidate.of_role(ParameterRole.SHAPE))
     others_fixed = [replace(a, free=a.candidate.amplitudes) for a in fit.model.active]
     model = fit.model.with_active([*others_fixed, active])
-    rough = state.fitter.fit(model, fit.linearisation, steps=8, relinearisations=0, tolerance=0.03)
+    rough = state.fitter.fit(model, fit.linearisation, steps=4, relinearisations=0, tolerance=0.03)
     released = [replace(a, free=b.free) for a, b in zip(rough.model.active, [*fit.model.active, active], strict=True)]
     return state.fitter.evaluate(rough.model.with_active(released), fit.linearisation) if others_fixed else rough
 
@@ -204,7 +204,7 @@ def _refit_all(state: SearchState, shortlist: Sequence[Score]) -> list[Fit]:
     if sum(trial.chi2 < near for trial in rough) < 2:
         return rough
     return [
-        state.fitter.fit(trial.model, trial.linearisation, steps=10, relinearisations=0) if trial.chi2 < near else trial
+        state.fitter.fit(trial.model, trial.linearisation, steps=5, relinearisations=0) if trial.chi2 < near else trial
         for trial in rough
     ]
 

@@ -18,7 +18,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     with_kink_switched,
 )
 from orchestrator.diagnosis.fitting.candidates import Library
-from orchestrator.diagnosis.fitting.fit import MIN_JOINT_GAIN, fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.chords import MIN_JOINT_GAIN, fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.nuisances.command_traces import command_traces
 from orchestrator.diagnosis.nuisances.quantiser_beside_fit import quantiser_beside

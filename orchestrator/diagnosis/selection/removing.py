@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import CandidateEffect, EffectTerm, standardised
-from orchestrator.diagnosis.fitting.fit import trial_step
+from orchestrator.diagnosis.fitting.chords import trial_step
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.judgement.intervals import certainty
 from orchestrator.diagnosis.selection.contrasts import separable

@@ -213,7 +213,7 @@ def result_of(state: SearchState, steps: Sequence[AcceptedModel]) -> SearchResul
     if state.is_joint and state.fit.model.active:
         return drop_confounded(state.fitter, build_ladder(state, steps))
     if not state.is_joint and state.fit.model.active:
-        fit = state.fitter.fit(state.fit.model, state.fit.linearisation, steps=16, relinearisations=3, tolerance=3e-4)
+        fit = state.fitter.fit(state.fit.model, state.fit.linearisation, steps=8, relinearisations=3, tolerance=3e-4)
         state = replace(state, fit=fit)
     return plain_ladder(state, steps)
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS
-from orchestrator.diagnosis.fitting.fit import Fitter, fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.judgement.contributions import Contribution
 from orchestrator.diagnosis.judgement.verdict import fitted_verdict
@@ -87,7 +88,7 @@ class SearchState:
         known = self.fit if known is None else known
         if self.is_joint:
             return fit_with_frozen_jacobian(self.fitter, model, rounds=rounds, tolerance=JOINT_TOLERANCE, known=known)
-        return self.fitter.fit(model, known.linearisation, steps=10, relinearisations=1, tolerance=1e-3)
+        return self.fitter.fit(model, known.linearisation, steps=5, relinearisations=1, tolerance=1e-3)
 
     def record(
         self,

@@ -12,8 +12,8 @@ from functools import partial
 from itertools import chain
 
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
-from orchestrator.diagnosis.fitting.fit import trial_step
-from orchestrator.diagnosis.fitting.gauss_newton import bounded_step
+from orchestrator.diagnosis.fitting.chords import trial_step
+from orchestrator.diagnosis.fitting.gauss_newton import newton_step
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
@@ -163,7 +163,7 @@ def _switch(state: SearchState, form: EffectTerm) -> SearchState | None:
             return None
     else:
         begun = fitter.evaluate(_with_form(fit.model, _release_refinements(form)), fit.linearisation)
-        if fit.objective - begun.objective + bounded_step(begun, begun.projected(), math.inf)[1] < 2.0 * tie:
+        if fit.objective - begun.objective + newton_step(begun, begun.projected(), 0.0)[1] < 2.0 * tie:
             return None
         model = _with_form(fit.model, form.release(*_wanted(begun, form)))
     trial = state.minimum(model)

@@ -183,7 +183,7 @@ def _value(parameters: dict[str, Any], name: str, absent: float) -> float:
 def _in_phase(parameters: dict[str, Any], omega: float) -> float:
     """Part of the stated conductance that is left in phase at a frequency, by the stated time constants."""
     lag, slower, faster = (_value(parameters, name, 0.0) for name in ("lag_s", "slower", "faster"))
-    step = np.arange(-4.0, 5.0)
+    step = np.arange(-4.0, 4.0)
     shares = np.where(step > 0.0, slower, faster) ** np.abs(step)
     return float(np.sum(shares / (1 + (omega * lag * 4.0**step) ** 2)) / shares.sum())
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, is_stuck, moved_by, reach
+from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, is_stuck, moved_by, newton_step, reach
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.resistance import WindingHeating
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -23,10 +23,17 @@ def maker() -> Fitter:
 def test_one_step_brings_what_is_linear_to_its_end_and_keeps_its_promise(maker: Fitter) -> None:
     model = with_free(free_model(), maker, VoltageBias())
     fit = maker.evaluate(model, maker.linearise(model))
-    move, promised = bounded_step(fit, fit.projected(), 1.0)
+    move, promised = newton_step(fit, fit.projected(), 0.0)
     after = maker.evaluate(moved_by(fit.model, move), fit.linearisation)
     assert fit.objective - after.objective == pytest.approx(promised, rel=1e-3)
-    assert bounded_step(after, after.projected(), 1.0)[1] < 1e-4 * promised
+    assert newton_step(after, after.projected(), 0.0)[1] < 1e-4 * promised
+
+
+def test_damping_shortens_the_step(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    fit = maker.evaluate(model, maker.linearise(model))
+    lengths = [float(np.linalg.norm(newton_step(fit, fit.projected(), damping)[0])) for damping in (0.0, 1.0, 10.0)]
+    assert lengths[0] > lengths[1] > lengths[2] > 0.0
 
 
 def test_a_parameter_at_its_bound_stays_and_the_others_move_as_if_it_were_fixed(maker: Fitter) -> None:
@@ -38,9 +45,8 @@ def test_a_parameter_at_its_bound_stays_and_the_others_move_as_if_it_were_fixed(
     own, right = fit.projected()
     right = right.copy()
     right[1] = 1e9  # drawn beyond the bound
-    move, _ = bounded_step(fit, (own, right), 1.0)
-    # The solver needs an interval, of 1e-12 standard deviations of the prior.
-    assert abs(move[1]) <= 1e-12
+    move, _ = newton_step(fit, (own, right), 0.0)
+    assert move[1] == 0.0
     alone = -(right[0] + at_bound.standardised_value("bias_a_v")) / (own[0, 0] + 1.0)
     assert move[0] == pytest.approx(alone)
 
@@ -54,6 +60,15 @@ def test_no_step_leaves_the_bounds(maker: Fitter, size: float) -> None:
         assert p.low <= moved.values[name] <= p.high
         assert is_stuck(moved, name, moved.standardised_value(name) + np.sign(size))
         assert not is_stuck(moved, name, moved.standardised_value(name) - np.sign(size))
+
+
+def test_a_bounded_step_without_shapes_is_the_whole_step(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    fit = maker.evaluate(model, maker.linearise(model))
+    move, promised = bounded_step(fit, fit.projected(), 0.1)
+    whole, same = newton_step(fit, fit.projected(), 0.0)
+    np.testing.assert_allclose(move, whole, rtol=1e-6, atol=1e-9 * np.abs(whole).max())
+    assert promised == pytest.approx(same, rel=1e-6)
 
 
 def test_no_shape_moves_further_than_the_radius_and_less_is_promised(maker: Fitter) -> None:

@@ -16,8 +16,9 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.chords import fit_with_frozen_jacobian
 from orchestrator.diagnosis.fitting.columns import probe_segments
-from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS, Fitter, fit_with_frozen_jacobian
+from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.fitting.workers import MAX_WORKERS, Executor, executor_of, workers_here
 from orchestrator.diagnosis.weak_form.batches import in_batches
