@@ -91,12 +91,12 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
     else:
         _print_line(f"{path} is a motor with something hidden in it, or nothing. How far the model without it is off:")
         _print_line(f"  fluxbench compare {path}")
-        _print_line("What is hidden, and its size:")
-        _print_line(f"  fluxbench diagnose {path}")
         _print_line("Guess, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
-        _print_line("A size may follow a name (NAME=800mV, or a number in SI); --reveal prints what is hidden.")
+        _print_line("A size may follow a name (NAME=800mV, or a number in SI).")
+        _print_line("What the diagnosis finds, which gives most of it away; --reveal prints what is hidden:")
+        _print_line(f"  fluxbench diagnose {path}")
     return 0
 
 

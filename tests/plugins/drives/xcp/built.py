@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -70,15 +71,28 @@ def build(folder: Path, watchdog_ticks: int = WATCHDOG_TICKS) -> Program:
     return Program(program, int(address, 16))
 
 
+def _has_ended_or_lights(process: subprocess.Popen[bytes], lamp: Path) -> bool:
+    return process.poll() is not None or (lamp.exists() and lamp.read_text() == "0")
+
+
+def _listening(program: Program, lamp: Path, protocol: str) -> tuple[subprocess.Popen[bytes], int]:
+    """The process and its port; another one, where something else took the port in the meantime."""
+    for _ in range(3):
+        port = free_port()
+        process = subprocess.Popen([str(program.path), protocol, str(port), str(lamp)])
+        wait_until(partial(_has_ended_or_lights, process, lamp))
+        if process.poll() is None:
+            return process, port
+    raise AssertionError(f"{program.path} does not listen")
+
+
 @contextmanager
 def running(program: Program, folder: Path, protocol: Literal["udp", "tcp"] = "tcp") -> Iterator[Ecu]:
     """The ECU as a process, listening at the loopback address."""
-    port, lamp = free_port(), folder / "lamp"
-    process = subprocess.Popen([str(program.path), protocol, str(port), str(lamp)])
+    lamp = folder / "lamp"
+    process, port = _listening(program, lamp, protocol)
     options = XcpOptions(port=port, protocol=protocol, address=program.address, timeout_s=TIMEOUT_S)
     try:
-        wait_until(lambda: process.poll() is not None or (lamp.exists() and lamp.read_text() == "0"))
-        assert process.poll() is None
         yield Ecu(process, options, lamp)
     finally:
         for number in (signal.SIGCONT, signal.SIGTERM):
