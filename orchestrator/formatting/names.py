@@ -21,7 +21,14 @@ MAP_QUANTITIES = {
 """A flux map's variables: symbol, and the unit in which they are shown."""
 _PARAMETER_UNITS = ("_a", "_v", "_s", "_hz", "_ohm", "_rad", "_wb", "_per_watt", "_per_a2")
 
-_PARAMETER_MEANINGS = {"threshold_a": "current below which it fades"}
+_PARAMETER_MEANINGS = {
+    "threshold_a": "current below which it fades",
+    "rad_per_nm": "twist by torque",
+    "square_per_a": "square term",
+    "cubic_per_a2": "cubic term",
+    "per_watt": "change by power",
+    "per_k": "change by temperature",
+}
 """Parameters whose names alone do not say what they are of."""
 
 

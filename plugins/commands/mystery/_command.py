@@ -62,7 +62,10 @@ def mystery(
         _print_hidden(hidden)
         for name, parameters in caused_effects(path).items():
             sizes = ", ".join(_in_words(name, key, value) for key, value in parameters.items())
-            _print_line(f"{name}: not hidden; the run itself caused it: {sizes}")
+            if name in hidden:
+                _print_line(f"{name}: with what the run itself caused, the recording has {sizes}")
+            else:
+                _print_line(f"{name}: not hidden; the run itself caused it: {sizes}")
     return 0
 
 

@@ -25,8 +25,8 @@ def test_slots_that_are_filled_come_in_their_order() -> None:
         ("rise_per_watt", "rise"),
         ("corner_hz", "corner"),
         ("gain_a_minus_b", "gain a minus b"),
-        ("per_watt", "per watt"),
-        ("rad_per_nm", "rad per nm"),
+        ("per_watt", "change by power"),
+        ("rad_per_nm", "twist by torque"),
         ("leg_a_longer", "leg a longer"),
     ],
 )

@@ -108,6 +108,11 @@ def test_reveal_tells_too_what_the_run_itself_caused(
     monkeypatch.setattr("plugins.commands.mystery._guessing.caused_effects", lambda _: turned)
     reported = verdict_on(capsys, run, "--reveal")
     assert "rotor_misalignment: not hidden; the run itself caused it: angle 20 mrad" in reported
+    hidden = {"rotor_misalignment": {"angle_rad": 0.018}}
+    monkeypatch.setattr("plugins.commands.mystery._guessing.sealed_effects", lambda _: hidden)
+    assert "rotor_misalignment: with what the run itself caused, the recording has angle 20 mrad" in verdict_on(
+        capsys, run, "--reveal"
+    )
 
 
 def test_a_run_that_a_fault_ended_says_how_to_go_on(
