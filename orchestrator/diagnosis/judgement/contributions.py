@@ -70,11 +70,37 @@ def excitation_v(fit: Fit) -> float:
 
 
 def left_of_excitation(fit: Fit) -> float:
-    """Residual beyond noise over the rms voltage: the largest of holds, sweeps, means under injection, ripple."""
-    volts, residual = _by_kind(fit, _voltages(fit)), _by_kind(fit, fit.volts)
-    chi = _by_kind(fit, fit.residual)
+    """Residual beyond noise over the rms voltage: the largest of holds, sweeps, means under injection, ripple.
+
+    In held-out stages the uncertainty of R_s and the map counts as noise: between points the map is interpolated.
+    """
+    sigmas = _prediction_sigmas(fit)
+    volts = _by_kind(fit, _voltages(fit))
+    residual = _by_kind(fit, [v / sigma for v, sigma in zip(fit.volts, sigmas, strict=True)])
+    chi = _by_kind(fit, [e / sigma for e, sigma in zip(fit.residual, sigmas, strict=True)])
     beyond = {k: rms * math.sqrt(max(1.0 - 1.0 / chi[k] ** 2, 0.0)) for k, rms in residual.items() if chi[k] > 0.0}
     return max((beyond[kind] / volts[kind] for kind in beyond if volts[kind] > 0.0), default=0.0)
+
+
+def held_out_covariance(fit: Fit) -> dict[int, Array]:
+    """Covariance (rows, rows) of each held-out segment's residual by noise, R_s and the map; by the segment's index.
+
+    The map's uncertainty matters between points and at its edge, where the smoothness prior determines it.
+    """
+    pieces = zip(fit.prepared.pieces, fit.resistance, fit.linearisation.pieces, strict=True)
+    columns = {k: np.column_stack([r, x.white_basis]) for k, (p, r, x) in enumerate(pieces) if p.held_out}
+    if not columns:
+        return {}
+    covariance = np.linalg.inv(fit.normal)
+    return {k: np.asarray(np.eye(len(c)) + c @ covariance @ c.T) for k, c in columns.items()}
+
+
+def _prediction_sigmas(fit: Fit) -> list[Array]:
+    """Standard deviation of each segment's residuals over that by noise alone, shape (rows,) each."""
+    covariances = held_out_covariance(fit)
+    return [
+        np.sqrt(np.diag(covariances[k])) if k in covariances else np.ones(len(e)) for k, e in enumerate(fit.residual)
+    ]
 
 
 def gates_off_error(fit: Fit) -> dict[str, float | None]:

@@ -10,7 +10,12 @@ import numpy as np
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import EffectTerm
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.judgement.contributions import excitation_v, gates_off_error, left_of_excitation
+from orchestrator.diagnosis.judgement.contributions import (
+    excitation_v,
+    gates_off_error,
+    held_out_covariance,
+    left_of_excitation,
+)
 from orchestrator.diagnosis.judgement.form_mixture import FormMixture
 from orchestrator.diagnosis.judgement.judge import jointly_implausible, judge, residual_fraction
 from orchestrator.diagnosis.nuisances.segment_scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
@@ -123,17 +128,10 @@ def _widths(active: EffectTerm, names: Iterable[str]) -> float:
 
 
 def held_out_chi2(fit: Fit) -> float | None:
-    """Mean square of the held-out residual over noise and the uncertainty of R_s and the map; None without any.
-
-    The uncertainty matters at the map's edge, where only the smoothness prior determines a held-out point.
-    """
-    covariance = np.linalg.inv(fit.normal)
+    """Mean square of the held-out residual over noise and the uncertainty of R_s and the map; None without any."""
     squares, rows = 0.0, 0
-    for piece, linearisation, r, e in zip(
-        fit.prepared.pieces, fit.linearisation.pieces, fit.resistance, fit.residual, strict=True
-    ):
-        if piece.held_out:
-            columns = np.column_stack([r, linearisation.white_basis])
-            squares += float(e @ np.linalg.solve(np.eye(len(e)) + columns @ covariance @ columns.T, e))
-            rows += len(e)
+    for k, covariance in held_out_covariance(fit).items():
+        e = fit.residual[k]
+        squares += float(e @ np.linalg.solve(covariance, e))
+        rows += len(e)
     return squares / rows if rows else None

@@ -76,8 +76,10 @@ def smoothness_prior(grid: EvenSpline, inductance_h: float, current_a: float, st
         jumps = np.zeros(grid.functions)
         jumps[:, -1] = 12.0 / grid.steps[1] ** 3 / (KINK_STRENGTH * strength * inductance_h / current_a)
         blocks.append(np.diag(jumps.reshape(-1))[jumps.reshape(-1) > 0.0])
-    # A constant of W has no effect and is held near zero.
-    blocks.append(np.eye(grid.size) / (1e3 * inductance_h * current_a**2))
+    energy_j = inductance_h * current_a**2
+    blocks.append(np.eye(grid.size) / (1e3 * energy_j))
+    # A constant of W has no effect: held near zero, as a free one would make the normal matrix singular.
+    blocks.append(np.ones((1, grid.size)) / (1e-3 * grid.size * energy_j))
     return np.asarray(np.concatenate(blocks), dtype=np.float64)
 
 
