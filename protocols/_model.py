@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from protocols._base import Strict
 from protocols._motor import Motor, Positive
@@ -72,8 +72,13 @@ class CoEnergySpline(Strict):
     i_q = 0; none without."""
     measured_hull_a: tuple[tuple[float, float], ...] = ()
     """Corners (i_d, i_q) of what was measured, counterclockwise; elsewhere the map is a continuation."""
-    roughness: Positive = 1.0
-    """How much rougher than usual the map was let be when it was fitted."""
+    roughness: tuple[tuple[Positive, ...], ...] = ((1.0,),)
+    """How much rougher than usual the map was let be when it was fitted: rows along i_d, from i_q = 0 outwards."""
+
+    @field_validator("roughness", mode="before")
+    @classmethod
+    def _same_everywhere(cls, value: object) -> object:
+        return ((value,),) if isinstance(value, int | float) else value
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> CoEnergySpline:

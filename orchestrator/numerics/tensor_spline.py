@@ -171,6 +171,17 @@ class EvenSpline:
             blocks.append(np.asarray(math.sqrt(math.comb(order, along_y)) * np.kron(first, second), dtype=np.float64))
         return blocks
 
+    def difference_places(self, order: int) -> Array:
+        """Places of the rows of `differences`, shape (rows, 2), both from 0 to 1: along x, and from y = 0 outwards."""
+        nx, full, places = self.functions[0], len(self.fold), []
+        for along_y in range(order + 1):
+            along_x = order - along_y
+            if nx > along_x and full > along_y:
+                x = np.linspace(0.0, 1.0, nx - along_x) if nx > along_x + 1 else np.full(1, 0.5)
+                y = np.abs(np.linspace(-1.0, 1.0, full - along_y)) if full > along_y + 1 else np.zeros(1)
+                places.append(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2))
+        return np.concatenate(places)
+
     @cached_property
     def roughness(self) -> Array:
         """Matrix (size, size) of the integral of all squared fifth derivatives, in units of the half ranges.

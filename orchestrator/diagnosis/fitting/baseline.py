@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATI
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
+from orchestrator.diagnosis.fitting.roughness import estimated_roughness
 from orchestrator.diagnosis.fitting.workers import Executor
 from orchestrator.diagnosis.nuisances.pwm_quantiser import QuantiserEstimate, with_quantiser
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
@@ -62,6 +63,10 @@ UNKNOWN_MAGNET_STD: float = 10.0
 """Standard deviation of the magnet flux where the nameplate has none, relative to L I; machines have up to 10."""
 GIVEN_MAP_STD: float = 1e-4
 """Standard deviation of a given map's fluxes for its spline fit, relative to L I."""
+
+
+USUAL: Array = np.ones((1, 1))
+"""The usual roughness of a map, the same everywhere."""
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ class DiagnosisSetup:
 
 
 def map_space(
-    setup: DiagnosisSetup, baseline: Baseline, grid: EvenSpline, coefficients: Array, roughness: float = 1.0
+    setup: DiagnosisSetup, baseline: Baseline, grid: EvenSpline, coefficients: Array, roughness: Array = USUAL
 ) -> MapSpace:
     """The space of maps for a fit from this baseline.
 
@@ -126,8 +131,8 @@ def map_space(
     ----------
     coefficients : array, shape (grid.size,)
         The map's present coefficients, at which a given map is held.
-    roughness : float
-        Roughness of a free map, relative to the usual one.
+    roughness : array, shape (m, n)
+        Of a free map, as in `MapSpace`.
     """
     if isinstance(baseline, GivenMap):
         return _held(grid, coefficients)
@@ -158,9 +163,9 @@ def _separable(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
     return MapSpace(grid, np.zeros(grid.size), directions, prior)
 
 
-def _free(setup: DiagnosisSetup, grid: EvenSpline, roughness: float = 1.0) -> MapSpace:
-    strength = roughness * setup.criteria.roughness
-    smooth = smoothness_prior(grid, math.sqrt(setup.l_d_h * setup.l_q_h), setup.current_a, strength)
+def _free(setup: DiagnosisSetup, grid: EvenSpline, roughness: Array = USUAL) -> MapSpace:
+    inductance_h, strength = math.sqrt(setup.l_d_h * setup.l_q_h), setup.criteria.roughness
+    smooth = smoothness_prior(grid, inductance_h, setup.current_a, strength, roughness)
     prior = np.concatenate([smooth, magnet_prior(grid, _magnet_std_wb(setup))])
     known = inductances_at_rest(setup.prepared.fleet, grid)
     if known is None:
@@ -222,7 +227,7 @@ def fit_baseline(setup: DiagnosisSetup) -> Fit:
     fit = setup.fitter.fit(part.model, relinearisations=0)
     # A large misfit is a missing effect; the resolution is reconsidered when the effects are known.
     worth_it = LEAST_CHI2_FOR_FINER_MAP < fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP
-    return with_finest_map(setup, setup.fitter, fit) if worth_it else fit
+    return with_finest_map(setup, setup.fitter, fit) if worth_it else with_local_roughness(setup, setup.fitter, fit)
 
 
 def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
@@ -236,7 +241,8 @@ def with_finest_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
         return fit
     smooth = _refine_further(setup, fitter, fit)
     kinked = _refined_with_kink(setup, fitter, fit) if smooth.chi2_per_dof > LEAST_CHI2_FOR_KINK else None
-    return kinked if kinked is not None and _removes_much(kinked, smooth) else smooth
+    best = smooth if kinked is None else max(smooth, kinked, key=map_log_evidence)
+    return with_local_roughness(setup, fitter, best)
 
 
 def widened_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
@@ -278,17 +284,17 @@ def is_finer_map_justified(trial: Fit, fit: Fit) -> bool:
 def has_fine_grid(fit: Fit) -> bool:
     """Whether a fit's free map is finer or rougher than the usual ones."""
     space = fit.model.space
-    usual = max(space.grid.cells) <= fit.criteria.fitting.intervals[-1] and space.roughness <= 1.0
+    usual = max(space.grid.cells) <= fit.criteria.fitting.intervals[-1] and bool(np.all(space.roughness <= 1.0))
     return space.is_free and not usual
 
 
 def on_usual_grid(setup: DiagnosisSetup, fit: Fit) -> Model:
     """The model of a fit on the finest of the usual maps, with a kink where it has one."""
     intervals = setup.criteria.intervals[-1]
-    return _on_grid(setup, fit, replace(fit.model.space.grid, cells=(intervals, intervals)), 1.0)
+    return _on_grid(setup, fit, replace(fit.model.space.grid, cells=(intervals, intervals)), USUAL)
 
 
-def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float) -> Model:
+def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: Array) -> Model:
     return replace(fit.model, space=_free(setup, grid, roughness), magnetics=fit.model.magnetics.on(grid))
 
 
@@ -300,11 +306,28 @@ def _removes_much(finer: Fit, fit: Fit) -> bool:
 def _refine_further(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """Refit on maps that are finer along one axis, or rougher, while one removes enough of the excess chi2."""
     while fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP:
-        trials = [trial for grid, r in _finer_grids(setup, fit) if (trial := finer_map(setup, fitter, fit, grid, r))]
+        rough = fit.model.space.roughness
+        finer = [(grid, rough) for grid in _finer_grids(setup, fit)]
+        finer.append((fit.model.space.grid, np.minimum(MAX_ROUGHNESS_STEP * rough, MAX_ROUGHNESS_FACTOR)))
+        trials = [trial for grid, r in finer if (trial := finer_map(setup, fitter, fit, grid, r))]
         better = [trial for trial in trials if _removes_much(trial, fit)]
         if not better:
             break
         fit = max(better, key=map_log_evidence)
+    return fit
+
+
+def with_local_roughness(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+    """Refit a fine map as rough as it is from place to place, and on finer grids while its evidence grows by them."""
+    if not has_fine_grid(fit):
+        return fit
+    grids, roughness = [fit.model.space.grid], estimated_roughness(fit)
+    while grids:
+        trials = [_fit_on_map(fitter, _on_grid(setup, fit, grid, roughness), fit) for grid in grids]
+        best = max(trials, key=map_log_evidence)
+        if map_log_evidence(best) <= map_log_evidence(fit):
+            break
+        fit, grids = best, _finer_grids(setup, best)
     return fit
 
 
@@ -336,16 +359,12 @@ def map_log_evidence(fit: Fit) -> float:
     return -0.5 * (fit.objective + float(np.linalg.slogdet(fit.normal)[1]) - log_det_prior)
 
 
-def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[EvenSpline, float]]:
-    """Grid and roughness of the maps that are one step finer or rougher."""
-    limits, space = setup.criteria, fit.model.space
-    d, q = space.grid.cells
-    finer = [next((n for n in limits.sharper_intervals if n > present), present) for present in (d, q)]
-    for cells in (finer[0], q), (d, finer[1]):
-        grid = replace(space.grid, cells=cells)
-        if grid.size <= limits.most_map_numbers:
-            yield grid, space.roughness
-    yield space.grid, min(MAX_ROUGHNESS_STEP * space.roughness, MAX_ROUGHNESS_FACTOR)
+def _finer_grids(setup: DiagnosisSetup, fit: Fit) -> list[EvenSpline]:
+    """Grids that are one step finer along one axis."""
+    limits, grid = setup.criteria, fit.model.space.grid
+    d, q = (next((n for n in limits.sharper_intervals if n > present), present) for present in grid.cells)
+    finer = [replace(grid, cells=cells) for cells in ((d, grid.cells[1]), (grid.cells[0], q)) if cells != grid.cells]
+    return [trial for trial in finer if trial.size <= limits.most_map_numbers]
 
 
 def _excess_chi2(fit: Fit) -> float:
@@ -353,19 +372,21 @@ def _excess_chi2(fit: Fit) -> float:
     return fit.chi2_per_dof - 1.0
 
 
-def finer_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, grid: EvenSpline, roughness: float = 1.0) -> Fit | None:
+def finer_map(
+    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, grid: EvenSpline, roughness: Array = USUAL
+) -> Fit | None:
     """Refit on a finer or rougher map; None where its gain does not justify it, or it is neither.
 
     Parameters
     ----------
     grid : EvenSpline
         Of the finer map; with a kink where the present one has it.
-    roughness : float
+    roughness : array, shape (m, n)
         As in `MapSpace`.
     """
     space = fit.model.space
     is_finer = any(n > present for n, present in zip(grid.cells, space.grid.cells, strict=True))
-    if not (is_finer or roughness > space.roughness or (grid.kink and not space.grid.kink)):
+    if not (is_finer or np.any(roughness > space.roughness) or (grid.kink and not space.grid.kink)):
         return None
     trial = _fit_on_map(fitter, _on_grid(setup, fit, grid, roughness), fit)
     return trial if is_finer_map_justified(trial, fit) else None

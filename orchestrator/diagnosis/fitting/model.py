@@ -35,15 +35,15 @@ class MapSpace:
     directions : array, shape (coefficients, free)
     prior : array, shape (rows, free)
         Rows of a unit-variance prior on the free numbers.
-    roughness : float
-        Roughness that the prior allows, relative to the usual one.
+    roughness : array, shape (m, n)
+        Roughness that the prior allows, relative to the usual one, at m nodes along i_d by n from i_q = 0 outwards.
     """
 
     grid: EvenSpline
     origin: Array
     directions: Array
     prior: Array
-    roughness: float = 1.0
+    roughness: Array = field(default_factory=lambda: np.ones((1, 1)))
 
     @cached_property
     def is_free(self) -> bool:

@@ -45,8 +45,8 @@ def solved(
     total[0, 0] += believed
     right[0] -= believed * nominal
     # The equations are relative to the model's coefficients, the prior to the space's origin.
-    free_numbers = _free_numbers(space, model.magnetics.coefficients)
-    right[1:] += space.prior.T @ (space.prior @ free_numbers)
+    free = free_coefficients(space, model.magnetics.coefficients)
+    right[1:] += space.prior.T @ (space.prior @ free)
     solution = np.append(model.r_s, np.zeros(width - 1)) if held else -np.linalg.solve(total, right)
     effective = float(np.trace(np.linalg.solve(total, normal)))
     r_s, change = float(solution[0]), solution[1:]
@@ -62,7 +62,7 @@ def solved(
     chi2 = float(sum(e @ e for e in training))
     log_det = sum(f.whitener.log_det for p, f in zip(pieces, linearisation.pieces, strict=True) if not p.held_out)
     priors = sum(a.prior_residual(n) ** 2 for a, n in model.free)
-    rough = space.prior @ (free_numbers + change)
+    rough = space.prior @ (free + change)
     return Fit(
         model=fitted,
         linearisation=linearisation,
@@ -80,7 +80,7 @@ def solved(
     )
 
 
-def _free_numbers(space: MapSpace, coefficients: Array) -> Array:
+def free_coefficients(space: MapSpace, coefficients: Array) -> Array:
     if space.directions.shape[1] == 0:
         return np.zeros(0)
     if space.is_free:

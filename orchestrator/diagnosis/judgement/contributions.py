@@ -91,8 +91,12 @@ def held_out_covariance(fit: Fit) -> dict[int, Array]:
     columns = {k: np.column_stack([r, x.white_basis]) for k, (p, r, x) in enumerate(pieces) if p.held_out}
     if not columns:
         return {}
-    covariance = np.linalg.inv(fit.normal)
-    return {k: np.asarray(np.eye(len(c)) + c @ covariance @ c.T) for k, c in columns.items()}
+    size = np.sqrt(np.diag(fit.normal))
+    information, turn = np.linalg.eigh(fit.normal / np.outer(size, size))
+    # A direction that nothing determines has an eigenvalue of rounding errors, of either sign.
+    certain = np.sqrt(np.maximum(information, np.finfo(float).eps * information[-1]))
+    roots = {k: (c / size) @ (turn / certain) for k, c in columns.items()}
+    return {k: np.asarray(np.eye(len(root)) + root @ root.T) for k, root in roots.items()}
 
 
 def _prediction_sigmas(fit: Fit) -> list[Array]:

@@ -55,7 +55,7 @@ def kept_model(
             coefficients_j=tuple(float(c) for c in table[:, : table.shape[1] - grid.kink].reshape(-1)),
             kink_j=tuple(float(c) for c in table[:, -1]) if grid.kink else (),
             measured_hull_a=measured_hull(fit.prepared.pieces),
-            roughness=fit.model.space.roughness,
+            roughness=tuple(tuple(row) for row in fit.model.space.roughness.tolist()),
         ),
         effects=tuple(_kept_effect(active, reports[active.name]) for active in fit.model.active),
         ladder=tuple(ladder),
@@ -117,7 +117,8 @@ def restored(
         If an effect of the model is not installed, or has other parameters.
     """
     magnetics = magnetics_of(kept.magnetics)
-    space = map_space(setup, baseline, magnetics.grid, magnetics.coefficients, kept.magnetics.roughness)
+    roughness = np.array(kept.magnetics.roughness)
+    space = map_space(setup, baseline, magnetics.grid, magnetics.coefficients, roughness)
     return Model(space, magnetics, kept.r_s_ohm, tuple(term_of(effect, library) for effect in kept.effects))
 
 

@@ -131,8 +131,7 @@ def _moves(state: SearchState, library: Library) -> Iterator[Move]:
     everything = gain_of_all(view) if is_open else 0.0
     few = len(state.fit.model.active) < FEW_EFFECTS
     waiting = [m for m in cheap if is_open and m.kind == "add" and (not few or m.gain < MIN_SHARE_OF_ALL * everything)]
-    excess = state.fit.chi2 - state.fit.dof
-    if is_open and few and state.is_part and all(m.gain < MIN_SHARE_OF_ALL * excess for m in cheap):
+    if is_open and few and state.is_part:
         yield from first_map_moves(state, next((m for m in cheap if m not in waiting), None))
     yield from (m for m in cheap if m not in waiting)
     if not state.is_explained:

@@ -62,15 +62,39 @@ def linear_magnetics(grid: EvenSpline, l_d_h: float, l_q_h: float) -> Magnetics:
     return Magnetics(grid, 0.5 * l_d_h * d_squared + 0.5 * l_q_h * q_squared)
 
 
-def smoothness_prior(grid: EvenSpline, inductance_h: float, current_a: float, strength: float) -> Array:
+ORDER_OF_SMOOTHNESS: int = 4
+"""Order of the derivatives of W that the smoothness prior holds small."""
+
+
+def shares_of_nodes(places: Array, nodes: tuple[int, ...]) -> Array:
+    """Share of each of (m, n) nodes in places (p, 2) from 0 to 1, shape (p, m n); by bilinear interpolation."""
+    along = []
+    for x, count in zip(places.T, nodes, strict=True):
+        distance = np.abs(x[:, None] * (count - 1) - np.arange(count))
+        along.append(np.maximum(1.0 - distance, 0.0))
+    return np.asarray(np.einsum("pm,pn->pmn", *along).reshape(len(places), -1))
+
+
+def smoothness_prior(
+    grid: EvenSpline, inductance_h: float, current_a: float, strength: float, roughness: Array | None = None
+) -> Array:
     """Rows of a weak prior on fourth derivatives of W, each with unit variance, shape (rows, grid.size).
 
     It extrapolates the map smoothly where no current was measured. The standard deviation of a fourth derivative is
-    `strength` * L / I^2: saturation commonly changes L by as much as L over the range I.
+    `strength` * L / I^2: saturation commonly changes L by as much as L over the range I. Rows of derivatives come
+    first, in the order of `EvenSpline.differences`.
+
+    Parameters
+    ----------
+    roughness : array, shape (m, n), optional
+        Factors of the standard deviation at m nodes along i_d by n from i_q = 0 outwards, geometric means in between.
     """
     sigma = strength * inductance_h / current_a**2
     # The information of 25 independent derivatives of each kind, for any grid.
-    blocks = [rows / (sigma * max(math.sqrt(len(rows) / 25.0), 1.0)) for rows in grid.differences(4)]
+    blocks = [rows / (sigma * max(math.sqrt(len(rows) / 25.0), 1.0)) for rows in grid.differences(ORDER_OF_SMOOTHNESS)]
+    if roughness is not None:
+        shares = shares_of_nodes(grid.difference_places(ORDER_OF_SMOOTHNESS), roughness.shape)
+        blocks = [np.concatenate(blocks) / np.exp(shares @ np.log(roughness).reshape(-1))[:, None]]
     if grid.kink:
         # d^3 W/d i_q^3 jumps by 12 times the coefficient over the cube of a step.
         jumps = np.zeros(grid.functions)
@@ -78,8 +102,8 @@ def smoothness_prior(grid: EvenSpline, inductance_h: float, current_a: float, st
         blocks.append(np.diag(jumps.reshape(-1))[jumps.reshape(-1) > 0.0])
     energy_j = inductance_h * current_a**2
     blocks.append(np.eye(grid.size) / (1e3 * energy_j))
-    # A constant of W has no effect: held near zero, as a free one would make the normal matrix singular.
-    blocks.append(np.ones((1, grid.size)) / (1e-3 * grid.size * energy_j))
+    # A constant of W has no effect, but a free one would make the normal matrix singular: W is zero at rest.
+    blocks.append(grid.rows(_at_rest(grid), 0, 0) / (1e-3 * energy_j))
     return np.asarray(np.concatenate(blocks), dtype=np.float64)
 
 
@@ -88,4 +112,9 @@ def magnet_prior(grid: EvenSpline, std_wb: float) -> Array:
 
     That flux is unobservable at standstill; with a slightly twisting rotor it would be estimated arbitrarily.
     """
-    return grid.rows(np.clip(np.zeros((1, 2)), [grid.low, 0.0], [grid.high, 0.0]), 1, 0) / std_wb
+    return grid.rows(_at_rest(grid), 1, 0) / std_wb
+
+
+def _at_rest(grid: EvenSpline) -> Array:
+    """Zero current, or the nearest that is on the grid, shape (1, 2)."""
+    return np.clip(np.zeros((1, 2)), [grid.low, 0.0], [grid.high, 0.0])

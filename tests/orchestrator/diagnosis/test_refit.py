@@ -7,7 +7,7 @@ import pytest
 from orchestrator.diagnosis._refit import _refine_map
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from protocols import Saturated
-from tests.orchestrator.diagnosis.fitting.test_baseline import setup
+from tests.orchestrator.diagnosis.fitting.conftest import setup
 
 __all__ = ["setup"]
 

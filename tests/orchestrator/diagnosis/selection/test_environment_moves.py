@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, has_fine_grid, with_kink_switched
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, has_fine_grid, on_usual_grid, with_kink_switched
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
@@ -67,7 +67,7 @@ def test_a_fine_map_that_no_longer_gains_is_a_usual_one(
 ) -> None:
     state = _biased(is_part=False, is_joint=is_joint)
     space = state.fit.model.space
-    rough = replace(space, roughness=9.0, prior=space.prior / 9.0)
+    rough = replace(space, roughness=np.full((1, 1), 9.0), prior=space.prior / 9.0)
     fine = state.after(state.minimum(replace(state.fit.model, space=rough)))
     assert has_fine_grid(fine.fit)
     monkeypatch.setattr(environment_moves, "is_finer_map_justified", lambda *_: keeps)
@@ -106,7 +106,7 @@ def test_a_finer_map_is_taken_where_all_together_leave_less_with_it(
     gain: float, taken: bool, is_joint: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state = _biased(is_joint=is_joint)
-    finer, tried = replace(state.fit.model.space, roughness=9.0), list[Fit]()
+    finer, tried = replace(state.fit.model.space, roughness=np.full((1, 1), 9.0)), list[Fit]()
 
     def with_finest_map(_: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
         tried.append(fit)
@@ -141,7 +141,8 @@ def test_a_timer_that_the_fit_shows_is_taken_where_all_effects_do_better_with_it
 
 
 def test_iron_that_saturates_from_zero_flux_on_is_no_play_of_the_brake(sharp: DiagnosisSetup, sharp_fit: Fit) -> None:
-    smooth = with_kink_switched(sharp, sharp.fitter, sharp_fit)
+    usual = sharp.fitter.fit(on_usual_grid(sharp, sharp_fit), relinearisations=0)
+    smooth = with_kink_switched(sharp, sharp.fitter, usual)
     (play,) = scaled_library([BrakeBacklash()], sharp.prepared.manifest)
     state = SearchState(sharp, smooth, smooth.chi2_per_dof, is_part=False)
     state = state.after(with_effect(sharp, smooth, play))

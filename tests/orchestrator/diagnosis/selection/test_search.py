@@ -73,14 +73,14 @@ def test_noise_alone_is_given_no_name() -> None:
         assert event.score < event.threshold
 
 
-@pytest.mark.parametrize(("share", "first"), [(0.4, "finer_map"), (0.6, "add")])
-def test_a_finer_map_is_tried_first_where_no_effect_removes_half(
-    biased: Fitter, share: float, first: str, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("is_part", "first"), [(True, "finer_map"), (False, "add")])
+def test_a_finer_map_competes_with_the_first_effects_of_a_part(
+    biased: Fitter, is_part: bool, first: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     state = state_of(biased)
     library = scaled_library([VoltageBias(), DeadTime()], biased.prepared.manifest)
-    state = replace(state, view=linear_view(biased, state.fit, library))
-    gain = share * (state.fit.chi2 - state.fit.dof)
+    state = replace(state, view=linear_view(biased, state.fit, library), is_part=is_part)
+    gain = 0.6 * (state.fit.chi2 - state.fit.dof)
     monkeypatch.setattr(search_module, "add_moves", lambda *_: [Move("add", ("voltage_bias",), lambda: None, gain)])
     monkeypatch.setattr(search_module, "gain_of_all", lambda _: gain)
     assert next(iter(search_module._moves(state, library))).kind == first

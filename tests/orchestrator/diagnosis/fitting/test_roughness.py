@@ -1,0 +1,62 @@
+"""Local roughness of a map: where it comes from, and that the evidence prefers it."""
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import (
+    DiagnosisSetup,
+    has_fine_grid,
+    map_log_evidence,
+    map_space,
+    with_local_roughness,
+)
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.roughness import NODES, estimated_roughness
+from orchestrator.diagnosis.weak_form.magnetics import shares_of_nodes
+from orchestrator.numerics.tensor_spline import EvenSpline
+from protocols import Saturated
+
+
+def test_iron_that_bends_at_zero_flux_is_rough_there_and_smooth_elsewhere(sharp_fit_without_kink: Fit) -> None:
+    roughness = estimated_roughness(sharp_fit_without_kink)
+    assert roughness.shape == NODES
+    at_zero, outside = roughness[1:-1, 0], roughness[1:-1, 2]
+    assert at_zero.min() > 2.0 * outside.max()
+
+
+def test_a_rough_map_gains_evidence_by_its_places(sharp: DiagnosisSetup, sharp_fit_without_kink: Fit) -> None:
+    fit = sharp_fit_without_kink
+    assert has_fine_grid(fit)
+    local = with_local_roughness(sharp, sharp.fitter, fit)
+    assert map_log_evidence(local) >= map_log_evidence(fit)
+
+
+def test_a_usual_map_stays_as_it_is(setup: DiagnosisSetup, linear_fit: Fit) -> None:
+    assert not has_fine_grid(linear_fit)
+    assert with_local_roughness(setup, setup.fitter, linear_fit) is linear_fit
+
+
+def test_an_even_roughness_at_all_nodes_is_that_of_a_single_one(setup: DiagnosisSetup) -> None:
+    grid = EvenSpline(-3.0, 2.0, 4.0, (7, 9))
+    one, many = (map_space(setup, Saturated(), grid, np.zeros(grid.size), np.full(n, 5.0)) for n in ((1, 1), NODES))
+    np.testing.assert_allclose(many.prior, one.prior, rtol=1e-12)
+
+
+def test_shares_of_nodes_add_up_and_follow_the_place() -> None:
+    places = np.random.default_rng(1).uniform(size=(40, 2))
+    shares = shares_of_nodes(places, NODES)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    nodes = np.stack(np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in NODES), indexing="ij"), axis=-1).reshape(-1, 2)
+    np.testing.assert_allclose(shares @ nodes, places, atol=1e-12)
+
+
+def test_places_of_derivatives_cover_the_grid_in_the_order_of_its_differences() -> None:
+    grid = EvenSpline(-3.0, 2.0, 4.0, (7, 9))
+    places = grid.difference_places(4)
+    assert len(places) == sum(len(block) for block in grid.differences(4))
+    assert places.min(axis=0).tolist() == [0.0, 0.0]
+    assert places.max(axis=0).tolist() == [1.0, 1.0]
+
+
+def test_a_constant_of_the_energy_leaves_the_normal_matrix_regular(linear_fit: Fit) -> None:
+    size = np.sqrt(np.diag(linear_fit.normal))
+    assert np.linalg.eigvalsh(linear_fit.normal / np.outer(size, size))[0] > 1e-14
