@@ -266,6 +266,8 @@ class StageError(Lenient):
 
     stage: str
     rms_v: Number
+    noise_rms_v: Number = None
+    """What the noise of its readings alone would leave."""
     chi2: Number
     current_rms_a: Number
 
@@ -277,6 +279,8 @@ class WorstSegment(Lenient):
     i_d_a: Number
     i_q_a: Number
     rms_v: Number
+    noise_rms_v: Number = None
+    """What the noise of its readings alone would leave."""
 
 
 class CompareReport(Remarked):
@@ -285,6 +289,8 @@ class CompareReport(Remarked):
     recording: str
     model: str
     noise_floor: NoiseFloor
+    rms_v: Number = None
+    """Over all stages, as `noise_floor` and `chi2` are."""
     chi2: Number
     stages: tuple[StageError, ...]
     worst: tuple[WorstSegment, ...]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -120,17 +121,16 @@ def _progress(as_json: bool) -> Progress:
 
 def _print_comparison(path: Path, report: CompareReport) -> None:
     say(f"{path}: the model {report.model}")
+    volts, amps = partial(quantity, unit="V"), partial(quantity, unit="A")
     rows = [
-        (stage.stage, quantity(stage.rms_v, "V"), number(stage.chi2), quantity(stage.current_rms_a, "A"))
-        for stage in report.stages
+        (s.stage, volts(s.rms_v), volts(s.noise_rms_v), number(s.chi2), amps(s.current_rms_a)) for s in report.stages
     ]
-    say_table(("stage", "rms error", "chi2", "current error"), rows)
-    say(CHI2_MEANING)
-    floor = quantity(report.noise_floor.rms_v, "V")
-    say(f"over all stages: chi2 {number(report.chi2)}, noise floor of the rms error {floor}")
-    say(NOISE_FLOOR_MEANING)
-    worst = [(w.segment, quantity(w.i_d_a, "A"), quantity(w.i_q_a, "A"), quantity(w.rms_v, "V")) for w in report.worst]
-    say_table(("worst", "mean i_d", "mean i_q", "rms error"), worst)
+    say_table(("stage", "rms error", "noise floor", "chi2", "current error"), rows)
+    floor = volts(report.noise_floor.rms_v)
+    say(f"over all stages: error {volts(report.rms_v)}, noise floor {floor}, chi2 {number(report.chi2)}")
+    say(CHI2_MEANING, NOISE_FLOOR_MEANING, "")
+    worst = [(w.segment, amps(w.i_d_a), amps(w.i_q_a), volts(w.rms_v), volts(w.noise_rms_v)) for w in report.worst]
+    say_table(("worst", "mean i_d", "mean i_q", "rms error", "noise floor"), worst)
     say_notes(report.notes)
 
 

@@ -11,6 +11,7 @@ from orchestrator.formatting.quantities import duration, number, percent, predic
 from orchestrator.formatting.results import ladder_rows as rungs
 from orchestrator.formatting.results import parameter_rows, sized_parameter
 from orchestrator.formatting.sentences import listed, typographic
+from protocols import DiagnosisStep
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
@@ -53,6 +54,13 @@ def _learned_rows(learned: Discovery | None, changes: Sequence[str]) -> Rows:
     names = listed([plain(law.name) for law in laws])
     held_out = "" if learned.after_rms_v is None else quantity(learned.after_rms_v, "V")
     return [(f"+ {names} (learned)", number(learned.chi2_after), "", held_out, "")]
+
+
+def bare_errors(step: DiagnosisStep) -> str:
+    """The error of the bare model beside the noise."""
+    error, noise = quantity(step.rms_v, "V"), quantity(step.noise_rms_v, "V")
+    held_out = "" if step.heldout_rms_v is None else f" ({quantity(step.heldout_rms_v, 'V')} held out)"
+    return f"error {error} rms{held_out}, noise floor {noise}, χ² {number(step.chi2)} per degree of freedom"
 
 
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:

@@ -36,6 +36,12 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
         yield from _waveforms(before, after)
 
 
+def bare_pictures(step: DiagnosisStep) -> Iterator[Picture]:
+    """What the residual of one model looks like, and the waveforms behind it."""
+    yield from _residuals(step, step)
+    yield from _waveforms(step, step)
+
+
 def _library(report: DiagnosisReport, most: int = 7) -> Picture:
     """The effects that the joint fit is surest of, those of the model first, the largest part of the error first."""
     shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}

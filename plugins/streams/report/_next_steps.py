@@ -45,7 +45,9 @@ def _about_map(material: Material) -> str:
 def _about_model(material: Material) -> str:
     run = typed(material)
     if material.diagnosis is None:
-        return f"not diagnosed: `fluxbench diagnose {run}` names what it misses."
+        is_drawn = material.bare is not None or material.manifest is None
+        draws = "" if is_drawn else f", `fluxbench report {run}` draws where it fails and names nothing"
+        return f"not diagnosed: `fluxbench diagnose {run}` names what it misses{draws}."
     report, decide = material.diagnosis.report, material.diagnosis.words.to_decide
     to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
     proposed = report.next_experiment

@@ -87,7 +87,7 @@ def test_the_page_stays_small(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("undrawn")
 def test_a_page_without_a_diagnosis_says_how_to_make_one(tmp_path: Path) -> None:
     text = words_of(write_report(a_run_directory(tmp_path / "run")).read_text(encoding="utf-8"))
-    assert "not made; fluxbench diagnose makes it" in text
+    assert "not made; fluxbench diagnose run makes it" in text
     assert "The error ladder" not in text
 
 
