@@ -63,6 +63,17 @@ class NoiseFloor(Lenient):
     """Expected residual of the held-out stages; noise makes more of some stages than of others."""
 
 
+class Companion(Lenient):
+    """Another parameter, without which a recording does not determine one: where one is zero, the other moves."""
+
+    effect: str
+    parameter: str
+    total: Number = None
+    """The sum of both, where it is the sum that is determined; likewise its 95 % interval."""
+    total_low: Number = None
+    total_high: Number = None
+
+
 class ParameterValue(Lenient):
     """A fitted parameter with its 95 % interval."""
 
@@ -72,6 +83,8 @@ class ParameterValue(Lenient):
     unit: str
     bends_form: bool = False
     """Whether it only bends the form of its effect, and has no size of its own."""
+    determined_with: Companion | None = None
+    """Where zero fits, but not at the other's value: the recording determines a combination of the two."""
 
 
 class FoundEffect(Lenient):
@@ -111,6 +124,10 @@ class JointEntry(Lenient):
     name: str
     relative_size: Number
     z: Number
+    parameter: str = ""
+    """The amplitude that is the surest of all that the effect has."""
+    size: ParameterValue | None = None
+    """That amplitude with its 95 %; `high` is null where a small one is strong. Files of older versions have none."""
 
 
 class Rung(Lenient):

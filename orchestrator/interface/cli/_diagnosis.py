@@ -24,6 +24,7 @@ from orchestrator.formatting.results import (
     resistance,
     share_notes,
     share_rows,
+    trace_words,
 )
 from orchestrator.formatting.sentences import columns, text_table
 from orchestrator.interface import api
@@ -148,8 +149,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     if report.minor:
         say_table(("below materiality, and in the model", *heads), share_rows(report.minor))
     say_notes(share_notes(report))
-    traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
-    if traces:
+    if traces := trace_words(report):
         say(f"detected, but too small to be named: {', '.join(traces)}")
     say(*accuracy_sentences(report))
     say_notes(report.notes)

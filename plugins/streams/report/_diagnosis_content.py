@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
+from orchestrator.formatting.results import joint_bound, parameter_rows, sized_parameter, trace_words
 from orchestrator.formatting.results import ladder_rows as rungs
-from orchestrator.formatting.results import parameter_rows, sized_parameter
 from orchestrator.formatting.sentences import listed, typographic
 from protocols import DiagnosisStep
 
@@ -84,21 +84,17 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
         if effect.twins
     ]
     known = {effect.name for effect in (*diagnosis.report.effects, *diagnosis.report.minor)}
-    joint_only = {
-        e.name: abs(e.z or 0.0) for e in diagnosis.report.joint if e.name not in known and abs(e.z or 0.0) >= sure_z
-    }
-    if joint_only:
-        largest = number(max(joint_only.values()), 3)
-        reason = (
-            f"up to {largest} standard deviations from zero with all effects fitted at once; adding it gains too little"
-        )
-        rows.append((", ".join(map(plain, joint_only)), "–", reason))
+    joint_only = {e.name: e for e in diagnosis.report.joint if e.name not in known and abs(e.z or 0.0) >= sure_z}
+    for entry in joint_only.values():
+        bound = joint_bound(entry)
+        size = f"{bound} (95 %) beside what was added; " if bound else ""
+        sigmas = f"{number(abs(entry.z or 0.0), 3)} standard deviations from zero with all effects fitted at once"
+        rows.append((plain(entry.name), "–", f"not needed: {size}{sigmas}, but adding it improves the fit too little"))
     for effect in diagnosis.report.minor:
         reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
         rows.append((plain(effect.name), "–", reason))
-    minor = {effect.name for effect in diagnosis.report.minor}
-    traces = [plain(name) for name in diagnosis.report.traces if name not in minor | joint_only.keys()]
-    if traces:
+    rest = [name for name in diagnosis.report.traces if name not in joint_only]
+    if traces := trace_words(diagnosis.report.model_copy(update={"traces": rest})):
         rows.append((", ".join(traces), "–", "detected, but too small to be named"))
     return rows
 

@@ -48,7 +48,8 @@ def _library(report: DiagnosisReport, most: int = 7) -> Picture:
     order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
     caption = (
         f"All effects fitted at once. From {figures.SURE_Z:g} standard deviations on (dashed) an effect is detected. "
-        "Filled: added to the model; beside these, adding another one improves the fit too little."
+        "Filled: added to the model; beside these, adding another one improves the fit too little. The table of what "
+        "was left out states how large such an effect may be at most."
     )
     return Picture("The whole library, fitted together", caption, figures.joint_figure(order[:most], shares))
 

@@ -458,35 +458,38 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path
     assert "−12.5" in page
 
 
+SEEN = SeenByInjection(
+    method="energy",
+    frequency_hz=500.0,
+    amplitude_v=40.0,
+    points=25,
+    l_dd_percent=-2.1,
+    l_qq_percent=-4.25,
+    saliency_low=1.2,
+    saliency_high=2.1,
+    map_saliency_low=1.25,
+    map_saliency_high=2.15,
+    angle_error_rad=0.2,
+    left_by_map_rad=0.01,
+)
+
+
 @pytest.mark.slow
 def test_what_sensorless_control_sees_is_a_section_with_what_it_means(run: Path) -> None:
-    seen = SeenByInjection(
-        method="energy",
-        frequency_hz=500.0,
-        amplitude_v=40.0,
-        points=25,
-        l_dd_percent=-2.1,
-        l_qq_percent=-4.25,
-        saliency_low=1.2,
-        saliency_high=2.1,
-        map_saliency_low=1.25,
-        map_saliency_high=2.15,
-        angle_error_rad=0.2,
-        left_by_map_rad=0.01,
-    )
     assert "For sensorless control" not in render(collect(run), draws=False)
-    page = render(collect(estimated(run, seen_by_injection=(seen,))), draws=False)
+    page = render(collect(estimated(run, seen_by_injection=(SEEN,))), draws=False)
     assert "For sensorless control" in page
-    assert "up to 4.2 % off the slopes of the large-signal map (by energy)" in page
+    assert "up to 4.2 % off the slopes of the large-signal map by energy" in page
     assert "by up to 11.5°" in page
     assert "<td>−2.10 %</td><td>−4.25 %</td><td>1.20 to 2.10</td>" in page.replace("\n", "")
-    alike = seen.model_copy(update={"l_dd_percent": 0.3, "l_qq_percent": -0.4})
+    alike = SEEN.model_copy(update={"l_dd_percent": 0.3, "l_qq_percent": -0.4})
     assert "one map serves both" in render(collect(estimated(run, seen_by_injection=(alike,))), draws=False)
 
 
 def test_a_turn_beyond_the_rated_current_is_stated_within_it_too(finished: Path) -> None:
     material = collect(finished, reads_paths=False)
-    seen = SeenByInjection.model_construct(method="injection", angle_error_i_d_a=0.0, angle_error_i_q_a=-9.0)
+    at = {"method": "injection", "angle_error_i_d_a": 0.0, "angle_error_i_q_a": -9.0}
+    seen = SEEN.model_copy(update=at)
     rated = sensorless._within_rated(material, seen)
     assert re.fullmatch(r", beyond the rated current of 2\.35 A, and by up to \d+\.\d° within it", rated)
     assert sensorless._within_rated(material, seen.model_copy(update={"angle_error_i_q_a": 2.0})) == ""
@@ -507,11 +510,11 @@ def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(run: Path) -
     energy = {"energy": MapReport(basis=Basis.ENERGY, checks=MapChecks())}
     given = {"method": "energy", "parity": None, "reciprocity_percent": None}
     shown = {check.name: check for check in checks(collect(estimated(run, **given, maps=energy | a_report().maps)))}
-    assert "Of the injection map" in shown["Parity"].meaning
+    assert "Of the map by injection" in shown["Parity"].meaning
     assert [bar.text for bar in shown["Parity"].bars] == ["0.31 %", "0.88 %"]
     assert [bar.text for bar in shown["Reciprocity"].bars] == ["0.66 %"]
     alone = checks(collect(estimated(run, **given, maps=energy)))
-    assert any("By construction" in check.meaning for check in alone)
+    assert any("an energy, obeys it exactly" in check.meaning for check in alone)
 
 
 def test_nothing_in_the_page_is_obeyed_rather_than_shown() -> None:
