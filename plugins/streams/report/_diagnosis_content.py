@@ -11,7 +11,8 @@ from orchestrator.formatting.quantities import duration, number, percent, predic
 from orchestrator.formatting.results import joint_bound, parameter_rows, sized_parameter, trace_words
 from orchestrator.formatting.results import ladder_rows as rungs
 from orchestrator.formatting.sentences import listed, typographic
-from protocols import DiagnosisStep
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
+from protocols import DiagnosisStep, PluginError
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
@@ -61,6 +62,21 @@ def bare_errors(step: DiagnosisStep) -> str:
     error, noise = quantity(step.rms_v, "V"), quantity(step.noise_rms_v, "V")
     held_out = "" if step.heldout_rms_v is None else f" ({quantity(step.heldout_rms_v, 'V')} held out)"
     return f"error {error} rms{held_out}, noise floor {noise}, χ² {number(step.chi2)} per degree of freedom"
+
+
+def signature_rows() -> Rows:
+    """Each installed effect: its name for a command, what it is, and what it leaves in a residual.
+
+    One that cannot be loaded is left out, as the page does not need it.
+    """
+    rows: Rows = []
+    for info in installed(PluginKind.EFFECTS):
+        try:
+            plugin = load_plugin(PluginKind.EFFECTS, info.name)
+        except PluginError:
+            continue
+        rows.append((info.name, *(str(getattr(plugin, name, "")) for name in ("summary", "signature"))))
+    return rows
 
 
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:

@@ -171,7 +171,11 @@ def _bare(material: Material) -> dict[str, Any] | None:
     """Where the bare model fails, in numbers and pictures; None where that was not computed."""
     if material.bare is None:
         return None
-    return {"errors": findings.bare_errors(material.bare), "pictures": list(bare_pictures(material.bare))}
+    return {
+        "errors": findings.bare_errors(material.bare),
+        "pictures": list(bare_pictures(material.bare)),
+        "effects": findings.signature_rows(),
+    }
 
 
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
