@@ -77,6 +77,8 @@ class Material:
     """What a search for a law found beyond the library."""
     tuning: TuningReport | None = None
     """What `fluxbench tune` made of the map."""
+    modelled: tuple[str, ...] = ()
+    """The effects of `model.json`."""
     bare: DiagnosisStep | None = None
     """Where the bare model fails, before any diagnosis; None where it was not compared."""
 
@@ -156,6 +158,7 @@ def collect(directory: Path, *, reads_paths: bool = True, compares: bool = False
     if recording is not None:
         bare = attempt(lambda: bare_model_step(recording), wanted=compares and diagnosis is None)
     model = attempt(lambda: read_model(directory), wanted=has_model(directory))
+    modelled = tuple(effect.name for effect in model.effects) if model is not None else ()
     changes = model_changes(diagnosis.report, model) if diagnosis is not None and model is not None else ()
     discovery = attempt(lambda: _discovery(directory), wanted=(directory / "results" / "discovery.json").is_file())
     tuning = attempt(lambda: _tuning(directory), wanted=(directory / "tuning" / "tuning.json").is_file())
@@ -163,7 +166,7 @@ def collect(directory: Path, *, reads_paths: bool = True, compares: bool = False
     shown = paths or Paths()
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, shown, diagnosis, tuple(problems), changes,
-        discovery, tuning, bare,
+        discovery, tuning, modelled, bare,
     )  # fmt: skip
 
 

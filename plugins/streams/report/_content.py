@@ -211,7 +211,7 @@ _STAGES_OF_CHECKS = {
 
 def _what_measures(material: Material, report: EstimationReport, name: str) -> str:
     """How a check that has no figure gets one: by a command, by a stage of the procedure, or not at all."""
-    if report.model is not None and report.estimators is None:
+    if not is_estimated(material):
         return f"`fluxbench estimate {typed(material)}` computes it from this recording"
     recorded = set() if material.manifest is None else {segment.stage for segment in material.manifest.segments}
     lacking = [stage.value for stage in _STAGES_OF_CHECKS.get(name, ()) if stage not in recorded]
@@ -318,9 +318,15 @@ def _outcome(material: Material) -> Line:
 
 def why_no_map(material: Material) -> str:
     """Why there is no flux map; with the command, where it was not tried."""
-    if material.estimates is None:
+    if not is_estimated(material):
         return f"not estimated yet: `fluxbench estimate {typed(material)}`"
     return "no estimator could make one; their remarks say why"
+
+
+def is_estimated(material: Material) -> bool:
+    """Whether the estimators have run: results of a model alone, after `add`, are none of theirs."""
+    report = material.estimates
+    return report is not None and (report.model is None or report.estimators is not None)
 
 
 _USES = {

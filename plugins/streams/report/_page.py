@@ -173,6 +173,7 @@ def _bare(material: Material) -> dict[str, Any] | None:
         return None
     return {
         "errors": findings.bare_errors(material.bare),
+        "left_out": listed([plain(name) for name in material.modelled]),
         "pictures": list(bare_pictures(material.bare)),
         "effects": findings.signature_rows(),
     }
@@ -246,7 +247,11 @@ def _resistance_picture(material: Material) -> Picture:
     title, readings = "R_s over the run", material.readings
     estimate = material.estimates.resistance if material.estimates is not None else None
     if not readings:
-        why = content.why_no_map(material) if material.estimates is None else "there are no single readings over time"
+        why = (
+            content.why_no_map(material)
+            if not content.is_estimated(material)
+            else "there are no single readings over time"
+        )
         return Picture(title, f"Not drawn: {why}.")
     values = [r.value_ohm for r in readings]
     interval = (min(values), max(values)) if estimate is None else (estimate.low, estimate.high)
@@ -273,7 +278,7 @@ def _difference_picture(material: Material) -> Picture:
     title = "Classical minus injection"
     classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
     if classical is None or injection is None:
-        if material.estimates is None:
+        if not content.is_estimated(material):
             return Picture(title, f"Not drawn: {content.why_no_map(material)}.")
         missing = listed([name for name, grid in (("classical", classical), ("injection", injection)) if grid is None])
         return Picture(title, f"Not drawn: it needs the maps by both methods; there is none by {missing}.")

@@ -18,7 +18,16 @@ from matplotlib.figure import Figure
 from plugins.streams.report import ReportStream, _figures, write_report
 from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, events, formulas, map_rows, remarks, why_no_check
+from plugins.streams.report._content import (
+    checks,
+    events,
+    formulas,
+    is_estimated,
+    map_rows,
+    remarks,
+    why_no_check,
+    why_no_map,
+)
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -495,11 +504,23 @@ def test_a_turn_beyond_the_rated_current_is_stated_within_it_too(finished: Path)
     assert sensorless._within_rated(material, seen.model_copy(update={"angle_error_i_q_a": 2.0})) == ""
 
 
+def test_results_of_a_model_alone_are_no_estimates(finished: Path) -> None:
+    material = collect(finished, reads_paths=False)
+    assert material.estimates is not None
+    assert is_estimated(material)
+    model = DeliveredModel(title="saturated + phase drop", segments="", resistance=material.estimates.resistance)
+    alone = replace(material, estimates=material.estimates.model_copy(update={"model": model, "estimators": None}))
+    assert why_no_map(alone).startswith("not estimated yet: `fluxbench estimate")
+    assert why_no_map(material) == "no estimator could make one; their remarks say why"
+
+
 @pytest.mark.usefixtures("without_figures")
 def test_before_a_diagnosis_the_page_may_show_where_the_bare_model_fails(finished: Path) -> None:
     material = replace(collect(finished, reads_paths=False), diagnosis=None)
     assert "Where the model fails" not in render(material, draws=False)
     page = Page(render(replace(material, bare=some_steps()[0]), draws=False))
+    added = render(replace(material, bare=some_steps()[0], modelled=("dead_time",)), draws=False)
+    assert "(model.json has dead time, which is left out here): error" in added
     assert "Where the model fails R_s and a saturated map alone, without any effect: error " in page.text
     assert "Residual against each phase's own current" in page.text
     assert (
