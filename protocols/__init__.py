@@ -155,6 +155,7 @@ from protocols._remarks import Number, Remark, Remarks
 from protocols._reports import (
     AddReport,
     CheckOutcome,
+    Companion,
     CompareReport,
     Convention,
     DeliveredModel,
@@ -226,6 +227,7 @@ __all__ = [
     "ClosedForm",
     "CoEnergySpline",
     "Coefficient",
+    "Companion",
     "CompareReport",
     "Compared",
     "Contrast",

@@ -63,6 +63,17 @@ class NoiseFloor(Lenient):
     """Expected residual of the held-out stages; noise makes more of some stages than of others."""
 
 
+class Companion(Lenient):
+    """Another parameter, without which a recording does not determine one: where one is zero, the other moves."""
+
+    effect: str
+    parameter: str
+    total: Number = None
+    """The sum of both, where it is the sum that is determined; likewise its 95 % interval."""
+    total_low: Number = None
+    total_high: Number = None
+
+
 class ParameterValue(Lenient):
     """A fitted parameter with its 95 % interval."""
 
@@ -72,6 +83,8 @@ class ParameterValue(Lenient):
     unit: str
     bends_form: bool = False
     """Whether it only bends the form of its effect, and has no size of its own."""
+    determined_with: Companion | None = None
+    """Where zero fits, but not at the other's value: the recording determines a combination of the two."""
 
 
 class FoundEffect(Lenient):
@@ -111,6 +124,10 @@ class JointEntry(Lenient):
     name: str
     relative_size: Number
     z: Number
+    parameter: str = ""
+    """The amplitude that is the surest of all that the effect has."""
+    size: ParameterValue | None = None
+    """That amplitude with its 95 %; `high` is null where a small one is strong. Files of older versions have none."""
 
 
 class Rung(Lenient):
@@ -266,6 +283,8 @@ class StageError(Lenient):
 
     stage: str
     rms_v: Number
+    noise_rms_v: Number = None
+    """What the noise of its readings alone would leave."""
     chi2: Number
     current_rms_a: Number
 
@@ -277,6 +296,8 @@ class WorstSegment(Lenient):
     i_d_a: Number
     i_q_a: Number
     rms_v: Number
+    noise_rms_v: Number = None
+    """What the noise of its readings alone would leave."""
 
 
 class CompareReport(Remarked):
@@ -285,6 +306,8 @@ class CompareReport(Remarked):
     recording: str
     model: str
     noise_floor: NoiseFloor
+    rms_v: Number = None
+    """Over all stages, as `noise_floor` and `chi2` are."""
     chi2: Number
     stages: tuple[StageError, ...]
     worst: tuple[WorstSegment, ...]

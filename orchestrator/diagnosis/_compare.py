@@ -20,16 +20,19 @@ from orchestrator.diagnosis.reporting.benefit import added_remark
 from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
+from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.resemblance import Alternative, alternative_remarks, alternatives_to
 from orchestrator.diagnosis.selection.contrasts import resembling
 from orchestrator.diagnosis.selection.first_models import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.selection.search import with_effect
+from orchestrator.diagnosis.selection.search_state import AcceptedModel
 from orchestrator.diagnosis.weak_form.segments import SegmentData
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model
 from protocols import (
     AxisPercent,
     CompareReport,
+    DiagnosisStep,
     Effect,
     MotorModel,
     NoiseFloor,
@@ -106,6 +109,7 @@ def compare_recording(
         recording=recording.manifest.name,
         model=title,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(fit)),
+        rms_v=mean_rms_v(fit, lambda _: True),
         chi2=fit.chi2_per_dof,
         stages=tuple(_stage_error(fit, stage) for stage in dict.fromkeys(p.stage for p in setup.prepared.pieces)),
         worst=_worst(fit, pieces),
@@ -114,6 +118,19 @@ def compare_recording(
         crossings=_crossings(fit, rated),
         remarks=tuple(remarks),
     )
+
+
+@solvable
+def bare_model_step(recording: Recording) -> DiagnosisStep:
+    """Data for figures of where the bare saturated model fails: the ladder's first step, without a search.
+
+    Raises
+    ------
+    RecordingError, NotMeasuredError
+        As `diagnose_recording`.
+    """
+    setup = open_for_refit(recording, None)
+    return diagnosis_step(0, AcceptedModel(None, first_steps(setup, "saturated", {})[-1].fit), setup)
 
 
 def _benefit(setup: DiagnosisSetup, fit: Fit, after: Fit, name: str) -> Remark:
@@ -129,6 +146,7 @@ def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:
     return StageError(
         stage=stage.value,
         rms_v=mean_rms_v(fit, of_stage),
+        noise_rms_v=noise_rms_v(fit, of_stage),
         chi2=fit.chi2_of(of_stage),
         current_rms_a=current_rms(fit, of_stage),
     )
@@ -138,8 +156,9 @@ def _worst(fit: Fit, pieces: Sequence[SegmentData]) -> tuple[WorstSegment, ...]:
     rows = []
     for piece in pieces:
         i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
-        rms = mean_rms_v(fit, partial(is_, piece))
-        rows.append(WorstSegment(segment=piece.segment.id, i_d_a=float(i_d), i_q_a=float(i_q), rms_v=rms))
+        rms, noise = (of(fit, partial(is_, piece)) for of in (mean_rms_v, noise_rms_v))
+        currents = {"i_d_a": float(i_d), "i_q_a": float(i_q)}
+        rows.append(WorstSegment(segment=piece.segment.id, **currents, rms_v=rms, noise_rms_v=noise))
     return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[:MAX_LISTED_SEGMENTS])
 
 

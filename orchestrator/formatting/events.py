@@ -135,7 +135,14 @@ def _resistance_source(estimate: ResistanceEstimate) -> str:
 
 def _comparison(report: CompareReport) -> str:
     """A sentence on the model's error in the recording."""
-    text = f"the {report.model} model has chi2 {number(report.chi2, 3)}"
-    if report.worst:
-        text += f", worst in {report.worst[0].segment} with {quantity(report.worst[0].rms_v, 'V')} rms"
-    return f"{text}; noise floor over all stages {quantity(report.noise_floor.rms_v, 'V')}"
+    over_all = [
+        f"error {quantity(report.rms_v, 'V')} rms",
+        f"noise floor {quantity(report.noise_floor.rms_v, 'V')}",
+        f"chi2 {number(report.chi2, 3)}",
+    ]
+    text = f"the {report.model} model, over all stages: {', '.join(over_all)}"
+    if not report.worst:
+        return text
+    worst = report.worst[0]
+    floor = f", noise floor there {quantity(worst.noise_rms_v, 'V')}" if worst.noise_rms_v is not None else ""
+    return f"{text}; worst in {worst.segment}: {quantity(worst.rms_v, 'V')} rms{floor}"

@@ -29,6 +29,8 @@ from protocols import (
     EstimationReport,
     EstimatorsReport,
     FoundEffect,
+    JointEntry,
+    ParameterValue,
     Remark,
     ResistanceEstimate,
     Rung,
@@ -152,9 +154,47 @@ def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
     for name, p in {**sizes, **effect.derived}.items():
         value, interval = value_and_interval(p.value, p.low, p.high, p.unit)
         holds_zero = p.low is not None and p.high is not None and p.low <= 0.0 <= p.high
-        rows.append((parameter_words(name), value, f"{interval}; zero fits too" if holds_zero else interval))
+        rows.append((parameter_words(name), value, f"{interval}; {_zero(effect, name)}" if holds_zero else interval))
     of_form = len(effect.parameters) - len(sizes)
     return [*rows, ("form", f"{of_form} more in model.json", "")] if of_form else rows
+
+
+def _zero(effect: FoundEffect, name: str) -> str:
+    """That zero fits, and with which other parameter alone where it is the two together that are determined."""
+    if name in effect.parameters:
+        return companion_words(effect, effect.parameters[name]) or "zero fits too"
+    return "likewise" if any(p.determined_with for p in effect.parameters.values()) else "zero fits too"
+
+
+def companion_words(effect: FoundEffect, parameter: ParameterValue) -> str:
+    """What is determined of a parameter that zero fits if another one moves; empty where there is no such one."""
+    other = parameter.determined_with
+    if other is None:
+        return ""
+    whose = "" if other.effect == effect.name else f"{plain(other.effect)} "
+    name = f"{whose}{parameter_words(other.parameter)}"
+    if other.total is None:
+        return f"zero fits too if {name} changes with it: only a combination is determined"
+    total = measured(other.total, other.total_low, other.total_high, parameter.unit)
+    return f"only its sum with {name} is determined: {total}"
+
+
+def trace_words(report: DiagnosisReport) -> list[str]:
+    """Effects that were detected but are too small to be named, each with the most that it may be."""
+    listed_apart = {effect.name for effect in report.minor}
+    bounds = {entry.name: joint_bound(entry) for entry in report.joint}
+    names = [name for name in report.traces if name not in listed_apart]
+    return [plain(name) + (f" ({bounds[name]})" if bounds.get(name) else "") for name in names]
+
+
+def joint_bound(entry: JointEntry) -> str:
+    """How large an effect may be by the joint fit at 95 %: ``at most 1.31 mV``; empty where that is not known."""
+    size = entry.size
+    if size is None or size.low is None:
+        return ""
+    if size.high is None:
+        return f"{parameter_words(entry.parameter)} at least {quantity(size.low, size.unit)}"
+    return f"{parameter_words(entry.parameter)} at most {quantity(max(abs(size.low), abs(size.high)), size.unit)}"
 
 
 def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:

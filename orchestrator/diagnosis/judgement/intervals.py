@@ -39,10 +39,10 @@ def standardised_std(fitter: Fitter, fit: Fit) -> Array:
     sandwich estimate with segments as clusters (H. White, Econometrica 48 (1980), doi:10.2307/1912934); the scatter
     between blocks and `form_std` are added in quadrature.
     """
-    return np.asarray(np.sqrt(np.diag(_coordinate_covariance(fitter, fit))))
+    return np.asarray(np.sqrt(np.diag(standardised_covariance(fitter, fit))))
 
 
-def _coordinate_covariance(fitter: Fitter, fit: Fit, *, with_block_scatter: bool = True) -> Array:
+def standardised_covariance(fitter: Fitter, fit: Fit, *, with_block_scatter: bool = True) -> Array:
     """Covariance of the free coordinates with the widths of `standardised_std` and the fit's correlations."""
     rigid = [(a, n) for a in fit.model.active for n in _two_sided_refinements(a)]
     loose = fitter.evaluate(fit.model, fit.linearisation, rigid, known=fit)
@@ -68,7 +68,7 @@ def possibly_absent(fitter: Fitter, fit: Fit) -> list[str]:
     """
     if not fit.model.free:
         return []
-    variances, width = np.diag(_coordinate_covariance(fitter, fit, with_block_scatter=False)), INTERVAL_SIGMAS
+    variances, width = np.diag(standardised_covariance(fitter, fit, with_block_scatter=False)), INTERVAL_SIGMAS
     significant = {
         a.name
         for (a, n), variance in zip(fit.model.free, variances, strict=True)
@@ -89,7 +89,7 @@ def is_none_significant(fitter: Fitter, fit: Fit) -> bool:
     if not amplitudes:
         return True
     x = np.array([a.standardised_value(n) for a, n in fit.model.free])[amplitudes]
-    covariance = _coordinate_covariance(fitter, fit)[np.ix_(amplitudes, amplitudes)]
+    covariance = standardised_covariance(fitter, fit)[np.ix_(amplitudes, amplitudes)]
     threshold = chi2.isf(2.0 * norm.sf(INTERVAL_SIGMAS), len(amplitudes))
     return float(x @ np.linalg.solve(covariance, x)) <= float(threshold)
 

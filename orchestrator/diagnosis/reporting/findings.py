@@ -11,12 +11,14 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, EffectTerm, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.judgement.companions import companions
 from orchestrator.diagnosis.judgement.contributions import Contribution, is_material
-from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, standardised_std
+from orchestrator.diagnosis.judgement.intervals import INTERVAL_SIGMAS, standardised_covariance
 from orchestrator.diagnosis.judgement.residual_pattern import residual_pattern
 from orchestrator.diagnosis.judgement.verdict import large_effects_together, residual_fraction_of
 from orchestrator.diagnosis.selection.scoring import probabilities
 from protocols import (
+    Companion,
     DriveRecord,
     FoundEffect,
     ParameterRole,
@@ -41,14 +43,15 @@ def found_effects(
     indistinguishable: Mapping[str, Sequence[str]],
     sizes: Mapping[str, Contribution] | None = None,
 ) -> tuple[FoundEffect, ...]:
-    """The active effects with 95 % intervals, by share; see `standardised_std`.
+    """The active effects with 95 % intervals, by share; see `standardised_covariance`.
 
     Unobservable parameters (such as slotting with one rotor angle) are omitted.
     """
     if not fit.model.active:
         return ()
     presence, sizes = probabilities(fit), sizes or {}
-    half = INTERVAL_SIGMAS * standardised_std(fitter, fit)
+    covariance = standardised_covariance(fitter, fit)
+    half, partners = INTERVAL_SIGMAS * np.sqrt(np.diag(covariance)), companions(fit, covariance)
     shows = np.diag(fit.projected()[0]) > 0.0
     effects, k = [], 0
     for active in fit.model.active:
@@ -58,7 +61,11 @@ def found_effects(
         effects.append(
             FoundEffect(
                 name=active.name,
-                parameters=(parameters := {n: _interval(active, n, float(w)) for n, w in widths.items()}),
+                parameters=(
+                    parameters := {
+                        n: _interval(active, n, float(w), partners.get((active.name, n))) for n, w in widths.items()
+                    }
+                ),
                 derived=derived_quantities(active, parameters, fit.prepared.manifest.drive),
                 twins=tuple(indistinguishable.get(active.name, ())),
                 relative_size=active.relative_size,
@@ -101,12 +108,19 @@ def credible_effects(effects: Iterable[FoundEffect], min_share: float, max_share
     return tuple(e for e in effects if min_share <= (e.share or 0.0) <= highest)
 
 
-def _interval(active: EffectTerm, name: str, half: float) -> ParameterValue:
+def _interval(active: EffectTerm, name: str, half: float, partner: Companion | None) -> ParameterValue:
     p = active.candidate.named(name)
     x = active.standardised_value(name)
     ends = sorted((value_at(p, x - half), value_at(p, x + half)))
     bends = p.role is ParameterRole.REFINEMENT
-    return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit, bends_form=bends)
+    return ParameterValue(
+        value=active.values[name],
+        low=ends[0],
+        high=ends[1],
+        unit=p.unit,
+        bends_form=bends,
+        determined_with=partner,
+    )
 
 
 def typical_size(active: EffectTerm, drive: DriveRecord) -> ParameterValue:

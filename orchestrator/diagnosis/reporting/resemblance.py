@@ -10,12 +10,13 @@ from orchestrator.diagnosis.fitting.candidates import CandidateEffect
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.guarded import is_own
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.contrasts import resembling
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, resembling, separating_contrasts
 from orchestrator.diagnosis.selection.scoring import fits_as_well
 from orchestrator.diagnosis.selection.search import with_effect
 from orchestrator.diagnosis.selection.search_state import evidence_gain
 from orchestrator.formatting.names import plain
 from orchestrator.formatting.quantities import number
+from orchestrator.formatting.sentences import listed
 from protocols import Inseparable, Remark
 
 MAX_ALTERNATIVES: int = 2
@@ -86,7 +87,7 @@ def alternative_remarks(alternatives: Sequence[Alternative]) -> list[Remark]:
     remarks = []
     for one in alternatives:
         if one.is_tied:
-            code, text = "indistinguishable", "{effect} and {other} are indistinguishable here: {fits}"
+            code, text = "indistinguishable", "{effect} and {other} are indistinguishable here: {fits}" + _parting(one)
         elif one.fits_better:
             code = "fits_better_in_place"
             text = "{other} resembles {effect} and fits better in its place: {fits}; {effect} is no certain cause"
@@ -96,6 +97,18 @@ def alternative_remarks(alternatives: Sequence[Alternative]) -> list[Remark]:
         values = {"effect": one.name, "other": one.other, "gain_nat": one.gain}
         remarks.append(Remark.of(code, text, **words).model_copy(update={"values": values}))
     return remarks
+
+
+def _parting(one: Alternative) -> str:
+    """What would tell the two apart, as far as both declare it and the recording lacks it."""
+    prepared = one.fit.prepared
+    effects = [
+        next(term.candidate.effect for term in fit.model.active if term.name == name)
+        for fit, name in ((one.fit, one.name), (one.in_place, one.other))
+    ]
+    lacking = [CONTRASTS[c].text for c in separating_contrasts(*effects) if not holds(prepared, c)]
+    same = "; what was measured leaves the same residual with either"
+    return f"{same}, and {listed(lacking)} would tell them apart" if lacking else f"{same}, within the noise"
 
 
 def resembling_pairs(fitter: Fitter, fit: Fit, names: Sequence[str]) -> list[tuple[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from functools import partial
 from operator import is_
 
@@ -16,6 +17,7 @@ from orchestrator.diagnosis.selection.contrasts import CONTRASTS, holds, separat
 from orchestrator.formatting.deciding import NOTHING_TO_DECIDE, experiment_to_decide
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import number, operating_point, percent, quantity, value_and_interval
+from orchestrator.formatting.results import companion_words
 from orchestrator.formatting.sentences import listed
 from orchestrator.numerics.frames import to_dq
 from protocols import (
@@ -99,18 +101,41 @@ def _looks(diagnosis: Diagnosis) -> str:
 def _signature(diagnosis: Diagnosis, found: FoundEffect, signature: str) -> str:
     if not found.twins:
         return signature
-    needed = _needed(diagnosis, found)
-    if not needed:
-        return f"{signature} At this size the recording does not tell it from {listed(found.twins)}."
-    return f"{signature} What would tell it from {listed(found.twins)}, {', '.join(needed)}, was not measured."
+    whole = f"{signature} {_why_alike(diagnosis, found)}"
+    if needed := _needed(diagnosis, found):
+        return f"{whole} What would tell it from {listed(found.twins)}, {', '.join(needed)}, was not measured."
+    whole = f"{whole} At this size the recording does not tell it from {listed(found.twins)}."
+    if measured := [CONTRASTS[contrast].text for contrast in _contrasts(diagnosis, found)]:
+        return f"{whole} What tells them apart, {', '.join(measured)}, was measured, but too short or too small."
+    return f"{whole} Larger currents or longer stages may."
+
+
+def _why_alike(diagnosis: Diagnosis, found: FoundEffect) -> str:
+    """Why a recording does not separate an effect from others: they fit in its place, or are in the model too."""
+    present = [name for name in found.twins if name in diagnosis.search.fit.model.names]
+    absent = [name for name in found.twins if name not in present]
+    sentences = []
+    if absent:
+        sentences.append(f"In its place {listed(absent)} would leave the same residual, within the noise.")
+    if present:
+        verb = "are" if len(present) > 1 else "is"
+        sentences.append(
+            f"Here it acts like {listed(present)}, which {verb} in the model too: a part of its size may be theirs."
+        )
+    return " ".join(sentences)
 
 
 def _needed(diagnosis: Diagnosis, found: FoundEffect) -> list[str]:
     """Measurements that separate an effect from its alternatives and that the recording lacks."""
-    effects, prepared = {c.name: c.effect for c in diagnosis.library}, diagnosis.search.fit.prepared
+    prepared = diagnosis.search.fit.prepared
+    return [CONTRASTS[c].text for c in _contrasts(diagnosis, found) if not holds(prepared, c)]
+
+
+def _contrasts(diagnosis: Diagnosis, found: FoundEffect) -> list[Contrast]:
+    """Contrasts that separate an effect from its alternatives."""
+    effects = {c.name: c.effect for c in diagnosis.library}
     twins = [effects[name] for name in found.twins]
-    contrasts = dict.fromkeys(c for twin in twins for c in separating_contrasts(effects[found.name], twin))
-    return [CONTRASTS[c].text for c in contrasts if not holds(prepared, c)]
+    return list(dict.fromkeys(c for twin in twins for c in separating_contrasts(effects[found.name], twin)))
 
 
 def _cause(diagnosis: Diagnosis) -> str:
@@ -122,7 +147,7 @@ def _cause(diagnosis: Diagnosis) -> str:
     terms = {a.name: a for a in diagnosis.search.fit.model.active}
     better = _better_in_place(report)
     drive = diagnosis.search.fit.prepared.manifest.drive
-    named = [_named(e, terms.get(e.name), better.get(e.name), drive) for e in report.effects]
+    named = [_named(e, terms.get(e.name), better.get(e.name), drive, terms.keys()) for e in report.effects]
     if report.effects and report.leaves_most:
         before, after, chi2 = *_error_before_and_after(report), number(report.ladder[-1].chi2)
         names, takes = listed([plain(e.name) for e in report.effects]), "take" if len(report.effects) > 1 else "takes"
@@ -148,7 +173,9 @@ def _better_in_place(report: DiagnosisReport) -> dict[str, str]:
     return {str(values["effect"]): str(values["other"]) for values in found}
 
 
-def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None, drive: DriveRecord) -> str:
+def _named(
+    effect: FoundEffect, term: EffectTerm | None, better: str | None, drive: DriveRecord, present: Container[str]
+) -> str:
     """The effect with its amplitudes as text, those at a bound, and the one that fits better in its place.
 
     An amplitude that stands for a setting of the drive, such as a dead time, is stated where it holds.
@@ -163,6 +190,7 @@ def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None, dri
         found = effect.parameters[name]
         size, interval = value_and_interval(found.value, found.low, found.high, found.unit)
         parts.append(f"{parameter_words(name)} {size}{where}" + (f", 95 %: {interval}" if interval else ""))
+        parts += [words] if (words := companion_words(effect, found)) else []
     derived = [f"{plain(name)} {quantity(found.value, found.unit)}" for name, found in settings.items()]
     is_certain = not effect.twins and better is None
     if of_drive and is_certain:
@@ -172,7 +200,10 @@ def _named(effect: FoundEffect, term: EffectTerm | None, better: str | None, dri
     reached = {} if term is None else bounds_reached(term)
     parts += [f"{parameter_words(name)} at its bound {bound}" for name, bound in reached.items()]
     parts += ["at this angle; other angles unknown"] if _is_of_one_angle(effect, term) else []
-    parts += [f"indistinguishable from {listed(effect.twins)} here"] if effect.twins else []
+    absent = [name for name in effect.twins if name not in present]
+    shared = [name for name in effect.twins if name in present]
+    parts += [f"indistinguishable from {listed(absent)} here"] if absent else []
+    parts += [f"acts like {listed(shared)} here, which is in the model too"] if shared else []
     parts += [f"{better} fits better in its place"] if better is not None else []
     return f"{effect.name} ({'; '.join(parts)})"
 

@@ -8,17 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Library
+from orchestrator.diagnosis.fitting.candidates import Library, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.judgement.contributions import contributions, is_material
-from orchestrator.diagnosis.judgement.intervals import block_scatter_ratio, is_none_significant, possibly_absent
+from orchestrator.diagnosis.judgement.intervals import (
+    INTERVAL_SIGMAS,
+    block_scatter_ratio,
+    is_none_significant,
+    possibly_absent,
+)
 from orchestrator.diagnosis.judgement.verdict import fitted_verdict, residual_fraction_of
 from orchestrator.diagnosis.selection.adding import sub_threshold_effects
 from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, log_bayes_factors, score
 from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult, SearchState, baseline_models
 from orchestrator.formatting.names import plain as plain_name
 from orchestrator.formatting.quantities import number
-from protocols import FoundEffect, JointEntry, Remark
+from protocols import EffectParameter, FoundEffect, JointEntry, ParameterValue, Remark
 
 MIN_RATIO_OF_CAUSE_TO_RESIDUAL: float = 3.0
 """Factor of the final residual fraction that a cause has to explain: less may be due to another's wrong form."""
@@ -171,14 +176,25 @@ def joint_fit(fitter: Fitter, search: SearchResult, library: Library) -> tuple[J
         p = active.candidate.named(name)
         if name not in active.candidate.amplitudes:
             continue
-        size = abs(float(value)) * p.prior_width / abs(p.typical)
-        entry = JointEntry(name=active.name, relative_size=size, z=float(value / sigma))
+        entry = JointEntry(
+            name=active.name,
+            relative_size=abs(float(value)) * p.prior_width / abs(p.typical),
+            z=float(value / sigma),
+            parameter=name,
+            size=_joint_size(p, float(value), INTERVAL_SIGMAS * float(sigma)),
+        )
         known = entries.get(active.name)
         if known is None or abs(entry.z or 0.0) > abs(known.z or 0.0):
             entries[active.name] = entry
     # Insignificant effects are ranked below all significant ones, whatever their size.
     certain = CERTAIN_SIGMAS
     return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < certain, -(e.relative_size or 0.0))))
+
+
+def _joint_size(p: EffectParameter, x: float, half: float) -> ParameterValue:
+    """An amplitude at a standardised value with its interval; one that is strong when small has no upper end."""
+    ends = sorted(value_at(p, end) for end in (x - half, x + half))
+    return ParameterValue(value=value_at(p, x), low=ends[0], high=None if p.strong_when_small else ends[1], unit=p.unit)
 
 
 def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> list[Remark]:

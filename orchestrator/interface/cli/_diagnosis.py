@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,7 @@ from orchestrator.formatting.results import (
     resistance,
     share_notes,
     share_rows,
+    trace_words,
 )
 from orchestrator.formatting.sentences import columns, text_table
 from orchestrator.interface import api
@@ -120,17 +122,16 @@ def _progress(as_json: bool) -> Progress:
 
 def _print_comparison(path: Path, report: CompareReport) -> None:
     say(f"{path}: the model {report.model}")
+    volts, amps = partial(quantity, unit="V"), partial(quantity, unit="A")
     rows = [
-        (stage.stage, quantity(stage.rms_v, "V"), number(stage.chi2), quantity(stage.current_rms_a, "A"))
-        for stage in report.stages
+        (s.stage, volts(s.rms_v), volts(s.noise_rms_v), number(s.chi2), amps(s.current_rms_a)) for s in report.stages
     ]
-    say_table(("stage", "rms error", "chi2", "current error"), rows)
-    say(CHI2_MEANING)
-    floor = quantity(report.noise_floor.rms_v, "V")
-    say(f"over all stages: chi2 {number(report.chi2)}, noise floor of the rms error {floor}")
-    say(NOISE_FLOOR_MEANING)
-    worst = [(w.segment, quantity(w.i_d_a, "A"), quantity(w.i_q_a, "A"), quantity(w.rms_v, "V")) for w in report.worst]
-    say_table(("worst", "mean i_d", "mean i_q", "rms error"), worst)
+    say_table(("stage", "rms error", "noise floor", "chi2", "current error"), rows)
+    floor = volts(report.noise_floor.rms_v)
+    say(f"over all stages: error {volts(report.rms_v)}, noise floor {floor}, chi2 {number(report.chi2)}")
+    say(CHI2_MEANING, NOISE_FLOOR_MEANING, "")
+    worst = [(w.segment, amps(w.i_d_a), amps(w.i_q_a), volts(w.rms_v), volts(w.noise_rms_v)) for w in report.worst]
+    say_table(("worst", "mean i_d", "mean i_q", "rms error", "noise floor"), worst)
     say_notes(report.notes)
 
 
@@ -148,8 +149,7 @@ def _print_diagnosis(path: Path, report: DiagnosisReport, words: DiagnosisWords)
     if report.minor:
         say_table(("below materiality, and in the model", *heads), share_rows(report.minor))
     say_notes(share_notes(report))
-    traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
-    if traces:
+    if traces := trace_words(report):
         say(f"detected, but too small to be named: {', '.join(traces)}")
     say(*accuracy_sentences(report))
     say_notes(report.notes)

@@ -94,6 +94,8 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
     else:
         _print_line(f"{path} is a motor with something hidden in it, or nothing. How far the model without it is off:")
         _print_line(f"  fluxbench compare {path}")
+        _print_line(f"The same in pictures, which name nothing, in {path / 'report.html'}:")
+        _print_line(f"  fluxbench report {path}")
         _print_line("Guess, by the names that `fluxbench effects` lists:")
         usual = path == Path("runs") / f"mystery-{number}"
         _print_line(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))

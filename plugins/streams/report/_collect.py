@@ -15,6 +15,7 @@ from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, has_model, open_recording, read_model
 from orchestrator.runs import Journal, JournalRecord, RunDirectory, RunRecord
 from protocols import (
+    DiagnosisStep,
     EstimationReport,
     FluxbenchError,
     FluxMap,
@@ -76,6 +77,10 @@ class Material:
     """What a search for a law found beyond the library."""
     tuning: TuningReport | None = None
     """What `fluxbench tune` made of the map."""
+    modelled: tuple[str, ...] = ()
+    """The effects of `model.json`."""
+    bare: DiagnosisStep | None = None
+    """Where the bare model fails, before any diagnosis; None where it was not compared."""
 
     @property
     def ended(self) -> RunEnded | None:
@@ -108,12 +113,15 @@ def is_worth_a_report(directory: Path) -> bool:
     return any((directory / name).is_file() for name in names)
 
 
-def collect(directory: Path, *, reads_paths: bool = True) -> Material:
-    """Read everything (`reads_paths`: waveforms too); raises `RecordingError` where it is neither run nor recording."""
+def collect(directory: Path, *, reads_paths: bool = True, compares: bool = False) -> Material:
+    """Read everything (`reads_paths`: waveforms too); raises `RecordingError` where it is neither run nor recording.
+
+    With `compares`, the bare model is fitted to a recording that was not diagnosed.
+    """
     if not is_worth_a_report(directory):
         raise RecordingError(str(directory), "", "neither run.json nor recording.json is there: nothing to report on")
     # Its kernels take a second to import, and the stream is loaded when a run begins.
-    from orchestrator.diagnosis import load_diagnosis, model_changes
+    from orchestrator.diagnosis import bare_model_step, load_diagnosis, model_changes
 
     problems: list[str] = []
 
@@ -146,7 +154,11 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
         paths = attempt(lambda: _paths(recording, achieved, problems), wanted=reads_paths)
     manifest = None if recording is None else recording.manifest
     diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
+    bare = None
+    if recording is not None:
+        bare = attempt(lambda: bare_model_step(recording), wanted=compares and diagnosis is None)
     model = attempt(lambda: read_model(directory), wanted=has_model(directory))
+    modelled = tuple(effect.name for effect in model.effects) if model is not None else ()
     changes = model_changes(diagnosis.report, model) if diagnosis is not None and model is not None else ()
     discovery = attempt(lambda: _discovery(directory), wanted=(directory / "results" / "discovery.json").is_file())
     tuning = attempt(lambda: _tuning(directory), wanted=(directory / "tuning" / "tuning.json").is_file())
@@ -154,7 +166,7 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
     shown = paths or Paths()
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, shown, diagnosis, tuple(problems), changes,
-        discovery, tuning,
+        discovery, tuning, modelled, bare,
     )  # fmt: skip
 
 

@@ -31,7 +31,7 @@ def report(
     else:
         if is_run(directories[0]):
             RunDirectory.open(directories[0])  # raises where run.json is damaged: a page without it says too little
-        page = write_report(directories[0], out)
+        page = write_report(directories[0], out, compares=True)
     print(shown(str(page)))
     if pdf:
         from plugins.streams.report._printing import print_page

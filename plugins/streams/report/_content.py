@@ -19,6 +19,8 @@ from plugins.streams.report._collect import Material
 from protocols import AxisPercent, Basis, EstimationReport, FluxMap, Motor, SegmentStage, Usability
 
 NOT_MEASURED = "not measured"
+NO_FIGURE = "no figure"
+"""In the place of a check's figure."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +189,7 @@ def checks(material: Material) -> Iterator[Check]:
         ),
     ):
         bars = _bars(value, limit) if isinstance(value, AxisPercent) else (_bar("", value, limit),)
-        is_known = any(bar.text != NOT_MEASURED for bar in bars)
+        is_known = any(bar.text != NO_FIGURE for bar in bars)
         text = f"tick: the limit, {percent(limit)}{beside}" if is_known else _what_measures(material, report, name)
         yield Check(name, meaning, bars, text)
 
@@ -196,7 +198,7 @@ def why_no_check(material: Material) -> str:
     """Why no check at all has a figure, where that is the same for all; empty otherwise."""
     every = list(checks(material))
     reasons = {check.limit for check in every}
-    is_known = any(bar.text != NOT_MEASURED for check in every for bar in check.bars)
+    is_known = any(bar.text != NO_FIGURE for check in every for bar in check.bars)
     return "" if is_known or len(reasons) != 1 else reasons.pop()
 
 
@@ -209,7 +211,7 @@ _STAGES_OF_CHECKS = {
 
 def _what_measures(material: Material, report: EstimationReport, name: str) -> str:
     """How a check that has no figure gets one: by a command, by a stage of the procedure, or not at all."""
-    if report.model is not None and report.estimators is None:
+    if not is_estimated(material):
         return f"`fluxbench estimate {typed(material)}` computes it from this recording"
     recorded = set() if material.manifest is None else {segment.stage for segment in material.manifest.segments}
     lacking = [stage.value for stage in _STAGES_OF_CHECKS.get(name, ()) if stage not in recorded]
@@ -245,7 +247,7 @@ def _bars(value: AxisPercent, limit: float) -> tuple[Bar, ...]:
 
 def _bar(axis: str, value: float | None, limit: float) -> Bar:
     full = max(1.15 * (value or 0.0), 1.25 * limit) or 1.0
-    text = NOT_MEASURED if value is None else percent(value)
+    text = NO_FIGURE if value is None else percent(value)
     is_beyond = value is not None and value > limit
     return Bar(axis, text, round(100.0 * (value or 0.0) / full, 1), round(100.0 * limit / full, 1), is_beyond)
 
@@ -314,10 +316,17 @@ def _outcome(material: Material) -> Line:
     return Line("Run", f"{ended.outcome}: {ended.reason}", OUTCOME_MOODS[ended.outcome])
 
 
-def _not_estimated(material: Material) -> str:
-    """Why there is no estimate; with the command, where it was not tried."""
-    tried = material.estimates is not None
-    return NOT_MEASURED if tried else f"not estimated yet: `fluxbench estimate {typed(material)}`"
+def why_no_map(material: Material) -> str:
+    """Why there is no flux map; with the command, where it was not tried."""
+    if not is_estimated(material):
+        return f"not estimated yet: `fluxbench estimate {typed(material)}`"
+    return "no estimator could make one; their remarks say why"
+
+
+def is_estimated(material: Material) -> bool:
+    """Whether the estimators have run: results of a model alone, after `add`, are none of theirs."""
+    report = material.estimates
+    return report is not None and (report.model is None or report.estimators is not None)
 
 
 _USES = {
@@ -331,7 +340,7 @@ _USES = {
 def _map_lines(material: Material) -> Iterator[Line]:
     report = material.estimates
     if report is None or report.method is None:
-        yield Line("Flux map", _not_estimated(material))
+        yield Line("Flux map", why_no_map(material))
         return
     shown = material.maps.get(report.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"

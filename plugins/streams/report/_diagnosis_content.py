@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.formatting.quantities import duration, number, percent, predicted_separation, quantity
+from orchestrator.formatting.results import joint_bound, parameter_rows, sized_parameter, trace_words
 from orchestrator.formatting.results import ladder_rows as rungs
-from orchestrator.formatting.results import parameter_rows, sized_parameter
 from orchestrator.formatting.sentences import listed, typographic
+from orchestrator.registry.plugins import PluginKind, installed, load_plugin
+from protocols import DiagnosisStep, PluginError
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis import SavedDiagnosis
@@ -55,6 +57,28 @@ def _learned_rows(learned: Discovery | None, changes: Sequence[str]) -> Rows:
     return [(f"+ {names} (learned)", number(learned.chi2_after), "", held_out, "")]
 
 
+def bare_errors(step: DiagnosisStep) -> str:
+    """The error of the bare model beside the noise."""
+    error, noise = quantity(step.rms_v, "V"), quantity(step.noise_rms_v, "V")
+    held_out = "" if step.heldout_rms_v is None else f" ({quantity(step.heldout_rms_v, 'V')} held out)"
+    return f"error {error} rms{held_out}, noise floor {noise}, χ² {number(step.chi2)} per degree of freedom"
+
+
+def signature_rows() -> Rows:
+    """Each installed effect: its name for a command, what it is, and what it leaves in a residual.
+
+    One that cannot be loaded is left out, as the page does not need it.
+    """
+    rows: Rows = []
+    for info in installed(PluginKind.EFFECTS):
+        try:
+            plugin = load_plugin(PluginKind.EFFECTS, info.name)
+        except PluginError:
+            continue
+        rows.append((info.name, *(str(getattr(plugin, name, "")) for name in ("summary", "signature"))))
+    return rows
+
+
 def effect_rows(diagnosis: SavedDiagnosis) -> Rows:
     """Every parameter of every effect: value, interval, typical size; and the effects that fit as well in its place."""
     rows: Rows = []
@@ -76,21 +100,17 @@ def alike_rows(diagnosis: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
         if effect.twins
     ]
     known = {effect.name for effect in (*diagnosis.report.effects, *diagnosis.report.minor)}
-    joint_only = {
-        e.name: abs(e.z or 0.0) for e in diagnosis.report.joint if e.name not in known and abs(e.z or 0.0) >= sure_z
-    }
-    if joint_only:
-        largest = number(max(joint_only.values()), 3)
-        reason = (
-            f"up to {largest} standard deviations from zero with all effects fitted at once; adding it gains too little"
-        )
-        rows.append((", ".join(map(plain, joint_only)), "–", reason))
+    joint_only = {e.name: e for e in diagnosis.report.joint if e.name not in known and abs(e.z or 0.0) >= sure_z}
+    for entry in joint_only.values():
+        bound = joint_bound(entry)
+        size = f"{bound} (95 %) beside what was added; " if bound else ""
+        sigmas = f"{number(abs(entry.z or 0.0), 3)} standard deviations from zero with all effects fitted at once"
+        rows.append((plain(entry.name), "–", f"not needed: {size}{sigmas}, but adding it improves the fit too little"))
     for effect in diagnosis.report.minor:
         reason = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
         rows.append((plain(effect.name), "–", reason))
-    minor = {effect.name for effect in diagnosis.report.minor}
-    traces = [plain(name) for name in diagnosis.report.traces if name not in minor | joint_only.keys()]
-    if traces:
+    rest = [name for name in diagnosis.report.traces if name not in joint_only]
+    if traces := trace_words(diagnosis.report.model_copy(update={"traces": rest})):
         rows.append((", ".join(traces), "–", "detected, but too small to be named"))
     return rows
 

@@ -208,9 +208,9 @@ def loop_figure(before: FluxLoop | None, after: FluxLoop) -> str:
     name_axes(above, "", rf"$\psi_{axis}$ [mWb]")
     legend_above(above, 2)
     rising = _rising(current)
-    shown = [(after, MODEL, "with all effects")]
+    shown = [(after, MODEL, "this model")]
     if before is not None:
-        shown.insert(0, (before, BEFORE_COLOUR, "first model"))
+        shown = [(before, BEFORE_COLOUR, "first model"), (after, MODEL, "with all effects")]
     for loop, colour, name in shown:
         apart = 1e3 * (loop.psi_measured - loop.psi_model)[:, which]
         apart = apart - apart.mean()

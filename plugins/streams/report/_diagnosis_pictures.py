@@ -36,13 +36,20 @@ def diagnosis_pictures(diagnosis: SavedDiagnosis) -> Iterator[Picture]:
         yield from _waveforms(before, after)
 
 
+def bare_pictures(step: DiagnosisStep) -> Iterator[Picture]:
+    """What the residual of one model looks like, and the waveforms behind it."""
+    yield from _residuals(step, step)
+    yield from _waveforms(step, step)
+
+
 def _library(report: DiagnosisReport, most: int = 7) -> Picture:
     """The effects that the joint fit is surest of, those of the model first, the largest part of the error first."""
     shares = {effect.name: effect.share or 0.0 for effect in (*report.effects, *report.minor)}
     order = sorted(report.joint, key=lambda entry: (-shares.get(entry.name, -1.0), -abs(entry.z or 0.0)))
     caption = (
         f"All effects fitted at once. From {figures.SURE_Z:g} standard deviations on (dashed) an effect is detected. "
-        "Filled: added to the model; beside these, adding another one improves the fit too little."
+        "Filled: added to the model; beside these, adding another one improves the fit too little. The table of what "
+        "was left out states how large such an effect may be at most."
     )
     return Picture("The whole library, fitted together", caption, figures.joint_figure(order[:most], shares))
 

@@ -138,14 +138,14 @@ def temperature_figure(readings: RealArray) -> str:
 
 
 def resistance_figure(
-    readings: Sequence[ResistanceReading], interval: tuple[float, float], nameplate_ohm: float | None
+    readings: Sequence[ResistanceReading], interval: tuple[float, float], nameplate_ohm: float | None, band: str
 ) -> str:
-    """R_s over the run: each reading with its 95 % interval, the estimate as a band."""
+    """R_s over the run: each reading with its 95 % interval, the estimate as a band of this name."""
     figure, axes = new_figure()
     time = np.array([r.start_s for r in readings])
     value = np.array([r.value_ohm for r in readings])
     std = np.array([r.std_ohm for r in readings])
-    axes.axhspan(*interval, color=SKY, alpha=0.35, lw=1.5, label="estimate, 95 %")
+    axes.axhspan(*interval, color=SKY, alpha=0.35, lw=1.5, label=band)
     axes.errorbar(time, value, 1.96 * std, fmt="o", color=BLACK, ms=3.5, lw=1, label="reading, 95 %")
     if nameplate_ohm is not None:
         axes.axhline(nameplate_ohm, color=ORANGE, ls=":", lw=1.5, label="nameplate")

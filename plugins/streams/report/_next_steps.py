@@ -45,7 +45,9 @@ def _about_map(material: Material) -> str:
 def _about_model(material: Material) -> str:
     run = typed(material)
     if material.diagnosis is None:
-        return f"not diagnosed: `fluxbench diagnose {run}` names what it misses."
+        is_drawn = material.bare is not None or material.manifest is None
+        draws = "" if is_drawn else f", `fluxbench report {run}` draws where it fails and names nothing"
+        return f"not diagnosed: `fluxbench diagnose {run}` names what it misses{draws}."
     report, decide = material.diagnosis.report, material.diagnosis.words.to_decide
     to_decide = typographic(decide).replace("`fluxbench diagnose RUN", f"`fluxbench diagnose {run}")
     proposed = report.next_experiment
@@ -60,8 +62,12 @@ def _about_model(material: Material) -> str:
     if report.verdict not in ("explained", "explained_in_another_form"):
         return f"{to_decide}."
     if twins := [effect for effect in report.effects if effect.twins]:
-        names = " or ".join(plain(name) for name in (twins[0].name, *twins[0].twins))
-        return f"{to_decide}; compensate nothing until it is known whether it is {names}; model.json serves for either."
+        names, present = (twins[0].name, *twins[0].twins), {effect.name for effect in (*report.effects, *report.minor)}
+        if present.issuperset(names):
+            known = f"how much is whose of {listed([plain(name) for name in names])}; model.json has them together"
+        else:
+            known = f"whether it is {' or '.join(plain(name) for name in names)}; model.json serves for either"
+        return f"{to_decide}; compensate nothing until it is known {known}."
     if any(remark.code == "fits_better_in_place" for remark in report.remarks):
         return f"{to_decide}; compensate nothing until then."
     drive = None if material.manifest is None else material.manifest.drive

@@ -23,11 +23,11 @@ from plugins.streams.report import _figures as figures
 from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._content import Picture
-from plugins.streams.report._diagnosis_pictures import diagnosis_pictures, learned_pictures
+from plugins.streams.report._diagnosis_pictures import bare_pictures, diagnosis_pictures, learned_pictures
 from plugins.streams.report._drive_content import drive_section
 from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
 from plugins.streams.report._next_steps import next_steps
-from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray
+from protocols import Basis, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -40,7 +40,7 @@ INDUCTANCES = {
 }
 
 
-def write_report(directory: Path, out: Path | None = None, *, draws: bool = True) -> Path:
+def write_report(directory: Path, out: Path | None = None, *, draws: bool = True, compares: bool = False) -> Path:
     """Make the report of a run directory, or of any recording that has been estimated.
 
     Parameters
@@ -51,6 +51,8 @@ def write_report(directory: Path, out: Path | None = None, *, draws: bool = True
         The file to write; ``report.html`` in the directory where it is left out.
     draws : bool
         With its pictures, which take some seconds; else the page says how to have them.
+    compares : bool
+        Where there is no diagnosis: fit the bare model, and show where it fails. That names no effect.
 
     Returns
     -------
@@ -64,7 +66,7 @@ def write_report(directory: Path, out: Path | None = None, *, draws: bool = True
     StorageError
         Where the file cannot be written.
     """
-    page = render(collect(directory, reads_paths=draws), draws=draws)
+    page = render(collect(directory, reads_paths=draws, compares=draws and compares), draws=draws)
     target = out if out is not None else directory / FILE_NAME
     replace_file(target, page.encode("utf-8"))
     return target
@@ -91,8 +93,10 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         torque_rows=torque_rows(main, motor) if main is not None and motor is not None else [],
         summary=list(content.summary(material)),
         diagnosis=_diagnosis(material, draws=draws),
+        bare=_bare(material),
         checks=list(content.checks(material)),
         why_no_check=content.why_no_check(material),
+        why_no_map=content.why_no_map(material),
         finished=material.ended is not None and material.ended.outcome == "finished",
         remarks=content.remarks(material),
         sensorless={"head": sensorless.HEAD, "rows": sensorless.rows(material), "note": sensorless.note(material)},
@@ -163,6 +167,18 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
     }
 
 
+def _bare(material: Material) -> dict[str, Any] | None:
+    """Where the bare model fails, in numbers and pictures; None where that was not computed."""
+    if material.bare is None:
+        return None
+    return {
+        "errors": findings.bare_errors(material.bare),
+        "left_out": listed([plain(name) for name in material.modelled]),
+        "pictures": list(bare_pictures(material.bare)),
+        "effects": findings.signature_rows(),
+    }
+
+
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     yield _paths_picture(material)
     yield _resistance_picture(material)
@@ -170,7 +186,7 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
         title = f"ψ_{axis} over i_{axis}, i_{other} held"
         known = {m: grid for m, grid in material.maps.items() if np.isfinite(grid.psi_d).any()}
         if not known:
-            yield Picture(title, "Not drawn: no flux map was made.")
+            yield Picture(title, f"Not drawn: {content.why_no_map(material)}.")
         else:
             means = material.paths.injection
             held = means[:, "dq".index(other)] if len(means) else None
@@ -179,7 +195,10 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
     yield _difference_picture(material)
     for name, title in INDUCTANCES.items():
         if main is None or not np.isfinite(getattr(main, name)).any():
-            yield Picture(title, "Not drawn: not measured.")
+            why = (
+                content.why_no_map(material) if main is None else f"the map {map_source(main.method)} does not have it"
+            )
+            yield Picture(title, f"Not drawn: {why}.")
         else:
             text = f"In mH, {map_source(main.method)}. White is outside what was measured."
             yield Picture(title, text, figures.inductance_figure(main, name))
@@ -228,19 +247,41 @@ def _resistance_picture(material: Material) -> Picture:
     title, readings = "R_s over the run", material.readings
     estimate = material.estimates.resistance if material.estimates is not None else None
     if not readings:
-        return Picture(title, "Not drawn: there are no single readings over time.")
+        why = (
+            content.why_no_map(material)
+            if not content.is_estimated(material)
+            else "there are no single readings over time"
+        )
+        return Picture(title, f"Not drawn: {why}.")
     values = [r.value_ohm for r in readings]
     interval = (min(values), max(values)) if estimate is None else (estimate.low, estimate.high)
     motor = content.motor_of(material)
-    uri = figures.resistance_figure(readings, interval, motor.stator_resistance_ohm if motor is not None else None)
-    return Picture(title, f"{len(readings)} readings while the current was constant.", uri)
+    nameplate_ohm = motor.stator_resistance_ohm if motor is not None else None
+    name = "$R_s$ at 0 s, 95 %" if estimate is not None and estimate.is_of_model else "estimate, 95 %"
+    uri = figures.resistance_figure(readings, interval, nameplate_ohm, name)
+    return Picture(title, f"{len(readings)} readings while the current was constant. {_band(estimate)}", uri)
+
+
+def _band(estimate: ResistanceEstimate | None) -> str:
+    """What the band of the picture of R_s is."""
+    if estimate is None:
+        return "Band: from the lowest reading to the highest."
+    if estimate.is_of_model:
+        return (
+            "Band: the model's R_s at 0 s, before any current warms the winding, with its 95 %. The readings need not "
+            "lie in it: they rise with the heat, and contain whatever else the model corrects."
+        )
+    return "Band: R_s over the whole run, with its 95 %."
 
 
 def _difference_picture(material: Material) -> Picture:
     title = "Classical minus injection"
     classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
     if classical is None or injection is None:
-        return Picture(title, "Not drawn: it takes the maps by both methods.")
+        if not content.is_estimated(material):
+            return Picture(title, f"Not drawn: {content.why_no_map(material)}.")
+        missing = listed([name for name, grid in (("classical", classical), ("injection", injection)) if grid is None])
+        return Picture(title, f"Not drawn: it needs the maps by both methods; there is none by {missing}.")
     caption = "Along the axes, each counted from zero current."
     return Picture(title, caption, figures.difference_figure(classical, injection))
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from orchestrator.flux_maps.exporting import saliency
 from orchestrator.formatting.names import map_source
-from orchestrator.formatting.quantities import fixed, number, vector
+from orchestrator.formatting.quantities import fixed, number, quantity, vector
 from plugins.streams.report._collect import Material
+from plugins.streams.report._content import motor_of
 from protocols import SeenByInjection
 
 HEAD = (
@@ -47,8 +51,8 @@ def note(material: Material) -> str:
         )
     second = (
         "Cross-saturation turns the axis of least inductance, which the tracking takes for the d axis, by up to "
-        f"{_degrees(worst.angle_error_rad or 0.0)}{_place(worst)}; with that turn taken from the map, up to "
-        f"{_degrees(left)} is left."
+        f"{_degrees(worst.angle_error_rad or 0.0)}{_place(worst)}{_within_rated(material, worst)}; with that turn "
+        f"taken from the map, up to {_degrees(left)} is left."
     )
     return f"{first} {second}"
 
@@ -74,6 +78,20 @@ def _place(ripple: SeenByInjection) -> str:
     """The current of the largest turn; files of older versions do not have it."""
     i_d, i_q = ripple.angle_error_i_d_a, ripple.angle_error_i_q_a
     return "" if i_d is None or i_q is None else f" at {vector(i_d, i_q)}"
+
+
+def _within_rated(material: Material, ripple: SeenByInjection) -> str:
+    """The largest turn up to the rated current, by the map; empty where the largest of all is not beyond it."""
+    motor, grid = motor_of(material), material.maps.get(ripple.method)
+    i_d, i_q, rated_a = ripple.angle_error_i_d_a, ripple.angle_error_i_q_a, motor.rated_current_a if motor else None
+    if grid is None or i_d is None or i_q is None or rated_a is None or math.hypot(i_d, i_q) <= rated_a:
+        return ""
+    size_a = np.hypot(grid.i_d[:, None], grid.i_q[None, :])
+    turn = np.where(size_a <= rated_a, np.abs(saliency(grid).angle_rad), np.nan)
+    if not np.isfinite(turn).any():
+        return ""
+    rated = quantity(rated_a, "A")
+    return f", beyond the rated current of {rated}, and by up to {_degrees(float(np.nanmax(turn)))} within it"
 
 
 def _percent(value: float | None) -> str:

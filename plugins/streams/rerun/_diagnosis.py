@@ -169,8 +169,11 @@ class Diagnosis:
         return self._text_page("next", text + markdown_table(("setting", "value"), setting_rows(message.stage)))
 
     def _compared(self, message: Compared) -> list[Entry]:
-        rows = [(plain(s.stage), quantity(s.rms_v, "V"), number(s.chi2, 3)) for s in message.report.stages]
-        head = ("stage", "residual, rms", "χ² per degree of freedom")
+        rows = [
+            (plain(s.stage), quantity(s.rms_v, "V"), quantity(s.noise_rms_v, "V"), number(s.chi2, 3))
+            for s in message.report.stages
+        ]
+        head = ("stage", "residual, rms", "noise floor", "χ² per degree of freedom")
         return self._text_page("compared", "## The model against the measurements\n\n" + markdown_table(head, rows))
 
     def _text_page(self, part: str, text: str) -> list[Entry]:

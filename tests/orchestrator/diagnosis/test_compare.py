@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.diagnosis import compare_recording
+from orchestrator.diagnosis import bare_model_step, compare_recording
 from orchestrator.recording import Recording, read_model
 from plugins.effects.inverter import DeviceDrop
 from protocols import MotorModel, RecordingError
@@ -22,6 +22,10 @@ def test_comparison_says_where_the_model_fails(misaligned: Recording, tmp_path: 
     assert report.chi2 > 5.0
     assert (stages["classical"].chi2 or 0.0) > (stages["resistance"].chi2 or 99.0)
     assert report.worst[0].segment.startswith("classical")
+    # Errors and floors of the stages are over the same samples, and so are those over all.
+    assert (stages["classical"].rms_v or 0.0) > 2.0 * (stages["classical"].noise_rms_v or 99.0)
+    assert (report.worst[0].rms_v or 0.0) > 2.0 * (report.worst[0].noise_rms_v or 99.0)
+    assert (report.rms_v or 0.0) > 2.0 * (report.noise_floor.rms_v or 99.0)
     # The injection takes a few seconds in all, of which noise alone breaks reciprocity by a quarter of a percent.
     assert (report.parity.d_percent or 0.0) > 2.0 * (report.reciprocity_percent or 99.0)
     assert (report.parity.q_percent or 0.0) > 3.0 * (report.reciprocity_percent or 99.0)
@@ -33,6 +37,7 @@ def test_what_is_right_is_noise_everywhere(clean: Recording, tmp_path: Path) -> 
     assert report.chi2 == pytest.approx(1.0, abs=0.05)
     assert {s.stage for s in report.stages} == {s.stage.value for s in clean.segments()}
     assert all((s.chi2 or 0.0) < 1.5 for s in report.stages)
+    assert report.rms_v == pytest.approx(report.noise_floor.rms_v, rel=0.1)
     assert report.noise_floor.rms_v is not None
     # A mean over a window has its own noise: the worst of some forty is not many times the usual one.
     assert (report.worst[0].rms_v or 99.0) < 4.0 * report.noise_floor.rms_v
@@ -40,6 +45,13 @@ def test_what_is_right_is_noise_everywhere(clean: Recording, tmp_path: Path) -> 
     assert errors == sorted(errors, reverse=True)
     assert [remark.code for remark in report.remarks] == [*ALWAYS, "no_model"]
     assert not list(tmp_path.iterdir())
+
+
+def test_the_step_of_the_bare_model_has_no_effect_and_the_error_of_the_comparison(misaligned: Recording) -> None:
+    step = bare_model_step(misaligned)
+    assert (step.index, step.effects) == (0, ())
+    assert step.chi2 > 5.0
+    assert step.rms_v > 2.0 * step.noise_rms_v
 
 
 @pytest.mark.slow

@@ -9,14 +9,18 @@ import pytest
 from orchestrator.formatting.results import (
     PART_MEANING,
     benefit_line,
+    joint_bound,
     ladder_rows,
     parameter_rows,
     resistance_course,
     share_notes,
     size_in_words,
+    trace_words,
 )
 from protocols import (
+    Companion,
     FoundEffect,
+    JointEntry,
     Materiality,
     ParameterValue,
     Remark,
@@ -58,6 +62,34 @@ def test_an_interval_that_holds_zero_is_marked() -> None:
         ("extra a", "300 mΩ", "200 to 400"),
         ("extra b", "105 mΩ", "−54 to 265; zero fits too"),
     ]
+
+
+def test_where_two_are_determined_together_alone_zero_is_not_offered_by_itself() -> None:
+    total = Companion(effect="device_drop", parameter="voltage_v", total=0.8, total_low=0.79, total_high=0.81)
+    together = ParameterValue(value=0.1, low=-2.0, high=2.2, unit="V", determined_with=total)
+    time = ParameterValue(value=1e-8, low=-2e-7, high=2.2e-7, unit="s")
+    assert [row[2] for row in parameter_rows(effect(parameters={"voltage_v": together}, derived={"dead": time}))] == [
+        "−2000 to 2200; only its sum with device drop voltage is determined: 800 mV (95 %: 790 to 810)",
+        "−200 to 220; likewise",
+    ]
+    knee = Companion(effect="dead_time", parameter="threshold_a")
+    with_knee = together.model_copy(update={"determined_with": knee})
+    (row,) = parameter_rows(effect(parameters={"voltage_v": with_knee}, derived={}))
+    assert row[2].endswith(
+        "; zero fits too if current below which it fades changes with it: only a combination is determined"
+    )
+
+
+def test_the_joint_fit_bounds_what_was_not_added() -> None:
+    size = ParameterValue(value=0.00093, low=0.00055, high=0.00131, unit="V")
+    entry = JointEntry(name="device_drop", relative_size=0.001, z=4.8, parameter="voltage_v", size=size)
+    assert joint_bound(entry) == "voltage at most 1.31 mV"
+    report = a_diagnosis(joint=[entry.model_dump()], traces=["device_drop", "bus_sag"])
+    assert trace_words(report) == ["device drop (voltage at most 1.31 mV)", "bus sag"]
+    loss = ParameterValue(value=9e3, low=5e3, high=None, unit="ohm")
+    strong = entry.model_copy(update={"parameter": "core_loss_ohm", "size": loss})
+    assert joint_bound(strong) == "core loss at least 5 kΩ"
+    assert joint_bound(entry.model_copy(update={"size": None})) == ""
 
 
 def test_a_step_of_the_ladder_names_effects_that_have_no_step_of_their_own() -> None:

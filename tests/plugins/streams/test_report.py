@@ -16,8 +16,18 @@ from matplotlib import pyplot
 from matplotlib.figure import Figure
 
 from plugins.streams.report import ReportStream, _figures, write_report
+from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, events, formulas, map_rows, remarks, why_no_check
+from plugins.streams.report._content import (
+    checks,
+    events,
+    formulas,
+    is_estimated,
+    map_rows,
+    remarks,
+    why_no_check,
+    why_no_map,
+)
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -44,6 +54,7 @@ from protocols import (
     StreamSetup,
 )
 from tests.plugins.streams.example_run import a_map, a_report, a_run_directory
+from tests.plugins.streams.report.example_diagnosis import some_steps
 from tests.support.cases import few
 
 HOSTILE = "<script>alert(1)</script>\"><img src=x onerror=alert(2)> & 'motor' {{ 7*7 }}"
@@ -204,8 +215,10 @@ def test_a_run_without_results_says_so_and_draws_what_was_measured(run: Path) ->
     page = page_of(run)
     assert len(page.all("img")) == 2  # the paths, and R_s from the journal
     assert f"Flux map not estimated yet: fluxbench estimate {run.name}" in page.text
-    assert "Not drawn: no flux map was made." in page.text
-    assert "Not measured: there is no flux map" in page.text
+    assert page.text.count(f"Not drawn: not estimated yet: fluxbench estimate {run.name}") == 6
+    assert f"No flux map: not estimated yet: fluxbench estimate {run.name}" in page.text
+    assert "not measured" not in page.text.lower()
+    assert f"fluxbench report {run.name} draws where it fails" in page.text
 
 
 @pytest.mark.usefixtures("without_figures")
@@ -224,7 +237,7 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
     (run / "results" / "flux_map_classical.nc").unlink()
     page = page_of(run)
     assert "By injection alone." in page.text
-    assert "Not drawn: it takes the maps by both methods." in page.text
+    assert "Not drawn: it needs the maps by both methods; there is none by classical." in page.text
 
 
 @pytest.mark.usefixtures("without_figures")
@@ -276,7 +289,7 @@ def test_unmeasured_checks_are_stated_not_to_be_measured(run: Path) -> None:
     file.write_text(re.sub(r'"parity": \{[^}]*\}', '"parity": null', file.read_text()), encoding="utf-8")
     material = collect(run)
     parity = next(c for c in checks(material) if c.name == "Parity")
-    assert [bar.text for bar in parity.bars] == ["not measured", "not measured"]
+    assert [bar.text for bar in parity.bars] == ["no figure", "no figure"]
     assert parity.limit == "this recording’s maps do not allow it"
 
 
@@ -454,30 +467,67 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path
     assert "−12.5" in page
 
 
+SEEN = SeenByInjection(
+    method="energy",
+    frequency_hz=500.0,
+    amplitude_v=40.0,
+    points=25,
+    l_dd_percent=-2.1,
+    l_qq_percent=-4.25,
+    saliency_low=1.2,
+    saliency_high=2.1,
+    map_saliency_low=1.25,
+    map_saliency_high=2.15,
+    angle_error_rad=0.2,
+    left_by_map_rad=0.01,
+)
+
+
 @pytest.mark.slow
 def test_what_sensorless_control_sees_is_a_section_with_what_it_means(run: Path) -> None:
-    seen = SeenByInjection(
-        method="energy",
-        frequency_hz=500.0,
-        amplitude_v=40.0,
-        points=25,
-        l_dd_percent=-2.1,
-        l_qq_percent=-4.25,
-        saliency_low=1.2,
-        saliency_high=2.1,
-        map_saliency_low=1.25,
-        map_saliency_high=2.15,
-        angle_error_rad=0.2,
-        left_by_map_rad=0.01,
-    )
     assert "For sensorless control" not in render(collect(run), draws=False)
-    page = render(collect(estimated(run, seen_by_injection=(seen,))), draws=False)
+    page = render(collect(estimated(run, seen_by_injection=(SEEN,))), draws=False)
     assert "For sensorless control" in page
-    assert "up to 4.2 % off the slopes of the large-signal map (by energy)" in page
+    assert "up to 4.2 % off the slopes of the large-signal map by energy" in page
     assert "by up to 11.5°" in page
     assert "<td>−2.10 %</td><td>−4.25 %</td><td>1.20 to 2.10</td>" in page.replace("\n", "")
-    alike = seen.model_copy(update={"l_dd_percent": 0.3, "l_qq_percent": -0.4})
+    alike = SEEN.model_copy(update={"l_dd_percent": 0.3, "l_qq_percent": -0.4})
     assert "one map serves both" in render(collect(estimated(run, seen_by_injection=(alike,))), draws=False)
+
+
+def test_a_turn_beyond_the_rated_current_is_stated_within_it_too(finished: Path) -> None:
+    material = collect(finished, reads_paths=False)
+    at = {"method": "injection", "angle_error_i_d_a": 0.0, "angle_error_i_q_a": -9.0}
+    seen = SEEN.model_copy(update=at)
+    rated = sensorless._within_rated(material, seen)
+    assert re.fullmatch(r", beyond the rated current of 2\.35 A, and by up to \d+\.\d° within it", rated)
+    assert sensorless._within_rated(material, seen.model_copy(update={"angle_error_i_q_a": 2.0})) == ""
+
+
+def test_results_of_a_model_alone_are_no_estimates(finished: Path) -> None:
+    material = collect(finished, reads_paths=False)
+    assert material.estimates is not None
+    assert is_estimated(material)
+    model = DeliveredModel(title="saturated + phase drop", segments="", resistance=material.estimates.resistance)
+    alone = replace(material, estimates=material.estimates.model_copy(update={"model": model, "estimators": None}))
+    assert why_no_map(alone).startswith("not estimated yet: `fluxbench estimate")
+    assert why_no_map(material) == "no estimator could make one; their remarks say why"
+
+
+@pytest.mark.usefixtures("without_figures")
+def test_before_a_diagnosis_the_page_may_show_where_the_bare_model_fails(finished: Path) -> None:
+    material = replace(collect(finished, reads_paths=False), diagnosis=None)
+    assert "Where the model fails" not in render(material, draws=False)
+    page = Page(render(replace(material, bare=some_steps()[0]), draws=False))
+    added = render(replace(material, bare=some_steps()[0], modelled=("dead_time",)), draws=False)
+    assert "(model.json has dead time, which is left out here): error" in added
+    assert "Where the model fails R_s and a saturated map alone, without any effect: error " in page.text
+    assert "Residual against each phase's own current" in page.text
+    assert (
+        "voltage_bias The inverter keeps a constant voltage back from the commanded one. A constant residual"
+        in page.text
+    )
+    assert "draws where it fails" not in page.text
 
 
 @pytest.mark.slow
@@ -485,11 +535,11 @@ def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(run: Path) -
     energy = {"energy": MapReport(basis=Basis.ENERGY, checks=MapChecks())}
     given = {"method": "energy", "parity": None, "reciprocity_percent": None}
     shown = {check.name: check for check in checks(collect(estimated(run, **given, maps=energy | a_report().maps)))}
-    assert "Of the injection map" in shown["Parity"].meaning
+    assert "Of the map by injection" in shown["Parity"].meaning
     assert [bar.text for bar in shown["Parity"].bars] == ["0.31 %", "0.88 %"]
     assert [bar.text for bar in shown["Reciprocity"].bars] == ["0.66 %"]
     alone = checks(collect(estimated(run, **given, maps=energy)))
-    assert any("By construction" in check.meaning for check in alone)
+    assert any("an energy, obeys it exactly" in check.meaning for check in alone)
 
 
 def test_nothing_in_the_page_is_obeyed_rather_than_shown() -> None:

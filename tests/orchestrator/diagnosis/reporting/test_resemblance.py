@@ -68,6 +68,7 @@ def test_an_own_effect_like_one_of_the_model_is_indistinguishable_from_it(maker:
     ((code, text),) = remarks(maker, VoltageBias(), guarded(SameBias()))
     assert code == "indistinguishable"
     assert text.startswith("voltage bias and same bias are indistinguishable here: chi2 ")
+    assert text.endswith("; what was measured leaves the same residual with either, within the noise")
 
 
 def test_an_installed_effect_that_fits_better_takes_an_own_one_s_certainty(maker: Fitter) -> None:

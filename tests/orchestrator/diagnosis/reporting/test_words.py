@@ -113,13 +113,26 @@ def test_twins_are_named_with_what_would_tell_them_apart(search: SearchResult, m
     words = stated(search, effects=[{**BIAS, "twins": ["current_offset"]}])
     needed = CONTRASTS[Contrast.GATES_OFF].text
     assert "indistinguishable from current_offset here" in words.likely_cause
-    assert f"What would tell it from current_offset, {needed}, was not measured." in words.what_it_looks_like
+    alike = "In its place current_offset would leave the same residual, within the noise."
+    parts = f"What would tell it from current_offset, {needed}, was not measured."
+    assert f"{alike} {parts}" in words.what_it_looks_like
     assert needed in words.to_decide
+
+
+def test_a_twin_that_is_in_the_model_too_is_no_alternative(search: SearchResult) -> None:
+    offset = {**BIAS, "name": "current_offset", "twins": ["voltage_bias"]}
+    words = stated(search, effects=[BIAS, offset])
+    assert "acts like voltage_bias here, which is in the model too" in words.likely_cause
+    assert "indistinguishable" not in words.likely_cause
+    assert "Here it acts like voltage_bias, which is in the model too: a part of its size may be theirs." in (
+        words.what_it_looks_like
+    )
 
 
 def test_twins_that_no_measurement_has_separated_are_too_small_for_it(search: SearchResult) -> None:
     words = stated(search, effects=[{**BIAS, "twins": ["current_offset"]}])
-    assert "At this size the recording does not tell it from current_offset." in words.what_it_looks_like
+    measured = f"What tells them apart, {CONTRASTS[Contrast.GATES_OFF].text}, was measured, but too short or too small."
+    assert f"At this size the recording does not tell it from current_offset. {measured}" in words.what_it_looks_like
     assert words.to_decide == "voltage_bias or current_offset: too small to be separated by the measurements"
 
 

@@ -18,6 +18,7 @@ from orchestrator.diagnosis.selection.scoring import log_bayes_factors
 from orchestrator.diagnosis.selection.search_state import AcceptedModel, SearchResult, SearchState
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
+from plugins.effects.iron import EddyCurrents
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentGainMismatch
 from protocols import Effect, FoundEffect, JointEntry
@@ -144,3 +145,15 @@ def test_agreement_chance_and_small_differences_are_not_spoken_of() -> None:
     assert other_opinion([entry("bus_sag", 0.3, z=3.0)], named) == []
     assert other_opinion([entry("bus_sag", 0.06)], named) == []
     assert other_opinion([entry("bus_sag", 0.3)], []) == []
+
+
+def test_an_amplitude_of_the_joint_fit_has_its_interval_and_one_that_is_strong_when_small_a_lower_end_alone() -> None:
+    bias, loss = VoltageBias.Parameters.declared()[0], EddyCurrents.Parameters.declared()[0]
+    found = naming._joint_size(bias, 0.02, 0.01)
+    assert found.low is not None
+    assert found.high is not None
+    assert (found.low, found.value, found.high) == pytest.approx([c * bias.prior_width for c in (0.01, 0.02, 0.03)])
+    assert loss.strong_when_small
+    bound = naming._joint_size(loss, 0.02, 0.01)
+    assert bound.high is None
+    assert bound.low == pytest.approx(loss.typical**2 / (0.03 * loss.prior_width))

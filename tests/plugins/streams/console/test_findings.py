@@ -74,8 +74,8 @@ def printed(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message],
 
 def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert printed(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
-        "comparison: the saturated model has chi2 54890, worst in resistance-022 with 1.48 V rms; noise floor over all "
-        "stages 3.45 mV",
+        "comparison: the saturated model, over all stages: error 1.73 V rms, noise floor 3.45 mV, chi2 54890; "
+        "worst in resistance-022: 1.48 V rms, noise floor there 440 µV",
         "the model alone           chi2    5489    300 mV  held out   350 mV",
         "+ dead time               chi2    1.02    4.1 mV  held out   4.2 mV",
         "diagnosis: explained",
@@ -154,11 +154,13 @@ def test_a_message_without_arrays_is_whole() -> None:
 
 
 def test_a_report_that_says_little_is_reported_all_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    bare = a_comparison().model_copy(update={"chi2": None, "worst": (), "noise_floor": NoiseFloor(rms_v=None)})
+    bare = a_comparison().model_copy(
+        update={"chi2": None, "rms_v": None, "worst": (), "noise_floor": NoiseFloor(rms_v=None)}
+    )
     silent = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, ""))
     empty: list[Message] = [Compared(report=bare), Diagnosed(round=2, report=a_diagnosis(), words=silent)]
     assert printed(monkeypatch, tmp_path, empty, "plain").splitlines() == [
-        "comparison: the saturated model has chi2 –; noise floor over all stages –",
+        "comparison: the saturated model, over all stages: error – rms, noise floor –, chi2 –",
         "diagnosis: explained, after experiment 2",
     ]
     assert printed(monkeypatch, tmp_path, empty, "live")

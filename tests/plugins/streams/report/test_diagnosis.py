@@ -87,7 +87,7 @@ def test_the_page_stays_small(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("undrawn")
 def test_a_page_without_a_diagnosis_says_how_to_make_one(tmp_path: Path) -> None:
     text = words_of(write_report(a_run_directory(tmp_path / "run")).read_text(encoding="utf-8"))
-    assert "not made; fluxbench diagnose makes it" in text
+    assert "not made; fluxbench diagnose run makes it" in text
     assert "The error ladder" not in text
 
 
@@ -178,10 +178,18 @@ def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
         (
             "bus sag",
             "–",
-            "up to 5.1 standard deviations from zero with all effects fitted at once; adding it gains too little",
+            "not needed: 5.1 standard deviations from zero with all effects fitted at once, but adding it improves the "
+            "fit too little",
         ),
         ("skin effect", "–", "detected, but too small to be named"),
     ]
+
+
+def test_what_was_not_added_is_stated_with_the_most_that_it_may_be() -> None:
+    size = {"value": 0.00093, "low": 0.00055, "high": 0.00131, "unit": "V"}
+    entry = {"name": "device_drop", "relative_size": 0.001, "z": 4.8, "parameter": "voltage_v", "size": size}
+    ((_, _, how),) = findings.alike_rows(saved(joint=[entry], effects=[], traces=[]))
+    assert how.startswith("not needed: voltage at most 1.31 mV (95 %) beside what was added; 4.8 standard deviations")
 
 
 def test_the_next_experiment_is_a_procedure_s_own_text() -> None:
