@@ -46,9 +46,11 @@ def view(
     as_json: Annotated[bool, typer.Option("--json", help="Print a folder's table as JSON only.")] = False,
 ) -> int:
     """See a run: while it happens, or afterwards; or several side by side."""
+    from orchestrator.recording import require_recording
+
     for path in paths:
         if not path.exists():
-            raise RecordingError(str(path), "", "no such file or directory")
+            require_recording(path)
     if len(paths) > 1:
         from orchestrator.runs import without_private
 
@@ -70,7 +72,7 @@ def view(
         return _see_made(whole_view(path, _tell), web, port, screenshot, tab, of=path)
     runs = runs_in(path)
     if not runs:
-        raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
+        require_recording(path)
     if screenshot is not None or not (as_json or web or sys.stdout.isatty()):
         names = ", ".join(run.name for run in runs[:MAX_NAMES])
         more = f" and {len(runs) - MAX_NAMES} more" if len(runs) > MAX_NAMES else ""

@@ -32,7 +32,7 @@ def test_all_labels_may_be_taken_away(tmp_path: Path) -> None:
 
 
 def test_labels_belong_to_a_run(tmp_path: Path) -> None:
-    with pytest.raises(RecordingError, match="not a run directory"):
+    with pytest.raises(RecordingError, match="neither a run nor a recording"):
         save_labels(tmp_path, RunLabels(tags=("cold",)))
 
 

@@ -71,7 +71,7 @@ def test_programs_get_verdict_reasons_record_and_search(diagnosed: Path, capsys:
     ("place", "problem"),
     [
         ("runs/first", "has no diagnosis yet; run `fluxbench diagnose"),
-        ("runs/first.sealed", "neither a run nor a recording, and has no diagnosis"),
+        ("runs/first.sealed", "neither a run nor a recording: it has no run.json and no recording.json"),
         ("runs", "a folder of runs, not a run; `fluxbench runs --folder"),
         ("nowhere", "no such directory"),
     ],

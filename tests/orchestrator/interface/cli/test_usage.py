@@ -40,6 +40,25 @@ from orchestrator.interface.cli._usage import EXAMPLE
         ),
         ("runs --nonsense", "No such option: --nonsense; `fluxbench runs --help` lists what there is"),
         ("frobnicate", "No such command 'frobnicate'; `fluxbench --help` lists what there is"),
+        (
+            "explain runs/first runs/second",
+            "runs/second: `fluxbench explain` takes one RUN; `fluxbench compare RUN RUN...` compares several",
+        ),
+        (
+            "remove runs/first dead_time hysteresis",
+            "hysteresis: `fluxbench remove` takes one RECORDING and one EFFECT; `fluxbench remove --help` lists its "
+            "options",
+        ),
+        (
+            "run demo limits.current_a=3",
+            "limits.current_a=3: `fluxbench run` takes at most one PROCEDURE; a setting is given as "
+            "`--set limits.current_a=3`",
+        ),
+        ("wire can", "can: `fluxbench wire` takes no argument; `fluxbench wire --help` lists its options"),
+        (
+            "diagnose runs/first --material-flux -1",
+            "--material-flux: expected a number from 0 on, got '-1'; for example: --material-flux 0",
+        ),
         ("diagnoze runs/first", "No such command 'diagnoze'. Did you mean 'diagnose'?"),
     ],
 )
